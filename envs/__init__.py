@@ -1,0 +1,39 @@
+"""The environments: three scenarios of human and robot, as highway-env environments.
+
+Importing this package registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0`` and
+``ms-highway/give-way-v0`` with Gymnasium.
+"""
+
+from gymnasium.envs.registration import register, registry
+
+from ms_highway.envs.give_way import GIVE_WAY, GiveWayEnv
+from ms_highway.envs.merger import MERGER, MergerEnv
+from ms_highway.envs.stay_back import STAY_BACK, StayBackEnv
+from ms_highway.scenario import Scenario
+
+__all__ = ["SCENARIOS", "GiveWayEnv", "MergerEnv", "StayBackEnv", "environment_id"]
+
+SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY)}
+"""The scenarios by name."""
+
+
+def environment_id(scenario: str) -> str:
+    """The Gymnasium id of a scenario; the module prefix lets spawned workers find it.
+
+    Raises:
+        ValueError: for an unknown scenario.
+    """
+    if scenario not in SCENARIOS:
+        raise ValueError(f"unknown scenario {scenario!r}; the scenarios are {', '.join(SCENARIOS)}")
+    return f"ms_highway:ms-highway/{scenario.replace('_', '-')}-v0"
+
+
+def _register() -> None:
+    """Register every id once, however often this runs."""
+    for name in SCENARIOS:
+        bare_id = environment_id(name).removeprefix("ms_highway:")
+        if bare_id not in registry:
+            register(bare_id, entry_point=f"ms_highway.envs.{name}:{name.title().replace('_', '')}Env")
+
+
+_register()

@@ -1,0 +1,314 @@
+"""The environment that the three scenarios share: a road, a human, a robot, and who drives it."""
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import jax
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import ActionType, action_factory
+from highway_env.envs.common.observation import observation_factory
+from highway_env.road.lane import LineType, StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.objects import Obstacle
+from jaxtyping import Float
+
+from ms_highway.controller import Controller, FixedModel, ModelSwitching, measure_costs
+from ms_highway.envs.actions import Autopilot, HumanModelAction
+from ms_highway.envs.configuration import merged
+from ms_highway.envs.graphics import InteractionViewer
+from ms_highway.envs.observations import CarStates
+from ms_highway.game import Game
+from ms_highway.human_models import HumanModel, Naive, ladder
+from ms_highway.reward import FEATURES, features
+from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, Scenario, build_game, draw_starts
+from ms_highway.switching import PUBLISHED_COSTS, Switching
+from ms_highway.vehicle import HumanVehicle, PlanningVehicle, RobotVehicle, ScriptedVehicle
+
+__all__ = ["Cone", "InteractionEnv", "Seconds"]
+
+ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
+_features = jax.jit(features)
+
+RELEASED_TRUST_TOLERANCE = 0.05  # the released code's solver stops within this share of the radius
+
+
+class Seconds(float):
+    """A measured duration, to be used as a float. It equals every other measured duration.
+
+    Two runs of the same computation never take the same time to the digit. Gymnasium's checker compares the infos of
+    two equally seeded steps; a measurement is no part of what makes them the same.
+    """
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Seconds) or float(self) == other
+
+    def __hash__(self) -> int:
+        return hash(Seconds)
+
+
+class Cone(Obstacle):
+    """A traffic cone."""
+
+    LENGTH, WIDTH = (size * PAPER_UNIT for size in CONE_SIZE)  # m
+
+
+class InteractionEnv(AbstractEnv):
+    """A robot among human drivers, on the stage of a `Scenario`.
+
+    Configuration, beside highway-env's own:
+
+    * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
+      "lambda": 0.1}``: the agent chooses the human model; ``{"type": "ContinuousAction"}``: the agent drives.
+    * ``controller``: ``{"type": "switching", "lambda": 0.1}`` or ``{"type": "fixed", "model": "tom"}``.
+    * ``ladder``: names of the human models to choose from, cheapest first.
+    * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model.
+    * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.scenario.build_game`.
+    * ``influence``: ``"damped"``, ``"exact"``, or None for what belongs to the semantics (damped and exact).
+    * ``control_limit``: bounds (omega, acceleration) on plans, or None.
+    * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
+
+    The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push
+    each other nor stop, and ``info["collision_effect"]`` says so.
+    """
+
+    scenario: ClassVar[Scenario]
+    models: tuple[HumanModel, ...]
+    game: Game
+
+    @classmethod
+    def default_config(cls) -> dict[str, Any]:
+        """highway-env's configuration with the scenario's own."""
+        return super().default_config() | {
+            "observation": {"type": "CarStates"},
+            "action": {"type": "Autopilot"},
+            "controller": {"type": "switching", "lambda": cls.scenario.prices[1]},
+            "ladder": list(cls.scenario.ladder),
+            "costs": "published",
+            "semantics": "paper",
+            "influence": None,
+            "control_limit": None,
+            "duration": cls.scenario.steps / 10,
+            "terminate_on_collision": False,
+            "simulation_frequency": 10,
+            "policy_frequency": 10,
+            "screen_width": 960,
+            "screen_height": 352,
+            "scaling": 9.0,
+            "centering_position": [0.4, 0.32],
+        }
+
+    def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
+        self.metadata = dict(type(self).metadata)  # highway-env would write the frame rate into the class's own
+        self._initial_states: Float[np.ndarray, "cars 4"] | None = None
+        self._costs: Float[np.ndarray, "rungs"] | None = None
+        self._terms: dict[str, float] = {}
+        self.collision = False
+        self.history: list[dict[str, Any]] = []
+        super().__init__(config, render_mode)
+
+    def configure(self, config: dict[str, Any] | None) -> None:
+        """Change the configuration, all of it or nothing.
+
+        Raises:
+            ValueError: for an unknown key or an impossible value.
+        """
+        self.config = merged(self.config, config)
+        super().configure(None)
+        settings = self.config
+        influence = settings["influence"] or ("damped" if settings["semantics"] == "paper" else "exact")
+        self.game = build_game(self.scenario, settings["semantics"], influence, settings["control_limit"])
+        self.models = ladder(settings["ladder"])
+        self._costs = None
+
+    def update_metadata(self, video_real_time_ratio: int = 1) -> None:
+        """Frames per second of a video that plays at true speed."""
+        super().update_metadata(video_real_time_ratio)
+
+    def define_spaces(self) -> None:
+        """Set observation and action type; an action space that did not change keeps its random generator."""
+        action, observation = dict(self.config["action"]), self.config["observation"]
+        before = self.action_space
+        self.action_type = self._action_type(action)
+        self.action_space = self.action_type.space()
+        if before == self.action_space:
+            self.action_space = before
+        if observation == {"type": "CarStates"}:
+            self.observation_type = CarStates(self, cars=len(self.scenario.cars))
+        else:
+            self.observation_type = observation_factory(self, observation)
+        self.observation_space = self.observation_type.space()
+
+    def _action_type(self, config: dict[str, Any]) -> ActionType:
+        if config["type"] == "Autopilot":
+            return Autopilot(self)
+        if config["type"] == "HumanModelAction":
+            return HumanModelAction(self, config["lambda"])
+        return action_factory(self, config)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: seeds the noise of the starts.
+            options: ``"initial_states"``: array [cars, 4] of x, y, heading, speed in SI units, robot first, then the
+                human, then the scripted cars, instead of drawn starts; ``"config"``: changes of the configuration.
+
+        Raises:
+            ValueError: for unknown options, or initial states that are not a finite array of that shape.
+        """
+        options = options or {}
+        unknown = sorted(set(options) - {"initial_states", "config"})
+        if unknown:
+            raise ValueError(f"unknown reset options {unknown}; the options are 'initial_states' and 'config'")
+        self._initial_states = self._checked_states(options.get("initial_states"))
+        return super().reset(seed=seed, options=options)
+
+    def _checked_states(self, states: Any) -> Float[np.ndarray, "cars 4"] | None:
+        if states is None:
+            return None
+        states, shape = np.array(states, dtype=float), (len(self.scenario.cars), 4)
+        if states.shape != shape:
+            raise ValueError(f"options['initial_states'] has shape {states.shape}; {self.scenario.name} needs {shape}")
+        if not np.isfinite(states).all():
+            raise ValueError(f"options['initial_states'] is not finite: {states.tolist()}")
+        return states
+
+    def _reset(self) -> None:
+        """Build the road, place the cars, and say who drives them."""
+        states = self._initial_states
+        if states is None:
+            states = draw_starts(self.scenario, self.np_random)
+        self.road = Road(self._network(), np_random=self.np_random)
+        for x, y in np.asarray(self.game.scene.obstacles, dtype=float):
+            self.road.objects.append(Cone(self.road, [x, y]))
+        classes = [RobotVehicle, HumanVehicle] + [ScriptedVehicle] * (len(states) - 2)
+        cars = [kind(self.road, state[:2], *state[2:]) for kind, state in zip(classes, states, strict=True)]
+        for car in cars:
+            car.solid = False  # collisions are seen, without effect
+        for car in cars[:2]:
+            car.dynamics = jax.tree.map(float, self.game.world)
+        robot, human, *others = cars
+        human_game = replace(self.game, robot=self.game.human, human=self.game.robot)
+        human.drive_with(FixedModel(human_game, Naive()), [robot, *others])
+        if isinstance(self.action_type, (Autopilot, HumanModelAction)):
+            robot.drive_with(self._controller(states), [human, *others])
+        self.road.vehicles = cars
+        self.controlled_vehicles = [robot]
+        self.history = []
+        self.collision = False
+
+    def _network(self) -> RoadNetwork:
+        scene = self.game.scene
+        network, lanes = RoadNetwork(), np.asarray(scene.lanes, dtype=float)
+        for place, y in enumerate(lanes):
+            right = LineType.CONTINUOUS_LINE if place == len(lanes) - 1 else LineType.STRIPED
+            apart = place > 0 and y - lanes[place - 1] > 1.01 * float(scene.lane_width)
+            left = LineType.CONTINUOUS_LINE if place == 0 else LineType.STRIPED if apart else LineType.NONE
+            ends = [ROAD_BEHIND, y], [ROAD_AHEAD, y]
+            limit = float(self.game.robot.speed_limit)
+            lane = StraightLane(*ends, width=float(scene.lane_width), line_types=[left, right], speed_limit=limit)
+            network.add_lane("start", "end", lane)
+        return network
+
+    def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:
+        settings = self.config["controller"]
+        if isinstance(self.action_type, HumanModelAction):
+            return FixedModel(self.game, self.models[0])
+        if settings["type"] == "fixed":
+            return FixedModel(self.game, ladder([settings["model"]])[0])
+        tolerance = 0.0 if self.config["semantics"] == "paper" else RELEASED_TRUST_TOLERANCE
+        costs = self.costs(states)
+        return ModelSwitching(self.game, Switching(costs, settings["lambda"], self.models, trust_tolerance=tolerance))
+
+    def costs(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "rungs"]:
+        """T(M) of every model on the ladder [s]; where to be measured, once after each change of configuration."""
+        if self._costs is None:
+            costs = self.config["costs"]
+            if costs == "measured":
+                self._costs = measure_costs(self.game, self.models, states)
+            else:
+                table = PUBLISHED_COSTS if costs == "published" else costs
+                self._costs = np.array([table[model.name] for model in self.models])
+        return self._costs
+
+    @property
+    def robot(self) -> RobotVehicle:
+        """Car 0."""
+        return self.road.vehicles[0]
+
+    @property
+    def human(self) -> HumanVehicle:
+        """Car 1."""
+        return self.road.vehicles[1]
+
+    @property
+    def car_states(self) -> Float[np.ndarray, "cars 4"]:
+        """``(x, y, heading, speed)`` of robot, human and scripted cars in SI units."""
+        return np.stack([car.state for car in self.road.vehicles])
+
+    def render(self) -> np.ndarray | None:
+        """The road from above and a panel with the model in use, its history, reward and planning time."""
+        if self.viewer is None and self.render_mode is not None:
+            self.viewer = InteractionViewer(self)
+        return super().render()
+
+    def _simulate(self, action: Any = None) -> None:
+        """Let all cars plan and move, then evaluate the robot's new state."""
+        for car in self.road.vehicles:
+            car.hit = False
+        super()._simulate(action)
+        robot = self.game.robot
+        phi = np.asarray(_features(self.game.scene, robot, self.car_states.astype(np.float32)))
+        terms = (phi * np.asarray(robot.weights)).astype(float)
+        self._terms = dict(zip(FEATURES, terms.tolist(), strict=True))
+        self.collision = bool(phi[FEATURES.index("collision")])
+        self.history.append(self._record())
+
+    def _record(self) -> dict[str, Any]:
+        """What the panel shows of a step."""
+        step = self.robot.last_step
+        return {
+            "model": step.model if step else None,
+            "planning_seconds": step.planning_seconds if step else 0.0,
+            "decision_seconds": step.decision_seconds if step else 0.0,
+            "gains": step.gains if step else {},
+            "reward": sum(self._terms.values()),
+            "collision": self.collision,
+        }
+
+    def _reward(self, action: Any) -> float:
+        reward = sum(self._terms.values())
+        if isinstance(self.action_type, HumanModelAction):
+            reward -= self.action_type.price * self.costs(self.car_states)[int(action)]
+        return float(reward)
+
+    def _rewards(self, action: Any) -> dict[str, float]:
+        return dict(self._terms)
+
+    def _is_terminated(self) -> bool:
+        return bool(self.config["terminate_on_collision"] and self.collision)
+
+    def _is_truncated(self) -> bool:
+        return self.steps >= round(self.config["duration"] * self.config["policy_frequency"])
+
+    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
+        """What happened in the last step; after a reset only the robot's speed and what collisions do."""
+        info: dict[str, Any] = {"speed": self.robot.speed, "collision_effect": "reward only"}
+        if self.steps == 0:
+            return info
+        info |= {"action": action, "rewards": self._rewards(action)}
+        info |= {"collision": self.collision, "crashed": self.robot.hit, "human_status": self.human.last_step.status}
+        step = self.robot.last_step
+        if step is not None:
+            info |= {
+                "model": step.model,
+                "status": step.status,
+                "gains": dict(step.gains),
+                "planning_seconds": Seconds(step.planning_seconds),
+                "decision_seconds": Seconds(step.decision_seconds),
+                "compile_seconds": Seconds(step.compile_seconds),
+            }
+        return info

@@ -1,0 +1,134 @@
+"""Configurations: merged with the defaults key by key, and checked before anything is built from them."""
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+
+from ms_highway.human_models import MODELS, ladder
+
+__all__ = ["controller_config", "merged"]
+
+CONTROLLER_KEYS = {"switching": {"type", "lambda"}, "fixed": {"type", "model"}}
+ACTION_KEYS = {"Autopilot": {"type"}, "HumanModelAction": {"type", "lambda"}}
+CHOICES = {"semantics": ("paper", "released"), "influence": (None, "exact", "damped")}
+FREQUENCY = 10  # Hz
+
+
+def controller_config(text: str) -> dict[str, Any]:
+    """The configuration that a controller's short name stands for: ``naive``, ``tom``, ``switching:0.1``.
+
+    Raises:
+        ValueError: if it stands for none.
+    """
+    name, _, price = text.partition(":")
+    if name == "switching":
+        try:
+            config = {"type": "switching", "lambda": float(price)}
+        except ValueError:
+            raise ValueError(f"controller {text!r} needs its lambda as a number, such as switching:0.1") from None
+    elif name in MODELS and not price:
+        config = {"type": "fixed", "model": name}
+    else:
+        raise ValueError(f"unknown controller {text!r}; the controllers are {', '.join(MODELS)} and switching:LAMBDA")
+    _check_controller(config)
+    return config
+
+
+def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The defaults with the changes made, checked.
+
+    A nested mapping changes only the keys that it names, unless its ``type`` differs: then it replaces the default.
+
+    Raises:
+        ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
+    """
+    changes = changes or {}
+    _refuse_unknown("config", changes, defaults)
+    config = {key: _merged_value(defaults[key], changes.get(key, defaults[key])) for key in defaults}
+    for key, choices in CHOICES.items():
+        if config[key] not in choices:
+            raise ValueError(f"config[{key!r}] is {config[key]!r}; choose one of {', '.join(map(repr, choices))}")
+    for key in ("simulation_frequency", "policy_frequency"):
+        if config[key] != FREQUENCY:
+            raise ValueError(f"config[{key!r}] is {config[key]!r}; plans are made of steps of 0.1 s, so it must be 10")
+    if not _is_number(config["duration"]) or config["duration"] <= 0:
+        raise ValueError(f"config['duration'] is {config['duration']!r}; it must be a positive number of seconds")
+    try:
+        ladder(config["ladder"])
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"config['ladder']: {error}") from None
+    _check_controller(config["controller"])
+    _check_action(config["action"])
+    _check_costs(config["costs"], config["ladder"])
+    _check_limit(config["control_limit"])
+    return config
+
+
+def _merged_value(default: Any, value: Any) -> Any:
+    if not isinstance(default, Mapping) or not isinstance(value, Mapping):
+        return value
+    same_type = value.get("type", default.get("type")) == default.get("type")
+    return {**default, **value} if same_type else dict(value)
+
+
+def _refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> None:
+    known = sorted(known)
+    for key in given:
+        if key not in known:
+            near = get_close_matches(str(key), known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"the keys are {', '.join(known)}"
+            raise ValueError(f"unknown key {key!r} in {place}; {hint}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _check_price(place: str, config: Mapping[str, Any]) -> None:
+    if "lambda" not in config:
+        raise ValueError(f"{place} needs 'lambda', the price of a second of planning")
+    if not _is_number(config["lambda"]) or config["lambda"] < 0:
+        raise ValueError(f"{place}['lambda'] is {config['lambda']!r}; it must be a number that is not negative")
+
+
+def _check_controller(config: Any) -> None:
+    place = "config['controller']"
+    if not isinstance(config, Mapping) or config.get("type") not in CONTROLLER_KEYS:
+        raise ValueError(f"{place} is {config!r}; its 'type' must be one of {', '.join(CONTROLLER_KEYS)}")
+    _refuse_unknown(place, config, CONTROLLER_KEYS[config["type"]])
+    if config["type"] == "switching":
+        _check_price(place, config)
+    elif config.get("model") not in MODELS:
+        raise ValueError(f"{place}['model'] is {config.get('model')!r}; the human models are {', '.join(MODELS)}")
+
+
+def _check_action(config: Any) -> None:
+    place = "config['action']"
+    if not isinstance(config, Mapping) or "type" not in config:
+        raise ValueError(f"{place} is {config!r}; it must be a mapping with a 'type'")
+    if config["type"] in ACTION_KEYS:
+        _refuse_unknown(place, config, ACTION_KEYS[config["type"]])
+    if config["type"] == "HumanModelAction":
+        _check_price(place, config)
+
+
+def _check_costs(costs: Any, names: Iterable[str]) -> None:
+    if costs in ("published", "measured"):
+        return
+    remedy = "say 'published', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
+    if not isinstance(costs, Mapping):
+        raise ValueError(f"config['costs'] is {costs!r}; {remedy}")
+    _refuse_unknown("config['costs']", costs, MODELS)
+    for name in names:
+        if not _is_number(costs.get(name)) or costs[name] < 0:
+            raise ValueError(f"config['costs'] has {costs.get(name)!r} seconds for {name!r}; {remedy}")
+
+
+def _check_limit(limit: Any) -> None:
+    if limit is None:
+        return
+    values = np.asarray(limit, dtype=float) if isinstance(limit, (list, tuple, np.ndarray)) else np.array([])
+    if values.shape != (2,) or not (values > 0).all():
+        raise ValueError(f"config['control_limit'] is {limit!r}; give None or two positive bounds, (omega, acceleration)")

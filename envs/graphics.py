@@ -1,0 +1,158 @@
+"""What a person sees: the road from above, plans and predictions on it, and a panel that tells what the robot thinks."""
+
+from typing import Any
+
+import jax
+import numpy as np
+import pygame
+from highway_env.envs.common.graphics import EnvViewer
+from jaxtyping import Float
+
+from ms_highway.dynamics import step
+
+__all__ = ["MODEL_COLORS", "MODEL_MEANINGS", "InteractionViewer"]
+
+Color = tuple[int, int, int]
+
+MODEL_COLORS: dict[str, Color] = {"naive": (112, 178, 214), "turn": (240, 180, 50), "tom": (214, 68, 140)}
+MODEL_MEANINGS = {
+    "naive": "the human keeps its velocity",
+    "turn": "the human minds only itself",
+    "tom": "the human responds to the robot",
+}
+INK, FAINT, PAPER, CONE = (32, 36, 44), (125, 130, 140), (250, 250, 247), (255, 120, 20)
+PANEL_HEIGHT = 150  # px
+MARGIN = 16  # px
+TEXT_WIDTH = 330  # px, left part of the panel
+
+
+class InteractionViewer(EnvViewer):
+    """Draws an `InteractionEnv` on a surface of ``screen_width`` x ``screen_height``."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
+        self.fonts = {size: pygame.font.Font(None, size) for size in (18, 22, 26, 40)}
+
+    def window_position(self) -> Float[np.ndarray, "2"]:
+        """The view follows the robot along the road and keeps the road in place."""
+        lanes = np.asarray(self.env.game.scene.lanes, dtype=float)
+        return np.array([self.env.robot.position[0], (lanes.min() + lanes.max()) / 2])
+
+    def display(self) -> None:
+        """Draw everything."""
+        super().display()
+        surface = self.sim_surface
+        for cone in self.env.road.objects:
+            self._cone(cone)
+        self._plans()
+        for name, car in (("robot", self.env.robot), ("human", self.env.human)):
+            x, y = surface.vec2pix(car.position)
+            label = self.fonts[22].render(name, True, PAPER)
+            surface.blit(label, label.get_rect(center=(x, y)))
+        self._panel()
+        if not self.offscreen:
+            self.screen.blit(surface, (0, 0))
+            pygame.display.flip()
+
+    def _cone(self, cone: Any) -> None:
+        surface = self.sim_surface
+        x, y = surface.vec2pix(cone.position)
+        box = pygame.Rect(0, 0, surface.pix(cone.LENGTH), surface.pix(cone.WIDTH))
+        box.center = x, y
+        pygame.draw.rect(surface, CONE, box, border_radius=5)
+        pygame.draw.circle(surface, PAPER, (x, y), box.height // 4)
+
+    def _plans(self) -> None:
+        """The robot's plan as a line, the human path that it counts on as dots, both in the model's colour."""
+        robot, surface = self.env.robot, self.sim_surface
+        if robot.last_step is None:
+            return
+        color = MODEL_COLORS.get(robot.last_step.model, FAINT)
+        planned = [surface.vec2pix(point) for point in self._path(robot.last_state[0], robot.last_step.plan)]
+        predicted = [surface.vec2pix(point) for point in self._path(robot.last_state[1], robot.last_step.human)]
+        pygame.draw.lines(surface, PAPER, False, planned, 7)
+        pygame.draw.lines(surface, color, False, planned, 4)
+        for point in predicted[1:]:
+            pygame.draw.circle(surface, PAPER, point, 5)
+            pygame.draw.circle(surface, color, point, 3)
+
+    def _path(self, state: Float[np.ndarray, "4"], controls: Float[np.ndarray, "steps 2"]) -> list[np.ndarray]:
+        points, dynamics = [state[:2]], jax.tree.map(float, self.env.game.dynamics)
+        for control in controls:
+            state = step(dynamics, state, control)
+            points.append(state[:2])
+        return points
+
+    def _panel(self) -> None:
+        surface = self.sim_surface
+        width, height = surface.get_size()
+        top = height - PANEL_HEIGHT
+        pygame.draw.rect(surface, PAPER, (0, top, width, PANEL_HEIGHT))
+        history = self.env.history
+        if not history:
+            self._text("the episode starts", 26, INK, (MARGIN, top + MARGIN))
+            return
+        self._now(history[-1], top + 12)
+        chart = pygame.Rect(TEXT_WIDTH, top + 24, width - TEXT_WIDTH - MARGIN, 46)
+        self._chart("planning time per step, coloured by model", chart)
+        self._bars(chart)
+        chart = chart.move(0, 70)
+        self._chart("reward per step", chart)
+        self._curve(chart)
+
+    def _now(self, record: dict[str, Any], top: int) -> None:
+        """The left part: model, reward, seconds and gains of the last step."""
+        model = record["model"]
+        if model is None:
+            self._text("the agent drives", 40, INK, (MARGIN, top))
+        else:
+            chip = pygame.Rect(MARGIN, top, 108, 36)
+            pygame.draw.rect(self.sim_surface, MODEL_COLORS.get(model, FAINT), chip, border_radius=8)
+            name = self.fonts[40].render(model, True, PAPER)
+            self.sim_surface.blit(name, name.get_rect(center=chip.center))
+            self._text(MODEL_MEANINGS.get(model, ""), 18, INK, (chip.right + 8, top + 12))
+        lines = [f"step {len(self.env.history)}    reward {record['reward']:+.2f}"]
+        if record["collision"]:
+            lines[0] += "    COLLISION"
+        if model is not None:
+            lines.append(f"planning {1e3 * record['planning_seconds']:.1f} ms, deciding {1e3 * record['decision_seconds']:.1f} ms")
+            gains = ", ".join(f"{name} {gain:+.2f}" for name, gain in record["gains"].items())
+            lines.append(f"gain of switching to {gains}" if gains else "no switch considered")
+        for place, line in enumerate(lines):
+            self._text(line, 22, INK, (MARGIN, top + 50 + 26 * place))
+
+    def _chart(self, title: str, box: pygame.Rect) -> None:
+        self._text(title, 18, FAINT, (box.left, box.top - 16))
+        pygame.draw.line(self.sim_surface, FAINT, box.bottomleft, box.bottomright)
+
+    def _step_width(self, box: pygame.Rect) -> float:
+        steps = round(self.env.config["duration"] * self.env.config["policy_frequency"])
+        return box.width / max(steps, len(self.env.history))
+
+    def _bars(self, box: pygame.Rect) -> None:
+        """One bar a step: its height is the planning time, its colour the model."""
+        width, history = self._step_width(box), self.env.history
+        longest = max(record["planning_seconds"] for record in history) or 1.0
+        for place, record in enumerate(history):
+            height = max(3, round(box.height * record["planning_seconds"] / longest))
+            left = round(box.left + place * width)
+            bar = (left, box.bottom - height, max(1, round(width) - 2), height)
+            pygame.draw.rect(self.sim_surface, MODEL_COLORS.get(record["model"], FAINT), bar)
+        self._text(f"{1e3 * longest:.1f} ms", 18, FAINT, (box.right - 48, box.top - 16))
+
+    def _curve(self, box: pygame.Rect) -> None:
+        """The reward of each step; a collision would dwarf everything, so the curve is cut below -10."""
+        width, rewards = self._step_width(box), [max(record["reward"], -10.0) for record in self.env.history]
+        low, high = min(rewards), max(*rewards, min(rewards) + 1.0)
+        points = [
+            (box.left + (place + 0.5) * width, box.bottom - 2 - (reward - low) / (high - low) * (box.height - 4))
+            for place, reward in enumerate(rewards)
+        ]
+        if len(points) > 1:
+            pygame.draw.lines(self.sim_surface, INK, False, points, 2)
+        pygame.draw.circle(self.sim_surface, INK, points[-1], 3)
+        self._text(f"mean {np.mean([record['reward'] for record in self.env.history]):+.2f}", 18, FAINT, (box.right - 70, box.top - 16))
+
+    def _text(self, text: str, size: int, color: Color, place: tuple[int, int]) -> None:
+        self.sim_surface.blit(self.fonts[size].render(text, True, color), place)

@@ -1,0 +1,35 @@
+"""What an agent sees: all cars in the order of their roles."""
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from highway_env.envs.common.observation import ObservationType
+from jaxtyping import Float
+
+__all__ = ["CarStates"]
+
+FEATURES = ("x", "y", "vx", "vy", "cos_h", "sin_h")
+RANGES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
+
+
+class CarStates(ObservationType):
+    """``x, y, vx, vy, cos_h, sin_h`` of robot, human and scripted cars, in this order, scaled to [-1, 1].
+
+    The robot's row is absolute, the others' positions and velocities are relative to it, as in highway-env's
+    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s, and clipped.
+    """
+
+    def __init__(self, env: Any, cars: int) -> None:
+        super().__init__(env)
+        self.shape = (cars, len(FEATURES))
+
+    def space(self) -> spaces.Box:
+        return spaces.Box(-1.0, 1.0, shape=self.shape, dtype=np.float32)
+
+    def observe(self) -> Float[np.ndarray, "cars 6"]:
+        x, y, heading, speed = self.env.car_states.T
+        cosine, sine = np.cos(heading), np.sin(heading)
+        rows = np.stack([x, y, speed * cosine, speed * sine, cosine, sine], axis=-1)
+        rows[1:, :4] -= rows[0, :4]
+        return np.clip(rows / RANGES, -1.0, 1.0).astype(np.float32)

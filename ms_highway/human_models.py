@@ -1,0 +1,138 @@
+"""The ladder of human models, cheap to dear, and the robot's plan under each.
+
+A model is a frozen dataclass with a ``name``, a flag ``responds``, and two methods, ``predict`` and ``plan``; anything
+with these is a rung (`HumanModel`). All controls here are scaled, see `ms_highway.game`.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, Protocol
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game import Game, constant_velocity, response, swap, total_reward
+from ms_highway.planner import ascend
+
+__all__ = ["MODELS", "HumanModel", "JointPlan", "Naive", "TheoryOfMind", "Turn", "ladder"]
+
+State = Float[jax.Array, "cars 4"]
+Controls = Float[jax.Array, "steps 2"]
+
+
+class JointPlan(NamedTuple):
+    """A plan for the robot and the human controls that it counts on, scaled, [steps, 2] each."""
+
+    robot: Controls
+    human: Controls
+
+
+class HumanModel(Protocol):
+    """A rung of the ladder.
+
+    Attributes:
+        name: how configurations and reports call the model.
+        responds: whether the model lets the human respond to the robot's plan.
+    """
+
+    name: ClassVar[str]
+    responds: ClassVar[bool]
+
+    def predict(self, game: Game, state: State) -> Controls:
+        """The human's controls as this model expects them."""
+
+    def plan(self, game: Game, state: State) -> JointPlan:
+        """The robot's plan against this model of the human."""
+
+
+@dataclass(frozen=True)
+class Naive:
+    """The human keeps its velocity."""
+
+    name: ClassVar[str] = "naive"
+    responds: ClassVar[bool] = False
+
+    def predict(self, game: Game, state: State) -> Controls:
+        return constant_velocity(game, state[1])
+
+    def plan(self, game: Game, state: State) -> JointPlan:
+        return _plan_against(game, state, self.predict(game, state))
+
+
+@dataclass(frozen=True)
+class Turn:
+    """The human optimises its own reward and believes that the robot keeps its velocity; then the robot moves."""
+
+    name: ClassVar[str] = "turn"
+    responds: ClassVar[bool] = False
+
+    def predict(self, game: Game, state: State) -> Controls:
+        return Naive().plan(*swap(game, state)).robot
+
+    def plan(self, game: Game, state: State) -> JointPlan:
+        return _plan_against(game, state, self.predict(game, state))
+
+
+@dataclass(frozen=True)
+class TheoryOfMind:
+    """The human responds optimally to the robot's plan, and the robot knows it.
+
+    Both ascend together. With J = -(d2R_H/du_H2)^-1 d2R_H/du_H du_R at the current controls, the robot steps along
+    ``dR_R/du_R + J^T dR_R/du_H`` and the human along ``dR_H/du_H``. J is never formed: one response of the human to
+    ``dR_R/du_H`` and one derivative of ``dR_H/du_H`` along it give J^T dR_R/du_H.
+    """
+
+    name: ClassVar[str] = "tom"
+    responds: ClassVar[bool] = True
+
+    def predict(self, game: Game, state: State) -> Controls:
+        return self.plan(game, state).human
+
+    def plan(self, game: Game, state: State) -> JointPlan:
+        mirrored, mirrored_state = swap(game, state)
+
+        def robot_reward(robot: Controls, human: Controls) -> Float[jax.Array, ""]:
+            return total_reward(game, state, robot, human)
+
+        def human_reward(robot: Controls, human: Controls) -> Float[jax.Array, ""]:
+            return total_reward(mirrored, mirrored_state, human, robot)
+
+        def direction(plan: JointPlan) -> JointPlan:
+            along_robot, along_human = jax.grad(robot_reward, argnums=(0, 1))(*plan)
+            size = along_human.size
+            hessian = jax.hessian(human_reward, argnums=1)(*plan).reshape(size, size)
+            pushed = response(game.influence, hessian, along_human.reshape(size)).reshape(along_human.shape)
+            human_slope, pull_back = jax.vjp(lambda robot: jax.grad(human_reward, argnums=1)(robot, plan.human), plan.robot)
+            return JointPlan(along_robot + pull_back(pushed)[0], human_slope)
+
+        return ascend(game.planner, direction, JointPlan(_still(game), _still(game)))
+
+
+def _still(game: Game) -> Controls:
+    return jnp.zeros((game.planner.horizon, 2))
+
+
+def _plan_against(game: Game, state: State, human: Controls) -> JointPlan:
+    """The robot's own ascent of its reward against fixed human controls."""
+    slope = jax.grad(total_reward, argnums=2)
+    return JointPlan(ascend(game.planner, lambda robot: slope(game, state, robot, human), _still(game)), human)
+
+
+MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), Turn(), TheoryOfMind())}
+"""The known models by name, cheapest first."""
+
+
+def ladder(names: tuple[str, ...] | list[str]) -> tuple[HumanModel, ...]:
+    """The models of these names, checked to be a ladder: known, not empty, cheapest first, each once.
+
+    Raises:
+        ValueError: if they are not.
+    """
+    for name in names:
+        if name not in MODELS:
+            raise ValueError(f"unknown human model {name!r}; the models are {', '.join(MODELS)}")
+    order = list(MODELS)
+    ranks = [order.index(name) for name in names]
+    if not ranks or ranks != sorted(set(ranks)):
+        raise ValueError(f"impossible ladder {list(names)}: name each model once, cheapest first, out of {order}")
+    return tuple(MODELS[name] for name in names)

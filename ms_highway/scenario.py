@@ -1,0 +1,160 @@
+"""A scenario: geometry, rewards, starts and noise, from which a game can be built in any unit of length.
+
+The numbers of a `Scenario` are kept as the paper gives them, in its own unit of length: 1 unit is 100/3 m, so that a
+car of 0.15 x 0.075 is 5 m x 2.5 m and a speed of 0.6 per second is 20 m/s.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.dynamics import Dynamics
+from ms_highway.game import Game, Influence
+from ms_highway.planner import Planner
+from ms_highway.reward import Reward, weights
+from ms_highway.scene import Scene
+
+__all__ = ["COMMON_WEIGHTS", "PAPER_UNIT", "Scenario", "Semantics", "build_game", "draw_starts", "driving_game"]
+
+Semantics: TypeAlias = Literal["paper", "released"]
+
+PAPER_UNIT = 100 / 3  # m
+
+CAR_SIZE = (0.15, 0.075)  # paper units
+CONE_SIZE = (0.07, 0.0561166667)  # paper units
+LANE_WIDTH = 0.1  # paper units
+SPEED_LIMIT = 0.6  # paper units per second
+TIME_STEP = 0.1  # s
+PAPER_FRICTION = 0.2  # 1/s; the paper names alpha without a value
+RELEASED_DRAG = 0.2  # per paper unit, in the world only: the released planners assume none
+
+COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
+"""Weights that every driver of every scenario has."""
+
+POSITION_NOISE = 5e-4  # standard deviation, paper units
+MOTION_NOISE = 1e-3  # standard deviation of speed [paper units per second] and heading [rad]
+MERGING_NOISE = 0.01  # further standard deviation of the merging car's x, paper units
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One of the paper's situations.
+
+    Attributes:
+        name: how commands and records call it.
+        lanes: lateral position of each lane's centre.
+        cars: start (x, y) of the robot, the human, and the scripted cars; all start at the speed limit, heading 0.
+        steps: length of an episode.
+        ladder: names of the human models that the paper compares here, cheapest first.
+        prices: the paper's two lambdas, aggressive and conservative [reward per second].
+        robot_weights, human_weights: reward weights by feature.
+        robot_gap, human_gap: distance behind the leader that the gap feature asks for.
+        cones: centres of the cones.
+        merging_car: index of the car whose start varies more.
+        corner: see `Scene`.
+    """
+
+    name: str
+    lanes: tuple[float, ...]
+    cars: tuple[tuple[float, float], ...]
+    steps: int
+    ladder: tuple[str, ...]
+    prices: tuple[float, float]
+    robot_weights: Mapping[str, float]
+    human_weights: Mapping[str, float]
+    robot_gap: float = 0.0
+    human_gap: float = 0.0
+    cones: tuple[tuple[float, float], ...] = ()
+    merging_car: int | None = None
+    corner: float = 0.5
+
+
+def build_game(
+    scenario: Scenario,
+    semantics: Semantics = "paper",
+    influence: Influence = "damped",
+    control_limit: tuple[float, float] | None = None,
+    unit: float = PAPER_UNIT,
+) -> Game:
+    """The game of a scenario.
+
+    Args:
+        scenario: which one.
+        semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners; ``released``: the
+            released code's, where planners ignore the world's drag.
+        influence: form of the human's response, see `ms_highway.game.response`.
+        control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics.
+        unit: how long one paper unit is in the game's lengths; 1 keeps the released code's numbers.
+    """
+    scene = Scene(
+        lanes=np.array(scenario.lanes) * unit,
+        lane_width=LANE_WIDTH * unit,
+        obstacles=np.array(scenario.cones).reshape(-1, 2) * unit,
+        obstacle_size=np.array(CONE_SIZE) * unit,
+        car_size=np.array(CAR_SIZE) * unit,
+        corner=scenario.corner,
+        target_lane=min(scenario.lanes) * unit,
+        length_unit=unit,
+        leader=2 if len(scenario.cars) > 2 else None,
+    )
+    robot = Reward(weights(scenario.robot_weights), SPEED_LIMIT * unit, scenario.robot_gap * unit)
+    human = Reward(weights(scenario.human_weights), SPEED_LIMIT * unit, scenario.human_gap * unit)
+    if semantics == "paper":
+        plans = world = Dynamics("bicycle", PAPER_FRICTION, TIME_STEP)
+    else:
+        plans, world = (Dynamics("released", drag / unit, TIME_STEP) for drag in (0.0, RELEASED_DRAG))
+    return _game(scene, robot, human, plans, world, control_limit, influence)
+
+
+def driving_game(scene: Scene, speed_limit: float) -> Game:
+    """A game on any scene in which both cars only drive, for `COMMON_WEIGHTS`, with the paper's dynamics.
+
+    Args:
+        scene: where.
+        speed_limit: the speed that is rewarded most [m/s].
+    """
+    driver = Reward(weights(COMMON_WEIGHTS), speed_limit, 0.0)
+    dynamics = Dynamics("bicycle", PAPER_FRICTION, TIME_STEP)
+    return _game(scene, driver, driver, dynamics, dynamics, None, "damped")
+
+
+def _game(
+    scene: Scene,
+    robot: Reward,
+    human: Reward,
+    plans: Dynamics,
+    world: Dynamics,
+    control_limit: tuple[float, float] | None,
+    influence: Influence,
+) -> Game:
+    """A game in float32, with the control scale that makes a step of 0.03 what it is in the paper.
+
+    A unit of acceleration is one length unit; a unit of omega is one rad/s of yaw rate, which for the bicycle is taken
+    at the speed limit: there ``omega = yaw_rate / v``, so that omega's gradient step is scaled by 1/v^2.
+    """
+    turn_scale = 1 / robot.speed_limit if plans.law == "bicycle" else 1.0
+    planner = Planner(
+        control_scale=np.array([turn_scale, scene.length_unit]),
+        control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
+    )
+    game = Game(scene, robot, human, plans, world, planner, influence)
+    return jax.tree.map(lambda number: jnp.asarray(number, dtype=jnp.float32), game)
+
+
+def draw_starts(scenario: Scenario, random: np.random.Generator, unit: float = PAPER_UNIT) -> Float[np.ndarray, "cars 4"]:
+    """A start of every car, with the noise of the paper's experiments.
+
+    Normal noise of sd 5e-4 units on x and y and of 1e-3 on speed and heading, and a further 0.01 on the x of the
+    merging car.
+    """
+    cars = np.array([(x, y, 0.0, SPEED_LIMIT) for x, y in scenario.cars])
+    noise = [POSITION_NOISE, POSITION_NOISE, MOTION_NOISE, MOTION_NOISE]
+    cars += random.normal(scale=noise, size=cars.shape)
+    if scenario.merging_car is not None:
+        cars[scenario.merging_car, 0] += random.normal(scale=MERGING_NOISE)
+    return cars * [unit, unit, 1.0, unit]

@@ -1,0 +1,233 @@
+"""Which human model is worth its time: the paper's Algorithm 1 with the one-step estimate of Sec. III-D.
+
+After a step was executed with one rung of the ladder, a quadratic expansion of the one-step rewards around the
+executed controls tells how the robot's control would have changed under another rung and what that would have earned.
+All controls here are scaled, see `ms_highway.game`.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.dynamics import Array
+from ms_highway.game import Game, response, swap, total_reward
+from ms_highway.human_models import HumanModel
+
+__all__ = ["PUBLISHED_COSTS", "Decision", "Memory", "Switching", "decide", "first_memory", "trust_region_step"]
+
+PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
+"""Planning seconds of each model that the paper's experiments decided with."""
+
+HALVINGS = 60  # of the shift's bracket at most: more than float32 can tell apart
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Switching:
+    """The numbers of Algorithm 1.
+
+    Attributes:
+        costs: T(M), planning time of each rung [s].
+        price: lambda, reward per second of planning.
+        trust_radius: the longest change of control that the expansion is trusted with, in scaled units.
+        trust_tolerance: how far the step may end from the radius, as a share of it; the released code takes 0.05.
+        cooldown: least number of steps between two downward checks of the same rung.
+        ladder: the human models, cheapest first (static).
+    """
+
+    costs: Float[Array, "rungs"]
+    price: float | Float[Array, ""]
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+    trust_radius: float | Float[Array, ""] = 1.5
+    trust_tolerance: float | Float[Array, ""] = 0.0
+    cooldown: int | Int[Array, ""] = 3
+
+
+class Memory(NamedTuple):
+    """What the algorithm remembers between steps: the rung in use, the step, and each rung's last downward check."""
+
+    rung: Int[jax.Array, ""]
+    step: Int[jax.Array, ""]
+    last_check: Int[jax.Array, "rungs"]
+
+
+class Decision(NamedTuple):
+    """Outcome of one decision: the new memory, and the estimated gains of going up and down, NaN if not estimated."""
+
+    memory: Memory
+    gain_up: Float[jax.Array, ""]
+    gain_down: Float[jax.Array, ""]
+
+
+class _Expansion(NamedTuple):
+    """The robot's one-step reward to second order in both first controls, and the human's response."""
+
+    robot: Float[jax.Array, "2"]  # d r_R / d u_R
+    human: Float[jax.Array, "2"]  # d r_R / d u_H
+    robot_robot: Float[jax.Array, "2 2"]
+    robot_human: Float[jax.Array, "2 2"]
+    human_human: Float[jax.Array, "2 2"]
+    influence: Float[jax.Array, "2 2"]  # J1 = d u_H / d u_R
+
+
+def first_memory(switching: Switching, rung: int = 0) -> Memory:
+    """The memory before the first step; every rung may be checked at once."""
+    never = -jnp.asarray(switching.cooldown, dtype=jnp.int32)
+    rungs = len(switching.ladder)
+    return Memory(jnp.int32(rung), jnp.int32(0), jnp.broadcast_to(never, (rungs,)))
+
+
+@jax.jit
+def decide(
+    switching: Switching,
+    game: Game,
+    memory: Memory,
+    state: Float[jax.Array, "cars 4"],
+    robot: Float[jax.Array, "2"],
+    human: Float[jax.Array, "2"],
+    observed_reward: Float[jax.Array, ""],
+) -> Decision:
+    """Choose the rung for the coming step from what happened in the last one.
+
+    Up, tried at every step below the top: straight to the top rung, as if it had predicted the human control that
+    was observed. Down, tried if not gone up and if this rung's last check is ``cooldown`` steps ago: one rung, with
+    that rung's own prediction and no influence. A positive gain switches.
+
+    Args:
+        switching: ladder, costs, lambda, trust region and cooldown.
+        game: scene, rewards and motion.
+        memory: rung that the last step was planned with, and the checks made so far.
+        state: all cars before the last step.
+        robot: scaled control that the robot executed in it.
+        human: scaled control that the human was observed to execute in it.
+        observed_reward: the robot's reward after it.
+    """
+    ladder, costs = switching.ladder, jnp.asarray(switching.costs)
+    rung, top = memory.rung, len(ladder) - 1
+    step = memory.step + 1
+    expansion = _expand(game, state, robot, human)
+    none = jnp.zeros((2, 2))
+
+    def gain(expected: Float[jax.Array, "2"], influence: Float[jax.Array, "2 2"], alternative: Int[Array, ""] | int):
+        change = _change_of_control(expansion, human, expected, influence, switching)
+        earned = _one_step_reward(game, state, robot + change, human + expansion.influence @ change)
+        return earned - observed_reward - switching.price * (costs[alternative] - costs[rung])
+
+    def gain_down() -> Float[jax.Array, ""]:
+        below = jnp.maximum(rung - 1, 0)
+        predictions = [partial(model.predict, game, state) for model in ladder[: max(top, 1)]]
+        return gain(jax.lax.switch(below, predictions)[0], none, below)
+
+    not_estimated = jnp.float32(jnp.nan)
+    gain_up = jnp.where(rung < top, gain(human, expansion.influence if ladder[top].responds else none, top), jnp.nan)
+    goes_up = gain_up > 0
+    checks = ~goes_up & (rung > 0) & (step - memory.last_check[rung] >= switching.cooldown)
+    down = jax.lax.cond(checks, gain_down, lambda: not_estimated)
+    chosen = jnp.where(goes_up, top, jnp.where(down > 0, rung - 1, rung))
+    last_check = jnp.where(checks, memory.last_check.at[rung].set(step), memory.last_check)
+    return Decision(Memory(chosen, step, last_check), gain_up, down)
+
+
+def _one_step_reward(
+    game: Game, state: Float[jax.Array, "cars 4"], robot: Float[jax.Array, "2"], human: Float[jax.Array, "2"]
+) -> Float[jax.Array, ""]:
+    """The robot's reward after one step."""
+    return total_reward(game, state, robot[None], human[None])
+
+
+def _expand(
+    game: Game, state: Float[jax.Array, "cars 4"], robot: Float[jax.Array, "2"], human: Float[jax.Array, "2"]
+) -> _Expansion:
+    """Derivatives of the one-step rewards at the executed controls, and J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R."""
+    mirrored, mirrored_state = swap(game, state)
+
+    def human_reward(robot: Float[jax.Array, "2"], human: Float[jax.Array, "2"]) -> Float[jax.Array, ""]:
+        return _one_step_reward(mirrored, mirrored_state, human, robot)
+
+    robot_reward = partial(_one_step_reward, game, state)
+    slope_robot, slope_human = jax.grad(robot_reward, argnums=(0, 1))(robot, human)
+    (robot_robot, robot_human), (_, human_human) = jax.hessian(robot_reward, argnums=(0, 1))(robot, human)
+    mixed, own = jax.jacfwd(jax.grad(human_reward, argnums=1), argnums=(0, 1))(robot, human)
+    return _Expansion(
+        slope_robot, slope_human, robot_robot, robot_human, human_human, response(game.influence, own, mixed)
+    )
+
+
+def _change_of_control(
+    expansion: _Expansion,
+    human: Float[jax.Array, "2"],
+    expected: Float[jax.Array, "2"],
+    influence: Float[jax.Array, "2 2"],
+    switching: Switching,
+) -> Float[jax.Array, "2"]:
+    """The best first control under another model, less the executed one: ``delta u``.
+
+    With d = u' - u_H and J' the model's influence, the expansion is ``du^T A du / 2 + B du`` with
+    ``A = r_RR + r_RH J' + (r_RH J')^T + J'^T r_HH J'`` and ``B = r_R + J'^T r_H + r_RH d + J'^T r_HH d``,
+    subscripts being derivatives of r_R.
+    """
+    surprise = expected - human
+    cross = expansion.robot_human @ influence
+    quadratic = expansion.robot_robot + cross + cross.T + influence.T @ expansion.human_human @ influence
+    linear = expansion.robot + expansion.robot_human @ surprise
+    linear += influence.T @ (expansion.human + expansion.human_human @ surprise)
+    return trust_region_step(quadratic, linear, switching.trust_radius, switching.trust_tolerance)
+
+
+def trust_region_step(
+    quadratic: Float[jax.Array, "n n"],
+    linear: Float[jax.Array, "n"],
+    radius: float | Float[Array, ""],
+    tolerance: float | Float[Array, ""] = 0.0,
+) -> Float[jax.Array, "n"]:
+    """The maximiser of ``x^T A x / 2 + b^T x`` over the ball ``|x| <= radius``.
+
+    In A's eigenbasis, with eigenvalues l, the maximiser is ``x = b / (shift + max(l) - l)`` for the smallest
+    ``shift >= max(0, -max(l))`` that keeps x in the ball (More and Sorensen 1983). The shift is at most
+    ``|b| / radius`` and is bisected until ``|x|`` is within ``tolerance * radius`` of the radius. Where b has no part
+    along the top eigenvector (the "hard case"), the rest of the radius is spent along it.
+    """
+    values, vectors = jnp.linalg.eigh((quadratic + quadratic.T) / 2)
+    along = vectors.T @ linear
+    gaps = values[-1] - values
+    least = jnp.maximum(0.0, -values[-1])
+
+    def at(shift: Float[jax.Array, ""]) -> Float[jax.Array, "n"]:
+        return jnp.where(along == 0, 0.0, along / (shift + gaps))
+
+    def excess(shift: Float[jax.Array, ""]) -> Float[jax.Array, ""]:
+        return jnp.linalg.norm(at(shift)) - radius
+
+    def unfinished(bracket: _Bracket) -> Bool[jax.Array, ""]:
+        return (bracket.halvings < HALVINGS) & (jnp.abs(excess(bracket.middle)) > tolerance * radius)
+
+    def halve(bracket: _Bracket) -> _Bracket:
+        outside = excess(bracket.middle) > 0
+        low = jnp.where(outside, bracket.middle, bracket.low)
+        high = jnp.where(outside, bracket.high, bracket.middle)
+        return _Bracket(low, high, bracket.halvings + 1)
+
+    interior = (values[-1] < 0) & (excess(least) <= 0)
+    first = _Bracket(least, jnp.linalg.norm(along) / radius, jnp.int32(0))
+    bracket = jax.lax.while_loop(unfinished, halve, first)
+    inside = at(jnp.where(interior, least, bracket.middle))
+    hard = ~interior & (bracket.halvings == HALVINGS)
+    left = radius**2 - jnp.sum(inside**2)
+    rest = jnp.where(hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0)
+    return vectors @ inside.at[-1].add(jnp.where(along[-1] < 0, -rest, rest))
+
+
+class _Bracket(NamedTuple):
+    """Bounds of the shift and how often they were halved."""
+
+    low: Float[jax.Array, ""]
+    high: Float[jax.Array, ""]
+    halvings: Int[jax.Array, ""]
+
+    @property
+    def middle(self) -> Float[jax.Array, ""]:
+        return (self.low + self.high) / 2

@@ -1,0 +1,164 @@
+"""highway-env vehicles: a bicycle with friction, a car on a script, and cars that plan."""
+
+from collections.abc import Sequence
+from math import atan, tan
+from typing import Any
+
+import numpy as np
+from highway_env.road.road import Road
+from highway_env.vehicle.kinematics import Vehicle
+from jaxtyping import Float
+
+from ms_highway.controller import Controller, ControlStep, FixedModel
+from ms_highway.dynamics import Dynamics, keep_velocity, step
+from ms_highway.game import Game
+from ms_highway.human_models import Naive
+from ms_highway.scenario import PAPER_FRICTION, PAPER_UNIT, TIME_STEP, driving_game
+from ms_highway.scene import from_road
+
+__all__ = ["BicycleVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle", "ScriptedVehicle"]
+
+FAR_AWAY = 1000.0  # m
+
+
+class BicycleVehicle(Vehicle):
+    """A car with the paper's dynamics: ``heading' = v omega``, ``v' = a - alpha v``.
+
+    Actions are highway-env's ``{"steering": delta, "acceleration": a}`` with the front-wheel angle delta [rad], so
+    that ``omega = tan(delta) / LENGTH``. Positions, headings and speeds are updated by `ms_highway.dynamics.step`.
+
+    Attributes:
+        dynamics: the law of motion; friction alpha is 0.2 1/s unless replaced.
+        control: what is executed, ``(omega, acceleration)`` in the units of the law.
+    """
+
+    WIDTH = 2.5  # m
+    COLOR: tuple[int, int, int] | None = None
+
+    def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
+        super().__init__(road, position, heading, speed)
+        self.dynamics = Dynamics("bicycle", PAPER_FRICTION, TIME_STEP)
+        self.control = np.zeros(2)
+        if self.COLOR:
+            self.color = self.COLOR
+
+    @property
+    def state(self) -> Float[np.ndarray, "4"]:
+        """``(x, y, heading, speed)`` in metres, radians and metres per second."""
+        return np.array([*self.position, self.heading, self.speed], dtype=float)
+
+    def act(self, action: dict[str, Any] | None = None) -> None:
+        """Take an action, to be executed until the next one; without one, go on with the last."""
+        if action:
+            curvature = tan(float(action["steering"])) / self.LENGTH
+            omega = curvature if self.dynamics.law == "bicycle" else curvature * self.speed
+            self.execute(np.array([omega, float(action["acceleration"])]))
+
+    def execute(self, control: Float[np.ndarray, "2"]) -> None:
+        """Take a control ``(omega, acceleration)`` in the units of the law of motion, until the next one."""
+        self.control = np.asarray(control, dtype=float)
+        omega, acceleration = self.control
+        curvature = omega if self.dynamics.law == "bicycle" else omega / self.speed if self.speed else 0.0
+        self.action = {"steering": atan(curvature * self.LENGTH), "acceleration": float(acceleration)}
+
+    def step(self, dt: float) -> None:
+        """Move for ``dt`` seconds; a crashed car brakes to a stop, as highway-env has it."""
+        if self.crashed:
+            self.execute(np.array([0.0, -self.speed]))
+        dynamics = Dynamics(self.dynamics.law, self.dynamics.drag, dt)
+        x, y, heading, speed = step(dynamics, self.state, self.control)
+        self.position = np.array([x, y])
+        self.heading, self.speed = float(heading), float(speed)
+        if self.impact is not None:
+            self.position += self.impact
+            self.crashed = True
+            self.impact = None
+        self.on_state_update()
+
+
+class ScriptedVehicle(BicycleVehicle):
+    """A car that keeps its velocity, whatever happens."""
+
+    COLOR = (150, 150, 160)
+
+    def act(self, action: dict[str, Any] | None = None) -> None:
+        """Make up for friction; actions are ignored."""
+        self.execute(keep_velocity(self.dynamics, self.state))
+
+
+class PlanningVehicle(BicycleVehicle):
+    """A car that a controller drives, unless it is given actions.
+
+    Attributes:
+        controller: plans the controls; without one the car takes actions like any other.
+        companions: the other cars of the controller's game, its partner first.
+        last_step: record of the controller's last step, None before the first.
+        last_state: what the controller saw then, [cars, 4].
+    """
+
+    def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
+        super().__init__(road, position, heading, speed)
+        self.controller: Controller | None = None
+        self.companions: list[Vehicle] = []
+        self.last_step: ControlStep | None = None
+        self.last_state: Float[np.ndarray, "cars 4"] | None = None
+
+    def drive_with(self, controller: Controller, companions: Sequence[Vehicle]) -> None:
+        """Let a controller drive, in a game with these other cars, the partner first."""
+        self.controller = controller
+        self.companions = list(companions)
+
+    def observe(self) -> Float[np.ndarray, "cars 4"]:
+        """States of this car and of its companions."""
+        return np.stack([[*car.position, car.heading, car.speed] for car in (self, *self.companions)])
+
+    def act(self, action: dict[str, Any] | None = None) -> None:
+        """Take an action if one is given; else plan and take the plan's first control."""
+        if action or self.controller is None:
+            super().act(action)
+            return
+        self.last_state = self.observe()
+        self.last_step = self.controller.step(self.last_state)
+        self.execute(self.last_step.control)
+
+
+class RobotVehicle(PlanningVehicle):
+    """The robot: `drive_with` says which controller is its behaviour."""
+
+    COLOR = (45, 160, 80)
+
+
+class HumanVehicle(PlanningVehicle):
+    """A human driver: plans for its own reward and believes that all others keep their velocity.
+
+    In the scenarios of this package it is told its game. Put into any other straight road, it reads the scene from the
+    road and drives for `COMMON_WEIGHTS` among its nearest neighbours.
+    """
+
+    COLOR = (60, 130, 220)
+    NEIGHBOURS = 4
+
+    def act(self, action: dict[str, Any] | None = None) -> None:
+        """Plan for the own reward; the scene is read from the road unless `drive_with` told another."""
+        if self.controller is None and self.road is not None:
+            self.controller = FixedModel(self._game_on_road(), Naive())
+        super().act(action)
+
+    def observe(self) -> Float[np.ndarray, "cars 4"]:
+        """States of this car and of its companions; without any, of its nearest neighbours.
+
+        Where there are fewer than `NEIGHBOURS`, cars far behind fill the places, so that the shape never changes.
+        """
+        if self.companions:
+            return super().observe()
+        others = sorted(
+            (car for car in self.road.vehicles if car is not self),
+            key=lambda car: float(np.linalg.norm(car.position - self.position)),
+        )[: self.NEIGHBOURS]
+        absent = [self.position[0] - FAR_AWAY, self.position[1], 0.0, 0.0]
+        states = [[*car.position, car.heading, car.speed] for car in (self, *others)]
+        return np.array(states + [absent] * (1 + self.NEIGHBOURS - len(states)))
+
+    def _game_on_road(self) -> Game:
+        limit = self.lane.speed_limit or self.speed
+        return driving_game(from_road(self.road, (self.LENGTH, self.WIDTH), PAPER_UNIT), limit)
