@@ -94,8 +94,8 @@ class InteractionEnv(AbstractEnv):
             "policy_frequency": 10,
             "screen_width": 960,
             "screen_height": 352,
-            "scaling": 9.0,
-            "centering_position": [0.4, 0.32],
+            "scaling": 13.0,
+            "centering_position": [0.4, 0.29],
         }
 
     def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:

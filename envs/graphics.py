@@ -6,6 +6,8 @@ import jax
 import numpy as np
 import pygame
 from highway_env.envs.common.graphics import EnvViewer
+from highway_env.road.graphics import LaneGraphics
+from highway_env.vehicle.graphics import VehicleGraphics
 from jaxtyping import Float
 
 from ms_highway.dynamics import step
@@ -21,9 +23,10 @@ MODEL_MEANINGS = {
     "tom": "the human responds to the robot",
 }
 INK, FAINT, PAPER, CONE = (32, 36, 44), (125, 130, 140), (250, 250, 247), (255, 120, 20)
+GROUND, ASPHALT = (205, 218, 195), (96, 100, 106)
 PANEL_HEIGHT = 150  # px
 MARGIN = 16  # px
-TEXT_WIDTH = 330  # px, left part of the panel
+TEXT_WIDTH = 400  # px, left part of the panel
 
 
 class InteractionViewer(EnvViewer):
@@ -41,19 +44,39 @@ class InteractionViewer(EnvViewer):
 
     def display(self) -> None:
         """Draw everything."""
-        super().display()
-        surface = self.sim_surface
-        for cone in self.env.road.objects:
+        surface, road = self.sim_surface, self.env.road
+        surface.move_display_window_to(self.window_position())
+        self._ground()
+        for lane in road.network.lanes_list():
+            LaneGraphics.display(lane, surface)
+        for cone in road.objects:
             self._cone(cone)
+        for car in road.vehicles:
+            VehicleGraphics.display(car, surface, offscreen=self.offscreen)
         self._plans()
         for name, car in (("robot", self.env.robot), ("human", self.env.human)):
-            x, y = surface.vec2pix(car.position)
-            label = self.fonts[22].render(name, True, PAPER)
-            surface.blit(label, label.get_rect(center=(x, y)))
+            self._name(name, car)
         self._panel()
         if not self.offscreen:
             self.screen.blit(surface, (0, 0))
             pygame.display.flip()
+
+    def _ground(self) -> None:
+        surface, scene = self.sim_surface, self.env.game.scene
+        lanes, margin = np.asarray(scene.lanes, dtype=float), float(scene.lane_width) / 2
+        _, top = surface.pos2pix(0, lanes.min() - margin)
+        _, bottom = surface.pos2pix(0, lanes.max() + margin)
+        surface.fill(GROUND)
+        pygame.draw.rect(surface, ASPHALT, (0, top, surface.get_width(), bottom - top))
+
+    def _name(self, name: str, car: Any) -> None:
+        """The car's name on the roadside, on the side of its lane."""
+        surface = self.sim_surface
+        x, y = surface.vec2pix(car.position)
+        _, centre = surface.vec2pix(self.window_position())
+        label = self.fonts[22].render(name, True, INK)
+        reach = surface.pix(car.WIDTH) + 8
+        surface.blit(label, label.get_rect(center=(x, y - reach if y < centre else y + reach)))
 
     def _cone(self, cone: Any) -> None:
         surface = self.sim_surface
@@ -71,11 +94,11 @@ class InteractionViewer(EnvViewer):
         color = MODEL_COLORS.get(robot.last_step.model, FAINT)
         planned = [surface.vec2pix(point) for point in self._path(robot.last_state[0], robot.last_step.plan)]
         predicted = [surface.vec2pix(point) for point in self._path(robot.last_state[1], robot.last_step.human)]
-        pygame.draw.lines(surface, PAPER, False, planned, 7)
+        pygame.draw.lines(surface, PAPER, False, planned, 8)
         pygame.draw.lines(surface, color, False, planned, 4)
         for point in predicted[1:]:
-            pygame.draw.circle(surface, PAPER, point, 5)
-            pygame.draw.circle(surface, color, point, 3)
+            pygame.draw.circle(surface, PAPER, point, 6)
+            pygame.draw.circle(surface, color, point, 4)
 
     def _path(self, state: Float[np.ndarray, "4"], controls: Float[np.ndarray, "steps 2"]) -> list[np.ndarray]:
         points, dynamics = [state[:2]], jax.tree.map(float, self.env.game.dynamics)
@@ -117,8 +140,8 @@ class InteractionViewer(EnvViewer):
             lines[0] += "    COLLISION"
         if model is not None:
             lines.append(f"planning {1e3 * record['planning_seconds']:.1f} ms, deciding {1e3 * record['decision_seconds']:.1f} ms")
-            gains = ", ".join(f"{name} {gain:+.2f}" for name, gain in record["gains"].items())
-            lines.append(f"gain of switching to {gains}" if gains else "no switch considered")
+            gains = ", ".join(f"{name} {gain:+.3f}" for name, gain in record["gains"].items())
+            lines.append(f"estimated gain by switching: {gains}" if gains else "no switch considered")
         for place, line in enumerate(lines):
             self._text(line, 22, INK, (MARGIN, top + 50 + 26 * place))
 

@@ -1,0 +1,160 @@
+"""The command ``ms-highway``."""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from ms_highway import experiment, report, validation, video
+from ms_highway.envs import SCENARIOS
+
+__all__ = ["main"]
+
+COMPARE_HELP = """\
+Run the same seeded episodes with several controllers and compare reward and computation.
+
+A controller is a human model that plans every step (naive, turn, tom) or switching:LAMBDA, which chooses the model at
+every step and pays LAMBDA reward for a second of planning. Without scenarios and controllers, the paper's comparison
+runs: all three scenarios, each with its ladder and the paper's two lambdas.
+
+Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
+SCENARIO_bars.png and SCENARIO_timeline.png. Stopped and started again with the same --out, it goes on where it was."""
+
+COMPARE_EXAMPLES = """\
+examples:
+  ms-highway compare
+  ms-highway compare merger --controllers naive tom switching:0.1 --seeds 10 --out results/merger
+  ms-highway compare give_way --semantics released --costs measured"""
+
+VIDEO_HELP = """\
+Film one episode from above: the road, the robot's plan, the human path that it counts on, and a panel with the model
+in use, planning time and reward. Plays at true speed."""
+
+VALIDATE_HELP = """\
+Replay logged episodes of the paper's released code: plan from every logged state and compare controls, rewards, human
+controls and switching decisions with the logs. Errors are quantiles over all steps, in the units of the logs."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 0 if all went well, 2 with one line on standard error if the input was at fault."""
+    options = _parser().parse_args(arguments)
+    try:
+        options.run(options)
+    except (ValueError, OSError, ImportError) as error:
+        print(f"ms-highway: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("ms-highway: stopped", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="ms-highway", description="Robot cars that choose how hard to think about human drivers.")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    def command(name: str, summary: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
+        return commands.add_parser(
+            name, help=summary, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+
+    compare = command("compare", "compare controllers over many episodes", COMPARE_HELP, COMPARE_EXAMPLES)
+    compare.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: all)")
+    compare.add_argument("--controllers", nargs="+", metavar="CONTROLLER", help="naive, turn, tom, switching:LAMBDA (default: the paper's)")
+    compare.add_argument("--seeds", type=int, default=30, help="episodes per controller, seeded 0, 1, ... (default: 30)")
+    _add_semantics(compare)
+    compare.add_argument(
+        "--costs",
+        default="published",
+        help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), measured on this machine, "
+        "or given like naive=0.1,turn=0.2,tom=0.5",
+    )
+    compare.add_argument("--out", type=Path, default=Path("results/compare"), help="directory of results (default: results/compare)")
+    compare.set_defaults(run=_compare)
+
+    film = command("video", "film an episode", VIDEO_HELP, "example:\n  ms-highway video merger --controller switching:0.1 --seed 0 --out merger.mp4")
+    film.add_argument("scenario", metavar="SCENARIO", help=", ".join(SCENARIOS))
+    film.add_argument("--controller", metavar="CONTROLLER", help="naive, turn, tom or switching:LAMBDA (default: switching with the paper's conservative lambda)")
+    film.add_argument("--seed", type=int, default=0, help="seed of the episode (default: 0)")
+    _add_semantics(film)
+    film.add_argument("--speed", type=float, default=1.0, help="1 is true speed (default), 0.5 slow motion")
+    film.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4 or .gif file")
+    film.set_defaults(run=_video)
+
+    check = command("validate", "replay reference episodes", VALIDATE_HELP, "example:\n  ms-highway validate reference/episodes --json")
+    check.add_argument("directory", type=Path, metavar="DIR", help="directory of reference files, SCENARIO__KIND.npz")
+    check.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    check.set_defaults(run=_validate)
+    return parser
+
+
+def _add_semantics(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--semantics",
+        choices=["paper", "released"],
+        default="paper",
+        help="paper: the paper's dynamics, damped theory of mind (default); released: exactly the paper's released code",
+    )
+
+
+def _compare(options: argparse.Namespace) -> None:
+    if options.seeds < 1:
+        raise ValueError(f"--seeds is {options.seeds}; there must be at least one episode")
+    scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
+    controllers = {name: options.controllers or experiment.paper_controllers(name) for name in scenarios}
+    comparison = experiment.Comparison(controllers, options.seeds, options.semantics, _costs(options.costs))
+    comparison.check()
+    console = Console()
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("episodes", total=len(list(comparison.episodes())))
+        for done in experiment.run(comparison, options.out):
+            progress.update(task, completed=done)
+    records = experiment.read(comparison, options.out)
+    summaries = report.summary(records)
+    experiment.write_atomically(options.out / "summary.csv", summaries.to_csv(index=False))
+    for scenario in scenarios:
+        console.print(report.table(summaries, scenario))
+        report.save(report.bars(summaries, scenario), options.out / f"{scenario}_bars.png")
+        report.save(report.timeline(records, scenario), options.out / f"{scenario}_timeline.png")
+    console.print(f"results are in {options.out}")
+
+
+def _costs(text: str) -> str | dict[str, float]:
+    if "=" not in text:
+        return text
+    try:
+        return {name: float(value) for name, _, value in (part.partition("=") for part in text.split(","))}
+    except ValueError:
+        raise ValueError(f"--costs is {text!r}; give seconds by model like naive=0.1,turn=0.2,tom=0.5") from None
+
+
+def _video(options: argparse.Namespace) -> None:
+    if options.speed <= 0:
+        raise ValueError(f"--speed is {options.speed}; it must be positive")
+    controller = options.controller or experiment.paper_controllers(options.scenario)[-1]
+    video.check_format(options.out)
+    pictures, rate = video.frames(options.scenario, controller, options.seed, options.semantics)
+    video.write(pictures, options.out, rate * options.speed)
+    print(f"{options.out}: {len(pictures)} frames, {len(pictures) / rate / options.speed:.1f} s")
+
+
+def _validate(options: argparse.Namespace) -> None:
+    result = validation.validate(options.directory)
+    if options.json:
+        print(json.dumps(result, indent=2))
+        return
+    grid = Table(title="errors against the logs: median, 90 %, 99 %, largest", title_justify="left")
+    for column in ("file", "robot's control", "reward", "human's control", "decisions"):
+        grid.add_column(column, justify="left" if column == "file" else "right")
+    for name, errors in result["files"].items():
+        cells = [" ".join(f"{value:.0e}" for value in errors[kind].values()) for kind in ("action_error", "reward_error", "human_error")]
+        decisions = errors.get("decisions")
+        grid.add_row(name, *cells, f"{decisions['agree']} of {decisions['all']}" if decisions else "")
+    Console().print(grid)

@@ -1,0 +1,143 @@
+"""Tables and figures from records of steps."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from rich.table import Table
+from scipy import stats
+
+from ms_highway.envs.graphics import MODEL_COLORS
+
+__all__ = ["CONFIDENCE", "bars", "save", "summary", "table", "timeline"]
+
+CONFIDENCE = 0.9
+SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
+
+
+def summary(records: pd.DataFrame) -> pd.DataFrame:
+    """One row per scenario and controller, in the order of the records.
+
+    Columns: ``episodes``; ``reward`` per step with ``reward_low`` and ``reward_high``, the 90 % interval of the mean
+    over episodes (Student's t), and ``reward_std`` over episodes; ``planning_ms`` and ``decision_ms`` per step;
+    ``share_MODEL`` of steps; ``collision_episodes``, in which the robot collided at least once.
+    """
+    rows = []
+    for (scenario, controller), steps in records.groupby(["scenario", "controller"], sort=False):
+        rewards = steps.groupby("seed")["reward"].mean()
+        low, high = stats.t.interval(CONFIDENCE, len(rewards) - 1, rewards.mean(), stats.sem(rewards)) if len(rewards) > 1 else (np.nan, np.nan)
+        rows.append(
+            {
+                "scenario": scenario,
+                "controller": controller,
+                "episodes": len(rewards),
+                "reward": rewards.mean(),
+                "reward_low": low,
+                "reward_high": high,
+                "reward_std": rewards.std(),
+                "planning_ms": 1e3 * steps["planning_seconds"].mean(),
+                "decision_ms": 1e3 * steps["decision_seconds"].mean(),
+                **{f"share_{model}": (steps["model"] == model).mean() for model in MODEL_COLORS},
+                "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def table(summaries: pd.DataFrame, scenario: str) -> Table:
+    """The summary of one scenario, to be printed."""
+    models = list(MODEL_COLORS)
+    grid = Table(title=scenario, title_justify="left", title_style="bold")
+    grid.add_column("controller", no_wrap=True)
+    columns = ["reward/step", "90 % interval", "planning ms", "decision ms", *(f"{name} %" for name in models), "collisions"]
+    for column in columns:
+        grid.add_column(column, justify="right")
+    for row in summaries[summaries["scenario"] == scenario].to_dict("records"):
+        grid.add_row(
+            row["controller"],
+            f"{row['reward']:.2f}",
+            f"{row['reward_low']:.2f} to {row['reward_high']:.2f}",
+            f"{row['planning_ms']:.2f}",
+            f"{row['decision_ms']:.2f}",
+            *(f"{100 * row[f'share_{name}']:.0f}" for name in models),
+            f"{row['collision_episodes']} of {row['episodes']}",
+        )
+    return grid
+
+
+def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
+    """Reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
+    rows = summaries[summaries["scenario"] == scenario]
+    names, colors = list(rows["controller"]), _colors(list(rows["controller"]))
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    errors = np.abs(rows[["reward_low", "reward_high"]].to_numpy() - rows[["reward"]].to_numpy()).T
+    left.bar(names, rows["reward"], yerr=errors, color=colors, capsize=4)
+    left.axhline(0, color="black", linewidth=0.8)
+    left.set(title="reward", ylabel="mean reward per step")
+    right.bar(names, rows["planning_ms"], color=colors, label="planning")
+    right.bar(names, rows["decision_ms"], bottom=rows["planning_ms"], color="white", edgecolor="black", hatch="///", label="deciding")
+    right.set(title="computation", ylabel="mean time per step [ms]")
+    right.legend(handles=[Patch(color="grey", label="planning"), Patch(fc="white", ec="black", hatch="///", label="deciding")])
+    for axes in (left, right):
+        axes.tick_params(axis="x", rotation=20)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(f"{scenario}: {rows['episodes'].iloc[0]} episodes per controller")
+    return figure
+
+
+def timeline(records: pd.DataFrame, scenario: str) -> Figure:
+    """Time per step along the episode, and which model was in use, like Fig. 2 of the paper.
+
+    The upper axes show the mean over episodes of planning plus deciding; below, a row per episode of each switching
+    controller shows the model of every step.
+    """
+    rows = records[records["scenario"] == scenario]
+    controllers = list(dict.fromkeys(rows["controller"]))
+    switching = [name for name in controllers if name.startswith("switching")]
+    figure = Figure(figsize=(10, 4 + 1.6 * len(switching)), layout="constrained")
+    heights = [2.5] + [1] * len(switching)
+    axes = np.atleast_1d(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
+    for name, color in zip(controllers, _colors(controllers), strict=True):
+        steps = rows[rows["controller"] == name]
+        seconds = (steps["planning_seconds"] + steps["decision_seconds"]).groupby(steps["step"]).mean()
+        style = "-" if name in switching else "--"
+        axes[0].plot(seconds.index, 1e3 * seconds, style, color=color, label=name, linewidth=2)
+    axes[0].set(title=f"{scenario}: computation along the episode", ylabel="planning + deciding [ms]", yscale="log")
+    axes[0].legend(ncols=len(controllers), loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False)
+    for name, panel in zip(switching, axes[1:], strict=True):
+        _models_in_use(panel, rows[rows["controller"] == name], name)
+    axes[-1].set_xlabel("step (0.1 s)")
+    return figure
+
+
+def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
+    models = list(MODEL_COLORS)
+    grid = steps.pivot(index="seed", columns="step", values="model").map(lambda model: models.index(model) if model in models else np.nan)
+    colormap = ListedColormap([_hex(MODEL_COLORS[model]) for model in models])
+    axes.imshow(grid.to_numpy(dtype=float), aspect="auto", cmap=colormap, vmin=-0.5, vmax=len(models) - 0.5, interpolation="nearest")
+    axes.set_title(name, loc="left", fontsize="medium")
+    axes.set_ylabel("episode")
+    axes.legend(handles=[Patch(color=_hex(MODEL_COLORS[model]), label=model) for model in models], loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+
+
+def _colors(controllers: Sequence[str]) -> list[str]:
+    """A model's own colour for a fixed model, greys for switching."""
+    greys = iter(SWITCHING_COLORS * len(controllers))
+    return [_hex(MODEL_COLORS[name]) if name in MODEL_COLORS else next(greys) for name in controllers]
+
+
+def _hex(color: tuple[int, int, int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a picture under a temporary name and move it into place."""
+    temporary = path.with_name(f".part.{path.name}")
+    figure.savefig(temporary, dpi=110)
+    temporary.replace(path)

@@ -1,0 +1,140 @@
+"""Replay of the reference episodes: does this implementation do what the paper's released code did?
+
+A reference file SCENARIO__KIND.npz holds the logged run of one controller in paper units, with released semantics:
+``states`` [episode, step, car, 4] before each step, ``robot_controls`` [episode, step, 2], ``human_controls`` [episode,
+step - 1, 2], ``rewards`` [episode, step] after each step, ``models`` [episode, step] as indices into naive, turn, tom,
+and ``ladder`` [rungs].
+"""
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.envs import SCENARIOS
+from ms_highway.envs.base import RELEASED_TRUST_TOLERANCE
+from ms_highway.game import Game, swap
+from ms_highway.human_models import MODELS, HumanModel, Naive, ladder
+from ms_highway.reward import reward
+from ms_highway.scenario import build_game
+from ms_highway.switching import PUBLISHED_COSTS, Switching, decide, first_memory
+
+__all__ = ["read_episodes", "validate", "validate_file"]
+
+QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
+ARRAYS = ("states", "robot_controls", "human_controls", "rewards", "models", "ladder")
+
+
+def validate(directory: Path) -> dict[str, Any]:
+    """Every reference file of a directory, checked: ``{"files": {NAME: ...}}``, see `validate_file`.
+
+    Raises:
+        FileNotFoundError: if there is no such directory or no ``*.npz`` in it.
+        ValueError: for a file that is no reference file.
+    """
+    files = sorted(directory.glob("*.npz")) if directory.is_dir() else []
+    if not files:
+        raise FileNotFoundError(f"no reference episodes (*.npz) in {directory}; name the directory that holds them")
+    return {"files": {file.name: validate_file(file) for file in files}}
+
+
+def validate_file(file: Path) -> dict[str, Any]:
+    """Errors of one file, in the units of the logs, each as quantiles over all steps of all episodes.
+
+    ``action_error``: largest component of planned minus logged robot control, planning from each logged state with the
+    logged model; ``human_error``: the same of the human; ``reward_error``; and where the run was switching,
+    ``decisions``: how many choices of the model agree, out of how many.
+
+    Raises:
+        ValueError: if the file is no reference file.
+    """
+    scenario, episodes = read_episodes(file)
+    game = build_game(SCENARIOS[scenario], "released", "exact", unit=1.0)
+    states = jnp.asarray(episodes["states"], dtype=jnp.float32)
+    planned = np.full(episodes["robot_controls"].shape, np.nan)
+    for index in np.unique(episodes["models"]):
+        chosen = episodes["models"] == index
+        planned[chosen] = _first_controls(list(MODELS.values())[index], game, states[chosen])
+    human_game = replace(game, robot=game.human, human=game.robot)
+    swapped = jnp.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2)
+    human = _first_controls(Naive(), human_game, swapped.reshape(-1, *states.shape[2:])).reshape(*swapped.shape[:2], 2)
+    rewards = reward(game.scene, game.robot, states[:, 1:])
+    report: dict[str, Any] = {
+        "action_error": _quantiles(np.abs(planned - episodes["robot_controls"]).max(axis=-1)),
+        "reward_error": _quantiles(np.abs(np.asarray(rewards) - episodes["rewards"][:, :-1])),
+        "human_error": _quantiles(np.abs(human - episodes["human_controls"]).max(axis=-1)),
+    }
+    if len(episodes["ladder"]) > 1:
+        report["decisions"] = _decisions(game, episodes, float(file.stem.rpartition("_")[2]))
+    return report
+
+
+def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
+    """Scenario and arrays of a reference file, checked.
+
+    Raises:
+        ValueError: if the name, the arrays or their shapes are not those of a reference file.
+    """
+    scenario = file.stem.partition("__")[0]
+    if scenario not in SCENARIOS:
+        raise ValueError(f"{file}: the name should be SCENARIO__KIND.npz with a scenario of {', '.join(SCENARIOS)}")
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            episodes = {name: archive[name] for name in ARRAYS}
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{file} is no reference file: {error}") from error
+    count, steps, *cars = episodes["states"].shape
+    wanted = {
+        "states": (count, steps, len(SCENARIOS[scenario].cars), 4),
+        "robot_controls": (count, steps, 2),
+        "human_controls": (count, steps - 1, 2),
+        "rewards": (count, steps),
+        "models": (count, steps),
+    }
+    for name, shape in wanted.items():
+        if episodes[name].shape != shape:
+            raise ValueError(f"{file}: {name} has shape {episodes[name].shape} instead of {shape}")
+        if not np.isfinite(episodes[name]).all():
+            raise ValueError(f"{file}: {name} is not finite")
+    return scenario, episodes
+
+
+@partial(jax.jit, static_argnames="model")
+def _first_control(model: HumanModel, game: Game, state: Float[jax.Array, "cars 4"]) -> Float[jax.Array, "2"]:
+    return model.plan(game, state).robot[0]
+
+
+def _first_controls(model: HumanModel, game: Game, states: Float[jax.Array, "n cars 4"]) -> Float[np.ndarray, "n 2"]:
+    return np.array([_first_control(model, game, state) for state in states])
+
+
+def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> dict[str, int]:
+    """Choices that agree with the logged ones, each taken from the logged step before it."""
+    names = list(MODELS)
+    rungs = ladder([names[index] for index in episodes["ladder"]])
+    costs = np.array([PUBLISHED_COSTS[model.name] for model in rungs])
+    switching = jax.tree.map(
+        jnp.asarray, Switching(costs, price, rungs, trust_tolerance=RELEASED_TRUST_TOLERANCE)
+    )
+    place = {index: rung for rung, index in enumerate(episodes["ladder"].tolist())}
+    logged = np.vectorize(place.__getitem__)(episodes["models"])
+    arrays = [episodes[name].astype(np.float32) for name in ("states", "robot_controls", "human_controls", "rewards")]
+    agree = 0
+    for run, (states, robot, human, rewards) in zip(logged, zip(*arrays, strict=True), strict=True):
+        memory = first_memory(switching)
+        for step in range(len(run) - 1):
+            memory = memory._replace(rung=jnp.int32(run[step]))
+            memory = decide(switching, game, memory, states[step], robot[step], human[step], rewards[step]).memory
+            agree += int(memory.rung) == run[step + 1]
+    return {"agree": int(agree), "all": int(logged[:, 1:].size)}
+
+
+def _quantiles(errors: Float[np.ndarray, "*shape"]) -> dict[str, float]:
+    return {name: float(np.quantile(errors, share)) for name, share in QUANTILES.items()}
