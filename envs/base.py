@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 
 import jax
 import numpy as np
+from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ActionType, action_factory
 from highway_env.envs.common.observation import observation_factory
@@ -18,12 +19,12 @@ from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.configuration import merged
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
-from ms_highway.game import Game
+from ms_highway.game import Game, Influence
 from ms_highway.human_models import HumanModel, Naive, ladder
 from ms_highway.reward import FEATURES, features
 from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, Scenario, build_game, draw_starts
 from ms_highway.switching import PUBLISHED_COSTS, Switching
-from ms_highway.vehicle import HumanVehicle, PlanningVehicle, RobotVehicle, ScriptedVehicle
+from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 
 __all__ = ["Cone", "InteractionEnv", "Seconds"]
 
@@ -73,6 +74,10 @@ class InteractionEnv(AbstractEnv):
     """
 
     scenario: ClassVar[Scenario]
+    config: dict[str, Any]
+    metadata: dict[str, Any]
+    action_space: spaces.Space | None
+    viewer: InteractionViewer | None
     models: tuple[HumanModel, ...]
     game: Game
 
@@ -101,7 +106,7 @@ class InteractionEnv(AbstractEnv):
     def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
         self.metadata = dict(type(self).metadata)  # highway-env would write the frame rate into the class's own
         self._initial_states: Float[np.ndarray, "cars 4"] | None = None
-        self._costs: Float[np.ndarray, "rungs"] | None = None
+        self._costs: Float[np.ndarray, rungs] | None = None
         self._terms: dict[str, float] = {}
         self.collision = False
         self.history: list[dict[str, Any]] = []
@@ -116,7 +121,7 @@ class InteractionEnv(AbstractEnv):
         self.config = merged(self.config, config)
         super().configure(None)
         settings = self.config
-        influence = settings["influence"] or ("damped" if settings["semantics"] == "paper" else "exact")
+        influence: Influence = settings["influence"] or ("damped" if settings["semantics"] == "paper" else "exact")
         self.game = build_game(self.scenario, settings["semantics"], influence, settings["control_limit"])
         self.models = ladder(settings["ladder"])
         self._costs = None
@@ -300,7 +305,8 @@ class InteractionEnv(AbstractEnv):
         if self.steps == 0:
             return info
         info |= {"action": action, "rewards": self._rewards(action)}
-        info |= {"collision": self.collision, "crashed": self.robot.hit, "human_status": self.human.last_step.status}
+        info |= {"collision": self.collision, "crashed": self.robot.hit}
+        info["human_status"] = self.human.last_step.status if self.human.last_step else None
         step = self.robot.last_step
         if step is not None:
             info |= {

@@ -131,4 +131,6 @@ def _check_limit(limit: Any) -> None:
         return
     values = np.asarray(limit, dtype=float) if isinstance(limit, (list, tuple, np.ndarray)) else np.array([])
     if values.shape != (2,) or not (values > 0).all():
-        raise ValueError(f"config['control_limit'] is {limit!r}; give None or two positive bounds, (omega, acceleration)")
+        raise ValueError(
+            f"config['control_limit'] is {limit!r}; give None or two positive bounds, (omega, acceleration)"
+        )

@@ -1,4 +1,4 @@
-"""What a person sees: the road from above, plans and predictions on it, and a panel that tells what the robot thinks."""
+"""What a person sees: the road from above, plans and predictions on it, and a panel with what the robot thinks."""
 
 from typing import Any
 
@@ -139,7 +139,8 @@ class InteractionViewer(EnvViewer):
         if record["collision"]:
             lines[0] += "    COLLISION"
         if model is not None:
-            lines.append(f"planning {1e3 * record['planning_seconds']:.1f} ms, deciding {1e3 * record['decision_seconds']:.1f} ms")
+            planning, deciding = 1e3 * record["planning_seconds"], 1e3 * record["decision_seconds"]
+            lines.append(f"planning {planning:.1f} ms, deciding {deciding:.1f} ms")
             gains = ", ".join(f"{name} {gain:+.3f}" for name, gain in record["gains"].items())
             lines.append(f"estimated gain by switching: {gains}" if gains else "no switch considered")
         for place, line in enumerate(lines):
@@ -175,7 +176,12 @@ class InteractionViewer(EnvViewer):
         if len(points) > 1:
             pygame.draw.lines(self.sim_surface, INK, False, points, 2)
         pygame.draw.circle(self.sim_surface, INK, points[-1], 3)
-        self._text(f"mean {np.mean([record['reward'] for record in self.env.history]):+.2f}", 18, FAINT, (box.right - 70, box.top - 16))
+        self._text(
+            f"mean {np.mean([record['reward'] for record in self.env.history]):+.2f}",
+            18,
+            FAINT,
+            (box.right - 70, box.top - 16),
+        )
 
     def _text(self, text: str, size: int, color: Color, place: tuple[int, int]) -> None:
         self.sim_surface.blit(self.fonts[size].render(text, True, color), place)

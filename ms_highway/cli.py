@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import pandas as pd
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -56,38 +56,67 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="ms-highway", description="Robot cars that choose how hard to think about human drivers.")
+    parser = argparse.ArgumentParser(
+        prog="ms-highway", description="Robot cars that choose how hard to think about human drivers."
+    )
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     def command(name: str, summary: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
         return commands.add_parser(
-            name, help=summary, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+            name,
+            help=summary,
+            description=description,
+            epilog=epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
         )
 
     compare = command("compare", "compare controllers over many episodes", COMPARE_HELP, COMPARE_EXAMPLES)
     compare.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: all)")
-    compare.add_argument("--controllers", nargs="+", metavar="CONTROLLER", help="naive, turn, tom, switching:LAMBDA (default: the paper's)")
-    compare.add_argument("--seeds", type=int, default=30, help="episodes per controller, seeded 0, 1, ... (default: 30)")
+    compare.add_argument(
+        "--controllers",
+        nargs="+",
+        metavar="CONTROLLER",
+        help="naive, turn, tom, switching:LAMBDA (default: the paper's)",
+    )
+    compare.add_argument(
+        "--seeds", type=int, default=30, help="episodes per controller, seeded 0, 1, ... (default: 30)"
+    )
     _add_semantics(compare)
     compare.add_argument(
         "--costs",
         default="published",
-        help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), measured on this machine, "
-        "or given like naive=0.1,turn=0.2,tom=0.5",
+        help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), measured on this "
+        "machine, or given like naive=0.1,turn=0.2,tom=0.5",
     )
-    compare.add_argument("--out", type=Path, default=Path("results/compare"), help="directory of results (default: results/compare)")
+    compare.add_argument(
+        "--out", type=Path, default=Path("results/compare"), help="directory of results (default: results/compare)"
+    )
     compare.set_defaults(run=_compare)
 
-    film = command("video", "film an episode", VIDEO_HELP, "example:\n  ms-highway video merger --controller switching:0.1 --seed 0 --out merger.mp4")
+    film = command(
+        "video",
+        "film an episode",
+        VIDEO_HELP,
+        "example:\n  ms-highway video merger --controller switching:0.1 --seed 0 --out merger.mp4",
+    )
     film.add_argument("scenario", metavar="SCENARIO", help=", ".join(SCENARIOS))
-    film.add_argument("--controller", metavar="CONTROLLER", help="naive, turn, tom or switching:LAMBDA (default: switching with the paper's conservative lambda)")
+    film.add_argument(
+        "--controller",
+        metavar="CONTROLLER",
+        help="naive, turn, tom or switching:LAMBDA (default: switching with the paper's conservative lambda)",
+    )
     film.add_argument("--seed", type=int, default=0, help="seed of the episode (default: 0)")
     _add_semantics(film)
     film.add_argument("--speed", type=float, default=1.0, help="1 is true speed (default), 0.5 slow motion")
     film.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4 or .gif file")
     film.set_defaults(run=_video)
 
-    check = command("validate", "replay reference episodes", VALIDATE_HELP, "example:\n  ms-highway validate reference/episodes --json")
+    check = command(
+        "validate",
+        "replay reference episodes",
+        VALIDATE_HELP,
+        "example:\n  ms-highway validate reference/episodes --json",
+    )
     check.add_argument("directory", type=Path, metavar="DIR", help="directory of reference files, SCENARIO__KIND.npz")
     check.add_argument("--json", action="store_true", help="print JSON instead of a table")
     check.set_defaults(run=_validate)
@@ -99,7 +128,7 @@ def _add_semantics(parser: argparse.ArgumentParser) -> None:
         "--semantics",
         choices=["paper", "released"],
         default="paper",
-        help="paper: the paper's dynamics, damped theory of mind (default); released: exactly the paper's released code",
+        help="paper: the paper's dynamics, damped theory of mind (default); released: exactly its released code",
     )
 
 
@@ -111,7 +140,13 @@ def _compare(options: argparse.Namespace) -> None:
     comparison = experiment.Comparison(controllers, options.seeds, options.semantics, _costs(options.costs))
     comparison.check()
     console = Console()
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task("episodes", total=len(list(comparison.episodes())))
         for done in experiment.run(comparison, options.out):
@@ -150,11 +185,14 @@ def _validate(options: argparse.Namespace) -> None:
     if options.json:
         print(json.dumps(result, indent=2))
         return
-    grid = Table(title="errors against the logs: median, 90 %, 99 %, largest", title_justify="left")
+    grid = Table(box=SIMPLE, title="errors against the logs: median, 90 %, 99 %, largest", title_justify="left")
     for column in ("file", "robot's control", "reward", "human's control", "decisions"):
         grid.add_column(column, justify="left" if column == "file" else "right")
     for name, errors in result["files"].items():
-        cells = [" ".join(f"{value:.0e}" for value in errors[kind].values()) for kind in ("action_error", "reward_error", "human_error")]
+        cells = [
+            " ".join(f"{value:.0e}" for value in errors[kind].values())
+            for kind in ("action_error", "reward_error", "human_error")
+        ]
         decisions = errors.get("decisions")
         grid.add_row(name, *cells, f"{decisions['agree']} of {decisions['all']}" if decisions else "")
     Console().print(grid)

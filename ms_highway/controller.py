@@ -22,7 +22,7 @@ from ms_highway.human_models import HumanModel, JointPlan
 from ms_highway.reward import reward
 from ms_highway.switching import Decision, Memory, Switching, decide, first_memory
 
-__all__ = ["Controller", "ControlStep", "FixedModel", "ModelSwitching", "Status", "measure_costs"]
+__all__ = ["ControlStep", "Controller", "FixedModel", "ModelSwitching", "Status", "measure_costs"]
 
 Status: TypeAlias = Literal["planned", "previous plan", "keep velocity"]
 """How a control came about: from this step's plan, or, where that was not finite, from the last good plan or none."""
@@ -130,7 +130,9 @@ def _checked(state: Float[np.ndarray, "cars 4"]) -> Float[jax.Array, "cars 4"]:
         raise ValueError(f"a state has shape [cars, 4] with the robot, its partner and any others; got {state.shape}")
     if not np.isfinite(state).all():
         car, column = np.argwhere(~np.isfinite(state))[0]
-        raise ValueError(f"the state of car {car} is not finite: {'x y heading speed'.split()[column]} is {state[car, column]}")
+        raise ValueError(
+            f"the state of car {car} is not finite: {['x', 'y', 'heading', 'speed'][column]} is {state[car, column]}"
+        )
     return jnp.asarray(state, dtype=jnp.float32)
 
 
@@ -208,7 +210,7 @@ class ModelSwitching:
         """
         now = _checked(state)
         compiling = self._warm_up(now) if self._last is None else 0.0
-        seconds, gains = (0.0, {}) if self._last is None else self._choose(now)
+        seconds, gains = (0.0, {}) if self._last is None else self._choose(self._last.control, now)
         model = self.switching.ladder[int(self._memory.rung)]
         planned = _plan_step(model, self.game, now, self._last)
         self._before = now
@@ -222,10 +224,12 @@ class ModelSwitching:
             _warm_up(_plan, model, self.game, state) for model in self.switching.ladder
         )
 
-    def _choose(self, now: Float[jax.Array, "cars 4"]) -> tuple[float, dict[str, float]]:
+    def _choose(
+        self, executed: Float[np.ndarray, "2"], now: Float[jax.Array, "cars 4"]
+    ) -> tuple[float, dict[str, float]]:
         """Take the decision; seconds spent, and the gains estimated by name of the alternative."""
         rung, ladder = int(self._memory.rung), self.switching.ladder
-        control = jnp.asarray(self._last.control, dtype=jnp.float32)
+        control = jnp.asarray(executed, dtype=jnp.float32)
         decision, seconds = _timed(_decide, self.switching, self.game, self._memory, self._before, control, now)
         self._memory = decision.memory
         estimates = {ladder[rung - 1].name: float(decision.gain_down)} if rung > 0 else {}

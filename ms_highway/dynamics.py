@@ -1,29 +1,29 @@
 """How a car moves: one step, a rollout of several, and the inverse of a step.
 
-A car's state is ``(x, y, heading, speed)`` and its control ``(omega, acceleration)``. Both laws share one integrator
-and differ only in what a control does to the car:
+A car's state is ``(x, y, heading, speed)`` and its control ``(omega, acceleration)``. What a control does to the car
+is told by two words:
 
-* ``bicycle``, Sec. IV-A of the paper: omega is the curvature of the path [1/m] and friction is linear,
-  ``heading' = v omega`` and ``v' = a - drag v`` with drag in 1/s.
-* ``released``, the paper's released code: omega is the yaw rate [rad/s] and drag is quadratic,
-  ``heading' = omega`` and ``v' = a - drag v^2`` with drag in 1/m.
+* steering ``curvature``: omega is the curvature of the path [1/m], ``heading' = v omega`` (Sec. IV-A of the paper);
+  ``yaw_rate``: omega is the yaw rate [rad/s], ``heading' = omega`` (the paper's released code).
+* friction ``linear``: ``v' = a - drag v`` with drag in 1/s (Sec. IV-A); ``quadratic``: ``v' = a - drag v^2`` with drag
+  in 1/m (the released code's world).
 
 `step`, `keep_velocity` and `recover_control` take NumPy arrays as well as JAX arrays and answer in kind, so that
 vehicles (float64, NumPy) and planners (float32, JAX) share the equations.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, TypeVar
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-__all__ = ["Dynamics", "Law", "Array", "keep_velocity", "recover_control", "rollout", "coast", "step"]
+__all__ = ["Array", "Dynamics", "coast", "keep_velocity", "recover_control", "rollout", "step"]
 
-Law: TypeAlias = Literal["bicycle", "released"]
 Array: TypeAlias = jax.Array | np.ndarray
+SameArray = TypeVar("SameArray", jax.Array, np.ndarray)
 
 
 @jax.tree_util.register_dataclass
@@ -32,22 +32,26 @@ class Dynamics:
     """A law of motion with its numbers.
 
     Attributes:
-        law: what a control does to the car (static: it selects the code that is compiled).
-        drag: friction, in 1/s for ``bicycle`` and in 1/m for ``released``.
+        steering: what omega is, ``curvature`` or ``yaw_rate`` (static).
+        friction: how drag depends on speed, ``linear`` or ``quadratic`` (static).
+        drag: coefficient of friction, in 1/s or 1/m.
         time_step: duration of one step [s].
     """
 
-    law: Law = field(metadata={"static": True})
+    steering: Literal["curvature", "yaw_rate"] = field(metadata={"static": True})
+    friction: Literal["linear", "quadratic"] = field(metadata={"static": True})
     drag: float | Float[Array, ""]
     time_step: float | Float[Array, ""]
 
 
-def _friction(dynamics: Dynamics, speed: Array) -> Array:
+def _resistance(dynamics: Dynamics, speed: SameArray) -> SameArray:
     """Deceleration by friction [m/s^2]."""
-    return dynamics.drag * (speed if dynamics.law == "bicycle" else speed**2)
+    return (speed if dynamics.friction == "linear" else speed**2) * dynamics.drag
 
 
-def step(dynamics: Dynamics, state: Float[Array, "*cars 4"], control: Float[Array, "*cars 2"]) -> Float[Array, "*cars 4"]:
+def step(
+    dynamics: Dynamics, state: Float[SameArray, "*cars 4"], control: Float[SameArray, "*cars 2"]
+) -> Float[SameArray, "*cars 4"]:
     """The state one time step later.
 
     With a' the acceleration less friction, ``d = v dt + a' dt^2 / 2``, and old values on the right-hand side::
@@ -56,8 +60,8 @@ def step(dynamics: Dynamics, state: Float[Array, "*cars 4"], control: Float[Arra
     """
     xp = state.__array_namespace__()
     heading, speed = state[..., 2], state[..., 3]
-    yaw_rate = speed * control[..., 0] if dynamics.law == "bicycle" else control[..., 0]
-    acceleration = control[..., 1] - _friction(dynamics, speed)
+    yaw_rate = speed * control[..., 0] if dynamics.steering == "curvature" else control[..., 0]
+    acceleration = control[..., 1] - _resistance(dynamics, speed)
     dt = dynamics.time_step
     distance = speed * dt + acceleration * dt**2 / 2
     return xp.stack(
@@ -74,12 +78,46 @@ def step(dynamics: Dynamics, state: Float[Array, "*cars 4"], control: Float[Arra
 def rollout(
     dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], controls: Float[jax.Array, "steps *cars 2"]
 ) -> Float[jax.Array, "steps *cars 4"]:
-    """The states after each of a sequence of controls (the initial state is left out)."""
-    states = []
-    for control in controls:  # unrolled: horizons are short, and a loop would hide the steps from the compiler
-        state = step(dynamics, state, control)
-        states.append(state)
-    return jnp.stack(states)
+    """The states after each of a sequence of controls (the initial state is left out).
+
+    The same as as many calls of `step`, but all steps at once: with linear friction, speeds are a weighted sum of the
+    accelerations, ``v_k = (1 - drag dt)^k v_0 + dt sum_j (1 - drag dt)^(k-1-j) a_j``, and headings and positions are
+    cumulative sums. A few large array operations compile and run several times faster than many small ones.
+
+    Raises:
+        ValueError: for quadratic friction, which has no such form.
+    """
+    if dynamics.friction != "linear":
+        raise ValueError("a rollout needs linear friction; with quadratic friction, repeat `step`")
+    steps, dt = len(controls), dynamics.time_step
+    rows, columns = np.ogrid[:steps, :steps]
+    past = jnp.asarray(rows >= columns, dtype=controls.dtype)
+    decay = 1 - dynamics.drag * dt
+
+    def weighted_sum(weights: Float[jax.Array, "steps steps"], terms: Float[jax.Array, "steps *cars"]) -> jax.Array:
+        weights = weights.reshape(steps, steps, *[1] * (terms.ndim - 1))
+        return jnp.sum(weights * terms, axis=1)  # unlike a small matrix product, this is fused with its neighbours
+
+    def before(initial: Float[jax.Array, "*cars"], after: Float[jax.Array, "steps *cars"]) -> jax.Array:
+        return jnp.concatenate([initial[None], after[:-1]])
+
+    x, y, heading, speed = jnp.moveaxis(state, -1, 0)
+    omega, acceleration = jnp.moveaxis(controls, -1, 0)
+    powers = jnp.power(decay, np.arange(1, steps + 1)).reshape(-1, *[1] * speed.ndim)
+    speeds = powers * speed + dt * weighted_sum(past * jnp.power(decay, np.maximum(rows - columns, 0)), acceleration)
+    old_speeds = before(speed, speeds)
+    headings = heading + dt * weighted_sum(past, old_speeds * omega if dynamics.steering == "curvature" else omega)
+    old_headings = before(heading, headings)
+    distances = old_speeds * dt + (acceleration - _resistance(dynamics, old_speeds)) * dt**2 / 2
+    return jnp.stack(
+        [
+            x + weighted_sum(past, distances * jnp.cos(old_headings)),
+            y + weighted_sum(past, distances * jnp.sin(old_headings)),
+            headings,
+            speeds,
+        ],
+        axis=-1,
+    )
 
 
 def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) -> Float[jax.Array, "steps *cars 4"]:
@@ -92,25 +130,25 @@ def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) ->
     )
 
 
-def keep_velocity(dynamics: Dynamics, state: Float[Array, "*cars 4"]) -> Float[Array, "*cars 2"]:
+def keep_velocity(dynamics: Dynamics, state: Float[SameArray, "*cars 4"]) -> Float[SameArray, "*cars 2"]:
     """The control that keeps speed and heading: it only makes up for friction."""
     xp = state.__array_namespace__()
     speed = state[..., 3]
-    return xp.stack([xp.zeros_like(speed), _friction(dynamics, speed)], axis=-1)
+    return xp.stack([xp.zeros_like(speed), _resistance(dynamics, speed)], axis=-1)
 
 
 def recover_control(
-    dynamics: Dynamics, state: Float[Array, "*cars 4"], next_state: Float[Array, "*cars 4"]
-) -> Float[Array, "*cars 2"]:
+    dynamics: Dynamics, state: Float[SameArray, "*cars 4"], next_state: Float[SameArray, "*cars 4"]
+) -> Float[SameArray, "*cars 2"]:
     """The control that led from one state to the next: the inverse of `step`.
 
-    A standing ``bicycle`` cannot turn, so its curvature is unobservable at speed 0 and reported as 0.
+    A standing car does not turn, so its curvature is unobservable at speed 0 and reported as 0.
     """
     xp = state.__array_namespace__()
     speed = state[..., 3]
     yaw_rate = (next_state[..., 2] - state[..., 2]) / dynamics.time_step
-    acceleration = (next_state[..., 3] - speed) / dynamics.time_step + _friction(dynamics, speed)
-    if dynamics.law == "released":
+    acceleration = (next_state[..., 3] - speed) / dynamics.time_step + _resistance(dynamics, speed)
+    if dynamics.steering == "yaw_rate":
         return xp.stack([yaw_rate, acceleration], axis=-1)
     moving = speed != 0
     omega = xp.where(moving, yaw_rate / xp.where(moving, speed, 1.0), 0.0)

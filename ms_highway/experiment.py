@@ -4,7 +4,7 @@ import csv
 import io
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,16 @@ from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import controller_config
 
-__all__ = ["COLUMNS", "Comparison", "episode", "make_environment", "paper_controllers", "read", "run", "write_atomically"]
+__all__ = [
+    "COLUMNS",
+    "Comparison",
+    "episode",
+    "make_environment",
+    "paper_controllers",
+    "read",
+    "run",
+    "write_atomically",
+]
 
 STEPS_FILE, SETTINGS_FILE = "steps.csv", "settings.json"
 KEYS = ["scenario", "controller", "seed"]
@@ -60,7 +69,6 @@ class Comparison:
             for controller in controllers:
                 for seed in range(self.seeds):
                     yield scenario, controller, seed
-
 
     def check(self) -> None:
         """Make every environment once, so that a mistake shows before anything is run or written.
@@ -112,7 +120,9 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
         record = {key: info[key] for key in COLUMNS if key in info} | {"step": step, "reward": reward}
         record |= {f"gain_{name}": gain for name, gain in info["gains"].items()}
         for car, state in zip(("robot", "human"), inner.car_states, strict=False):
-            record |= {f"{car}_{name}": value for name, value in zip(("x", "y", "heading", "speed"), state, strict=True)}
+            record |= {
+                f"{car}_{name}": value for name, value in zip(("x", "y", "heading", "speed"), state, strict=True)
+            }
         yield record
         step += 1
 

@@ -102,7 +102,9 @@ class TheoryOfMind:
             size = along_human.size
             hessian = jax.hessian(human_reward, argnums=1)(*plan).reshape(size, size)
             pushed = response(game.influence, hessian, along_human.reshape(size)).reshape(along_human.shape)
-            human_slope, pull_back = jax.vjp(lambda robot: jax.grad(human_reward, argnums=1)(robot, plan.human), plan.robot)
+            human_slope, pull_back = jax.vjp(
+                lambda robot: jax.grad(human_reward, argnums=1)(robot, plan.human), plan.robot
+            )
             return JointPlan(along_robot + pull_back(pushed)[0], human_slope)
 
         return ascend(game.planner, direction, JointPlan(_still(game), _still(game)))

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from rich.box import SIMPLE
 from rich.table import Table
 from scipy import stats
 
@@ -30,7 +31,11 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for (scenario, controller), steps in records.groupby(["scenario", "controller"], sort=False):
         rewards = steps.groupby("seed")["reward"].mean()
-        low, high = stats.t.interval(CONFIDENCE, len(rewards) - 1, rewards.mean(), stats.sem(rewards)) if len(rewards) > 1 else (np.nan, np.nan)
+        low, high = (
+            stats.t.interval(CONFIDENCE, len(rewards) - 1, rewards.mean(), stats.sem(rewards))
+            if len(rewards) > 1
+            else (np.nan, np.nan)
+        )
         rows.append(
             {
                 "scenario": scenario,
@@ -52,16 +57,23 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
 def table(summaries: pd.DataFrame, scenario: str) -> Table:
     """The summary of one scenario, to be printed."""
     models = list(MODEL_COLORS)
-    grid = Table(title=scenario, title_justify="left", title_style="bold")
+    grid = Table(title=scenario, box=SIMPLE, title_justify="left", title_style="bold")
     grid.add_column("controller", no_wrap=True)
-    columns = ["reward/step", "90 % interval", "planning ms", "decision ms", *(f"{name} %" for name in models), "collisions"]
+    columns = [
+        "reward/step",
+        "90 % interval",
+        "plan ms",
+        "decide ms",
+        *(f"{name} %" for name in models),
+        "collisions",
+    ]
     for column in columns:
         grid.add_column(column, justify="right")
     for row in summaries[summaries["scenario"] == scenario].to_dict("records"):
         grid.add_row(
             row["controller"],
             f"{row['reward']:.2f}",
-            f"{row['reward_low']:.2f} to {row['reward_high']:.2f}",
+            f"{row['reward_low']:.2f}, {row['reward_high']:.2f}",
             f"{row['planning_ms']:.2f}",
             f"{row['decision_ms']:.2f}",
             *(f"{100 * row[f'share_{name}']:.0f}" for name in models),
@@ -81,9 +93,19 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     left.axhline(0, color="black", linewidth=0.8)
     left.set(title="reward", ylabel="mean reward per step")
     right.bar(names, rows["planning_ms"], color=colors, label="planning")
-    right.bar(names, rows["decision_ms"], bottom=rows["planning_ms"], color="white", edgecolor="black", hatch="///", label="deciding")
+    right.bar(
+        names,
+        rows["decision_ms"],
+        bottom=rows["planning_ms"],
+        color="white",
+        edgecolor="black",
+        hatch="///",
+        label="deciding",
+    )
     right.set(title="computation", ylabel="mean time per step [ms]")
-    right.legend(handles=[Patch(color="grey", label="planning"), Patch(fc="white", ec="black", hatch="///", label="deciding")])
+    right.legend(
+        handles=[Patch(color="grey", label="planning"), Patch(fc="white", ec="black", hatch="///", label="deciding")]
+    )
     for axes in (left, right):
         axes.tick_params(axis="x", rotation=20)
         axes.spines[["top", "right"]].set_visible(False)
@@ -118,12 +140,26 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
 
 def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
     models = list(MODEL_COLORS)
-    grid = steps.pivot(index="seed", columns="step", values="model").map(lambda model: models.index(model) if model in models else np.nan)
+    grid = steps.pivot(index="seed", columns="step", values="model").map(
+        lambda model: models.index(model) if model in models else np.nan
+    )
     colormap = ListedColormap([_hex(MODEL_COLORS[model]) for model in models])
-    axes.imshow(grid.to_numpy(dtype=float), aspect="auto", cmap=colormap, vmin=-0.5, vmax=len(models) - 0.5, interpolation="nearest")
+    axes.imshow(
+        grid.to_numpy(dtype=float),
+        aspect="auto",
+        cmap=colormap,
+        vmin=-0.5,
+        vmax=len(models) - 0.5,
+        interpolation="nearest",
+    )
     axes.set_title(name, loc="left", fontsize="medium")
     axes.set_ylabel("episode")
-    axes.legend(handles=[Patch(color=_hex(MODEL_COLORS[model]), label=model) for model in models], loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+    axes.legend(
+        handles=[Patch(color=_hex(MODEL_COLORS[model]), label=model) for model in models],
+        loc="center left",
+        bbox_to_anchor=(1, 0.5),
+        frameon=False,
+    )
 
 
 def _colors(controllers: Sequence[str]) -> list[str]:

@@ -105,9 +105,10 @@ def build_game(
     robot = Reward(weights(scenario.robot_weights), SPEED_LIMIT * unit, scenario.robot_gap * unit)
     human = Reward(weights(scenario.human_weights), SPEED_LIMIT * unit, scenario.human_gap * unit)
     if semantics == "paper":
-        plans = world = Dynamics("bicycle", PAPER_FRICTION, TIME_STEP)
+        plans = world = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
     else:
-        plans, world = (Dynamics("released", drag / unit, TIME_STEP) for drag in (0.0, RELEASED_DRAG))
+        plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
+        world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
     return _game(scene, robot, human, plans, world, control_limit, influence)
 
 
@@ -119,7 +120,7 @@ def driving_game(scene: Scene, speed_limit: float) -> Game:
         speed_limit: the speed that is rewarded most [m/s].
     """
     driver = Reward(weights(COMMON_WEIGHTS), speed_limit, 0.0)
-    dynamics = Dynamics("bicycle", PAPER_FRICTION, TIME_STEP)
+    dynamics = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
     return _game(scene, driver, driver, dynamics, dynamics, None, "damped")
 
 
@@ -134,10 +135,10 @@ def _game(
 ) -> Game:
     """A game in float32, with the control scale that makes a step of 0.03 what it is in the paper.
 
-    A unit of acceleration is one length unit; a unit of omega is one rad/s of yaw rate, which for the bicycle is taken
+    A unit of acceleration is one length unit; a unit of omega is one rad/s of yaw rate, which with steering by curvature is taken
     at the speed limit: there ``omega = yaw_rate / v``, so that omega's gradient step is scaled by 1/v^2.
     """
-    turn_scale = 1 / robot.speed_limit if plans.law == "bicycle" else 1.0
+    turn_scale = 1 / robot.speed_limit if plans.steering == "curvature" else 1.0
     planner = Planner(
         control_scale=np.array([turn_scale, scene.length_unit]),
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
@@ -146,7 +147,9 @@ def _game(
     return jax.tree.map(lambda number: jnp.asarray(number, dtype=jnp.float32), game)
 
 
-def draw_starts(scenario: Scenario, random: np.random.Generator, unit: float = PAPER_UNIT) -> Float[np.ndarray, "cars 4"]:
+def draw_starts(
+    scenario: Scenario, random: np.random.Generator, unit: float = PAPER_UNIT
+) -> Float[np.ndarray, "cars 4"]:
     """A start of every car, with the noise of the paper's experiments.
 
     Normal noise of sd 5e-4 units on x and y and of 1e-3 on speed and heading, and a further 0.01 on the x of the

@@ -112,7 +112,9 @@ def decide(
     expansion = _expand(game, state, robot, human)
     none = jnp.zeros((2, 2))
 
-    def gain(expected: Float[jax.Array, "2"], influence: Float[jax.Array, "2 2"], alternative: Int[Array, ""] | int):
+    def gain(
+        expected: Float[jax.Array, "2"], influence: Float[jax.Array, "2 2"], alternative: Int[jax.Array, ""] | int
+    ) -> Float[jax.Array, ""]:
         change = _change_of_control(expansion, human, expected, influence, switching)
         earned = _one_step_reward(game, state, robot + change, human + expansion.influence @ change)
         return earned - observed_reward - switching.price * (costs[alternative] - costs[rung])

@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from ms_highway.envs import SCENARIOS
 from ms_highway.envs.base import RELEASED_TRUST_TOLERANCE
-from ms_highway.game import Game, swap
+from ms_highway.game import Game
 from ms_highway.human_models import MODELS, HumanModel, Naive, ladder
 from ms_highway.reward import reward
 from ms_highway.scenario import build_game
@@ -90,7 +90,7 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
             episodes = {name: archive[name] for name in ARRAYS}
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(f"{file} is no reference file: {error}") from error
-    count, steps, *cars = episodes["states"].shape
+    count, steps, *_cars = episodes["states"].shape
     wanted = {
         "states": (count, steps, len(SCENARIOS[scenario].cars), 4),
         "robot_controls": (count, steps, 2),
@@ -120,9 +120,7 @@ def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> 
     names = list(MODELS)
     rungs = ladder([names[index] for index in episodes["ladder"]])
     costs = np.array([PUBLISHED_COSTS[model.name] for model in rungs])
-    switching = jax.tree.map(
-        jnp.asarray, Switching(costs, price, rungs, trust_tolerance=RELEASED_TRUST_TOLERANCE)
-    )
+    switching = jax.tree.map(jnp.asarray, Switching(costs, price, rungs, trust_tolerance=RELEASED_TRUST_TOLERANCE))
     place = {index: rung for rung, index in enumerate(episodes["ladder"].tolist())}
     logged = np.vectorize(place.__getitem__)(episodes["models"])
     arrays = [episodes[name].astype(np.float32) for name in ("states", "robot_controls", "human_controls", "rewards")]

@@ -1,6 +1,7 @@
 """highway-env vehicles: a bicycle with friction, a car on a script, and cars that plan."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import atan, tan
 from typing import Any
 
@@ -35,9 +36,13 @@ class BicycleVehicle(Vehicle):
     WIDTH = 2.5  # m
     COLOR: tuple[int, int, int] | None = None
 
+    speed: float
+    crashed: bool
+    impact: Float[np.ndarray, "2"] | None
+
     def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
         super().__init__(road, position, heading, speed)
-        self.dynamics = Dynamics("bicycle", PAPER_FRICTION, TIME_STEP)
+        self.dynamics = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
         self.control = np.zeros(2)
         if self.COLOR:
             self.color = self.COLOR
@@ -51,21 +56,21 @@ class BicycleVehicle(Vehicle):
         """Take an action, to be executed until the next one; without one, go on with the last."""
         if action:
             curvature = tan(float(action["steering"])) / self.LENGTH
-            omega = curvature if self.dynamics.law == "bicycle" else curvature * self.speed
+            omega = curvature if self.dynamics.steering == "curvature" else curvature * self.speed
             self.execute(np.array([omega, float(action["acceleration"])]))
 
     def execute(self, control: Float[np.ndarray, "2"]) -> None:
         """Take a control ``(omega, acceleration)`` in the units of the law of motion, until the next one."""
         self.control = np.asarray(control, dtype=float)
         omega, acceleration = self.control
-        curvature = omega if self.dynamics.law == "bicycle" else omega / self.speed if self.speed else 0.0
+        curvature = omega if self.dynamics.steering == "curvature" else omega / self.speed if self.speed else 0.0
         self.action = {"steering": atan(curvature * self.LENGTH), "acceleration": float(acceleration)}
 
     def step(self, dt: float) -> None:
         """Move for ``dt`` seconds; a crashed car brakes to a stop, as highway-env has it."""
         if self.crashed:
             self.execute(np.array([0.0, -self.speed]))
-        dynamics = Dynamics(self.dynamics.law, self.dynamics.drag, dt)
+        dynamics = replace(self.dynamics, time_step=dt)
         x, y, heading, speed = step(dynamics, self.state, self.control)
         self.position = np.array([x, y])
         self.heading, self.speed = float(heading), float(speed)
