@@ -90,34 +90,29 @@ def rollout(
     if dynamics.friction != "linear":
         raise ValueError("a rollout needs linear friction; with quadratic friction, repeat `step`")
     steps, dt = len(controls), dynamics.time_step
-    rows, columns = np.ogrid[:steps, :steps]
-    past = jnp.asarray(rows >= columns, dtype=controls.dtype)
-    decay = 1 - dynamics.drag * dt
+    age = np.arange(1, steps + 1)[:, None] - np.arange(steps + 1)  # steps from each term to each state, < 0: not yet
+    plain = jnp.asarray(age >= 0, dtype=controls.dtype)
+    fading = plain * (1 - dynamics.drag * dt) ** np.maximum(age, 0)
 
-    def weighted_sum(weights: Float[jax.Array, "steps steps"], terms: Float[jax.Array, "steps *cars"]) -> jax.Array:
-        weights = weights.reshape(steps, steps, *[1] * (terms.ndim - 1))
-        return jnp.sum(weights * terms, axis=1)  # unlike a small matrix product, this is fused with its neighbours
+    def accumulate(weights: Float[jax.Array, "steps terms"], initial: jax.Array, changes: jax.Array) -> jax.Array:
+        """Sums of an initial value and the changes so far; unlike a small matrix product, fused with what follows."""
+        terms = jnp.concatenate([initial[None], changes])
+        return jnp.sum(weights.reshape(*weights.shape, *[1] * initial.ndim) * terms, axis=1)
 
-    def before(initial: Float[jax.Array, "*cars"], after: Float[jax.Array, "steps *cars"]) -> jax.Array:
+    def before(initial: jax.Array, after: jax.Array) -> jax.Array:
         return jnp.concatenate([initial[None], after[:-1]])
 
     x, y, heading, speed = jnp.moveaxis(state, -1, 0)
     omega, acceleration = jnp.moveaxis(controls, -1, 0)
-    powers = jnp.power(decay, np.arange(1, steps + 1)).reshape(-1, *[1] * speed.ndim)
-    speeds = powers * speed + dt * weighted_sum(past * jnp.power(decay, np.maximum(rows - columns, 0)), acceleration)
+    speeds = accumulate(fading, speed, acceleration * dt)
     old_speeds = before(speed, speeds)
-    headings = heading + dt * weighted_sum(past, old_speeds * omega if dynamics.steering == "curvature" else omega)
+    yaw_rates = old_speeds * omega if dynamics.steering == "curvature" else omega
+    headings = accumulate(plain, heading, yaw_rates * dt)
     old_headings = before(heading, headings)
     distances = old_speeds * dt + (acceleration - _resistance(dynamics, old_speeds)) * dt**2 / 2
-    return jnp.stack(
-        [
-            x + weighted_sum(past, distances * jnp.cos(old_headings)),
-            y + weighted_sum(past, distances * jnp.sin(old_headings)),
-            headings,
-            speeds,
-        ],
-        axis=-1,
-    )
+    xs = accumulate(plain, x, distances * jnp.cos(old_headings))
+    ys = accumulate(plain, y, distances * jnp.sin(old_headings))
+    return jnp.stack([xs, ys, headings, speeds], axis=-1)
 
 
 def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) -> Float[jax.Array, "steps *cars 4"]:
