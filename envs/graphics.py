@@ -54,8 +54,8 @@ class InteractionViewer(EnvViewer):
         for car in road.vehicles:
             VehicleGraphics.display(car, surface, offscreen=self.offscreen)
         self._plans()
-        for name, car in (("robot", self.env.robot), ("human", self.env.human)):
-            self._name(name, car)
+        self._name("human", self.env.human, side=-1)
+        self._name("robot", self.env.robot, side=1)
         self._panel()
         if not self.offscreen:
             self.screen.blit(surface, (0, 0))
@@ -69,14 +69,14 @@ class InteractionViewer(EnvViewer):
         surface.fill(GROUND)
         pygame.draw.rect(surface, ASPHALT, (0, top, surface.get_width(), bottom - top))
 
-    def _name(self, name: str, car: Any) -> None:
-        """The car's name on the roadside, on the side of its lane."""
-        surface = self.sim_surface
-        x, y = surface.vec2pix(car.position)
-        _, centre = surface.vec2pix(self.window_position())
+    def _name(self, name: str, car: Any, side: int) -> None:
+        """The car's name at the roadside: -1 is the left, at the top."""
+        surface, scene = self.sim_surface, self.env.game.scene
+        reach = float(np.ptp(scene.lanes) + scene.lane_width) / 2
+        x, _ = surface.vec2pix(car.position)
+        _, y = surface.pos2pix(0, self.window_position()[1] + side * reach)
         label = self.fonts[22].render(name, True, INK)
-        reach = surface.pix(car.WIDTH) + 8
-        surface.blit(label, label.get_rect(center=(x, y - reach if y < centre else y + reach)))
+        surface.blit(label, label.get_rect(center=(x, y + 14 * side)))
 
     def _cone(self, cone: Any) -> None:
         surface = self.sim_surface
@@ -141,10 +141,21 @@ class InteractionViewer(EnvViewer):
         if model is not None:
             planning, deciding = 1e3 * record["planning_seconds"], 1e3 * record["decision_seconds"]
             lines.append(f"planning {planning:.1f} ms, deciding {deciding:.1f} ms")
-            gains = ", ".join(f"{name} {gain:+.3f}" for name, gain in record["gains"].items())
-            lines.append(f"estimated gain by switching: {gains}" if gains else "no switch considered")
+            lines.append(self._reason(record))
         for place, line in enumerate(lines):
             self._text(line, 22, INK, (MARGIN, top + 50 + 26 * place))
+
+    def _reason(self, record: dict[str, Any]) -> str:
+        """Why this model: what switching promised, net of the price of planning."""
+        gains = record["gains"]
+        if not gains:
+            return "no other model considered"
+        promises = ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
+        return (
+            f"switched, for it promised {promises}"
+            if record["model"] in gains
+            else f"stays, for others promised {promises}"
+        )
 
     def _chart(self, title: str, box: pygame.Rect) -> None:
         self._text(title, 18, FAINT, (box.left, box.top - 16))

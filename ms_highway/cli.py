@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -175,6 +176,7 @@ def _video(options: argparse.Namespace) -> None:
         raise ValueError(f"--speed is {options.speed}; it must be positive")
     controller = options.controller or experiment.paper_controllers(options.scenario)[-1]
     video.check_format(options.out)
+    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory; SDL need not look for a screen
     pictures, rate = video.frames(options.scenario, controller, options.seed, options.semantics)
     video.write(pictures, options.out, rate * options.speed)
     print(f"{options.out}: {len(pictures)} frames, {len(pictures) / rate / options.speed:.1f} s")

@@ -120,10 +120,11 @@ def _collision_risk(
     points and obstacles; the indicator says whether any D < 1.
     """
     own, others = states[..., 0, :], states[..., 1:, :]
-    points = _body_points(scene)
-    body = _rotate(points, own[..., None, 2]) + own[..., None, :2]  # [*batch, 9, 2]
-    to_cars = _rotate(body[..., None, :, :] - others[..., None, :2], -others[..., None, 2])
-    to_obstacles = body[..., None, :, :] - jnp.asarray(scene.obstacles)[:, None, :]
+    points = _rotate(_body_points(scene), own[..., None, 2])[..., None, :, :]  # [*batch, 1, 9, 2], from the centre
+    from_cars = own[..., None, :2] - others[..., :2]
+    from_obstacles = own[..., None, :2] - jnp.asarray(scene.obstacles)
+    to_cars = _rotate(from_cars[..., None, :] + points, -others[..., None, 2])
+    to_obstacles = from_obstacles[..., None, :] + points
     car_distance = jnp.sum((2 * to_cars / jnp.asarray(scene.car_size)) ** 2, axis=-1)  # D: [*batch, others, 9]
     obstacle_distance = jnp.sum((2 * to_obstacles / jnp.asarray(scene.obstacle_size)) ** 2, axis=-1)
     risk = jnp.sum(jnp.exp(-CAR_SHARPNESS * (car_distance - 1)), axis=(-2, -1)) + OBSTACLE_SHARE * jnp.sum(

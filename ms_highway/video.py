@@ -48,5 +48,5 @@ def write(pictures: list[UInt8[np.ndarray, "h w 3"]], path: Path, frames_per_sec
     if path.suffix == ".gif":
         imageio.imwrite(temporary, np.stack(pictures), duration=1000 / frames_per_second, loop=0)
     else:
-        imageio.imwrite(temporary, np.stack(pictures), fps=frames_per_second, codec="libx264")
+        imageio.imwrite(temporary, np.stack(pictures), plugin="pyav", fps=frames_per_second, codec="libx264")
     temporary.replace(path)

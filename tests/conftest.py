@@ -1,0 +1,49 @@
+"""What the tests share: games, starts, reference episodes, and one compilation cache for all processes."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.envs import SCENARIOS
+from ms_highway.game import Game
+from ms_highway.scenario import build_game, draw_starts
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shared_compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Commands and spawned workers that tests start find what has been compiled already."""
+    cache = str(tmp_path_factory.mktemp("compilation_cache"))
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = cache
+    jax.config.update("jax_compilation_cache_dir", cache)
+
+
+@pytest.fixture(scope="session")
+def reference() -> Path:
+    """The directory of the reference episodes."""
+    default = Path(__file__).parents[2] / "shared" / "reference" / "episodes"
+    directory = Path(os.environ.get("MS_HIGHWAY_REFERENCE", default))
+    if not list(directory.glob("*.npz")):
+        pytest.skip(f"no reference episodes in {directory}; set MS_HIGHWAY_REFERENCE to their directory")
+    return directory
+
+
+@pytest.fixture(params=SCENARIOS)
+def scenario(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def played() -> Callable[..., tuple[Game, jax.Array]]:
+    """A scenario's game, with anything that `build_game` takes, and a drawn start in the game's unit."""
+
+    def make(scenario: str, seed: int = 0, **options: object) -> tuple[Game, jax.Array]:
+        game = build_game(SCENARIOS[scenario], **options)
+        start = draw_starts(SCENARIOS[scenario], np.random.default_rng(seed), unit=float(game.scene.length_unit))
+        return game, jnp.asarray(start, dtype=jnp.float32)
+
+    return make

@@ -1,0 +1,131 @@
+"""Plans under the ladder of human models."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.game import constant_velocity, response, total_reward
+from ms_highway.human_models import MODELS, JointPlan, TheoryOfMind, Turn, ladder
+from ms_highway.planner import Planner, ascend
+
+
+@partial(jax.jit, static_argnames="model")
+def plan(model, game, state):
+    return model.plan(game, state)
+
+
+def mirrored(game, state):
+    """The game and the state seen in a mirror along the road."""
+    flip = jnp.array([1.0, -1.0])
+    scene = game.scene
+    scene = replace(scene, lanes=-scene.lanes, obstacles=scene.obstacles * flip, target_lane=-scene.target_lane)
+    return replace(game, scene=scene), state * jnp.array([1.0, -1.0, -1.0, 1.0])
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_mirrored_scenes_give_mirrored_plans(played, name):
+    game, state = played("merger", seed=3)
+    straight, mirror = plan(MODELS[name], game, state), plan(MODELS[name], *mirrored(game, state))
+    scale = np.array([-1.0, 1.0])
+    np.testing.assert_allclose(mirror.robot, straight.robot * scale, atol=2e-3)
+    np.testing.assert_allclose(mirror.human, straight.human * scale, atol=2e-3)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_plan_earns_more_than_doing_nothing(scenario, played, name):
+    if name not in ("naive", "turn") and scenario == "stay_back":
+        pytest.skip("the paper's ladder in Stay Back ends at turn")
+    game, state = played(scenario)
+    joint = plan(MODELS[name], game, state)
+    assert total_reward(game, state, *joint) > total_reward(game, state, jnp.zeros((5, 2)), joint.human)
+
+
+def test_naive_expects_the_human_to_keep_its_velocity(played):
+    game, state = played("merger")
+    joint = plan(MODELS["naive"], game, state)
+    np.testing.assert_allclose(joint.human, constant_velocity(game, state[1]), rtol=1e-6)
+    assert float(joint.human[0, 1]) == pytest.approx(0.2 * float(state[1, 3]) * 3 / 100, rel=1e-5)
+
+
+def test_turn_expects_what_a_human_who_ignores_the_robot_would_plan(played):
+    game, state = played("give_way")
+    human_game = replace(game, robot=game.human, human=game.robot)
+    seen_by_human = jnp.concatenate([state[1::-1], state[2:]])
+    np.testing.assert_allclose(
+        plan(Turn(), game, state).human, plan(MODELS["naive"], human_game, seen_by_human).robot, atol=1e-5
+    )
+
+
+def test_theory_of_mind_without_influence_steps_like_turn(played):
+    """If the human's reward does not depend on the robot, a step of ToM is the robot's step against that human."""
+    game, state = played("merger")
+    state = state.at[1:, 0].add(-500.0).at[2:, 0].add(-500.0)  # nobody is near anybody
+    one_step = replace(game, planner=replace(game.planner, iterations=1))
+    start = jnp.zeros((5, 2))
+    joint = plan(TheoryOfMind(), one_step, state)
+    slope = jax.grad(total_reward, argnums=2)
+    alone = ascend(one_step.planner, lambda robot: slope(game, state, robot, start), start)
+    np.testing.assert_allclose(joint.robot, alone, atol=1e-6)
+
+
+def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
+    """In Merger the human brakes for a robot that counts on it, and the robot steers in; seen in the plans."""
+    game, state = played("merger")
+    naive, tom = plan(MODELS["naive"], game, state), plan(MODELS["tom"], game, state)
+    assert tom.human[:, 1].mean() < naive.human[:, 1].mean()
+    assert tom.robot[0, 0] < naive.robot[0, 0] < 0  # to the left, and more so
+
+
+def test_the_exact_response_is_the_newton_step_and_the_damped_one_always_ascends():
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        hessian = random.normal(0, 3, (10, 10)).astype(np.float32)
+        hessian = hessian + hessian.T
+        push = random.normal(size=10).astype(np.float32)
+        np.testing.assert_allclose(hessian @ response("exact", hessian, push), -push, atol=2e-2)
+        damped = response("damped", hessian, push)
+        assert damped @ push > 0
+        assert np.linalg.norm(damped) <= np.linalg.norm(push) * 1.001
+
+
+def test_damping_leaves_a_stiff_concave_human_as_it_is():
+    hessian = -np.diag([2.0, 5.0, 1.0]).astype(np.float32)
+    push = np.array([1.0, -2.0, 3.0], dtype=np.float32)
+    np.testing.assert_allclose(response("damped", hessian, push), response("exact", hessian, push), rtol=1e-5)
+
+
+def test_controls_stay_within_their_limits(played):
+    limit = (0.02, 2.0)
+    game, state = played("stay_back", control_limit=limit)
+    joint = plan(Turn(), game, state.at[:, 0].add(15.0))
+    physical = np.abs(joint.robot * game.planner.control_scale)
+    assert (physical <= np.array(limit) * 1.0001).all()
+    assert (physical >= np.array(limit) * 0.9999).any(), "the limit should bind in this situation"
+
+
+def test_ascent_climbs_a_concave_hill_to_its_top():
+    planner = Planner(jnp.ones(2), jnp.full(2, jnp.inf), step_size=0.4, iterations=60)
+    top = jnp.array([[1.0, -2.0], [3.0, 0.5]])
+    reached = ascend(
+        planner,
+        lambda plan: JointPlan(top - plan.robot, top - plan.human),
+        JointPlan(jnp.zeros((2, 2)), jnp.zeros((2, 2))),
+    )
+    np.testing.assert_allclose(reached.robot, top, atol=1e-4)
+
+
+def test_plans_work_under_vmap(played):
+    game, _ = played("stay_back")
+    states = jnp.stack([played("stay_back", seed)[1] for seed in range(2)])
+    together = jax.jit(jax.vmap(partial(Turn().plan, game)))(states)
+    np.testing.assert_allclose(together.robot[1], plan(Turn(), game, states[1]).robot, atol=1e-3)
+
+
+@pytest.mark.parametrize("names", [[], ["tom", "naive"], ["naive", "naive"], ["naive", "oracle"]])
+def test_an_impossible_ladder_is_refused(names):
+    with pytest.raises(ValueError, match="ladder|unknown human model 'oracle'"):
+        ladder(names)
