@@ -2,16 +2,35 @@
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from inspect import signature
 from typing import Any
 
 import numpy as np
+from highway_env.envs.common.observation import (
+    GrayscaleObservation,
+    KinematicObservation,
+    LidarObservation,
+    OccupancyGridObservation,
+)
 
 from ms_highway.human_models import MODELS, ladder
 
 __all__ = ["controller_config", "merged"]
 
 CONTROLLER_KEYS = {"switching": {"type", "lambda"}, "fixed": {"type", "model"}}
-ACTION_KEYS = {"Autopilot": {"type"}, "HumanModelAction": {"type", "lambda"}}
+ACTIONS = {
+    "Autopilot": set(),
+    "HumanModelAction": {"lambda"},
+    "ContinuousAction": {"acceleration_range", "steering_range", "longitudinal", "lateral", "clip"},
+    "DiscreteAction": {"acceleration_range", "steering_range", "longitudinal", "lateral", "clip", "actions_per_axis"},
+}
+OBSERVATIONS = {
+    "CarStates": None,
+    "Kinematics": KinematicObservation,
+    "OccupancyGrid": OccupancyGridObservation,
+    "LidarObservation": LidarObservation,
+    "GrayscaleObservation": GrayscaleObservation,
+}
 CHOICES = {"semantics": ("paper", "released"), "influence": (None, "exact", "damped")}
 FREQUENCY = 10  # Hz
 
@@ -61,6 +80,7 @@ def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> di
         raise ValueError(f"config['ladder']: {error}") from None
     _check_controller(config["controller"])
     _check_action(config["action"])
+    _check_observation(config["observation"])
     _check_costs(config["costs"], config["ladder"])
     _check_limit(config["control_limit"])
     return config
@@ -104,14 +124,23 @@ def _check_controller(config: Any) -> None:
         raise ValueError(f"{place}['model'] is {config.get('model')!r}; the human models are {', '.join(MODELS)}")
 
 
-def _check_action(config: Any) -> None:
-    place = "config['action']"
-    if not isinstance(config, Mapping) or "type" not in config:
-        raise ValueError(f"{place} is {config!r}; it must be a mapping with a 'type'")
-    if config["type"] in ACTION_KEYS:
-        _refuse_unknown(place, config, ACTION_KEYS[config["type"]])
+def _check_type(key: str, config: Any, known: Iterable[str]) -> None:
+    if not isinstance(config, Mapping) or config.get("type") not in known:
+        raise ValueError(f"config[{key!r}] is {config!r}; its 'type' must be one of {', '.join(known)}")
+
+
+def _check_action(config: Mapping[str, Any]) -> None:
+    _check_type("action", config, ACTIONS)
+    _refuse_unknown("config['action']", config, ACTIONS[config["type"]] | {"type"})
     if config["type"] == "HumanModelAction":
-        _check_price(place, config)
+        _check_price("config['action']", config)
+
+
+def _check_observation(config: Mapping[str, Any]) -> None:
+    _check_type("observation", config, OBSERVATIONS)
+    kind = OBSERVATIONS[config["type"]]
+    options = set(signature(kind).parameters) - {"env", "kwargs"} if kind else set()
+    _refuse_unknown("config['observation']", config, options | {"type"})
 
 
 def _check_costs(costs: Any, names: Iterable[str]) -> None:

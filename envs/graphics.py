@@ -54,8 +54,10 @@ class InteractionViewer(EnvViewer):
         for car in road.vehicles:
             VehicleGraphics.display(car, surface, offscreen=self.offscreen)
         self._plans()
-        self._name("human", self.env.human, side=-1)
-        self._name("robot", self.env.robot, side=1)
+        (_, robot_start), (_, human_start), *_ = self.env.scenario.cars
+        side = 1 if robot_start > human_start else -1
+        self._name("robot", self.env.robot, side)
+        self._name("human", self.env.human, -side)
         self._panel()
         if not self.offscreen:
             self.screen.blit(surface, (0, 0))
@@ -147,15 +149,12 @@ class InteractionViewer(EnvViewer):
 
     def _reason(self, record: dict[str, Any]) -> str:
         """Why this model: what switching promised, net of the price of planning."""
-        gains = record["gains"]
-        if not gains:
-            return "no other model considered"
-        promises = ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
-        return (
-            f"switched, for it promised {promises}"
-            if record["model"] in gains
-            else f"stays, for others promised {promises}"
-        )
+        gains, model = record["gains"], record["model"]
+        if model in gains:
+            return f"switched: estimated net gain {gains[model]:+.3f}"
+        if gains:
+            return "stays: estimated net gain of " + ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
+        return "no switch considered"
 
     def _chart(self, title: str, box: pygame.Rect) -> None:
         self._text(title, 18, FAINT, (box.left, box.top - 16))

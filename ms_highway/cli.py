@@ -148,9 +148,11 @@ def _compare(options: argparse.Namespace) -> None:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
+    counts = experiment.run(comparison, options.out)
+    already = next(counts)
     with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("episodes", total=len(list(comparison.episodes())))
-        for done in experiment.run(comparison, options.out):
+        task = progress.add_task("episodes", total=len(list(comparison.episodes())), completed=already)
+        for done in counts:
             progress.update(task, completed=done)
     records = experiment.read(comparison, options.out)
     summaries = report.summary(records)

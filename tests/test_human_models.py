@@ -127,5 +127,5 @@ def test_plans_work_under_vmap(played):
 
 @pytest.mark.parametrize("names", [[], ["tom", "naive"], ["naive", "naive"], ["naive", "oracle"]])
 def test_an_impossible_ladder_is_refused(names):
-    with pytest.raises(ValueError, match="ladder|unknown human model 'oracle'"):
+    with pytest.raises(ValueError, match=r"ladder|unknown human model 'oracle'"):
         ladder(names)

@@ -67,7 +67,7 @@ def test_files_that_are_no_reference_files_are_refused_by_name(tmp_path):
     with pytest.raises(FileNotFoundError, match="no reference episodes"):
         validate(tmp_path / "absent")
     (tmp_path / "merger__naive.npz").write_bytes(b"not an archive")
-    with pytest.raises(ValueError, match="merger__naive.npz is no reference file"):
+    with pytest.raises(ValueError, match=r"merger__naive\.npz is no reference file"):
         validate(tmp_path)
     np.savez(tmp_path / "merger__naive.npz", states=np.zeros((1, 2, 3, 4)))
     with pytest.raises(ValueError, match="robot_controls"):

@@ -1,0 +1,7 @@
+"""``python -m ms_highway`` is the command ``ms-highway``."""
+
+import sys
+
+from ms_highway.cli import main
+
+sys.exit(main())

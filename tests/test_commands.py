@@ -1,0 +1,113 @@
+"""The commands as a user types them."""
+
+import subprocess
+import sys
+
+import imageio.v3 as imageio
+import pandas as pd
+import pytest
+
+from ms_highway.cli import main
+from ms_highway.experiment import COLUMNS
+
+COMPARE = ["compare", "stay_back", "--controllers", "naive", "switching:0.4", "--seeds", "2", "--out"]
+
+
+def failure(capsys, *arguments):
+    """The one line that a refused command prints."""
+    assert main(list(arguments)) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+def untimed(directory):
+    """The records without their measured times."""
+    records = pd.read_csv(directory / "steps.csv")
+    return records.drop(columns=[name for name in records if name.endswith("seconds")])
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("compare")
+    assert main([*COMPARE, str(directory)]) == 0
+    return directory
+
+
+def test_compare_writes_a_row_per_step_a_summary_and_figures(compared):
+    records = pd.read_csv(compared / "steps.csv")
+    assert list(records) == COLUMNS
+    assert len(records) == 2 * 2 * 35
+    summary = pd.read_csv(compared / "summary.csv").set_index("controller")
+    means = records.groupby("controller")["reward"].mean()
+    for controller in ("naive", "switching:0.4"):
+        assert summary.loc[controller, "reward"] == pytest.approx(means[controller])
+        assert summary.loc[controller, "reward_low"] < means[controller] < summary.loc[controller, "reward_high"]
+    assert summary.loc["naive", "share_naive"] == 1
+    assert summary.loc["naive", "decision_ms"] == 0 < summary.loc["switching:0.4", "decision_ms"]
+    for name in ("bars", "timeline"):
+        assert imageio.imread(compared / f"stay_back_{name}.png").std() > 10
+    assert not list(compared.glob("*part*"))
+
+
+def test_compare_goes_on_where_it_was_stopped(compared, tmp_path, capsys):
+    lines = (compared / "steps.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "settings.json").write_text((compared / "settings.json").read_text())
+    (tmp_path / "steps.csv").write_text("".join(lines[: 1 + 35 + 10]) + lines[46][:20])  # killed in the second episode
+    assert main([*COMPARE, str(tmp_path)]) == 0
+    pd.testing.assert_frame_equal(untimed(tmp_path), untimed(compared))
+    before = (tmp_path / "steps.csv").read_text()
+    assert main([*COMPARE, str(tmp_path)]) == 0
+    assert (tmp_path / "steps.csv").read_text() == before
+
+
+def test_compare_refuses_a_directory_of_other_settings(compared, capsys):
+    line = failure(capsys, *COMPARE, str(compared), "--semantics", "released")
+    assert "choose another directory" in line
+
+
+def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys):
+    (tmp_path / "settings.json").write_text((compared / "settings.json").read_text())
+    (tmp_path / "steps.csv").write_text("these are\nno, records\n")
+    assert "cannot be read" in failure(capsys, *COMPARE, str(tmp_path))
+    assert (tmp_path / "steps.csv").read_text() == "these are\nno, records\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["compare", "roundabout"], "unknown scenario 'roundabout'"),
+        (["compare", "merger", "--controllers", "oracle"], "unknown controller 'oracle'"),
+        (["compare", "merger", "--controllers", "switching"], "switching:0.1"),
+        (["compare", "merger", "--controllers", "switching:-1"], "not negative"),
+        (["compare", "merger", "--seeds", "0"], "--seeds is 0"),
+        (["compare", "merger", "--costs", "naive=cheap"], "--costs"),
+        (["compare", "merger", "--costs", "naive=0.1"], "'turn'"),
+        (["video", "merger", "--out", "film.avi"], ".mp4 or .gif"),
+        (["video", "merger", "--out", "film.mp4", "--speed", "0"], "--speed"),
+        (["validate", "nowhere"], "no reference episodes"),
+    ],
+)
+def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert message in failure(capsys, *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "gif"])
+def test_a_video_plays_at_true_speed(suffix, tmp_path, capsys):
+    film = tmp_path / "films" / f"stay_back.{suffix}"
+    assert main(["video", "stay_back", "--controller", "naive", "--seed", "1", "--out", str(film)]) == 0
+    assert imageio.imread(film, plugin="pyav").shape == (35, 352, 960, 3)
+    seconds = imageio.immeta(film, plugin="pyav")["duration"]
+    assert seconds == pytest.approx(3.5, abs=0.11)
+    assert [path.name for path in film.parent.iterdir()] == [film.name]
+
+
+@pytest.mark.parametrize("command", [[], ["compare"], ["video"], ["validate"]])
+def test_help_teaches_the_command(command):
+    run = subprocess.run(
+        [sys.executable, "-m", "ms_highway", *command, "--help"], capture_output=True, text=True, check=True
+    )
+    assert "ms-highway" in run.stdout
+    assert len(run.stdout) > 250

@@ -1,0 +1,260 @@
+"""The environments as a Gymnasium user meets them."""
+
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AsyncVectorEnv
+
+import ms_highway
+from ms_highway.envs import SCENARIOS, environment_id
+from ms_highway.envs.base import Seconds
+from ms_highway.scenario import PAPER_UNIT
+
+ACTIONS = {
+    "autopilot": {"type": "Autopilot"},
+    "human_model": {"type": "HumanModelAction", "lambda": 0.1},
+    "continuous": {"type": "ContinuousAction"},
+}
+FIXED = {"type": "fixed", "model": "naive"}
+TO_METRES = np.array([PAPER_UNIT, PAPER_UNIT, 1.0, PAPER_UNIT])
+
+
+def make(scenario, render_mode=None, **config):
+    return gym.make(environment_id(scenario), render_mode=render_mode, config=config)
+
+
+def drive(env, seed=0, options=None, action=0):
+    """States before the first and after every step, and the rewards and infos of a whole episode."""
+    env.reset(seed=seed, options=options)
+    states, rewards, infos, done = [env.unwrapped.car_states], [], [], False
+    while not done:
+        _, reward, terminated, truncated, info = env.step(action)
+        done = terminated or truncated
+        states.append(env.unwrapped.car_states)
+        rewards.append(reward)
+        infos.append(info)
+    return np.array(states), np.array(rewards), infos
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_gymnasiums_checker_passes_without_a_warning(scenario, action):
+    env = make(scenario, "rgb_array", action=ACTIONS[action], controller=FIXED)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+
+
+def test_ids_are_registered_once_and_for_good():
+    ms_highway.envs._register()
+    assert all(environment_id(name).removeprefix("ms_highway:") in gym.registry for name in SCENARIOS)
+
+
+def test_episodes_have_the_papers_length_at_ten_hertz(scenario):
+    env = make(scenario, controller=FIXED)
+    states, rewards, infos = drive(env)
+    assert len(rewards) == {"stay_back": 35, "merger": 40, "give_way": 40}[scenario]
+    travelled = states[-1, 1, 0] - states[0, 1, 0]
+    assert travelled == pytest.approx(len(rewards) * 0.1 * states[:, 1, 3].mean(), rel=0.05)
+    assert infos[-1]["collision_effect"] == "reward only"
+
+
+def test_the_same_seed_gives_the_same_episode_and_another_one_another():
+    env = make("merger")
+    first, again, other = drive(env, 7), drive(env, 7), drive(env, 8)
+    np.testing.assert_array_equal(first[0], again[0])
+    np.testing.assert_array_equal(first[1], again[1])
+    assert [info["model"] for info in first[2]] == [info["model"] for info in again[2]]
+    assert abs(first[0] - other[0]).max() > 1e-3
+
+
+def test_starts_have_the_noise_of_the_papers_experiments():
+    env = make("merger")
+    states = []
+    for seed in range(300):
+        env.reset(seed=seed)
+        states.append(env.unwrapped.car_states / TO_METRES)
+    spread = np.std(states, axis=0)
+    np.testing.assert_allclose(spread[:, 1], 5e-4, rtol=0.15)
+    np.testing.assert_allclose(spread[:, 2:], 1e-3, rtol=0.15)
+    np.testing.assert_allclose(spread[:, 0], [np.hypot(0.01, 5e-4), 5e-4, 5e-4], rtol=0.15)
+
+
+def test_initial_states_can_be_given_and_are_checked():
+    env = make("merger", controller=FIXED)
+    given = np.array([[0, 0, 0.0, 19.0], [-5, -3.3, 0.01, 20.0], [8, -3.3, 0.0, 21.0]])
+    env.reset(options={"initial_states": given})
+    np.testing.assert_array_equal(env.unwrapped.car_states, given)
+    with pytest.raises(ValueError, match=r"shape \(2, 4\); merger needs \(3, 4\)"):
+        env.reset(options={"initial_states": given[:2]})
+    with pytest.raises(ValueError, match="not finite"):
+        env.reset(options={"initial_states": given * np.nan})
+    with pytest.raises(ValueError, match="initial_state"):
+        env.reset(options={"initial_state": given})
+
+
+@pytest.mark.parametrize("name", ["merger__naive", "merger__turn", "give_way__naive", "give_way__turn"])
+def test_released_semantics_follow_the_logged_cars(reference, name):
+    scenario, model = name.split("__")
+    env = make(scenario, semantics="released", controller={"type": "fixed", "model": model})
+    with np.load(reference / f"{name}.npz") as logs:
+        logged, rewards = logs["states"], logs["rewards"]
+    for run in range(3):
+        states, earned, _ = drive(env, options={"initial_states": logged[run, 0] * TO_METRES})
+        np.testing.assert_allclose(states[:-1] / TO_METRES, logged[run], atol=1e-3)
+        np.testing.assert_allclose(earned, rewards[run], atol=1e-2)
+
+
+def test_switching_thinks_harder_to_merge_and_earns_more_than_naive():
+    _, naive, _ = drive(make("merger", controller=FIXED))
+    _, switching, infos = drive(make("merger"))
+    assert switching.mean() > naive.mean() + 3
+    models = [info["model"] for info in infos]
+    assert set(models) == {"naive", "turn", "tom"}
+    switched = [
+        info for before, info in zip(models, infos[1:], strict=False) if info["model"] not in (before, "turn", "naive")
+    ]
+    assert switched
+    assert all(info["gains"]["tom"] > 0 for info in switched)
+
+
+def test_info_tells_reward_by_feature_and_measured_times():
+    _, rewards, infos = drive(make("merger", controller={"type": "fixed", "model": "turn"}))
+    for reward, info in zip(rewards, infos, strict=True):
+        assert sum(info["rewards"].values()) == pytest.approx(reward)
+        assert info["status"] == info["human_status"] == "planned"
+        assert 0 < info["planning_seconds"] < 1
+        assert info["collision"] is False
+
+
+def test_the_agent_that_chooses_the_model_pays_for_its_time():
+    free = make("merger", action={"type": "HumanModelAction", "lambda": 0.0})
+    dear = make(
+        "merger", action={"type": "HumanModelAction", "lambda": 2.0}, costs={"naive": 0.1, "turn": 0.2, "tom": 0.5}
+    )
+    for place, (name, seconds) in enumerate({"naive": 0.1, "turn": 0.2, "tom": 0.5}.items()):
+        outcomes = []
+        for env in (free, dear):
+            env.reset(seed=1)
+            outcomes.append(env.step(place))
+        assert outcomes[0][4]["model"] == name
+        assert outcomes[0][1] - outcomes[1][1] == pytest.approx(2.0 * seconds)
+
+
+def test_a_continuous_action_drives_the_robot():
+    env = make("merger", action={"type": "ContinuousAction"})
+    env.reset(seed=0)
+    speed = env.unwrapped.robot.speed
+    env.step(np.array([1.0, 0.0]))  # 5 m/s^2 against 0.2 1/s of friction
+    assert env.unwrapped.robot.speed == pytest.approx(speed + 0.1 * (5.0 - 0.2 * speed))
+
+
+def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked():
+    starts = np.array([[0, 0, 0.0, 20.0], [-8, -3.3, 0.0, 20.0], [3, 0.0, 0.0, 20.0]])
+    for terminate in (False, True):
+        env = make("merger", controller=FIXED, terminate_on_collision=terminate)
+        env.reset(options={"initial_states": starts})
+        _, reward, terminated, _, info = env.step(0)
+        assert info["collision"]
+        assert info["crashed"]
+        assert reward < -90
+        assert terminated is terminate
+        np.testing.assert_allclose(env.unwrapped.car_states[2], starts[2] + [2.0, 0, 0, 0])  # no push, no freeze
+
+
+def test_observations_stay_in_their_space_and_name_the_cars_by_role():
+    env = make("give_way", controller=FIXED)
+    observation, _ = env.reset(seed=0)
+    assert np.isfinite(env.observation_space.low).all()
+    assert np.isfinite(env.observation_space.high).all()
+    x, y, _, speed = env.unwrapped.car_states[1] - env.unwrapped.car_states[0]
+    np.testing.assert_allclose(observation[1, :3], [x / 100, y / 10, speed / 40], atol=1e-4)
+    for _ in range(40):
+        observation, *_ = env.step(0)
+        assert env.observation_space.contains(observation)
+
+
+def test_an_action_space_keeps_its_seed_across_resets():
+    env = make("merger", action=ACTIONS["human_model"]).unwrapped
+    env.action_space.seed(5)
+    space = env.action_space
+    env.reset(seed=0)
+    assert env.action_space is space
+
+
+def test_frame_rates_do_not_leak_between_environments():
+    env = make("merger")
+    env.reset()
+    assert env.unwrapped.metadata["render_fps"] == 10
+    assert "render_fps" not in type(env.unwrapped).metadata
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"semantic": "paper"}, "unknown key 'semantic' in config; did you mean 'semantics'"),
+        ({"controller": {"type": "fixed", "model": "oracle"}}, "'oracle'; the human models are naive, turn, tom"),
+        ({"controller": {"type": "switching", "lambda": -1}}, r"\['lambda'\] is -1"),
+        ({"controller": {"lamda": 1}}, "did you mean 'lambda'"),
+        ({"controller": {"type": "fixed"}}, "'model'"),
+        ({"controller": "tom"}, "'type' must be one of"),
+        ({"ladder": ["tom", "naive"]}, "cheapest first"),
+        ({"ladder": []}, "impossible ladder"),
+        ({"costs": "free"}, "'free'; say 'published'"),
+        ({"costs": {"naive": 0.1}}, "None seconds for 'turn'"),
+        ({"semantics": "real"}, "choose one of 'paper', 'released'"),
+        ({"influence": "none"}, "'influence'"),
+        ({"policy_frequency": 5}, "must be 10"),
+        ({"duration": -1}, "'duration'"),
+        ({"control_limit": [1.0]}, "'control_limit'"),
+        ({"action": {"type": "Teleport"}}, "Teleport"),
+        ({"action": {"type": "HumanModelAction", "lamda": 1}}, "did you mean 'lambda'"),
+        ({"action": {"type": "ContinuousAction", "clipp": True}}, "did you mean 'clip'"),
+        ({"observation": {"type": "Kinematics", "feature": []}}, "did you mean 'features'"),
+    ],
+)
+def test_a_wrong_configuration_is_refused_with_the_remedy(config, message):
+    with pytest.raises(ValueError, match=message):
+        make("merger", **config)
+
+
+def test_a_refused_change_leaves_the_configuration_as_it_was():
+    env = make("merger").unwrapped
+    before = dict(env.config)
+    with pytest.raises(ValueError, match="semantics"):
+        env.reset(options={"config": {"duration": 1.0, "semantics": "real"}})
+    assert env.config == before
+
+
+def test_nested_configurations_merge_and_a_new_type_replaces():
+    assert make("merger", controller={"lambda": 3}).unwrapped.config["controller"] == {"type": "switching", "lambda": 3}
+    assert make("merger", controller=FIXED).unwrapped.config["controller"] == FIXED
+
+
+def test_an_unknown_scenario_is_refused_by_name():
+    with pytest.raises(ValueError, match="'roundabout'; the scenarios are stay_back, merger, give_way"):
+        environment_id("roundabout")
+
+
+def test_spawned_workers_find_and_step_the_environments():
+    def worker():
+        return gym.make("ms_highway:ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
+
+    envs = AsyncVectorEnv([worker] * 2, context="spawn")
+    try:
+        envs.reset(seed=[3, 3])
+        observations, rewards, _, _, infos = envs.step(np.zeros(2, dtype=int))
+    finally:
+        envs.close()
+    np.testing.assert_array_equal(observations[0], observations[1])
+    assert rewards[0] == rewards[1] != 0
+    assert list(infos["model"]) == ["naive", "naive"]
+
+
+def test_measured_seconds_are_floats_that_only_differ_from_other_numbers():
+    assert Seconds(0.25) == Seconds(0.5)
+    assert Seconds(0.25) != 0.5
+    assert Seconds(0.25) + 1 == 1.25
+    assert np.asarray([Seconds(0.25)]).dtype == float

@@ -1,0 +1,114 @@
+"""highway-env vehicles with the paper's motion, and cars that plan."""
+
+from math import atan
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from highway_env.road.lane import SineLane, StraightLane
+from highway_env.road.road import Road, RoadNetwork
+
+from ms_highway.controller import ModelSwitching
+from ms_highway.dynamics import step
+from ms_highway.envs.base import Cone
+from ms_highway.human_models import ladder
+from ms_highway.scenario import driving_game
+from ms_highway.scene import from_road
+from ms_highway.switching import Switching
+from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RobotVehicle, ScriptedVehicle
+
+
+def straight_road(lanes=2):
+    return Road(RoadNetwork.straight_road_network(lanes, speed_limit=20.0), np_random=np.random.RandomState(0))
+
+
+def test_a_step_of_the_bicycle_vehicle_is_the_cores_step():
+    car = BicycleVehicle(straight_road(), [0.0, 0.0], heading=0.1, speed=18.0)
+    before = car.state
+    car.act({"steering": 0.05, "acceleration": 2.0})
+    omega = np.tan(0.05) / 5.0
+    car.step(0.1)
+    np.testing.assert_allclose(car.state, step(car.dynamics, before, np.array([omega, 2.0])), atol=1e-12)
+    assert car.state.dtype == np.float64
+
+
+def test_a_control_and_its_steering_angle_mean_the_same():
+    car = BicycleVehicle(straight_road(), [0.0, 0.0], speed=18.0)
+    car.execute(np.array([0.02, -1.0]))
+    assert car.action == {"steering": atan(0.02 * 5.0), "acceleration": -1.0}
+    other = BicycleVehicle(straight_road(), [0.0, 0.0], speed=18.0)
+    other.act(car.action)
+    np.testing.assert_allclose(other.control, car.control, atol=1e-12)
+
+
+def test_a_scripted_car_keeps_its_velocity_against_friction():
+    car = ScriptedVehicle(straight_road(), [0.0, 0.0], speed=20.0)
+    for _ in range(30):
+        car.act({"steering": 0.3, "acceleration": -5.0})
+        car.step(0.1)
+    assert car.speed == pytest.approx(20.0)
+    np.testing.assert_allclose(car.position, [60.0, 0.0])
+
+
+def test_a_crashed_bicycle_brakes_to_a_stop_as_highway_env_has_it():
+    road = straight_road()
+    cars = [BicycleVehicle(road, [x, 0.0], speed=speed) for x, speed in ((0.0, 20.0), (8.0, 0.0))]
+    road.vehicles = cars
+    for _ in range(30):
+        road.step(0.1)
+    assert cars[0].crashed
+    assert cars[0].speed < 1.0
+
+
+def test_the_scene_of_an_environment_can_be_read_from_its_road():
+    env = gym.make("ms_highway:ms-highway/stay-back-v0").unwrapped
+    env.reset(seed=0)
+    read, built = from_road(env.road, (5.0, 2.5), 100 / 3), env.game.scene
+    for name in ("lanes", "lane_width", "obstacles", "obstacle_size", "target_lane"):
+        np.testing.assert_allclose(getattr(read, name), getattr(built, name), rtol=1e-5, err_msg=name)
+
+
+def test_a_scene_with_a_winding_lane_is_refused_with_its_place():
+    network = RoadNetwork()
+    network.add_lane("a", "b", SineLane([0, 0], [100, 0], amplitude=3, pulsation=0.1, phase=0))
+    with pytest.raises(ValueError, match="not straight along x"):
+        from_road(Road(network), (5.0, 2.5), 100 / 3)
+
+
+def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
+    road = straight_road()
+    road.objects.append(Cone(road, [40.0, 4.0]))
+    human = HumanVehicle(road, [0.0, 1.0], speed=16.0)
+    road.vehicles = [human, ScriptedVehicle(road, [-60.0, 4.0], speed=20.0)]
+    for _ in range(40):
+        road.act()
+        road.step(0.1)
+    assert human.position[0] > 60.0
+    assert abs(human.position[1]) < 0.5
+    assert human.speed == pytest.approx(20.0, abs=1.5)
+    assert not human.crashed
+    assert human.last_step.status == "planned"
+
+
+def test_a_robot_drives_in_a_foreign_scene_with_its_own_game():
+    road = straight_road()
+    robot = RobotVehicle(road, [0.0, 4.0], speed=18.0)
+    human = HumanVehicle(road, [-3.0, 0.0], speed=18.0)
+    road.vehicles = [robot, human]
+    game = driving_game(from_road(road, (robot.LENGTH, robot.WIDTH), 100 / 3), speed_limit=20.0)
+    switching = Switching(np.array([0.09, 0.17]), 0.1, ladder(("naive", "turn")))
+    robot.drive_with(ModelSwitching(game, switching), [human])
+    for _ in range(20):
+        road.act()
+        road.step(0.1)
+    assert robot.last_step.status == "planned"
+    assert robot.speed > 18.5
+    assert not robot.crashed
+
+
+def test_vehicle_at_a_stock_lane_is_created_like_any_other():
+    road = straight_road()
+    lane: StraightLane = road.network.lanes_list()[0]
+    car = HumanVehicle.make_on_lane(road, ("0", "1", 0), 30.0, speed=15.0)
+    np.testing.assert_allclose(car.position, lane.position(30.0, 0))
+    assert HumanVehicle.create_from(car).speed == 15.0
