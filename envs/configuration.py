@@ -18,7 +18,7 @@ from ms_highway.human_models import MODELS, ladder
 __all__ = ["controller_config", "merged"]
 
 CONTROLLER_KEYS = {"switching": {"type", "lambda"}, "fixed": {"type", "model"}}
-ACTIONS = {
+ACTIONS: dict[str, set[str]] = {
     "Autopilot": set(),
     "HumanModelAction": {"lambda"},
     "ContinuousAction": {"acceleration_range", "steering_range", "longitudinal", "lateral", "clip"},
@@ -124,7 +124,7 @@ def _check_controller(config: Any) -> None:
         raise ValueError(f"{place}['model'] is {config.get('model')!r}; the human models are {', '.join(MODELS)}")
 
 
-def _check_type(key: str, config: Any, known: Iterable[str]) -> None:
+def _check_type(key: str, config: Any, known: Mapping[str, Any]) -> None:
     if not isinstance(config, Mapping) or config.get("type") not in known:
         raise ValueError(f"config[{key!r}] is {config!r}; its 'type' must be one of {', '.join(known)}")
 
