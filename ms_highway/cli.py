@@ -17,6 +17,8 @@ from ms_highway.envs import SCENARIOS
 
 __all__ = ["main"]
 
+TABLE_WIDTH = 120  # characters
+
 COMPARE_HELP = """\
 Run the same seeded episodes with several controllers and compare reward and computation.
 
@@ -140,7 +142,7 @@ def _compare(options: argparse.Namespace) -> None:
     controllers = {name: options.controllers or experiment.paper_controllers(name) for name in scenarios}
     comparison = experiment.Comparison(controllers, options.seeds, options.semantics, _costs(options.costs))
     comparison.check()
-    console = Console()
+    console = _console()
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -162,6 +164,12 @@ def _compare(options: argparse.Namespace) -> None:
         report.save(report.bars(summaries, scenario), options.out / f"{scenario}_bars.png")
         report.save(report.timeline(records, scenario), options.out / f"{scenario}_timeline.png")
     console.print(f"results are in {options.out}")
+
+
+def _console() -> Console:
+    """Standard output, wide enough for the tables also where it is no terminal."""
+    console = Console()
+    return Console(width=max(console.width, TABLE_WIDTH))
 
 
 def _costs(text: str) -> str | dict[str, float]:
@@ -199,4 +207,4 @@ def _validate(options: argparse.Namespace) -> None:
         ]
         decisions = errors.get("decisions")
         grid.add_row(name, *cells, f"{decisions['agree']} of {decisions['all']}" if decisions else "")
-    Console().print(grid)
+    _console().print(grid)
