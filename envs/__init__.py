@@ -6,14 +6,20 @@ Importing this package registers the ids ``ms-highway/stay-back-v0``, ``ms-highw
 
 from gymnasium.envs.registration import register, registry
 
-from ms_highway.envs.give_way import GIVE_WAY, GiveWayEnv
-from ms_highway.envs.merger import MERGER, MergerEnv
-from ms_highway.envs.stay_back import STAY_BACK, StayBackEnv
+from ms_highway.envs.base import InteractionEnv
+from ms_highway.envs.give_way import GiveWayEnv
+from ms_highway.envs.merger import MergerEnv
+from ms_highway.envs.stay_back import StayBackEnv
 from ms_highway.scenario import Scenario
 
-__all__ = ["SCENARIOS", "GiveWayEnv", "MergerEnv", "StayBackEnv", "environment_id"]
+__all__ = ["ENVIRONMENTS", "SCENARIOS", "GiveWayEnv", "MergerEnv", "StayBackEnv", "environment_id"]
 
-SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY)}
+ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
+    environment.scenario.name: environment for environment in (StayBackEnv, MergerEnv, GiveWayEnv)
+}
+"""The environments by name of their scenario."""
+
+SCENARIOS: dict[str, Scenario] = {name: environment.scenario for name, environment in ENVIRONMENTS.items()}
 """The scenarios by name."""
 
 
@@ -30,10 +36,10 @@ def environment_id(scenario: str) -> str:
 
 def _register() -> None:
     """Register every id once, however often this runs."""
-    for name in SCENARIOS:
+    for name, environment in ENVIRONMENTS.items():
         bare_id = environment_id(name).removeprefix("ms_highway:")
         if bare_id not in registry:
-            register(bare_id, entry_point=f"ms_highway.envs.{name}:{name.title().replace('_', '')}Env")
+            register(bare_id, entry_point=f"{environment.__module__}:{environment.__name__}")
 
 
 _register()

@@ -21,7 +21,13 @@ class Autopilot(ActionType):
         return RobotVehicle
 
     def act(self, action: int) -> None:
-        """Nothing to do: the robot plans when the road asks all vehicles to act."""
+        """Nothing to do: the robot plans when the road asks all vehicles to act.
+
+        Raises:
+            ValueError: if the action is not 0.
+        """
+        if not self.space().contains(action):
+            raise ValueError(f"action {action!r} is not 0, the only action of the autopilot")
 
 
 class HumanModelAction(ActionType):

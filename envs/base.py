@@ -23,7 +23,7 @@ from ms_highway.game import Game, Influence
 from ms_highway.human_models import HumanModel, Naive, ladder
 from ms_highway.reward import FEATURES, features
 from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, Scenario, build_game, draw_starts
-from ms_highway.switching import PUBLISHED_COSTS, Switching
+from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 
 __all__ = ["Cone", "InteractionEnv", "Seconds"]
@@ -31,21 +31,31 @@ __all__ = ["Cone", "InteractionEnv", "Seconds"]
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
 _features = jax.jit(features)
 
-RELEASED_TRUST_TOLERANCE = 0.05  # the released code's solver stops within this share of the radius
-
 
 class Seconds(float):
     """A measured duration, to be used as a float. It equals every other measured duration.
 
     Two runs of the same computation never take the same time to the digit. Gymnasium's checker compares the infos of
-    two equally seeded steps; a measurement is no part of what makes them the same.
+    two equally seeded steps; a measurement is no part of what makes them the same. To compare durations, use ``float``;
+    vector environments collect them in arrays of objects.
     """
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Seconds) or float(self) == other
 
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
     def __hash__(self) -> int:
         return hash(Seconds)
+
+
+def _finite(space: spaces.Space) -> spaces.Space:
+    """The space with its infinite bounds, which some of highway-env's observations have, at the ends of its type."""
+    if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.floating):
+        return space
+    end = np.finfo(space.dtype).max
+    return spaces.Box(np.maximum(space.low, -end), np.minimum(space.high, end), dtype=space.dtype.type)
 
 
 class Cone(Obstacle):
@@ -106,7 +116,7 @@ class InteractionEnv(AbstractEnv):
     def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
         self.metadata = dict(type(self).metadata)  # highway-env would write the frame rate into the class's own
         self._initial_states: Float[np.ndarray, "cars 4"] | None = None
-        self._costs: Float[np.ndarray, rungs] | None = None
+        self._costs: Float[np.ndarray, "rungs"] | None = None
         self._terms: dict[str, float] = {}
         self.collision = False
         self.history: list[dict[str, Any]] = []
@@ -118,13 +128,13 @@ class InteractionEnv(AbstractEnv):
         Raises:
             ValueError: for an unknown key or an impossible value.
         """
-        self.config = merged(self.config, config)
-        super().configure(None)
-        settings = self.config
+        settings = merged(self.config, config)
         influence: Influence = settings["influence"] or ("damped" if settings["semantics"] == "paper" else "exact")
         self.game = build_game(self.scenario, settings["semantics"], influence, settings["control_limit"])
         self.models = ladder(settings["ladder"])
+        self.config = settings
         self._costs = None
+        super().configure(None)
 
     def update_metadata(self, video_real_time_ratio: int = 1) -> None:
         """Frames per second of a video that plays at true speed."""
@@ -142,7 +152,7 @@ class InteractionEnv(AbstractEnv):
             self.observation_type = CarStates(self, cars=len(self.scenario.cars))
         else:
             self.observation_type = observation_factory(self, observation)
-        self.observation_space = self.observation_type.space()
+        self.observation_space = _finite(self.observation_type.space())
 
     def _action_type(self, config: dict[str, Any]) -> ActionType:
         if config["type"] == "Autopilot":
@@ -169,7 +179,12 @@ class InteractionEnv(AbstractEnv):
         if unknown:
             raise ValueError(f"unknown reset options {unknown}; the options are 'initial_states' and 'config'")
         self._initial_states = self._checked_states(options.get("initial_states"))
-        return super().reset(seed=seed, options=options)
+        before = self.config, self.game, self.models, self._costs
+        try:
+            return super().reset(seed=seed, options=options)
+        except ValueError:
+            self.config, self.game, self.models, self._costs = before
+            raise
 
     def _checked_states(self, states: Any) -> Float[np.ndarray, "cars 4"] | None:
         if states is None:
@@ -221,7 +236,8 @@ class InteractionEnv(AbstractEnv):
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:
         settings = self.config["controller"]
         if isinstance(self.action_type, HumanModelAction):
-            return FixedModel(self.game, self.models[0])
+            self.costs(states)  # to be measured now, if at all, and not within a step
+            return FixedModel(self.game, self.models[0], self.models)
         if settings["type"] == "fixed":
             return FixedModel(self.game, ladder([settings["model"]])[0])
         tolerance = 0.0 if self.config["semantics"] == "paper" else RELEASED_TRUST_TOLERANCE
@@ -269,6 +285,9 @@ class InteractionEnv(AbstractEnv):
         phi = np.asarray(_features(self.game.scene, robot, self.car_states.astype(np.float32)))
         terms = (phi * np.asarray(robot.weights)).astype(float)
         self._terms = dict(zip(FEATURES, terms.tolist(), strict=True))
+        if isinstance(self.action_type, HumanModelAction):
+            seconds = self.costs(self.car_states)[int(action)]
+            self._terms["computation"] = -float(self.action_type.price * seconds)
         self.collision = bool(phi[FEATURES.index("collision")])
         self.history.append(self._record())
 
@@ -285,10 +304,7 @@ class InteractionEnv(AbstractEnv):
         }
 
     def _reward(self, action: Any) -> float:
-        reward = sum(self._terms.values())
-        if isinstance(self.action_type, HumanModelAction):
-            reward -= self.action_type.price * self.costs(self.car_states)[int(action)]
-        return float(reward)
+        return sum(self._terms.values())
 
     def _rewards(self, action: Any) -> dict[str, float]:
         return dict(self._terms)

@@ -67,14 +67,16 @@ def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> di
     _refuse_unknown("config", changes, defaults)
     config = {key: _merged_value(defaults[key], changes.get(key, defaults[key])) for key in defaults}
     for key, choices in CHOICES.items():
-        if config[key] not in choices:
+        if not _is_one_of(config[key], choices):
             raise ValueError(f"config[{key!r}] is {config[key]!r}; choose one of {', '.join(map(repr, choices))}")
+    for key, default in defaults.items():
+        _check_scalar(key, default, config[key])
     for key in ("simulation_frequency", "policy_frequency"):
         if config[key] != FREQUENCY:
             raise ValueError(f"config[{key!r}] is {config[key]!r}; plans are made of steps of 0.1 s, so it must be 10")
-    if not _is_number(config["duration"]) or config["duration"] <= 0:
-        raise ValueError(f"config['duration'] is {config['duration']!r}; it must be a positive number of seconds")
     try:
+        if isinstance(config["ladder"], str):
+            raise ValueError(f"{config['ladder']!r} is one name; give a list of names")
         ladder(config["ladder"])
     except (ValueError, TypeError) as error:
         raise ValueError(f"config['ladder']: {error}") from None
@@ -84,6 +86,14 @@ def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> di
     _check_costs(config["costs"], config["ladder"])
     _check_limit(config["control_limit"])
     return config
+
+
+def _check_scalar(key: str, default: Any, value: Any) -> None:
+    """Where the default is a truth value or a number, the value must be one as well, and a number positive."""
+    if isinstance(default, bool) and not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"config[{key!r}] is {value!r}; it must be True or False")
+    if _is_number(default) and not (_is_number(value) and value > 0):
+        raise ValueError(f"config[{key!r}] is {value!r}; it must be a positive number")
 
 
 def _merged_value(default: Any, value: Any) -> Any:
@@ -102,6 +112,11 @@ def _refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> N
             raise ValueError(f"unknown key {key!r} in {place}; {hint}")
 
 
+def _is_one_of(value: Any, choices: Iterable[Any]) -> bool:
+    """Whether a value, of whatever type, is one of some names or None."""
+    return (value is None or isinstance(value, str)) and value in choices
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(np.isfinite(value))
 
@@ -115,17 +130,18 @@ def _check_price(place: str, config: Mapping[str, Any]) -> None:
 
 def _check_controller(config: Any) -> None:
     place = "config['controller']"
-    if not isinstance(config, Mapping) or config.get("type") not in CONTROLLER_KEYS:
-        raise ValueError(f"{place} is {config!r}; its 'type' must be one of {', '.join(CONTROLLER_KEYS)}")
+    _check_type("controller", config, CONTROLLER_KEYS)
+    if config["type"] == "switching" and "model" in config:
+        raise ValueError(f"{place} has a 'model' but is of type 'switching'; say 'type': 'fixed' to always use a model")
     _refuse_unknown(place, config, CONTROLLER_KEYS[config["type"]])
     if config["type"] == "switching":
         _check_price(place, config)
-    elif config.get("model") not in MODELS:
+    elif not _is_one_of(config.get("model"), MODELS):
         raise ValueError(f"{place}['model'] is {config.get('model')!r}; the human models are {', '.join(MODELS)}")
 
 
 def _check_type(key: str, config: Any, known: Mapping[str, Any]) -> None:
-    if not isinstance(config, Mapping) or config.get("type") not in known:
+    if not isinstance(config, Mapping) or not _is_one_of(config.get("type"), known):
         raise ValueError(f"config[{key!r}] is {config!r}; its 'type' must be one of {', '.join(known)}")
 
 
@@ -144,7 +160,7 @@ def _check_observation(config: Mapping[str, Any]) -> None:
 
 
 def _check_costs(costs: Any, names: Iterable[str]) -> None:
-    if costs in ("published", "measured"):
+    if _is_one_of(costs, ("published", "measured")):
         return
     remedy = "say 'published', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
     if not isinstance(costs, Mapping):
@@ -158,8 +174,8 @@ def _check_costs(costs: Any, names: Iterable[str]) -> None:
 def _check_limit(limit: Any) -> None:
     if limit is None:
         return
-    values = np.asarray(limit, dtype=float) if isinstance(limit, (list, tuple, np.ndarray)) else np.array([])
-    if values.shape != (2,) or not (values > 0).all():
+    pair = list(limit) if isinstance(limit, (list, tuple, np.ndarray)) else []
+    if len(pair) != 2 or not all(_is_number(bound) and bound > 0 for bound in pair):
         raise ValueError(
             f"config['control_limit'] is {limit!r}; give None or two positive bounds, (omega, acceleration)"
         )

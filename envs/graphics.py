@@ -35,7 +35,11 @@ class InteractionViewer(EnvViewer):
     def __init__(self, env: Any) -> None:
         super().__init__(env)
         self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
-        self.fonts = {size: pygame.font.Font(None, size) for size in (18, 22, 26, 40)}
+
+    def close(self) -> None:
+        """Close the window, if there is one; other environments of the process may still be drawing."""
+        if not self.offscreen:
+            pygame.display.quit()
 
     def window_position(self) -> Float[np.ndarray, "2"]:
         """The view follows the robot along the road and keeps the road in place."""
@@ -61,6 +65,8 @@ class InteractionViewer(EnvViewer):
         self._panel()
         if not self.offscreen:
             self.screen.blit(surface, (0, 0))
+            if self.config["real_time_rendering"]:
+                self.clock.tick(self.config["simulation_frequency"])
             pygame.display.flip()
 
     def _ground(self) -> None:
@@ -77,7 +83,7 @@ class InteractionViewer(EnvViewer):
         reach = float(np.ptp(scene.lanes) + scene.lane_width) / 2
         x, _ = surface.vec2pix(car.position)
         _, y = surface.pos2pix(0, self.window_position()[1] + side * reach)
-        label = self.fonts[22].render(name, True, INK)
+        label = _font(22).render(name, True, INK)
         surface.blit(label, label.get_rect(center=(x, y + 14 * side)))
 
     def _cone(self, cone: Any) -> None:
@@ -134,7 +140,7 @@ class InteractionViewer(EnvViewer):
         else:
             chip = pygame.Rect(MARGIN, top, 108, 36)
             pygame.draw.rect(self.sim_surface, MODEL_COLORS.get(model, FAINT), chip, border_radius=8)
-            name = self.fonts[40].render(model, True, PAPER)
+            name = _font(40).render(model, True, PAPER)
             self.sim_surface.blit(name, name.get_rect(center=chip.center))
             self._text(MODEL_MEANINGS.get(model, ""), 18, INK, (chip.right + 8, top + 12))
         lines = [f"step {len(self.env.history)}    reward {record['reward']:+.2f}"]
@@ -153,7 +159,7 @@ class InteractionViewer(EnvViewer):
         if model in gains:
             return f"switched: estimated net gain {gains[model]:+.3f}"
         if gains:
-            return "stays: estimated net gain of " + ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
+            return "stays: net gain of " + ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
         return "no switch considered"
 
     def _chart(self, title: str, box: pygame.Rect) -> None:
@@ -194,4 +200,10 @@ class InteractionViewer(EnvViewer):
         )
 
     def _text(self, text: str, size: int, color: Color, place: tuple[int, int]) -> None:
-        self.sim_surface.blit(self.fonts[size].render(text, True, color), place)
+        self.sim_surface.blit(_font(size).render(text, True, color), place)
+
+
+def _font(size: int) -> pygame.font.Font:
+    """Pygame's own font; asked for anew each time, since closing any of highway-env's viewers ends the font module."""
+    pygame.font.init()
+    return pygame.font.Font(None, size)

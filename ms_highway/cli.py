@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from rich.table import Table
 
 from ms_highway import experiment, report, validation, video
 from ms_highway.envs import SCENARIOS
+from ms_highway.files import replacing
 
 __all__ = ["main"]
 
@@ -139,7 +141,8 @@ def _compare(options: argparse.Namespace) -> None:
     if options.seeds < 1:
         raise ValueError(f"--seeds is {options.seeds}; there must be at least one episode")
     scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
-    controllers = {name: options.controllers or experiment.paper_controllers(name) for name in scenarios}
+    chosen = list(dict.fromkeys(options.controllers or []))
+    controllers = {name: chosen or experiment.paper_controllers(name) for name in scenarios}
     comparison = experiment.Comparison(controllers, options.seeds, options.semantics, _costs(options.costs))
     comparison.check()
     console = _console()
@@ -158,11 +161,14 @@ def _compare(options: argparse.Namespace) -> None:
             progress.update(task, completed=done)
     records = experiment.read(comparison, options.out)
     summaries = report.summary(records)
-    experiment.write_atomically(options.out / "summary.csv", summaries.to_csv(index=False))
+    with replacing(options.out / "summary.csv") as path:
+        summaries.to_csv(path, index=False)
     for scenario in scenarios:
         console.print(report.table(summaries, scenario))
-        report.save(report.bars(summaries, scenario), options.out / f"{scenario}_bars.png")
-        report.save(report.timeline(records, scenario), options.out / f"{scenario}_timeline.png")
+        figures = {"bars": report.bars(summaries, scenario), "timeline": report.timeline(records, scenario)}
+        for name, figure in figures.items():
+            with replacing(options.out / f"{scenario}_{name}.png") as path:
+                figure.savefig(path, dpi=110)
     console.print(f"results are in {options.out}")
 
 
@@ -182,8 +188,10 @@ def _costs(text: str) -> str | dict[str, float]:
 
 
 def _video(options: argparse.Namespace) -> None:
-    if options.speed <= 0:
+    if not 0 < options.speed < math.inf:
         raise ValueError(f"--speed is {options.speed}; it must be positive")
+    if options.seed < 0:
+        raise ValueError(f"--seed is {options.seed}; it must not be negative")
     controller = options.controller or experiment.paper_controllers(options.scenario)[-1]
     video.check_format(options.out)
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory; SDL need not look for a screen

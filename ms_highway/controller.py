@@ -161,12 +161,14 @@ class FixedModel:
 
     Args:
         game: what is played; car 0 is driven.
-        model: the human model that plans.
+        model: the human model that plans; it may be replaced between steps.
+        ladder: the models that it may be replaced by, to be compiled before the first step.
     """
 
-    def __init__(self, game: Game, model: HumanModel) -> None:
+    def __init__(self, game: Game, model: HumanModel, ladder: Sequence[HumanModel] = ()) -> None:
         self.game = game
         self.model = model
+        self.ladder = ladder
         self.reset()
 
     def reset(self) -> None:
@@ -179,7 +181,10 @@ class FixedModel:
         Raises:
             ValueError: if the state is not a finite array [cars, 4] of two cars or more.
         """
-        self._last = _plan_step(self.model, self.game, _checked(state), self._last)
+        now = _checked(state)
+        compiling = sum(_warm_up(_plan, model, self.game, now) for model in self.ladder)
+        planned = _plan_step(self.model, self.game, now, self._last)
+        self._last = replace(planned, compile_seconds=compiling + planned.compile_seconds)
         return self._last
 
 

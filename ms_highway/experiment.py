@@ -5,16 +5,19 @@ import io
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import pandas as pd
 
-from ms_highway.envs import SCENARIOS, environment_id
+from ms_highway.controller import measure_costs
+from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.configuration import controller_config
+from ms_highway.envs.configuration import controller_config, merged
+from ms_highway.files import replacing
 
 __all__ = [
     "COLUMNS",
@@ -24,7 +27,6 @@ __all__ = [
     "paper_controllers",
     "read",
     "run",
-    "write_atomically",
 ]
 
 STEPS_FILE, SETTINGS_FILE = "steps.csv", "settings.json"
@@ -71,14 +73,17 @@ class Comparison:
                     yield scenario, controller, seed
 
     def check(self) -> None:
-        """Make every environment once, so that a mistake shows before anything is run or written.
+        """Look for mistakes before anything is run or written.
 
         Raises:
             ValueError: for an unknown scenario or controller, or impossible costs.
         """
         for scenario, controllers in self.controllers.items():
+            environment_id(scenario)
             for controller in controllers:
-                make_environment(scenario, controller, semantics=self.semantics, costs=self.costs).close()
+                driver = controller_config(controller)
+                changes = {"semantics": self.semantics, "costs": self.costs, "controller": driver}
+                merged(ENVIRONMENTS[scenario].default_config(), changes)
 
 
 def paper_controllers(scenario: str) -> list[str]:
@@ -135,55 +140,90 @@ def run(comparison: Comparison, directory: Path) -> Iterator[int]:
     Raises:
         ValueError: if the directory holds results of other settings, or records that cannot be read.
     """
-    steps = directory / STEPS_FILE
-    done = _take_up(comparison, directory)
+    done, costs = _take_up(comparison, directory)
     wanted = list(comparison.episodes())
-    yield sum(key in done for key in wanted)
-    config = {"semantics": comparison.semantics, "costs": comparison.costs}
-    env, current = None, None
-    with steps.open("a", newline="") as file:
-        count = sum(key in done for key in wanted)
-        for scenario, controller, seed in wanted:
-            if (scenario, controller, seed) in done:
+    count = sum(key in done for key in wanted)
+    yield count
+    with (directory / STEPS_FILE).open("a", newline="") as file:
+        for (scenario, controller), group in groupby(wanted, key=lambda key: key[:2]):
+            missing = [seed for _, _, seed in group if (scenario, controller, seed) not in done]
+            if not missing:
                 continue
-            if current != (scenario, controller):
-                env, current = make_environment(scenario, controller, **config), (scenario, controller)
-            assert env is not None
-            text = io.StringIO()
-            writer = csv.DictWriter(text, COLUMNS)
-            for record in episode(env, seed):
-                writer.writerow({"scenario": scenario, "controller": controller, "seed": seed, **record})
-            file.write(text.getvalue())
-            file.flush()
-            os.fsync(file.fileno())
-            count += 1
-            yield count
+            env = make_environment(scenario, controller, semantics=comparison.semantics, costs=costs[scenario])
+            for seed in missing:
+                text = io.StringIO()
+                writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+                for record in episode(env, seed):
+                    writer.writerow({"scenario": scenario, "controller": controller, "seed": seed, **record})
+                file.write(text.getvalue())
+                file.flush()
+                os.fsync(file.fileno())
+                count += 1
+                yield count
+            env.close()
 
 
-def _take_up(comparison: Comparison, directory: Path) -> set[tuple[str, str, int]]:
-    """Prepare the directory; the episodes that it holds whole. Half an episode at the end is dropped."""
-    settings = {key: value for key, value in asdict(comparison).items() if key in ("semantics", "costs")}
-    directory.mkdir(parents=True, exist_ok=True)
+def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, str, int]], dict[str, Any]]:
+    """Prepare the directory.
+
+    Returns:
+        The episodes that it holds whole (half an episode at the end is dropped), and T(M) by scenario; measured times
+        are measured once, kept with the results, and used again when the run goes on.
+    """
     steps, settings_file = directory / STEPS_FILE, directory / SETTINGS_FILE
-    if not steps.exists():
-        write_atomically(settings_file, json.dumps(settings, indent=2) + "\n")
-        write_atomically(steps, ",".join(COLUMNS) + "\n")
-        return set()
-    known = json.loads(settings_file.read_text()) if settings_file.exists() else None
-    if known != settings:
+    settings = {"semantics": comparison.semantics, "costs": comparison.costs}
+    known = _read_settings(settings_file) if steps.exists() else {**settings, "measured": {}}
+    if {key: known.get(key) for key in settings} != settings:
         raise ValueError(f"{directory} holds results of {known}, not of {settings}; choose another directory")
+    done = _whole_episodes(steps) if steps.exists() else set()
+    if comparison.costs == "measured":
+        for scenario in comparison.controllers.keys() - known["measured"].keys():
+            known["measured"][scenario] = _measured(scenario, comparison.semantics)
+    with replacing(settings_file) as path:
+        path.write_text(json.dumps(known, indent=2) + "\n")
+    if not steps.exists():
+        with replacing(steps) as path:
+            path.write_text(",".join(COLUMNS) + "\n")
+    return done, {scenario: known["measured"].get(scenario, comparison.costs) for scenario in comparison.controllers}
+
+
+def _read_settings(file: Path) -> dict[str, Any]:
+    try:
+        settings = json.loads(file.read_text())
+        return {"measured": {}, **settings}
+    except (OSError, ValueError, TypeError) as error:
+        raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
+
+
+def _measured(scenario: str, semantics: str) -> dict[str, float]:
+    """Seconds of a warm plan on this machine, for every model on the scenario's ladder."""
+    env = make_environment(scenario, "naive", semantics=semantics).unwrapped
+    assert isinstance(env, InteractionEnv)
+    seconds = measure_costs(env.game, env.models, env.car_states)
+    return {model.name: float(cost) for model, cost in zip(env.models, seconds, strict=True)}
+
+
+def _whole_episodes(steps: Path) -> set[tuple[str, str, int]]:
+    """The episodes that a file of records holds whole; anything after them, from a run that was stopped, is removed.
+
+    Raises:
+        ValueError: if the file does not hold records of this version.
+    """
     text = steps.read_text()
     whole_lines = text[: text.rfind("\n") + 1]
     try:
         records = pd.read_csv(io.StringIO(whole_lines))
-        lengths = records.groupby(KEYS).size()
+        if list(records) != COLUMNS:
+            raise ValueError(f"its columns are not {', '.join(COLUMNS)}")
+        lengths = {name: SCENARIOS[name].steps for name in records["scenario"].unique()}
     except (ValueError, KeyError) as error:
         raise ValueError(f"{steps} cannot be read ({error}); move it away or choose another directory") from error
-    done = {key for key, length in lengths.items() if length == SCENARIOS[key[0]].steps}
+    done = {key for key, length in records.groupby(KEYS).size().items() if length == lengths[key[0]]}
     whole = [tuple(key) in done for key in records[KEYS].itertuples(index=False)]
     if whole_lines != text or not all(whole):
         lines = whole_lines.splitlines(keepends=True)
-        write_atomically(steps, lines[0] + "".join(line for line, keep in zip(lines[1:], whole, strict=True) if keep))
+        with replacing(steps) as path:
+            path.write_text(lines[0] + "".join(line for line, keep in zip(lines[1:], whole, strict=True) if keep))
     return done
 
 
@@ -191,10 +231,3 @@ def read(comparison: Comparison, directory: Path) -> pd.DataFrame:
     """The records of a comparison that `run` has finished in a directory, in the comparison's order."""
     records = pd.read_csv(directory / STEPS_FILE).set_index(KEYS)
     return pd.concat([records.loc[[key]] for key in comparison.episodes()]).reset_index()
-
-
-def write_atomically(path: Path, content: str) -> None:
-    """Write a text file under a temporary name and move it into place."""
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(content)
-    temporary.replace(path)

@@ -131,7 +131,7 @@ def ladder(names: tuple[str, ...] | list[str]) -> tuple[HumanModel, ...]:
         ValueError: if they are not.
     """
     for name in names:
-        if name not in MODELS:
+        if not isinstance(name, str) or name not in MODELS:
             raise ValueError(f"unknown human model {name!r}; the models are {', '.join(MODELS)}")
     order = list(MODELS)
     ranks = [order.index(name) for name in names]

@@ -1,7 +1,6 @@
 """Tables and figures from records of steps."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,7 +15,7 @@ from scipy import stats
 
 from ms_highway.envs.graphics import MODEL_COLORS
 
-__all__ = ["CONFIDENCE", "bars", "save", "summary", "table", "timeline"]
+__all__ = ["CONFIDENCE", "bars", "summary", "table", "timeline"]
 
 CONFIDENCE = 0.9
 SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
@@ -93,7 +92,7 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     left.bar(names, rows["reward"], yerr=errors, color=colors, capsize=4)
     left.axhline(0, color="black", linewidth=0.8)
     left.set(title="reward", ylabel="mean reward per step")
-    right.bar(names, rows["planning_ms"], color=colors, label="planning")
+    right.bar(names, rows["planning_ms"], color=colors)
     right.bar(
         names,
         rows["decision_ms"],
@@ -101,7 +100,6 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
         color="white",
         edgecolor="black",
         hatch="///",
-        label="deciding",
     )
     right.set(title="computation", ylabel="mean time per step [ms]")
     right.legend(
@@ -173,10 +171,3 @@ def _colors(controllers: Sequence[str]) -> list[str]:
 
 def _hex(color: tuple[int, int, int]) -> str:
     return "#{:02x}{:02x}{:02x}".format(*color)
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a picture under a temporary name and move it into place."""
-    temporary = path.with_name(f".part.{path.name}")
-    figure.savefig(temporary, dpi=110)
-    temporary.replace(path)

@@ -80,7 +80,7 @@ def features(
     * collision_risk: see `_collision_risk`; collision: 1 if a body point is inside another car or an obstacle;
     * off_road: ``(depth of the outermost corner beyond the road's edge)^2 / U^2``;
     * target_lane: ``-(y - y_target)^2 / U^2``; gap: ``-(x - (x_leader - gap))^2 / U^2``;
-    * merged: 1 if the middle of the front's outer edge is inside the target lane;
+    * merged: 1 if ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane;
     * partner_target_lane, partner_merged: the same of the partner.
 
     ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient.

@@ -17,10 +17,22 @@ from ms_highway.dynamics import Array
 from ms_highway.game import Game, response, swap, total_reward
 from ms_highway.human_models import HumanModel
 
-__all__ = ["PUBLISHED_COSTS", "Decision", "Memory", "Switching", "decide", "first_memory", "trust_region_step"]
+__all__ = [
+    "PUBLISHED_COSTS",
+    "RELEASED_TRUST_TOLERANCE",
+    "Decision",
+    "Memory",
+    "Switching",
+    "decide",
+    "first_memory",
+    "trust_region_step",
+]
 
 PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
 """Planning seconds of each model that the paper's experiments decided with."""
+
+RELEASED_TRUST_TOLERANCE = 0.05
+"""The released code's solver stops within this share of the trust radius."""
 
 HALVINGS = 60  # of the shift's bracket at most: more than float32 can tell apart
 
@@ -217,7 +229,7 @@ def trust_region_step(
     first = _Bracket(least, jnp.linalg.norm(along) / radius, jnp.int32(0))
     bracket = jax.lax.while_loop(unfinished, halve, first)
     inside = at(jnp.where(interior, least, bracket.middle))
-    hard = ~interior & (bracket.halvings == HALVINGS)
+    hard = (values[-1] > 0) & (bracket.halvings == HALVINGS)
     left = radius**2 - jnp.sum(inside**2)
     rest = jnp.where(hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0)
     return vectors @ inside.at[-1].add(jnp.where(along[-1] < 0, -rest, rest))

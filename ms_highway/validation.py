@@ -6,6 +6,7 @@ step - 1, 2], ``rewards`` [episode, step] after each step, ``models`` [episode, 
 and ``ladder`` [rungs].
 """
 
+import re
 import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,16 +20,16 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.envs import SCENARIOS
-from ms_highway.envs.base import RELEASED_TRUST_TOLERANCE
 from ms_highway.game import Game
 from ms_highway.human_models import MODELS, HumanModel, Naive, ladder
 from ms_highway.reward import reward
 from ms_highway.scenario import build_game
-from ms_highway.switching import PUBLISHED_COSTS, Switching, decide, first_memory
+from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching, decide, first_memory
 
 __all__ = ["read_episodes", "validate", "validate_file"]
 
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
+SWITCHING = "switching_lambda_"
 ARRAYS = ("states", "robot_controls", "human_controls", "rewards", "models", "ladder")
 
 
@@ -71,8 +72,9 @@ def validate_file(file: Path) -> dict[str, Any]:
         "reward_error": _quantiles(np.abs(np.asarray(rewards) - episodes["rewards"][:, :-1])),
         "human_error": _quantiles(np.abs(human - episodes["human_controls"]).max(axis=-1)),
     }
-    if len(episodes["ladder"]) > 1:
-        report["decisions"] = _decisions(game, episodes, float(file.stem.rpartition("_")[2]))
+    kind = file.stem.partition("__")[2]
+    if kind.startswith(SWITCHING):
+        report["decisions"] = _decisions(game, episodes, float(kind.removeprefix(SWITCHING)))
     return report
 
 
@@ -82,15 +84,20 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
     Raises:
         ValueError: if the name, the arrays or their shapes are not those of a reference file.
     """
-    scenario = file.stem.partition("__")[0]
-    if scenario not in SCENARIOS:
-        raise ValueError(f"{file}: the name should be SCENARIO__KIND.npz with a scenario of {', '.join(SCENARIOS)}")
+    scenario, _, kind = file.stem.partition("__")
+    if scenario not in SCENARIOS or not re.fullmatch(rf"{'|'.join(MODELS)}|{SWITCHING}\d+(\.\d+)?", kind):
+        raise ValueError(
+            f"{file}: the name should be SCENARIO__KIND.npz with a scenario of {', '.join(SCENARIOS)} "
+            f"and a kind of {', '.join(MODELS)} or {SWITCHING}NUMBER"
+        )
     try:
         with np.load(file, allow_pickle=False) as archive:
             episodes = {name: archive[name] for name in ARRAYS}
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(f"{file} is no reference file: {error}") from error
-    count, steps, *_cars = episodes["states"].shape
+    if episodes["states"].ndim != 4:
+        raise ValueError(f"{file}: states has shape {episodes['states'].shape} instead of [episode, step, car, 4]")
+    count, steps = episodes["states"].shape[:2]
     wanted = {
         "states": (count, steps, len(SCENARIOS[scenario].cars), 4),
         "robot_controls": (count, steps, 2),
@@ -103,6 +110,9 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
             raise ValueError(f"{file}: {name} has shape {episodes[name].shape} instead of {shape}")
         if not np.isfinite(episodes[name]).all():
             raise ValueError(f"{file}: {name} is not finite")
+    rungs = episodes["ladder"]
+    if rungs.ndim != 1 or not np.isin(rungs, range(len(MODELS))).all() or not np.isin(episodes["models"], rungs).all():
+        raise ValueError(f"{file}: ladder {rungs.tolist()} or models are no places in {', '.join(MODELS)}")
     return scenario, episodes
 
 

@@ -14,7 +14,7 @@ from ms_highway.controller import Controller, ControlStep, FixedModel
 from ms_highway.dynamics import Dynamics, keep_velocity, step
 from ms_highway.game import Game
 from ms_highway.human_models import Naive
-from ms_highway.scenario import PAPER_FRICTION, PAPER_UNIT, TIME_STEP, driving_game
+from ms_highway.scenario import PAPER_FRICTION, PAPER_UNIT, SPEED_LIMIT, TIME_STEP, driving_game
 from ms_highway.scene import from_road
 
 __all__ = ["BicycleVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle", "ScriptedVehicle"]
@@ -66,6 +66,9 @@ class BicycleVehicle(Vehicle):
         curvature = omega if self.dynamics.steering == "curvature" else omega / self.speed if self.speed else 0.0
         self.action = {"steering": atan(curvature * self.LENGTH), "acceleration": float(acceleration)}
 
+    def randomize_behavior(self) -> None:
+        """Nothing to do: highway-env varies its own drivers like this, and nothing about this car is random."""
+
     def step(self, dt: float) -> None:
         """Move for ``dt`` seconds; a crashed car brakes to a stop, as highway-env has it."""
         if self.crashed:
@@ -92,10 +95,10 @@ class ScriptedVehicle(BicycleVehicle):
 
 
 class PlanningVehicle(BicycleVehicle):
-    """A car that a controller drives, unless it is given actions.
+    """A car that a controller drives; without a controller it takes actions like any other car.
 
     Attributes:
-        controller: plans the controls; without one the car takes actions like any other.
+        controller: plans the controls, each time that the road lets its vehicles act.
         companions: the other cars of the controller's game, its partner first.
         last_step: record of the controller's last step, None before the first.
         last_state: what the controller saw then, [cars, 4].
@@ -118,7 +121,7 @@ class PlanningVehicle(BicycleVehicle):
         return np.stack([[*car.position, car.heading, car.speed] for car in (self, *self.companions)])
 
     def act(self, action: dict[str, Any] | None = None) -> None:
-        """Take an action if one is given; else plan and take the plan's first control."""
+        """Plan and take the plan's first control; an action that is given holds until the road lets vehicles act."""
         if action or self.controller is None:
             super().act(action)
             return
@@ -136,8 +139,8 @@ class RobotVehicle(PlanningVehicle):
 class HumanVehicle(PlanningVehicle):
     """A human driver: plans for its own reward and believes that all others keep their velocity.
 
-    In the scenarios of this package it is told its game. Put into any other straight road, it reads the scene from the
-    road and drives for `COMMON_WEIGHTS` among its nearest neighbours.
+    In the scenarios of this package it is told its game. Put on any other straight road, it reads the scene from the
+    road when it first acts, and drives for `COMMON_WEIGHTS` among its nearest neighbours.
     """
 
     COLOR = (60, 130, 220)
@@ -145,7 +148,7 @@ class HumanVehicle(PlanningVehicle):
 
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Plan for the own reward; the scene is read from the road unless `drive_with` told another."""
-        if self.controller is None and self.road is not None:
+        if not action and self.controller is None and self.road is not None:
             self.controller = FixedModel(self._game_on_road(), Naive())
         super().act(action)
 
@@ -165,5 +168,5 @@ class HumanVehicle(PlanningVehicle):
         return np.array(states + [absent] * (1 + self.NEIGHBOURS - len(states)))
 
     def _game_on_road(self) -> Game:
-        limit = self.lane.speed_limit or self.speed
+        limit = self.lane.speed_limit or SPEED_LIMIT * PAPER_UNIT
         return driving_game(from_road(self.road, (self.LENGTH, self.WIDTH), PAPER_UNIT), limit)

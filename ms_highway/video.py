@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ms_highway.experiment import episode, make_environment
+from ms_highway.files import replacing
 
 __all__ = ["check_format", "frames", "write"]
 
@@ -43,10 +44,8 @@ def write(pictures: list[UInt8[np.ndarray, "h w 3"]], path: Path, frames_per_sec
         import imageio.v3 as imageio
     except ImportError as error:
         raise ImportError("videos need the extra 'video': pip install 'ms-highway[video]'") from error
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".part.{path.name}")
-    if path.suffix == ".gif":
-        imageio.imwrite(temporary, np.stack(pictures), duration=1000 / frames_per_second, loop=0)
-    else:
-        imageio.imwrite(temporary, np.stack(pictures), plugin="pyav", fps=frames_per_second, codec="libx264")
-    temporary.replace(path)
+    with replacing(path) as temporary:
+        if path.suffix == ".gif":
+            imageio.imwrite(temporary, np.stack(pictures), duration=1000 / frames_per_second, loop=0)
+        else:
+            imageio.imwrite(temporary, np.stack(pictures), plugin="pyav", fps=frames_per_second, codec="libx264")

@@ -1,5 +1,6 @@
 """The commands as a user types them."""
 
+import json
 import subprocess
 import sys
 
@@ -61,6 +62,30 @@ def test_compare_goes_on_where_it_was_stopped(compared, tmp_path, capsys):
     assert (tmp_path / "steps.csv").read_text() == before
 
 
+def test_a_controller_named_twice_runs_once(compared, tmp_path):
+    arguments = ["compare", "stay_back", "--controllers", "naive", "naive", "--seeds", "1", "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    assert len(pd.read_csv(tmp_path / "steps.csv")) == 35
+
+
+def test_compare_keeps_measured_costs_with_the_results(tmp_path):
+    arguments = ["compare", "stay_back", "--controllers", "switching:1", "--seeds", "1", "--costs", "measured"]
+    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    settings = (tmp_path / "settings.json").read_text()
+    costs = json.loads(settings)["measured"]["stay_back"]
+    assert 0 < costs["naive"] < 0.1
+    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "settings.json").read_text() == settings
+
+
+def test_compare_refuses_records_of_another_version(compared, tmp_path, capsys):
+    (tmp_path / "settings.json").write_text((compared / "settings.json").read_text())
+    older = pd.read_csv(compared / "steps.csv").drop(columns="status").to_csv(index=False)
+    (tmp_path / "steps.csv").write_text(older)
+    assert "its columns are not" in failure(capsys, *COMPARE, str(tmp_path))
+    assert (tmp_path / "steps.csv").read_text() == older
+
+
 def test_compare_refuses_a_directory_of_other_settings(compared, capsys):
     line = failure(capsys, *COMPARE, str(compared), "--semantics", "released")
     assert "choose another directory" in line
@@ -85,6 +110,8 @@ def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys
         (["compare", "merger", "--costs", "naive=0.1"], "'turn'"),
         (["video", "merger", "--out", "film.avi"], ".mp4 or .gif"),
         (["video", "merger", "--out", "film.mp4", "--speed", "0"], "--speed"),
+        (["video", "merger", "--out", "film.mp4", "--speed", "nan"], "--speed"),
+        (["video", "merger", "--out", "film.mp4", "--seed", "-1"], "--seed"),
         (["validate", "nowhere"], "no reference episodes"),
     ],
 )

@@ -48,7 +48,9 @@ def test_gymnasiums_checker_passes_without_a_warning(scenario, action):
 
 
 def test_ids_are_registered_once_and_for_good():
-    ms_highway.envs._register()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # Gymnasium warns when an id is registered again
+        ms_highway.envs._register()
     assert all(environment_id(name).removeprefix("ms_highway:") in gym.registry for name in SCENARIOS)
 
 
@@ -141,6 +143,19 @@ def test_the_agent_that_chooses_the_model_pays_for_its_time():
             outcomes.append(env.step(place))
         assert outcomes[0][4]["model"] == name
         assert outcomes[0][1] - outcomes[1][1] == pytest.approx(2.0 * seconds)
+        assert sum(outcomes[1][4]["rewards"].values()) == pytest.approx(outcomes[1][1])
+
+
+def test_the_agent_that_chooses_the_model_waits_for_compilation_only_once():
+    env = make("merger", action={"type": "HumanModelAction", "lambda": 0.1})
+    env.reset(seed=0)
+    assert [env.step(place)[4]["compile_seconds"] for place in (0, 1, 2)][1:] == [0.0, 0.0]
+
+
+def test_the_autopilot_refuses_other_actions():
+    env = make("merger", controller=FIXED).unwrapped
+    with pytest.raises(ValueError, match="action 7 is not 0"):
+        env.step(7)
 
 
 def test_a_continuous_action_drives_the_robot():
@@ -209,6 +224,13 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"policy_frequency": 5}, "must be 10"),
         ({"duration": -1}, "'duration'"),
         ({"control_limit": [1.0]}, "'control_limit'"),
+        ({"control_limit": ["a", "b"]}, "'control_limit'"),
+        ({"costs": np.array([0.1, 0.2, 0.3])}, "'costs'"),
+        ({"ladder": "tom"}, "'tom' is one name"),
+        ({"terminate_on_collision": "no"}, "must be True or False"),
+        ({"screen_width": -3}, "'screen_width'"),
+        ({"controller": {"type": ["fixed"]}}, "'type' must be one of"),
+        ({"controller": {"model": "tom"}}, "say 'type': 'fixed'"),
         ({"action": {"type": "Teleport"}}, "Teleport"),
         ({"action": {"type": "HumanModelAction", "lamda": 1}}, "did you mean 'lambda'"),
         ({"action": {"type": "ContinuousAction", "clipp": True}}, "did you mean 'clip'"),
@@ -226,6 +248,24 @@ def test_a_refused_change_leaves_the_configuration_as_it_was():
     with pytest.raises(ValueError, match="semantics"):
         env.reset(options={"config": {"duration": 1.0, "semantics": "real"}})
     assert env.config == before
+
+
+def test_a_change_that_highway_env_refuses_leaves_the_environment_usable():
+    env = make("merger", controller=FIXED).unwrapped
+    paralysed = {"type": "ContinuousAction", "longitudinal": False, "lateral": False}
+    with pytest.raises(ValueError, match="control must be enabled"):
+        env.reset(options={"config": {"action": paralysed}})
+    env.reset(seed=0)
+    assert env.step(0)[4]["model"] == "naive"
+
+
+@pytest.mark.parametrize("kind", ["Kinematics", "OccupancyGrid"])
+def test_highway_envs_observations_have_finite_spaces_here(kind):
+    env = make("merger", controller=FIXED, observation={"type": kind})
+    observation, _ = env.reset(seed=0)
+    assert np.isfinite(env.observation_space.low).all()
+    assert np.isfinite(env.observation_space.high).all()
+    assert env.observation_space.contains(observation)
 
 
 def test_nested_configurations_merge_and_a_new_type_replaces():
@@ -255,6 +295,7 @@ def test_spawned_workers_find_and_step_the_environments():
 
 def test_measured_seconds_are_floats_that_only_differ_from_other_numbers():
     assert Seconds(0.25) == Seconds(0.5)
+    assert not Seconds(0.25) != Seconds(0.5)
     assert Seconds(0.25) != 0.5
     assert Seconds(0.25) + 1 == 1.25
     assert np.asarray([Seconds(0.25)]).dtype == float

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game import constant_velocity, response, total_reward
-from ms_highway.human_models import MODELS, JointPlan, TheoryOfMind, Turn, ladder
+from ms_highway.game import constant_velocity, response, swap, total_reward
+from ms_highway.human_models import MODELS, JointPlan, TheoryOfMind, Turn, _plan_against, ladder
 from ms_highway.planner import Planner, ascend
+from ms_highway.reward import FEATURES
 
 
 @partial(jax.jit, static_argnames="model")
@@ -60,16 +61,44 @@ def test_turn_expects_what_a_human_who_ignores_the_robot_would_plan(played):
     )
 
 
+def after_one_step(game):
+    return replace(game, planner=replace(game.planner, iterations=1))
+
+
 def test_theory_of_mind_without_influence_steps_like_turn(played):
-    """If the human's reward does not depend on the robot, a step of ToM is the robot's step against that human."""
+    """Where the human's reward does not depend on the robot, ToM's step is Turn's against the same human controls."""
     game, state = played("merger")
-    state = state.at[1:, 0].add(-500.0).at[2:, 0].add(-500.0)  # nobody is near anybody
-    one_step = replace(game, planner=replace(game.planner, iterations=1))
-    start = jnp.zeros((5, 2))
-    joint = plan(TheoryOfMind(), one_step, state)
-    slope = jax.grad(total_reward, argnums=2)
-    alone = ascend(one_step.planner, lambda robot: slope(game, state, robot, start), start)
-    np.testing.assert_allclose(joint.robot, alone, atol=1e-6)
+    blind = replace(game.human, weights=game.human.weights.at[FEATURES.index("collision_risk")].set(0.0))
+    game = after_one_step(replace(game, human=blind))
+    still = jnp.zeros((5, 2))  # where both start
+    slope_robot, slope_human = jax.grad(total_reward, argnums=(2, 3))(game, state, still, still)
+    assert abs(slope_human).max() > 1e-3, "the human should matter to the robot here"
+    turn_step = _plan_against(game, state, still).robot
+    np.testing.assert_allclose(plan(TheoryOfMind(), game, state).robot, turn_step, atol=1e-6)
+    np.testing.assert_allclose(turn_step, 0.03 * slope_robot, atol=1e-6)
+
+
+@pytest.mark.parametrize("influence", ["exact", "damped"])
+def test_theory_of_mind_steps_along_the_total_derivative(played, influence):
+    """The first step is 0.03 (dR_R/du_R + J^T dR_R/du_H), with J = -H^-1 d2R_H/du_H du_R formed explicitly."""
+    game, state = played("merger", influence=influence)
+    still = jnp.zeros((5, 2))
+    mirrored, mirrored_state = swap(game, state)
+
+    def human_reward(robot, human):
+        return total_reward(mirrored, mirrored_state, human, robot)
+
+    slope_robot, slope_human = jax.grad(total_reward, argnums=(2, 3))(game, state, still, still)
+    mixed, own = jax.jacfwd(jax.grad(human_reward, argnums=1), argnums=(0, 1))(still, still)
+    own = np.asarray(own, dtype=float).reshape(10, 10)
+    if influence == "damped":
+        values, vectors = np.linalg.eigh(own)
+        own = -(vectors * np.maximum(np.abs(values), 1.0)) @ vectors.T
+    jacobian = -np.linalg.solve(own, np.asarray(mixed, dtype=float).reshape(10, 10))
+    expected = slope_robot + (jacobian.T @ np.asarray(slope_human).reshape(10)).reshape(5, 2)
+    assert abs(expected - slope_robot).max() > 1e-3, "the influence should matter here"
+    step = plan(TheoryOfMind(), after_one_step(game), state).robot
+    np.testing.assert_allclose(step, 0.03 * expected, rtol=1e-2, atol=1e-4)
 
 
 def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):

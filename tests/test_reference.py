@@ -75,3 +75,21 @@ def test_files_that_are_no_reference_files_are_refused_by_name(tmp_path):
     np.savez(tmp_path / "highway__naive.npz")
     with pytest.raises(ValueError, match="SCENARIO__KIND"):
         read_episodes(tmp_path / "highway__naive.npz")
+
+
+def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
+    with np.load(reference / "merger__tom.npz") as archive:
+        arrays = dict(archive)
+    for change, message in (
+        ({"models": arrays["models"] + 5}, "no places in naive, turn, tom"),
+        ({"ladder": np.array([0])}, "no places in naive, turn, tom"),
+        ({"states": np.zeros(3)}, "states has shape"),
+        ({"rewards": arrays["rewards"][:, 1:]}, "rewards has shape"),
+        ({"robot_controls": arrays["robot_controls"] * np.nan}, "robot_controls is not finite"),
+    ):
+        np.savez(tmp_path / "merger__tom.npz", **{**arrays, **change})
+        with pytest.raises(ValueError, match=message):
+            validate_file(tmp_path / "merger__tom.npz")
+    shutil.copy(reference / "merger__tom.npz", tmp_path / "merger__switching_aggressive.npz")
+    with pytest.raises(ValueError, match="switching_lambda_NUMBER"):
+        validate_file(tmp_path / "merger__switching_aggressive.npz")

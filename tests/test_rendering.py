@@ -36,6 +36,16 @@ def test_cones_stand_on_the_road_of_stay_back():
     assert pixels(filmed("stay_back", "naive", 2), CONE) > 1500
 
 
+def test_closing_one_environment_leaves_the_others_drawing():
+    environments = [make_environment("merger", "naive", render=True) for _ in range(2)]
+    for env in environments:
+        env.reset(seed=0)
+        env.render()
+    environments[0].close()
+    environments[1].step(0)
+    assert environments[1].render().std() > 10
+
+
 def test_the_picture_moves_and_the_history_grows():
     env = make_environment("merger", "naive", render=True)
     env.reset(seed=0)

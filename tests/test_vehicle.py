@@ -106,6 +106,19 @@ def test_a_robot_drives_in_a_foreign_scene_with_its_own_game():
     assert not robot.crashed
 
 
+def test_humans_drive_as_the_other_vehicles_of_a_stock_environment():
+    env = gym.make(
+        "highway-v0",
+        config={"other_vehicles_type": "ms_highway.vehicle.HumanVehicle", "vehicles_count": 6, "duration": 4},
+    )
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(1)
+    humans = [car for car in env.unwrapped.road.vehicles if isinstance(car, HumanVehicle)]
+    assert len(humans) == 6
+    assert all(human.last_step.status == "planned" for human in humans)
+
+
 def test_vehicle_at_a_stock_lane_is_created_like_any_other():
     road = straight_road()
     lane: StraightLane = road.network.lanes_list()[0]
