@@ -22,7 +22,7 @@ from ms_highway.human_models import HumanModel, JointPlan
 from ms_highway.reward import reward
 from ms_highway.switching import Decision, Memory, Switching, decide, first_memory
 
-__all__ = ["ControlStep", "Controller", "FixedModel", "ModelSwitching", "Status", "measure_costs"]
+__all__ = ["ControlStep", "Controller", "FixedModel", "ModelSwitching", "Status", "compiled_plan", "measure_costs"]
 
 Status: TypeAlias = Literal["planned", "previous plan", "keep velocity"]
 """How a control came about: from this step's plan, or, where that was not finite, from the last good plan or none."""
@@ -66,7 +66,8 @@ class Controller(Protocol):
 
 
 @partial(jax.jit, static_argnames="model")
-def _plan(model: HumanModel, game: Game, state: Float[jax.Array, "cars 4"]) -> JointPlan:
+def compiled_plan(model: HumanModel, game: Game, state: Float[jax.Array, "cars 4"]) -> JointPlan:
+    """``model.plan``, compiled once per model and shape of scene, for all that plan in this process."""
     return model.plan(game, state)
 
 
@@ -114,8 +115,8 @@ def measure_costs(
     arguments = game, _checked(state)
     costs = []
     for model in ladder:
-        _warm_up(_plan, model, *arguments)
-        costs.append(median(_timed(_plan, model, *arguments)[1] for _ in range(repeats)))
+        _warm_up(compiled_plan, model, *arguments)
+        costs.append(median(_timed(compiled_plan, model, *arguments)[1] for _ in range(repeats)))
     return np.array(costs)
 
 
@@ -140,8 +141,8 @@ def _plan_step(
     model: HumanModel, game: Game, state: Float[jax.Array, "cars 4"], last: ControlStep | None
 ) -> ControlStep:
     """Plan and time it; where the plan is not finite, go on with the last one, and without one keep velocity."""
-    compiling = _warm_up(_plan, model, game, state)
-    plan, seconds = _timed(_plan, model, game, state)
+    compiling = _warm_up(compiled_plan, model, game, state)
+    plan, seconds = _timed(compiled_plan, model, game, state)
     scale = np.asarray(game.planner.control_scale, dtype=float)
     robot, human = np.asarray(plan.robot) * scale, np.asarray(plan.human) * scale
     status: Status = "planned"
@@ -182,7 +183,7 @@ class FixedModel:
             ValueError: if the state is not a finite array [cars, 4] of two cars or more.
         """
         now = _checked(state)
-        compiling = sum(_warm_up(_plan, model, self.game, now) for model in self.ladder)
+        compiling = sum(_warm_up(compiled_plan, model, self.game, now) for model in self.ladder)
         planned = _plan_step(self.model, self.game, now, self._last)
         self._last = replace(planned, compile_seconds=compiling + planned.compile_seconds)
         return self._last
@@ -226,7 +227,7 @@ class ModelSwitching:
         """Compile every rung and the decision before the first control is due; seconds spent."""
         decision = self.switching, self.game, self._memory, state, jnp.zeros(2), state
         return _warm_up(_decide, *decision) + sum(
-            _warm_up(_plan, model, self.game, state) for model in self.switching.ladder
+            _warm_up(compiled_plan, model, self.game, state) for model in self.switching.ladder
         )
 
     def _choose(

@@ -190,8 +190,8 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
 def _read_settings(file: Path) -> dict[str, Any]:
     try:
         settings = json.loads(file.read_text())
-        return {"measured": {}, **settings}
-    except (OSError, ValueError, TypeError) as error:
+        return {**settings, "measured": settings.get("measured", {})}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
 
 

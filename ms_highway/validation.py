@@ -10,7 +10,6 @@ import re
 import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.controller import compiled_plan
 from ms_highway.envs import SCENARIOS
 from ms_highway.game import Game
 from ms_highway.human_models import MODELS, HumanModel, Naive, ladder
@@ -116,13 +116,8 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
     return scenario, episodes
 
 
-@partial(jax.jit, static_argnames="model")
-def _first_control(model: HumanModel, game: Game, state: Float[jax.Array, "cars 4"]) -> Float[jax.Array, "2"]:
-    return model.plan(game, state).robot[0]
-
-
 def _first_controls(model: HumanModel, game: Game, states: Float[jax.Array, "n cars 4"]) -> Float[np.ndarray, "n 2"]:
-    return np.array([_first_control(model, game, state) for state in states])
+    return np.array([np.asarray(compiled_plan(model, game, state).robot)[0] for state in states])
 
 
 def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> dict[str, int]:

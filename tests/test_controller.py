@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.controller import FixedModel, ModelSwitching, _decide, _plan, measure_costs
+from ms_highway.controller import FixedModel, ModelSwitching, _decide, compiled_plan, measure_costs
 from ms_highway.human_models import MODELS, ladder
 from ms_highway.switching import Switching
 
@@ -27,7 +27,7 @@ def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later
     game, state = played("merger")
     controller = ModelSwitching(game, Switching(np.array([0.09, 0.17, 0.37]), 0.0, ladder(("naive", "turn", "tom"))))
     controller.step(np.asarray(state))
-    sizes = _plan._cache_size(), _decide._cache_size()
+    sizes = compiled_plan._cache_size(), _decide._cache_size()
     models = set()
     for _ in range(6):
         state = state.at[:, 0].add(state[:, 3] * 0.1)
@@ -37,7 +37,7 @@ def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later
     dearer = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
     ModelSwitching(dearer, replace(controller.switching, price=3.0)).step(np.asarray(state))
     assert len(models) > 1
-    assert (_plan._cache_size(), _decide._cache_size()) == sizes
+    assert (compiled_plan._cache_size(), _decide._cache_size()) == sizes
 
 
 def test_a_plan_that_is_not_finite_falls_back_to_the_last_one_and_then_keeps_velocity(played):

@@ -295,7 +295,7 @@ def test_spawned_workers_find_and_step_the_environments():
 
 def test_measured_seconds_are_floats_that_only_differ_from_other_numbers():
     assert Seconds(0.25) == Seconds(0.5)
-    assert not Seconds(0.25) != Seconds(0.5)
+    assert (Seconds(0.25) != Seconds(0.5)) is False
     assert Seconds(0.25) != 0.5
     assert Seconds(0.25) + 1 == 1.25
     assert np.asarray([Seconds(0.25)]).dtype == float

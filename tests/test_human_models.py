@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
+from ms_highway.controller import compiled_plan as plan
 from ms_highway.game import constant_velocity, response, swap, total_reward
 from ms_highway.human_models import MODELS, JointPlan, TheoryOfMind, Turn, _plan_against, ladder
 from ms_highway.planner import Planner, ascend
 from ms_highway.reward import FEATURES
-
-
-@partial(jax.jit, static_argnames="model")
-def plan(model, game, state):
-    return model.plan(game, state)
 
 
 def mirrored(game, state):
@@ -61,6 +57,9 @@ def test_turn_expects_what_a_human_who_ignores_the_robot_would_plan(played):
     )
 
 
+slopes = jax.jit(jax.grad(total_reward, argnums=(2, 3)))
+
+
 def after_one_step(game):
     return replace(game, planner=replace(game.planner, iterations=1))
 
@@ -71,7 +70,7 @@ def test_theory_of_mind_without_influence_steps_like_turn(played):
     blind = replace(game.human, weights=game.human.weights.at[FEATURES.index("collision_risk")].set(0.0))
     game = after_one_step(replace(game, human=blind))
     still = jnp.zeros((5, 2))  # where both start
-    slope_robot, slope_human = jax.grad(total_reward, argnums=(2, 3))(game, state, still, still)
+    slope_robot, slope_human = slopes(game, state, still, still)
     assert abs(slope_human).max() > 1e-3, "the human should matter to the robot here"
     turn_step = _plan_against(game, state, still).robot
     np.testing.assert_allclose(plan(TheoryOfMind(), game, state).robot, turn_step, atol=1e-6)
@@ -88,8 +87,8 @@ def test_theory_of_mind_steps_along_the_total_derivative(played, influence):
     def human_reward(robot, human):
         return total_reward(mirrored, mirrored_state, human, robot)
 
-    slope_robot, slope_human = jax.grad(total_reward, argnums=(2, 3))(game, state, still, still)
-    mixed, own = jax.jacfwd(jax.grad(human_reward, argnums=1), argnums=(0, 1))(still, still)
+    slope_robot, slope_human = slopes(game, state, still, still)
+    mixed, own = jax.jit(jax.jacfwd(jax.grad(human_reward, argnums=1), argnums=(0, 1)))(still, still)
     own = np.asarray(own, dtype=float).reshape(10, 10)
     if influence == "damped":
         values, vectors = np.linalg.eigh(own)
