@@ -73,7 +73,7 @@ def table(summaries: pd.DataFrame, scenario: str) -> Table:
         grid.add_row(
             row["controller"],
             f"{row['reward']:.2f}",
-            f"{row['reward_low']:.2f}, {row['reward_high']:.2f}",
+            f"{row['reward_low']:.2f}, {row['reward_high']:.2f}" if row["episodes"] > 1 else "one episode",
             f"{row['planning_ms']:.2f}",
             f"{row['decision_ms']:.2f}",
             *(f"{100 * row[f'share_{name}']:.0f}" for name in models),
@@ -101,6 +101,7 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
         edgecolor="black",
         hatch="///",
     )
+    right.margins(y=0.3)  # room for the legend
     right.set(title="computation", ylabel="mean time per step [ms]")
     right.legend(
         handles=[Patch(color="grey", label="planning"), Patch(fc="white", ec="black", hatch="///", label="deciding")]
