@@ -1,6 +1,5 @@
 """The environment that the three scenarios share: a road, a human, a robot, and who drives it."""
 
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import jax
@@ -19,7 +18,7 @@ from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.configuration import merged
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
-from ms_highway.game import Game, Influence
+from ms_highway.game import Game, Influence, swap_roles
 from ms_highway.human_models import HumanModel, Naive, ladder
 from ms_highway.reward import FEATURES, features
 from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, Scenario, build_game, draw_starts
@@ -211,8 +210,7 @@ class InteractionEnv(AbstractEnv):
         for car in cars[:2]:
             car.dynamics = jax.tree.map(float, self.game.world)
         robot, human, *others = cars
-        human_game = replace(self.game, robot=self.game.human, human=self.game.robot)
-        human.drive_with(FixedModel(human_game, Naive()), [robot, *others])
+        human.drive_with(FixedModel(swap_roles(self.game), Naive()), [robot, *others])
         if isinstance(self.action_type, (Autopilot, HumanModelAction)):
             robot.drive_with(self._controller(states), [human, *others])
         self.road.vehicles = cars
@@ -254,6 +252,11 @@ class InteractionEnv(AbstractEnv):
                 table = PUBLISHED_COSTS if costs == "published" else costs
                 self._costs = np.array([table[model.name] for model in self.models])
         return self._costs
+
+    @property
+    def episode_steps(self) -> int:
+        """Length of an episode that nothing ends early."""
+        return round(self.config["duration"] * self.config["policy_frequency"])
 
     @property
     def robot(self) -> RobotVehicle:
@@ -313,7 +316,7 @@ class InteractionEnv(AbstractEnv):
         return bool(self.config["terminate_on_collision"] and self.collision)
 
     def _is_truncated(self) -> bool:
-        return self.steps >= round(self.config["duration"] * self.config["policy_frequency"])
+        return self.steps >= self.episode_steps
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
         """What happened in the last step; after a reset only the robot's speed and what collisions do."""

@@ -167,8 +167,7 @@ class InteractionViewer(EnvViewer):
         pygame.draw.line(self.sim_surface, FAINT, box.bottomleft, box.bottomright)
 
     def _step_width(self, box: pygame.Rect) -> float:
-        steps = round(self.env.config["duration"] * self.env.config["policy_frequency"])
-        return box.width / max(steps, len(self.env.history))
+        return box.width / max(self.env.episode_steps, len(self.env.history))
 
     def _bars(self, box: pygame.Rect) -> None:
         """One bar a step: its height is the planning time, its colour the model."""

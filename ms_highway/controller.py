@@ -101,6 +101,11 @@ def _warm_up(function: Callable[..., Any], *arguments: Any) -> float:
     return perf_counter() - start
 
 
+def _warm_up_plans(ladder: Sequence[HumanModel], game: Game, state: Float[jax.Array, "cars 4"]) -> float:
+    """Compile the plans under every model; seconds spent."""
+    return sum(_warm_up(compiled_plan, model, game, state) for model in ladder)
+
+
 def _timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
     """Result of a warm computation, and the seconds it took until the result was there."""
     start = perf_counter()
@@ -183,7 +188,7 @@ class FixedModel:
             ValueError: if the state is not a finite array [cars, 4] of two cars or more.
         """
         now = _checked(state)
-        compiling = sum(_warm_up(compiled_plan, model, self.game, now) for model in self.ladder)
+        compiling = _warm_up_plans(self.ladder, self.game, now) if self._last is None else 0.0
         planned = _plan_step(self.model, self.game, now, self._last)
         self._last = replace(planned, compile_seconds=compiling + planned.compile_seconds)
         return self._last
@@ -220,15 +225,15 @@ class ModelSwitching:
         model = self.switching.ladder[int(self._memory.rung)]
         planned = _plan_step(model, self.game, now, self._last)
         self._before = now
-        self._last = replace(planned, decision_seconds=seconds, compile_seconds=compiling, gains=gains)
+        self._last = replace(
+            planned, decision_seconds=seconds, compile_seconds=compiling + planned.compile_seconds, gains=gains
+        )
         return self._last
 
     def _warm_up(self, state: Float[jax.Array, "cars 4"]) -> float:
         """Compile every rung and the decision before the first control is due; seconds spent."""
         decision = self.switching, self.game, self._memory, state, jnp.zeros(2), state
-        return _warm_up(_decide, *decision) + sum(
-            _warm_up(compiled_plan, model, self.game, state) for model in self.switching.ladder
-        )
+        return _warm_up(_decide, *decision) + _warm_up_plans(self.switching.ladder, self.game, state)
 
     def _choose(
         self, executed: Float[np.ndarray, "2"], now: Float[jax.Array, "cars 4"]

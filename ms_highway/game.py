@@ -16,7 +16,7 @@ from ms_highway.planner import Planner
 from ms_highway.reward import Reward, reward
 from ms_highway.scene import Scene
 
-__all__ = ["Game", "Influence", "constant_velocity", "response", "swap", "total_reward"]
+__all__ = ["Game", "Influence", "constant_velocity", "response", "swap", "swap_roles", "total_reward"]
 
 Influence: TypeAlias = Literal["exact", "damped"]
 
@@ -47,8 +47,12 @@ class Game:
 
 def swap(game: Game, state: Float[jax.Array, "cars 4"]) -> tuple[Game, Float[jax.Array, "cars 4"]]:
     """The game and its state through the human's eyes: cars 0 and 1 change places."""
-    seen = jnp.concatenate([state[1::-1], state[2:]])
-    return replace(game, robot=game.human, human=game.robot), seen
+    return swap_roles(game), jnp.concatenate([state[1::-1], state[2:]])
+
+
+def swap_roles(game: Game) -> Game:
+    """The game in which the human is the one to plan."""
+    return replace(game, robot=game.human, human=game.robot)
 
 
 def constant_velocity(game: Game, car: Float[jax.Array, "4"]) -> Float[jax.Array, "steps 2"]:

@@ -33,6 +33,9 @@ TIME_STEP = 0.1  # s
 PAPER_FRICTION = 0.2  # 1/s; the paper names alpha without a value
 RELEASED_DRAG = 0.2  # per paper unit, in the world only: the released planners assume none
 
+PAPER_DYNAMICS = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
+"""The paper's motion with friction, Sec. IV-A; the same in any unit of length."""
+
 COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
 """Weights that every driver of every scenario has."""
 
@@ -105,7 +108,7 @@ def build_game(
     robot = Reward(weights(scenario.robot_weights), SPEED_LIMIT * unit, scenario.robot_gap * unit)
     human = Reward(weights(scenario.human_weights), SPEED_LIMIT * unit, scenario.human_gap * unit)
     if semantics == "paper":
-        plans = world = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
+        plans = world = PAPER_DYNAMICS
     else:
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
@@ -120,8 +123,7 @@ def driving_game(scene: Scene, speed_limit: float) -> Game:
         speed_limit: the speed that is rewarded most [m/s].
     """
     driver = Reward(weights(COMMON_WEIGHTS), speed_limit, 0.0)
-    dynamics = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
-    return _game(scene, driver, driver, dynamics, dynamics, None, "damped")
+    return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, None, "damped")
 
 
 def _game(

@@ -9,7 +9,6 @@ and ``ladder`` [rungs].
 import re
 import zipfile
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from jaxtyping import Float
 
 from ms_highway.controller import compiled_plan
 from ms_highway.envs import SCENARIOS
-from ms_highway.game import Game
+from ms_highway.game import Game, swap_roles
 from ms_highway.human_models import MODELS, HumanModel, Naive, ladder
 from ms_highway.reward import reward
 from ms_highway.scenario import build_game
@@ -63,9 +62,10 @@ def validate_file(file: Path) -> dict[str, Any]:
     for index in np.unique(episodes["models"]):
         chosen = episodes["models"] == index
         planned[chosen] = _first_controls(list(MODELS.values())[index], game, states[chosen])
-    human_game = replace(game, robot=game.human, human=game.robot)
     swapped = jnp.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2)
-    human = _first_controls(Naive(), human_game, swapped.reshape(-1, *states.shape[2:])).reshape(*swapped.shape[:2], 2)
+    human = _first_controls(Naive(), swap_roles(game), swapped.reshape(-1, *states.shape[2:])).reshape(
+        *swapped.shape[:2], 2
+    )
     rewards = reward(game.scene, game.robot, states[:, 1:])
     report: dict[str, Any] = {
         "action_error": _quantiles(np.abs(planned - episodes["robot_controls"]).max(axis=-1)),

@@ -11,15 +11,20 @@ from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Float
 
 from ms_highway.controller import Controller, ControlStep, FixedModel
-from ms_highway.dynamics import Dynamics, keep_velocity, step
+from ms_highway.dynamics import keep_velocity, step
 from ms_highway.game import Game
 from ms_highway.human_models import Naive
-from ms_highway.scenario import PAPER_FRICTION, PAPER_UNIT, SPEED_LIMIT, TIME_STEP, driving_game
+from ms_highway.scenario import PAPER_DYNAMICS, PAPER_UNIT, SPEED_LIMIT, driving_game
 from ms_highway.scene import from_road
 
 __all__ = ["BicycleVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle", "ScriptedVehicle"]
 
 FAR_AWAY = 1000.0  # m
+
+
+def _state(car: Vehicle) -> Float[np.ndarray, "4"]:
+    """State of any of highway-env's vehicles."""
+    return np.array([*car.position, car.heading, car.speed], dtype=float)
 
 
 class BicycleVehicle(Vehicle):
@@ -42,7 +47,7 @@ class BicycleVehicle(Vehicle):
 
     def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
         super().__init__(road, position, heading, speed)
-        self.dynamics = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
+        self.dynamics = PAPER_DYNAMICS
         self.control = np.zeros(2)
         if self.COLOR:
             self.color = self.COLOR
@@ -50,7 +55,7 @@ class BicycleVehicle(Vehicle):
     @property
     def state(self) -> Float[np.ndarray, "4"]:
         """``(x, y, heading, speed)`` in metres, radians and metres per second."""
-        return np.array([*self.position, self.heading, self.speed], dtype=float)
+        return _state(self)
 
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Take an action, to be executed until the next one; without one, go on with the last."""
@@ -118,7 +123,7 @@ class PlanningVehicle(BicycleVehicle):
 
     def observe(self) -> Float[np.ndarray, "cars 4"]:
         """States of this car and of its companions."""
-        return np.stack([[*car.position, car.heading, car.speed] for car in (self, *self.companions)])
+        return np.stack([_state(car) for car in (self, *self.companions)])
 
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Plan and take the plan's first control; an action that is given holds until the road lets vehicles act."""
@@ -163,9 +168,8 @@ class HumanVehicle(PlanningVehicle):
             (car for car in self.road.vehicles if car is not self),
             key=lambda car: float(np.linalg.norm(car.position - self.position)),
         )[: self.NEIGHBOURS]
-        absent = [self.position[0] - FAR_AWAY, self.position[1], 0.0, 0.0]
-        states = [[*car.position, car.heading, car.speed] for car in (self, *others)]
-        return np.array(states + [absent] * (1 + self.NEIGHBOURS - len(states)))
+        absent = np.array([self.position[0] - FAR_AWAY, self.position[1], 0.0, 0.0])
+        return np.stack([_state(car) for car in (self, *others)] + [absent] * (self.NEIGHBOURS - len(others)))
 
     def _game_on_road(self) -> Game:
         limit = self.lane.speed_limit or SPEED_LIMIT * PAPER_UNIT
