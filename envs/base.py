@@ -14,11 +14,12 @@ from highway_env.vehicle.objects import Obstacle
 from jaxtyping import Float
 
 from ms_highway.controller import Controller, FixedModel, ModelSwitching, measure_costs
+from ms_highway.derivatives import Influence
 from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.configuration import merged
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
-from ms_highway.game import Game, Influence, swap_roles
+from ms_highway.game import Game, swap_roles
 from ms_highway.human_models import HumanModel, Naive, ladder
 from ms_highway.reward import FEATURES, features
 from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, Scenario, build_game, draw_starts

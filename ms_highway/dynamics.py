@@ -13,14 +13,14 @@ vehicles (float64, NumPy) and planners (float32, JAX) share the equations.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias, TypeVar
+from typing import Literal, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-__all__ = ["Array", "Dynamics", "coast", "keep_velocity", "recover_control", "rollout", "step"]
+__all__ = ["Array", "Dynamics", "Motion", "coast", "keep_velocity", "observe", "recover_control", "rollout", "step"]
 
 Array: TypeAlias = jax.Array | np.ndarray
 SameArray = TypeVar("SameArray", jax.Array, np.ndarray)
@@ -42,6 +42,28 @@ class Dynamics:
     friction: Literal["linear", "quadratic"] = field(metadata={"static": True})
     drag: float | Float[Array, ""]
     time_step: float | Float[Array, ""]
+
+
+class Motion(NamedTuple):
+    """What rewards look at: where cars are, where they point, how fast they are; arrays of one shape [*cars, *times].
+
+    Attributes:
+        x, y: position [m].
+        cosine, sine: of the heading.
+        speed: [m/s].
+    """
+
+    x: jax.Array
+    y: jax.Array
+    cosine: jax.Array
+    sine: jax.Array
+    speed: jax.Array
+
+
+def observe(states: Float[Array, "*shape 4"]) -> Motion:
+    """The motion, arrays [*shape], that an array of states describes."""
+    x, y, heading, speed = jnp.moveaxis(jnp.asarray(states), -1, 0)
+    return Motion(x, y, jnp.cos(heading), jnp.sin(heading), speed)
 
 
 def _resistance(dynamics: Dynamics, speed: SameArray) -> SameArray:
@@ -76,53 +98,46 @@ def step(
 
 
 def rollout(
-    dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], controls: Float[jax.Array, "steps *cars 2"]
-) -> Float[jax.Array, "steps *cars 4"]:
-    """The states after each of a sequence of controls (the initial state is left out).
+    dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], controls: Float[jax.Array, "*cars steps 2"]
+) -> Motion:
+    """The motion after each of a sequence of controls, arrays [*cars, steps] (the initial state is left out).
 
     The same as as many calls of `step`, but all steps at once: with linear friction, speeds are a weighted sum of the
     accelerations, ``v_k = (1 - drag dt)^k v_0 + dt sum_j (1 - drag dt)^(k-1-j) a_j``, and headings and positions are
-    cumulative sums. A few large array operations compile and run several times faster than many small ones.
+    cumulative sums. A few array operations compile and run many times faster than a chain of small ones.
 
     Raises:
         ValueError: for quadratic friction, which has no such form.
     """
     if dynamics.friction != "linear":
         raise ValueError("a rollout needs linear friction; with quadratic friction, repeat `step`")
-    steps, dt = len(controls), dynamics.time_step
-    age = np.arange(1, steps + 1)[:, None] - np.arange(steps + 1)  # steps from each term to each state, < 0: not yet
+    dt, terms = dynamics.time_step, np.arange(controls.shape[-2] + 1)
+    age = terms[:, None] - terms  # steps from each term of a sum to each state; below 0: not yet
     plain = jnp.asarray(age >= 0, dtype=controls.dtype)
     fading = plain * (1 - dynamics.drag * dt) ** np.maximum(age, 0)
 
-    def accumulate(weights: Float[jax.Array, "steps terms"], initial: jax.Array, changes: jax.Array) -> jax.Array:
-        """Sums of an initial value and the changes so far; unlike a small matrix product, fused with what follows."""
-        terms = jnp.concatenate([initial[None], changes])
-        return jnp.sum(weights.reshape(*weights.shape, *[1] * initial.ndim) * terms, axis=1)
+    def accumulate(weights: Float[jax.Array, "states terms"], initial: jax.Array, changes: jax.Array) -> jax.Array:
+        """An initial value and its sums with the changes so far; unlike a small matrix product, fused with the rest."""
+        return jnp.sum(weights * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
 
-    def before(initial: jax.Array, after: jax.Array) -> jax.Array:
-        return jnp.concatenate([initial[None], after[:-1]])
-
-    x, y, heading, speed = jnp.moveaxis(state, -1, 0)
-    omega, acceleration = jnp.moveaxis(controls, -1, 0)
-    speeds = accumulate(fading, speed, acceleration * dt)
-    old_speeds = before(speed, speeds)
-    yaw_rates = old_speeds * omega if dynamics.steering == "curvature" else omega
-    headings = accumulate(plain, heading, yaw_rates * dt)
-    old_headings = before(heading, headings)
-    distances = old_speeds * dt + (acceleration - _resistance(dynamics, old_speeds)) * dt**2 / 2
-    xs = accumulate(plain, x, distances * jnp.cos(old_headings))
-    ys = accumulate(plain, y, distances * jnp.sin(old_headings))
-    return jnp.stack([xs, ys, headings, speeds], axis=-1)
+    speed = accumulate(fading, state[..., 3], controls[..., 1] * dt)
+    before = speed[..., :-1]
+    yaw_rate = before * controls[..., 0] if dynamics.steering == "curvature" else controls[..., 0]
+    heading = accumulate(plain, state[..., 2], yaw_rate * dt)
+    # The barrier keeps XLA from working out sines and cosines again wherever they are used.
+    direction = jax.lax.optimization_barrier(jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=-2))
+    distance = before * dt + (controls[..., 1] - _resistance(dynamics, before)) * dt**2 / 2
+    position = accumulate(plain[1:], state[..., :2], distance[..., None, :] * direction[..., :-1])
+    x, y, cosine, sine = (pair[..., i, :] for pair in (position, direction[..., 1:]) for i in range(2))
+    return Motion(x, y, cosine, sine, speed[..., 1:])
 
 
-def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) -> Float[jax.Array, "steps *cars 4"]:
-    """The states after each of ``steps`` steps at constant velocity (the initial state is left out)."""
-    x, y, heading, speed = jnp.moveaxis(state, -1, 0)
-    times = (jnp.arange(1, steps + 1) * dynamics.time_step).reshape(-1, *[1] * x.ndim)
-    distance = speed * times
-    return jnp.stack(
-        jnp.broadcast_arrays(x + distance * jnp.cos(heading), y + distance * jnp.sin(heading), heading, speed), axis=-1
-    )
+def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) -> Motion:
+    """The motion over ``steps`` steps at constant velocity, arrays [*cars, steps] (the initial state is left out)."""
+    now = Motion(*(field[..., None] for field in observe(state)))
+    distance = now.speed * jnp.arange(1, steps + 1) * dynamics.time_step
+    moved = now._replace(x=now.x + distance * now.cosine, y=now.y + distance * now.sine)
+    return Motion(*jnp.broadcast_arrays(*moved))
 
 
 def keep_velocity(dynamics: Dynamics, state: Float[SameArray, "*cars 4"]) -> Float[SameArray, "*cars 2"]:

@@ -5,20 +5,26 @@ controllers turn them into curvatures and accelerations.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
 
 import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.dynamics import Dynamics, coast, keep_velocity, rollout
+from ms_highway.derivatives import Influence, Path
+from ms_highway.dynamics import Dynamics, Motion, coast, keep_velocity, rollout
 from ms_highway.planner import Planner
-from ms_highway.reward import Reward, reward
+from ms_highway.reward import Reward, motion_reward
 from ms_highway.scene import Scene
 
-__all__ = ["Game", "Influence", "constant_velocity", "response", "swap", "swap_roles", "total_reward"]
-
-Influence: TypeAlias = Literal["exact", "damped"]
+__all__ = [
+    "Game",
+    "constant_velocity",
+    "move",
+    "path_reward",
+    "swap",
+    "swap_roles",
+    "total_reward",
+]
 
 
 @jax.tree_util.register_dataclass
@@ -33,7 +39,7 @@ class Game:
         dynamics: the motion that plans assume.
         world: the motion of the real cars, from which executed controls are recovered.
         planner: horizon, steps and limits of every plan.
-        influence: how the human's response to the robot is computed, see `response` (static).
+        influence: how the human's response to the robot is computed, see `ms_highway.derivatives.response` (static).
     """
 
     scene: Scene
@@ -51,14 +57,33 @@ def swap(game: Game, state: Float[jax.Array, "cars 4"]) -> tuple[Game, Float[jax
 
 
 def swap_roles(game: Game) -> Game:
-    """The game in which the human is the one to plan."""
-    return replace(game, robot=game.human, human=game.robot)
+    """The game in which the human is the one to plan; humans use the paper's solver, whatever the robot's."""
+    return replace(game, robot=game.human, human=game.robot, planner=replace(game.planner, solver="gradient"))
 
 
 def constant_velocity(game: Game, car: Float[jax.Array, "4"]) -> Float[jax.Array, "steps 2"]:
     """The scaled controls of a car that keeps speed and heading over the horizon."""
     control = keep_velocity(game.dynamics, car) / game.planner.control_scale
     return jnp.broadcast_to(control, (game.planner.horizon, 2))
+
+
+def move(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Path:
+    """The path of a car under scaled controls."""
+    return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
+
+
+def path_reward(game: Game, state: Float[jax.Array, "cars 4"], robot: Path, human: Path) -> Float[jax.Array, ""]:
+    """The robot's reward, summed over the steps of both players' paths.
+
+    Args:
+        game: whose rewards and motion.
+        state: all cars now; those beyond the first two keep their velocity.
+        robot: path of car 0.
+        human: path of car 1.
+    """
+    rest = coast(game.dynamics, state[2:], robot.shape[-1])
+    others = Motion(*(jnp.concatenate([first[None], more]) for first, more in zip(human, rest, strict=True)))
+    return jnp.sum(motion_reward(game.scene, game.robot, Motion(*robot), others))
 
 
 def total_reward(
@@ -75,24 +100,4 @@ def total_reward(
         robot: scaled controls of car 0, of any number of steps.
         human: scaled controls of car 1, as many.
     """
-    controls = jnp.stack([robot, human], axis=1) * game.planner.control_scale
-    players = rollout(game.dynamics, state[:2], controls)
-    others = coast(game.dynamics, state[2:], len(controls))
-    states = jnp.concatenate([players, others], axis=1)
-    return jnp.sum(reward(game.scene, game.robot, states))
-
-
-def response(
-    influence: Influence, hessian: Float[jax.Array, "n n"], vector: Float[jax.Array, "n *columns"]
-) -> Float[jax.Array, "n *columns"]:
-    """``-H^-1 vector``: where a human moves the optimum of its reward, whose Hessian is H, under a push ``vector``.
-
-    * ``exact`` takes H as it is, like the paper and its released code; H need not be negative definite along the way
-      nor invertible, and then the answer is wild or not finite.
-    * ``damped`` first sets H's eigenvalues l to ``-max(|l|, 1)``, which makes every response an ascent and bounds it.
-    """
-    if influence == "exact":
-        return -jnp.linalg.solve(hessian, vector)
-    values, vectors = jnp.linalg.eigh(hessian)
-    stiffness = jnp.maximum(jnp.abs(values), 1.0)
-    return (vectors / stiffness) @ (vectors.T @ vector)
+    return path_reward(game, state, move(game, state[0], robot), move(game, state[1], human))

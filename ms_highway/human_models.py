@@ -5,14 +5,16 @@ with these is a rung (`HumanModel`). All controls here are scaled, see `ms_highw
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, NamedTuple, Protocol
 
 import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game import Game, constant_velocity, response, swap, total_reward
-from ms_highway.planner import ascend
+from ms_highway.derivatives import expand, response
+from ms_highway.game import Game, constant_velocity, move, path_reward, swap
+from ms_highway.planner import ascend, climb
 
 __all__ = ["MODELS", "HumanModel", "JointPlan", "Naive", "TheoryOfMind", "Turn", "ladder"]
 
@@ -91,21 +93,21 @@ class TheoryOfMind:
     def plan(self, game: Game, state: State) -> JointPlan:
         mirrored, mirrored_state = swap(game, state)
 
-        def robot_reward(robot: Controls, human: Controls) -> Float[jax.Array, ""]:
-            return total_reward(game, state, robot, human)
-
-        def human_reward(robot: Controls, human: Controls) -> Float[jax.Array, ""]:
-            return total_reward(mirrored, mirrored_state, human, robot)
-
         def direction(plan: JointPlan) -> JointPlan:
-            along_robot, along_human = jax.grad(robot_reward, argnums=(0, 1))(*plan)
-            size = along_human.size
-            hessian = jax.hessian(human_reward, argnums=1)(*plan).reshape(size, size)
-            pushed = response(game.influence, hessian, along_human.reshape(size)).reshape(along_human.shape)
-            human_slope, pull_back = jax.vjp(
-                lambda robot: jax.grad(human_reward, argnums=1)(robot, plan.human), plan.robot
+            robot, pull_robot = jax.vjp(partial(move, game, state[0]), plan.robot)
+            human, pull_human = jax.vjp(partial(move, game, state[1]), plan.human)
+            along_robot, along_human = jax.grad(path_reward, argnums=(2, 3))(game, state, robot, human)
+            earned = expand(
+                partial(move, game, state[1]),
+                lambda human: path_reward(mirrored, mirrored_state, human, robot),
+                plan.human,
             )
-            return JointPlan(along_robot + pull_back(pushed)[0], human_slope)
+            pushed = response(game.influence, earned.hessian, pull_human(along_human)[0].ravel())
+            _, pull_back = jax.vjp(
+                lambda robot: jax.grad(path_reward, argnums=2)(mirrored, mirrored_state, human, robot), robot
+            )
+            through_human = pull_back(jnp.sum(earned.jacobian * pushed, axis=-1))[0]
+            return JointPlan(pull_robot(along_robot + through_human)[0], earned.gradient.reshape(plan.human.shape))
 
         return ascend(game.planner, direction, JointPlan(_still(game), _still(game)))
 
@@ -116,8 +118,14 @@ def _still(game: Game) -> Controls:
 
 def _plan_against(game: Game, state: State, human: Controls) -> JointPlan:
     """The robot's own ascent of its reward against fixed human controls."""
-    slope = jax.grad(total_reward, argnums=2)
-    return JointPlan(ascend(game.planner, lambda robot: slope(game, state, robot, human), _still(game)), human)
+    expected = move(game, state[1], human)
+    robot = climb(
+        game.planner,
+        partial(move, game, state[0]),
+        lambda robot: path_reward(game, state, robot, expected),
+        _still(game),
+    )
+    return JointPlan(robot, human)
 
 
 MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), Turn(), TheoryOfMind())}

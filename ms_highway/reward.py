@@ -6,16 +6,17 @@ eyes. Lengths enter the features in the scene's ``length_unit`` U, so that weigh
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.dynamics import Array
+from ms_highway.dynamics import Array, Motion, observe
 from ms_highway.scene import Scene
 
-__all__ = ["FEATURES", "Reward", "features", "reward", "weights"]
+__all__ = ["FEATURES", "Reward", "features", "motion_reward", "reward", "weights"]
 
 FEATURES = (
     "speed",
@@ -34,6 +35,7 @@ FEATURES = (
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
 OBSTACLE_SHARE = 0.5  # an obstacle's risk counts half of a car's
+CARS_AT_ONCE = 2  # XLA still unrolls and vectorises the loops over two cars, and no longer those over three
 HEADING_SHARE = 0.01  # of directional against lateral alignment with a lane
 
 
@@ -67,7 +69,7 @@ def weights(values: Mapping[str, float]) -> Float[np.ndarray, "features"]:
 
 def reward(scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]) -> Float[jax.Array, "*batch"]:
     """Car 0's reward in each state: theta . phi."""
-    return features(scene, parameters, states) @ jnp.asarray(parameters.weights)
+    return motion_reward(scene, parameters, *_apart(states))
 
 
 def features(
@@ -85,82 +87,128 @@ def features(
 
     ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient.
     """
-    states = jnp.asarray(states)
-    unit = scene.length_unit
-    own, partner = states[..., 0, :], states[..., 1, :]
-    x, y, heading, speed = jnp.moveaxis(own, -1, 0)
-    forward = speed * jnp.cos(heading) / parameters.speed_limit
-    lane_offset = jnp.min((y[..., None] - jnp.asarray(scene.lanes)) ** 2, axis=-1) / unit**2
-    risk, collision = _collision_risk(scene, states)
-    leader_x = x if scene.leader is None else states[..., scene.leader, 0]
-    gap_error = jnp.zeros_like(x) if scene.leader is None else (x - (leader_x - parameters.gap)) / unit
-    columns = [
+    return jnp.stack(_features(scene, parameters, *_apart(states)), axis=-1)
+
+
+def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
+    """The reward of a car along its motion, theta . phi.
+
+    Args:
+        scene: where.
+        parameters: whose reward.
+        own: motion of the car, arrays [*times].
+        others: motion of all others, its partner first, arrays [others, *times].
+    """
+    columns = _features(scene, parameters, own, others)
+    weighted = [weight * column for weight, column in zip(jnp.unstack(parameters.weights), columns, strict=True)]
+    return reduce(jnp.add, weighted)
+
+
+def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
+    """Motions of car 0, arrays [*batch], and of the others, arrays [others, *batch]."""
+    cars = observe(jnp.moveaxis(jnp.asarray(states), -2, 0))
+    return Motion(*(field[0] for field in cars)), Motion(*(field[1:] for field in cars))
+
+
+def _features(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:
+    """The columns of `features`. Constants are inverted first: a division by each would be repeated at every state."""
+    per_unit, per_limit = 1 / scene.length_unit, 1 / parameters.speed_limit
+    forward = own.speed * own.cosine * per_limit
+    lane = reduce(lambda a, b: jnp.where(jnp.abs(own.y - a) <= jnp.abs(own.y - b), a, b), jnp.unstack(scene.lanes))
+    risk, collision = _collision_risk(scene, own, others)
+    leader_x = own.x if scene.leader is None else others.x[scene.leader - 1]
+    gap_error = jnp.zeros_like(own.x) if scene.leader is None else (own.x - (leader_x - parameters.gap)) * per_unit
+    partner = Motion(*(field[0] for field in others))
+    return [
         -forward * (forward - 2),
-        -lane_offset + HEADING_SHARE * jnp.cos(heading),
+        -(((own.y - lane) * per_unit) ** 2) + HEADING_SHARE * own.cosine,
         risk,
         collision,
-        (_depth_off_road(scene, own) / unit) ** 2,
-        -(((y - scene.target_lane) / unit) ** 2),
+        (_depth_off_road(scene, own) * per_unit) ** 2,
+        -(((own.y - scene.target_lane) * per_unit) ** 2),
         -(gap_error**2),
         _merged(scene, own),
-        -(((partner[..., 1] - scene.target_lane) / unit) ** 2),
+        -(((partner.y - scene.target_lane) * per_unit) ** 2),
         _merged(scene, partner),
     ]
-    return jnp.stack(columns, axis=-1)
 
 
 def _collision_risk(
-    scene: Scene, states: Float[jax.Array, "*batch cars 4"]
-) -> tuple[Float[jax.Array, "*batch"], Float[jax.Array, "*batch"]]:
-    """Risk and indicator of car 0 colliding.
+    scene: Scene, own: Motion, others: Motion
+) -> tuple[Float[jax.Array, "*times"], Float[jax.Array, "*times"]]:
+    """Risk and indicator of a car colliding.
 
     Nine points of its body (corners, middles of the edges, centre) are measured in the frame of every other car and
     of every obstacle by ``D = (2 dx / length)^2 + (2 dy / width)^2``: below 1 lies the ellipse inscribed in the body.
     The risk is ``sum exp(-1.5 (D - 1))`` over the points and cars plus half of ``sum exp(-4 (D - 1))`` over the
     points and obstacles; the indicator says whether any D < 1.
     """
-    own, others = states[..., 0, :], states[..., 1:, :]
-    points = _rotate(_body_points(scene), own[..., None, 2])[..., None, :, :]  # [*batch, 1, 9, 2], from the centre
-    from_cars = own[..., None, :2] - others[..., :2]
-    from_obstacles = own[..., None, :2] - jnp.asarray(scene.obstacles)
-    to_cars = _rotate(from_cars[..., None, :] + points, -others[..., None, 2])
-    to_obstacles = from_obstacles[..., None, :] + points
-    car_distance = jnp.sum((2 * to_cars / jnp.asarray(scene.car_size)) ** 2, axis=-1)  # D: [*batch, others, 9]
-    obstacle_distance = jnp.sum((2 * to_obstacles / jnp.asarray(scene.obstacle_size)) ** 2, axis=-1)
-    risk = jnp.sum(jnp.exp(-CAR_SHARPNESS * (car_distance - 1)), axis=(-2, -1)) + OBSTACLE_SHARE * jnp.sum(
-        jnp.exp(-OBSTACLE_SHARPNESS * (obstacle_distance - 1)), axis=(-2, -1)
-    )
-    collision = jnp.any(car_distance < 1, axis=(-2, -1)) | jnp.any(obstacle_distance < 1, axis=(-2, -1))
+    risk, collision = jnp.zeros_like(own.x), jnp.zeros_like(own.x, dtype=bool)
+
+    def add(bodies: Motion, size: Float[jax.Array, "2"], sharpness: float, share: float) -> None:
+        nonlocal risk, collision
+        distances = _distances(scene, own, bodies, size)
+        risk += share * jnp.sum(jnp.exp(-sharpness * distances), axis=(0, -1))
+        collision |= jnp.any(distances < 0, axis=(0, -1))
+
+    for first in range(0, len(others.x), CARS_AT_ONCE):
+        pair = Motion(*(field[first : first + CARS_AT_ONCE] for field in others))
+        add(pair, scene.car_size, CAR_SHARPNESS, 1.0)
+    if len(scene.obstacles):
+        x, y = jnp.moveaxis(jnp.asarray(scene.obstacles), -1, 0).reshape(2, -1, *[1] * own.x.ndim)
+        zero = jnp.zeros_like(x)
+        add(Motion(x, y, zero + 1, zero, zero), scene.obstacle_size, OBSTACLE_SHARPNESS, OBSTACLE_SHARE)
     return risk, collision.astype(risk.dtype)
 
 
-def _body_points(scene: Scene) -> Float[jax.Array, "9 2"]:
+def _distances(
+    scene: Scene, own: Motion, others: Motion, size: Float[jax.Array, "2"]
+) -> Float[jax.Array, "others *times 9"]:
+    """D - 1 of every body point to every other body of that size.
+
+    With the points p of the own body, its rotation R, the offset d from the other's centre and the ellipse's matrix
+    ``A = Q^T diag(4 / size^2) Q`` in the road's axes, ``D = (d + R p)^T A (d + R p)`` is a polynomial in p; so few
+    numbers per pair of bodies make all nine distances.
+    """
+    shape = jnp.broadcast_shapes(others.x.shape, (1, *own.x.shape))
+    x, y, cosine, sine = (jnp.broadcast_to(field, shape) for field in (own.x, own.y, own.cosine, own.sine))
+    dx, dy = x - others.x, y - others.y
+    along, across = 4 / size[0] ** 2, 4 / size[1] ** 2
+    xx = others.cosine**2 * along + others.sine**2 * across
+    xy = others.cosine * others.sine * (along - across)
+    yy = others.sine**2 * along + others.cosine**2 * across
+    ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
+    coefficients = [
+        dx * ax + dy * ay - 1,
+        2 * (cosine * ax + sine * ay),
+        2 * (cosine * ay - sine * ax),
+        cosine**2 * xx + 2 * cosine * sine * xy + sine**2 * yy,
+        2 * ((cosine**2 - sine**2) * xy + cosine * sine * (yy - xx)),
+        sine**2 * xx - 2 * cosine * sine * xy + cosine**2 * yy,
+    ]
+    px, py = _body_points(scene)
+    powers = jnp.stack([jnp.ones_like(px), px, py, px * px, px * py, py * py])
+    return jnp.sum(jax.lax.optimization_barrier(jnp.stack(coefficients))[..., None] * powers.reshape(6, *[1] * x.ndim, 9), axis=0)
+
+
+def _body_points(scene: Scene) -> Float[jax.Array, "2 9"]:
     """Corners, middles of the edges and centre of a car, in its own frame [m]."""
     q = scene.corner
     shares = [(q, q), (q, -q), (-q, q), (-q, -q), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5), (0.0, 0.0)]
-    return jnp.array(shares) * jnp.asarray(scene.car_size)
+    return (jnp.array(shares) * jnp.asarray(scene.car_size)).T
 
 
-def _rotate(vectors: Float[jax.Array, "*batch 2"], angle: Float[jax.Array, "*batch"]) -> Float[jax.Array, "*batch 2"]:
-    cosine, sine = jnp.cos(angle), jnp.sin(angle)
-    x, y = vectors[..., 0], vectors[..., 1]
-    return jnp.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
-
-
-def _depth_off_road(scene: Scene, car: Float[jax.Array, "*batch 4"]) -> Float[jax.Array, "*batch"]:
+def _depth_off_road(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
     """How far the outermost corner is beyond the edge of the road, 0 on the road [m]."""
-    y, heading = car[..., 1], car[..., 2]
     length, width = scene.car_size
-    reach = (length * jnp.abs(jnp.sin(heading)) + width * jnp.abs(jnp.cos(heading))) / 2
-    margin = scene.lane_width / 2
-    lanes = jnp.asarray(scene.lanes)
-    right, left = y + reach - (jnp.max(lanes) + margin), (jnp.min(lanes) - margin) - (y - reach)
-    return jnp.maximum(0.0, jnp.maximum(right, left))
+    reach = (length * jnp.abs(car.sine) + width * jnp.abs(car.cosine)) / 2
+    low, high = jnp.min(jnp.asarray(scene.lanes)), jnp.max(jnp.asarray(scene.lanes))
+    depth = jnp.abs(car.y - (low + high) / 2) + reach - (high - low + scene.lane_width) / 2
+    return jnp.where(depth > 0, depth, 0.0)
 
 
-def _merged(scene: Scene, car: Float[jax.Array, "*batch 4"]) -> Float[jax.Array, "*batch"]:
+def _merged(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
     """1 where the car has reached the target lane: ``y + width / 2 sin(heading)`` is beyond that lane's inner edge."""
     side = jnp.where(scene.target_lane <= jnp.mean(jnp.asarray(scene.lanes)), -1.0, 1.0)
-    point = car[..., 1] + scene.car_size[1] / 2 * jnp.sin(car[..., 2])
-    inside = side * (point - scene.target_lane) > -scene.lane_width / 2
-    return jax.lax.stop_gradient(inside.astype(point.dtype))
+    inside = side * (car.y + scene.car_size[1] / 2 * car.sine - scene.target_lane) > -scene.lane_width / 2
+    return jax.lax.stop_gradient(inside.astype(car.y.dtype))

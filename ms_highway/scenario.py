@@ -13,9 +13,10 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.derivatives import Influence
 from ms_highway.dynamics import Dynamics
-from ms_highway.game import Game, Influence
-from ms_highway.planner import Planner
+from ms_highway.game import Game
+from ms_highway.planner import Planner, Solver
 from ms_highway.reward import Reward, weights
 from ms_highway.scene import Scene
 
@@ -83,6 +84,7 @@ def build_game(
     influence: Influence = "damped",
     control_limit: tuple[float, float] | None = None,
     unit: float = PAPER_UNIT,
+    solver: Solver = "gradient",
 ) -> Game:
     """The game of a scenario.
 
@@ -90,9 +92,10 @@ def build_game(
         scenario: which one.
         semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners; ``released``: the
             released code's, where planners ignore the world's drag.
-        influence: form of the human's response, see `ms_highway.game.response`.
+        influence: form of the human's response, see `ms_highway.derivatives.response`.
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics.
         unit: how long one paper unit is in the game's lengths; 1 keeps the released code's numbers.
+        solver: how plans are improved, see `ms_highway.planner.climb`.
     """
     scene = Scene(
         lanes=np.array(scenario.lanes) * unit,
@@ -112,7 +115,7 @@ def build_game(
     else:
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
-    return _game(scene, robot, human, plans, world, control_limit, influence)
+    return _game(scene, robot, human, plans, world, control_limit, influence, solver)
 
 
 def driving_game(scene: Scene, speed_limit: float) -> Game:
@@ -123,7 +126,7 @@ def driving_game(scene: Scene, speed_limit: float) -> Game:
         speed_limit: the speed that is rewarded most [m/s].
     """
     driver = Reward(weights(COMMON_WEIGHTS), speed_limit, 0.0)
-    return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, None, "damped")
+    return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, None, "damped", "gradient")
 
 
 def _game(
@@ -134,6 +137,7 @@ def _game(
     world: Dynamics,
     control_limit: tuple[float, float] | None,
     influence: Influence,
+    solver: Solver,
 ) -> Game:
     """A game in float32, with the control scale that makes a step of 0.03 what it is in the paper.
 
@@ -144,6 +148,7 @@ def _game(
     planner = Planner(
         control_scale=np.array([turn_scale, scene.length_unit]),
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
+        solver=solver,
     )
     game = Game(scene, robot, human, plans, world, planner, influence)
     return jax.tree.map(lambda number: jnp.asarray(number, dtype=jnp.float32), game)

@@ -14,7 +14,8 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.dynamics import Array
-from ms_highway.game import Game, response, swap, total_reward
+from ms_highway.derivatives import response
+from ms_highway.game import Game, swap, total_reward
 from ms_highway.human_models import HumanModel
 
 __all__ = [

@@ -9,7 +9,8 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.controller import compiled_plan as plan
-from ms_highway.game import constant_velocity, response, swap, total_reward
+from ms_highway.derivatives import response
+from ms_highway.game import constant_velocity, swap, total_reward
 from ms_highway.human_models import MODELS, JointPlan, TheoryOfMind, Turn, _plan_against, ladder
 from ms_highway.planner import Planner, ascend
 from ms_highway.reward import FEATURES

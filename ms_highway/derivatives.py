@@ -1,0 +1,85 @@
+"""Second derivatives of what a path earns, in the controls that make the path, and steps that they tell of."""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple, TypeAlias
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+__all__ = ["Expansion", "Influence", "Path", "damped_inverse", "expand", "response"]
+
+Influence: TypeAlias = Literal["exact", "damped"]
+
+Path: TypeAlias = Float[jax.Array, "fields steps"]
+"""The motion of one car over the steps of a plan, the fields of its `ms_highway.dynamics.Motion` stacked."""
+
+
+class Expansion(NamedTuple):
+    """A path's reward to second order in its n controls, which are ravelled.
+
+    Attributes:
+        gradient: of the reward in the controls.
+        hessian: of the reward in the controls.
+        jacobian: of the path in the controls.
+    """
+
+    gradient: Float[jax.Array, "n"]
+    hessian: Float[jax.Array, "n n"]
+    jacobian: Float[jax.Array, "fields steps n"]
+
+
+def expand(
+    path: Callable[[Float[jax.Array, "steps 2"]], Path],
+    reward: Callable[[Path], Float[jax.Array, ""]],
+    controls: Float[jax.Array, "steps 2"],
+) -> Expansion:
+    """Gradient and Hessian, by the chain rule, of a reward that is a sum over the steps of the path.
+
+    With s_k the motion at step k, ``J_k = ds_k / du``, and g_k and Q_k the reward's gradient and Hessian at s_k::
+
+        gradient = sum_k J_k^T g_k;  H = sum_k J_k^T Q_k J_k + sum_k g_k d2s_k / du2
+
+    The reward, which is dear, is differentiated twice in as many directions as a motion has fields, whatever the
+    number of controls; only the path, which is cheap, is differentiated in every control.
+
+    Args:
+        path: the path under the controls.
+        reward: what a path earns; no step may look at another.
+        controls: where to expand.
+    """
+
+    def ravelled(controls: Float[jax.Array, "n"]) -> Path:
+        return path(controls.reshape(-1, 2))
+
+    point = controls.ravel()
+    steps, slope = ravelled(point), jax.grad(reward)
+    jacobian = jax.jacfwd(ravelled)(point)
+    along_path = slope(steps)
+    fields = len(steps)
+    directions = jnp.broadcast_to(jnp.eye(fields)[..., None], (fields, *steps.shape))
+    blocks = jax.vmap(lambda direction: jax.jvp(slope, (steps,), (direction,))[1])(directions)
+    bent = jnp.sum(blocks[..., None] * jacobian[:, None], axis=0)
+    bending = jax.jacfwd(lambda controls: jax.vjp(ravelled, controls)[1](along_path)[0])(point)
+    hessian = jacobian.reshape(-1, point.size).T @ bent.reshape(-1, point.size) + bending
+    return Expansion(jnp.sum(jacobian * along_path[..., None], axis=(0, 1)), hessian, jacobian)
+
+
+def response(
+    influence: Influence, hessian: Float[jax.Array, "n n"], vector: Float[jax.Array, "n *columns"]
+) -> Float[jax.Array, "n *columns"]:
+    """``-H^-1 vector``: where a human moves the optimum of its reward, whose Hessian is H, under a push ``vector``.
+
+    * ``exact`` takes H as it is, like the paper and its released code; H need not be negative definite along the way
+      nor invertible, and then the answer is wild or not finite.
+    * ``damped`` first sets H's eigenvalues l to ``-max(|l|, 1)``, which makes every response an ascent and bounds it.
+    """
+    if influence == "exact":
+        return -jnp.linalg.solve(hessian, vector)
+    return damped_inverse(hessian, 1.0) @ vector
+
+
+def damped_inverse(hessian: Float[jax.Array, "n n"], floor: float) -> Float[jax.Array, "n n"]:
+    """``-H^-1`` with the eigenvalues l of H set to ``-max(|l|, floor)``: a metric in which every slope leads up."""
+    values, vectors = jnp.linalg.eigh(hessian)
+    return (vectors / jnp.maximum(jnp.abs(values), floor)) @ vectors.T
