@@ -1,5 +1,6 @@
 """The environment that the three scenarios share: a road, a human, a robot, and who drives it."""
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import jax
@@ -13,7 +14,8 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.objects import Obstacle
 from jaxtyping import Float
 
-from ms_highway.controller import Controller, FixedModel, ModelSwitching, measure_costs
+from ms_highway.compiled import measure_costs
+from ms_highway.controller import Controller, FixedModel, ModelSwitching
 from ms_highway.derivatives import Influence
 from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.configuration import merged
@@ -22,7 +24,7 @@ from ms_highway.envs.observations import CarStates
 from ms_highway.game import Game, swap_roles
 from ms_highway.human_models import HumanModel, Naive, ladder
 from ms_highway.reward import FEATURES, features
-from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, Scenario, build_game, draw_starts
+from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, PHYSICAL_LIMIT, Scenario, build_game, draw_starts
 from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 
@@ -76,7 +78,10 @@ class InteractionEnv(AbstractEnv):
     * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model.
     * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.scenario.build_game`.
     * ``influence``: ``"damped"``, ``"exact"``, or None for what belongs to the semantics (damped and exact).
-    * ``control_limit``: bounds (omega, acceleration) on plans, or None.
+    * ``control_limit``: bounds (omega, acceleration) on plans; ``"unlimited"``; or None for what belongs to the
+      semantics: `PHYSICAL_LIMIT` in paper semantics, unlimited in released semantics.
+    * ``solver``: how the robot improves its plans under naive and turn: ``"gradient"``, the paper's, or ``"newton"``.
+    * ``warm_start``: whether the robot's plans start from the rest of the last plan rather than from zero controls.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push
@@ -103,6 +108,8 @@ class InteractionEnv(AbstractEnv):
             "semantics": "paper",
             "influence": None,
             "control_limit": None,
+            "solver": "gradient",
+            "warm_start": False,
             "duration": cls.scenario.steps / 10,
             "terminate_on_collision": False,
             "simulation_frequency": 10,
@@ -129,8 +136,16 @@ class InteractionEnv(AbstractEnv):
             ValueError: for an unknown key or an impossible value.
         """
         settings = merged(self.config, config)
-        influence: Influence = settings["influence"] or ("damped" if settings["semantics"] == "paper" else "exact")
-        self.game = build_game(self.scenario, settings["semantics"], influence, settings["control_limit"])
+        paper = settings["semantics"] == "paper"
+        influence: Influence = settings["influence"] or ("damped" if paper else "exact")
+        limit = settings["control_limit"] or (PHYSICAL_LIMIT if paper else "unlimited")
+        self.game = build_game(
+            self.scenario,
+            settings["semantics"],
+            influence,
+            control_limit=None if isinstance(limit, str) else tuple(limit),
+            solver=settings["solver"],
+        )
         self.models = ladder(settings["ladder"])
         self.config = settings
         self._costs = None
@@ -233,15 +248,16 @@ class InteractionEnv(AbstractEnv):
         return network
 
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:
-        settings = self.config["controller"]
+        settings, warm_start = self.config["controller"], self.config["warm_start"]
         if isinstance(self.action_type, HumanModelAction):
             self.costs(states)  # to be measured now, if at all, and not within a step
-            return FixedModel(self.game, self.models[0], self.models)
+            return FixedModel(self.game, self.models[0], self.models, warm_start)
         if settings["type"] == "fixed":
-            return FixedModel(self.game, ladder([settings["model"]])[0])
-        tolerance = 0.0 if self.config["semantics"] == "paper" else RELEASED_TRUST_TOLERANCE
-        costs = self.costs(states)
-        return ModelSwitching(self.game, Switching(costs, settings["lambda"], self.models, trust_tolerance=tolerance))
+            return FixedModel(self.game, ladder([settings["model"]])[0], warm_start=warm_start)
+        switching = Switching(self.costs(states), settings["lambda"], self.models)
+        if self.config["semantics"] == "released":
+            switching = replace(switching, trust_tolerance=RELEASED_TRUST_TOLERANCE)
+        return ModelSwitching(self.game, switching, warm_start)
 
     def costs(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "rungs"]:
         """T(M) of every model on the ladder [s]; where to be measured, once after each change of configuration."""

@@ -31,7 +31,11 @@ OBSERVATIONS = {
     "LidarObservation": LidarObservation,
     "GrayscaleObservation": GrayscaleObservation,
 }
-CHOICES = {"semantics": ("paper", "released"), "influence": (None, "exact", "damped")}
+CHOICES = {
+    "semantics": ("paper", "released"),
+    "influence": (None, "exact", "damped"),
+    "solver": ("gradient", "newton"),
+}
 FREQUENCY = 10  # Hz
 
 
@@ -172,10 +176,11 @@ def _check_costs(costs: Any, names: Iterable[str]) -> None:
 
 
 def _check_limit(limit: Any) -> None:
-    if limit is None:
+    if _is_one_of(limit, (None, "unlimited")):
         return
     pair = list(limit) if isinstance(limit, (list, tuple, np.ndarray)) else []
     if len(pair) != 2 or not all(_is_number(bound) and bound > 0 for bound in pair):
         raise ValueError(
-            f"config['control_limit'] is {limit!r}; give None or two positive bounds, (omega, acceleration)"
+            f"config['control_limit'] is {limit!r}; give None for the usual limits, 'unlimited', "
+            "or two positive bounds, (omega, acceleration)"
         )

@@ -4,28 +4,29 @@ Controllers work at the public boundary: float64 NumPy states and controls in SI
 driven, car 1 its partner. They are the only stateful objects of the core.
 """
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from statistics import median
-from time import perf_counter
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.dynamics import keep_velocity, recover_control
+from ms_highway.compiled import decide_function, pack, plan_function, timed, warm_up
+from ms_highway.dynamics import keep_velocity, step
 from ms_highway.game import Game
-from ms_highway.human_models import HumanModel, JointPlan
-from ms_highway.reward import reward
-from ms_highway.switching import Decision, Memory, Switching, decide, first_memory
+from ms_highway.human_models import HumanModel, JointPlan, cold_start
+from ms_highway.switching import Switching, first_memory
 
-__all__ = ["ControlStep", "Controller", "FixedModel", "ModelSwitching", "Status", "compiled_plan", "measure_costs"]
+__all__ = ["ControlStep", "Controller", "FixedModel", "ModelSwitching", "Status"]
 
-Status: TypeAlias = Literal["planned", "previous plan", "keep velocity"]
-"""How a control came about: from this step's plan, or, where that was not finite, from the last good plan or none."""
+Status: TypeAlias = Literal["planned", "previous plan", "braking"]
+"""How a control came about: from this step's plan; or, where that was not finite, from what is left of the last good
+plan, and when nothing is left from braking in lane."""
+
+BRAKING = 8.0  # m/s^2, hard braking on a dry road
+STRAIGHTENING_TIME = 0.5  # s, in which a braking car turns back along the road
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class ControlStep:
 
     Attributes:
         control: what to execute now, ``(omega, acceleration)``.
-        plan: the controls planned over the horizon, [steps, 2].
-        human: the partner's controls that the plan counts on, [steps, 2].
+        plan: the controls planned over the horizon, [steps, 2]; fewer where only part of the last plan is left.
+        human: the partner's controls that the plan counts on, as many.
         model: name of the human model that planned.
         planning_seconds: wall time of the plan, compilation excluded.
         decision_seconds: wall time of choosing the model, compilation excluded; 0 without a choice.
@@ -65,66 +66,6 @@ class Controller(Protocol):
         """Control for the coming step, given all cars now."""
 
 
-@partial(jax.jit, static_argnames="model")
-def compiled_plan(model: HumanModel, game: Game, state: Float[jax.Array, "cars 4"]) -> JointPlan:
-    """``model.plan``, compiled once per model and shape of scene, for all that plan in this process."""
-    return model.plan(game, state)
-
-
-@jax.jit
-def _decide(
-    switching: Switching,
-    game: Game,
-    memory: Memory,
-    before: Float[jax.Array, "cars 4"],
-    control: Float[jax.Array, "2"],
-    after: Float[jax.Array, "cars 4"],
-) -> Decision:
-    """`decide`, with the human's control and the reward observed from the states around the executed step."""
-    scale = game.planner.control_scale
-    human = recover_control(game.world, before[1], after[1]) / scale
-    return decide(switching, game, memory, before, control / scale, human, reward(game.scene, game.robot, after))
-
-
-_warm: set[Hashable] = set()  # computations that have run before: function, structure and shapes of its arguments
-
-
-def _warm_up(function: Callable[..., Any], *arguments: Any) -> float:
-    """Compile and run once what has not run before; seconds spent, 0 if it was warm already."""
-    leaves, structure = jax.tree.flatten(arguments)
-    key = (function, structure, tuple(leaf.shape if isinstance(leaf, jax.Array) else leaf for leaf in leaves))
-    if key in _warm:
-        return 0.0
-    start = perf_counter()
-    jax.block_until_ready(function(*arguments))
-    _warm.add(key)
-    return perf_counter() - start
-
-
-def _warm_up_plans(ladder: Sequence[HumanModel], game: Game, state: Float[jax.Array, "cars 4"]) -> float:
-    """Compile the plans under every model; seconds spent."""
-    return sum(_warm_up(compiled_plan, model, game, state) for model in ladder)
-
-
-def _timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
-    """Result of a warm computation, and the seconds it took until the result was there."""
-    start = perf_counter()
-    result = jax.block_until_ready(function(*arguments))
-    return result, perf_counter() - start
-
-
-def measure_costs(
-    game: Game, ladder: Sequence[HumanModel], state: Float[np.ndarray, "cars 4"], repeats: int = 20
-) -> Float[np.ndarray, "rungs"]:
-    """T(M) on this machine: the median seconds of a warm plan in this state, for each model."""
-    arguments = game, _checked(state)
-    costs = []
-    for model in ladder:
-        _warm_up(compiled_plan, model, *arguments)
-        costs.append(median(_timed(compiled_plan, model, *arguments)[1] for _ in range(repeats)))
-    return np.array(costs)
-
-
 def _checked(state: Float[np.ndarray, "cars 4"]) -> Float[jax.Array, "cars 4"]:
     """The state in the core's precision.
 
@@ -142,24 +83,43 @@ def _checked(state: Float[np.ndarray, "cars 4"]) -> Float[jax.Array, "cars 4"]:
     return jnp.asarray(state, dtype=jnp.float32)
 
 
-def _plan_step(
-    model: HumanModel, game: Game, state: Float[jax.Array, "cars 4"], last: ControlStep | None
+def brake(game: Game, car: Float[np.ndarray, "4"]) -> Float[np.ndarray, "steps 2"]:
+    """Controls that bring a car to a stop and along the road, within the limits of the game's plans."""
+    limit = np.asarray(game.planner.control_limit, dtype=float)
+    car, controls = np.asarray(car, dtype=float), []
+    for _ in range(game.planner.horizon):
+        _, _, heading, speed = car
+        turning = -np.arctan2(np.sin(heading), np.cos(heading)) / STRAIGHTENING_TIME
+        omega = turning / max(abs(speed), 1.0) if game.dynamics.steering == "curvature" else turning
+        stop = keep_velocity(game.dynamics, car)[1] - speed / float(game.dynamics.time_step)
+        controls.append(np.clip([omega, np.clip(stop, -BRAKING, BRAKING)], -limit, limit))
+        car = step(game.dynamics, car, controls[-1])
+    return np.array(controls)
+
+
+def _record(
+    game: Game, model: HumanModel, plan: JointPlan, state: Float[np.ndarray, "cars 4"], last: ControlStep | None
 ) -> ControlStep:
-    """Plan and time it; where the plan is not finite, go on with the last one, and without one keep velocity."""
-    compiling = _warm_up(compiled_plan, model, game, state)
-    plan, seconds = _timed(compiled_plan, model, game, state)
+    """The record of a plan; where the plan is not finite, of what is left of the last one, or of braking."""
     scale = np.asarray(game.planner.control_scale, dtype=float)
     robot, human = np.asarray(plan.robot) * scale, np.asarray(plan.human) * scale
     status: Status = "planned"
     if not (np.isfinite(robot).all() and np.isfinite(human).all()):
-        steady = keep_velocity(game.dynamics, np.asarray(state, dtype=float)[:2])
-        if last is None or last.status == "keep velocity":
-            status = "keep velocity"
-            robot, human = (np.tile(control, (len(robot), 1)) for control in steady)
+        if last is not None and last.status != "braking" and len(last.plan) > 1:
+            status, robot, human = "previous plan", last.plan[1:], last.human[1:]
         else:
-            status = "previous plan"
-            robot, human = np.vstack([last.plan[1:], steady[0]]), np.vstack([last.human[1:], steady[1]])
-    return ControlStep(robot[0], robot, human, model.name, seconds, compile_seconds=compiling, status=status)
+            status, robot = "braking", brake(game, state[0])
+            human = np.tile(keep_velocity(game.dynamics, np.asarray(state, dtype=float)[1]), (len(robot), 1))
+    return ControlStep(robot[0], robot, human, model.name, 0.0, status=status)
+
+
+def _start(game: Game, last: ControlStep | None) -> JointPlan:
+    """Where a warm start begins: the rest of the last plan, scaled, its last control repeated; cold without one."""
+    if last is None:
+        return cold_start(game)
+    rest = np.minimum(np.arange(1, game.planner.horizon + 1), len(last.plan) - 1)
+    scale = np.asarray(game.planner.control_scale)
+    return JointPlan(*(jnp.asarray(controls[rest] / scale, dtype=jnp.float32) for controls in (last.plan, last.human)))
 
 
 class FixedModel:
@@ -169,12 +129,18 @@ class FixedModel:
         game: what is played; car 0 is driven.
         model: the human model that plans; it may be replaced between steps.
         ladder: the models that it may be replaced by, to be compiled before the first step.
+        warm_start: whether plans start from the last one rather than from zero controls.
     """
 
-    def __init__(self, game: Game, model: HumanModel, ladder: Sequence[HumanModel] = ()) -> None:
+    def __init__(
+        self, game: Game, model: HumanModel, ladder: Sequence[HumanModel] = (), warm_start: bool = False
+    ) -> None:
         self.game = game
         self.model = model
         self.ladder = ladder
+        self.warm_start = warm_start
+        self._numbers, self._layout = pack(game)
+        self._cold = cold_start(game)
         self.reset()
 
     def reset(self) -> None:
@@ -188,9 +154,12 @@ class FixedModel:
             ValueError: if the state is not a finite array [cars, 4] of two cars or more.
         """
         now = _checked(state)
-        compiling = _warm_up_plans(self.ladder, self.game, now) if self._last is None else 0.0
-        planned = _plan_step(self.model, self.game, now, self._last)
-        self._last = replace(planned, compile_seconds=compiling + planned.compile_seconds)
+        arguments = self._numbers, now, _start(self.game, self._last) if self.warm_start else self._cold
+        models = [self.model] if self._last else [*self.ladder, self.model]
+        compiling = sum((warm_up(plan_function(model, self._layout), *arguments) for model in models), 0.0)
+        plan, seconds = timed(plan_function(self.model, self._layout), *arguments)
+        planned = _record(self.game, self.model, plan, state, self._last)
+        self._last = replace(planned, planning_seconds=seconds, compile_seconds=compiling)
         return self._last
 
 
@@ -200,11 +169,17 @@ class ModelSwitching:
     Args:
         game: what is played; car 0 is driven.
         switching: ladder, costs, lambda and the numbers of the algorithm.
+        warm_start: whether plans start from the last one rather than from zero controls.
     """
 
-    def __init__(self, game: Game, switching: Switching) -> None:
+    def __init__(self, game: Game, switching: Switching, warm_start: bool = False) -> None:
         self.game = game
-        self.switching = jax.tree.map(jnp.asarray, switching)
+        self.switching = switching
+        self.warm_start = warm_start
+        self._numbers, self._layout = pack(game)
+        self._switching_numbers, layout = pack((switching, game))
+        self._decide = decide_function(layout)
+        self._cold = cold_start(game)
         self.reset()
 
     def reset(self) -> None:
@@ -221,19 +196,22 @@ class ModelSwitching:
         """
         now = _checked(state)
         compiling = self._warm_up(now) if self._last is None else 0.0
-        seconds, gains = (0.0, {}) if self._last is None else self._choose(self._last.control, now)
+        deciding, gains = (0.0, {}) if self._last is None else self._choose(self._last.control, now)
         model = self.switching.ladder[int(self._memory.rung)]
-        planned = _plan_step(model, self.game, now, self._last)
+        start = _start(self.game, self._last) if self.warm_start else self._cold
+        plan, planning = timed(plan_function(model, self._layout), self._numbers, now, start)
+        record = _record(self.game, model, plan, state, self._last)
         self._before = now
         self._last = replace(
-            planned, decision_seconds=seconds, compile_seconds=compiling + planned.compile_seconds, gains=gains
+            record, planning_seconds=planning, decision_seconds=deciding, compile_seconds=compiling, gains=gains
         )
         return self._last
 
     def _warm_up(self, state: Float[jax.Array, "cars 4"]) -> float:
         """Compile every rung and the decision before the first control is due; seconds spent."""
-        decision = self.switching, self.game, self._memory, state, jnp.zeros(2), state
-        return _warm_up(_decide, *decision) + _warm_up_plans(self.switching.ladder, self.game, state)
+        rungs = [plan_function(model, self._layout) for model in self.switching.ladder]
+        plans = sum(warm_up(rung, self._numbers, state, self._cold) for rung in rungs)
+        return plans + warm_up(self._decide, self._switching_numbers, self._memory, state, jnp.zeros(2), state)
 
     def _choose(
         self, executed: Float[np.ndarray, "2"], now: Float[jax.Array, "cars 4"]
@@ -241,7 +219,8 @@ class ModelSwitching:
         """Take the decision; seconds spent, and the gains estimated by name of the alternative."""
         rung, ladder = int(self._memory.rung), self.switching.ladder
         control = jnp.asarray(executed, dtype=jnp.float32)
-        decision, seconds = _timed(_decide, self.switching, self.game, self._memory, self._before, control, now)
+        observed = self._switching_numbers, self._memory, self._before, control, now
+        decision, seconds = timed(self._decide, *observed)
         self._memory = decision.memory
         estimates = {ladder[rung - 1].name: float(decision.gain_down)} if rung > 0 else {}
         if rung < len(ladder) - 1:

@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium as gym
 import pandas as pd
 
-from ms_highway.controller import measure_costs
+from ms_highway.compiled import measure_costs
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import controller_config, merged

@@ -16,7 +16,7 @@ from ms_highway.derivatives import expand, response
 from ms_highway.game import Game, constant_velocity, move, path_reward, swap
 from ms_highway.planner import ascend, climb
 
-__all__ = ["MODELS", "HumanModel", "JointPlan", "Naive", "TheoryOfMind", "Turn", "ladder"]
+__all__ = ["MODELS", "HumanModel", "JointPlan", "Naive", "TheoryOfMind", "Turn", "cold_start", "ladder"]
 
 State = Float[jax.Array, "cars 4"]
 Controls = Float[jax.Array, "steps 2"]
@@ -35,16 +35,20 @@ class HumanModel(Protocol):
     Attributes:
         name: how configurations and reports call the model.
         responds: whether the model lets the human respond to the robot's plan.
+
+    Models are hashable: a plan is compiled once per model.
     """
 
     name: ClassVar[str]
     responds: ClassVar[bool]
 
-    def predict(self, game: Game, state: State) -> Controls:
+    def __hash__(self) -> int: ...
+
+    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
         """The human's controls as this model expects them."""
 
-    def plan(self, game: Game, state: State) -> JointPlan:
-        """The robot's plan against this model of the human."""
+    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+        """The robot's plan against this model of the human, improved from ``start``; from zero controls without."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +58,11 @@ class Naive:
     name: ClassVar[str] = "naive"
     responds: ClassVar[bool] = False
 
-    def predict(self, game: Game, state: State) -> Controls:
+    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
         return constant_velocity(game, state[1])
 
-    def plan(self, game: Game, state: State) -> JointPlan:
-        return _plan_against(game, state, self.predict(game, state))
+    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+        return _plan_against(game, state, self.predict(game, state), start)
 
 
 @dataclass(frozen=True)
@@ -68,11 +72,11 @@ class Turn:
     name: ClassVar[str] = "turn"
     responds: ClassVar[bool] = False
 
-    def predict(self, game: Game, state: State) -> Controls:
-        return Naive().plan(*swap(game, state)).robot
+    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+        return Naive().plan(*swap(game, state), start and JointPlan(start.human, start.robot)).robot
 
-    def plan(self, game: Game, state: State) -> JointPlan:
-        return _plan_against(game, state, self.predict(game, state))
+    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+        return _plan_against(game, state, self.predict(game, state, start), start)
 
 
 @dataclass(frozen=True)
@@ -81,16 +85,17 @@ class TheoryOfMind:
 
     Both ascend together. With J = -(d2R_H/du_H2)^-1 d2R_H/du_H du_R at the current controls, the robot steps along
     ``dR_R/du_R + J^T dR_R/du_H`` and the human along ``dR_H/du_H``. J is never formed: one response of the human to
-    ``dR_R/du_H`` and one derivative of ``dR_H/du_H`` along it give J^T dR_R/du_H.
+    ``dR_R/du_H`` and one derivative of ``dR_H/du_H`` along it give J^T dR_R/du_H. Always ascends by gradient steps,
+    whatever the planner's solver: a joint ascent has no single reward that a line search could look at.
     """
 
     name: ClassVar[str] = "tom"
     responds: ClassVar[bool] = True
 
-    def predict(self, game: Game, state: State) -> Controls:
-        return self.plan(game, state).human
+    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+        return self.plan(game, state, start).human
 
-    def plan(self, game: Game, state: State) -> JointPlan:
+    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
         mirrored, mirrored_state = swap(game, state)
 
         def direction(plan: JointPlan) -> JointPlan:
@@ -109,21 +114,23 @@ class TheoryOfMind:
             through_human = pull_back(jnp.sum(earned.jacobian * pushed, axis=-1))[0]
             return JointPlan(pull_robot(along_robot + through_human)[0], earned.gradient.reshape(plan.human.shape))
 
-        return ascend(game.planner, direction, JointPlan(_still(game), _still(game)))
+        return ascend(game.planner, direction, start or cold_start(game))
 
 
-def _still(game: Game) -> Controls:
-    return jnp.zeros((game.planner.horizon, 2))
+def cold_start(game: Game) -> JointPlan:
+    """The plan that the paper improves: zero controls for both."""
+    still = jnp.zeros((game.planner.horizon, 2))
+    return JointPlan(still, still)
 
 
-def _plan_against(game: Game, state: State, human: Controls) -> JointPlan:
+def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | None) -> JointPlan:
     """The robot's own ascent of its reward against fixed human controls."""
     expected = move(game, state[1], human)
     robot = climb(
         game.planner,
         partial(move, game, state[0]),
         lambda robot: path_reward(game, state, robot, expected),
-        _still(game),
+        (start or cold_start(game)).robot,
     )
     return JointPlan(robot, human)
 

@@ -145,7 +145,7 @@ def _collision_risk(
     """
     risk, collision = jnp.zeros_like(own.x), jnp.zeros_like(own.x, dtype=bool)
 
-    def add(bodies: Motion, size: Float[jax.Array, "2"], sharpness: float, share: float) -> None:
+    def add(bodies: Motion, size: Float[Array, "2"], sharpness: float, share: float) -> None:
         nonlocal risk, collision
         distances = _distances(scene, own, bodies, size)
         risk += share * jnp.sum(jnp.exp(-sharpness * distances), axis=(0, -1))
@@ -162,7 +162,7 @@ def _collision_risk(
 
 
 def _distances(
-    scene: Scene, own: Motion, others: Motion, size: Float[jax.Array, "2"]
+    scene: Scene, own: Motion, others: Motion, size: Float[Array, "2"]
 ) -> Float[jax.Array, "others *times 9"]:
     """D - 1 of every body point to every other body of that size.
 
@@ -188,7 +188,9 @@ def _distances(
     ]
     px, py = _body_points(scene)
     powers = jnp.stack([jnp.ones_like(px), px, py, px * px, px * py, py * py])
-    return jnp.sum(jax.lax.optimization_barrier(jnp.stack(coefficients))[..., None] * powers.reshape(6, *[1] * x.ndim, 9), axis=0)
+    return jnp.sum(
+        jax.lax.optimization_barrier(jnp.stack(coefficients))[..., None] * powers.reshape(6, *[1] * x.ndim, 9), axis=0
+    )
 
 
 def _body_points(scene: Scene) -> Float[jax.Array, "2 9"]:

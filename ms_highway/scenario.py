@@ -20,7 +20,16 @@ from ms_highway.planner import Planner, Solver
 from ms_highway.reward import Reward, weights
 from ms_highway.scene import Scene
 
-__all__ = ["COMMON_WEIGHTS", "PAPER_UNIT", "Scenario", "Semantics", "build_game", "draw_starts", "driving_game"]
+__all__ = [
+    "COMMON_WEIGHTS",
+    "PAPER_UNIT",
+    "PHYSICAL_LIMIT",
+    "Scenario",
+    "Semantics",
+    "build_game",
+    "draw_starts",
+    "driving_game",
+]
 
 Semantics: TypeAlias = Literal["paper", "released"]
 
@@ -36,6 +45,13 @@ RELEASED_DRAG = 0.2  # per paper unit, in the world only: the released planners 
 
 PAPER_DYNAMICS = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
 """The paper's motion with friction, Sec. IV-A; the same in any unit of length."""
+
+PHYSICAL_LIMIT = (0.2, 30.0)  # 1/m and m/s^2
+"""Usual bounds on plans: the curvature of a front wheel turned by 45 degrees, and three times what road tyres hold.
+
+The paper's scenes do not work within what tyres hold: their horizon of half a second sees a cone 10 m ahead at 20 m/s,
+and its human yields with up to 21 m/s^2.
+"""
 
 COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
 """Weights that every driver of every scenario has."""
@@ -126,7 +142,7 @@ def driving_game(scene: Scene, speed_limit: float) -> Game:
         speed_limit: the speed that is rewarded most [m/s].
     """
     driver = Reward(weights(COMMON_WEIGHTS), speed_limit, 0.0)
-    return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, None, "damped", "gradient")
+    return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", "gradient")
 
 
 def _game(

@@ -13,8 +13,8 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.dynamics import Array
 from ms_highway.derivatives import response
+from ms_highway.dynamics import Array
 from ms_highway.game import Game, swap, total_reward
 from ms_highway.human_models import HumanModel
 
@@ -47,7 +47,7 @@ class Switching:
         costs: T(M), planning time of each rung [s].
         price: lambda, reward per second of planning.
         trust_radius: the longest change of control that the expansion is trusted with, in scaled units.
-        trust_tolerance: how far the step may end from the radius, as a share of it; the released code takes 0.05.
+        trust_tolerance: how far the step may end from the radius, as a share of it: 0.001, in the released code 0.05.
         cooldown: least number of steps between two downward checks of the same rung.
         ladder: the human models, cheapest first (static).
     """
@@ -56,7 +56,7 @@ class Switching:
     price: float | Float[Array, ""]
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
     trust_radius: float | Float[Array, ""] = 1.5
-    trust_tolerance: float | Float[Array, ""] = 0.0
+    trust_tolerance: float | Float[Array, ""] = 1e-3
     cooldown: int | Int[Array, ""] = 3
 
 
@@ -159,16 +159,20 @@ def _expand(
 ) -> _Expansion:
     """Derivatives of the one-step rewards at the executed controls, and J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R."""
     mirrored, mirrored_state = swap(game, state)
+    both = jnp.stack([robot, human])
 
-    def human_reward(robot: Float[jax.Array, "2"], human: Float[jax.Array, "2"]) -> Float[jax.Array, ""]:
-        return _one_step_reward(mirrored, mirrored_state, human, robot)
+    def robot_reward(both: Float[jax.Array, "2 2"]) -> Float[jax.Array, ""]:
+        return _one_step_reward(game, state, both[0], both[1])
 
-    robot_reward = partial(_one_step_reward, game, state)
-    slope_robot, slope_human = jax.grad(robot_reward, argnums=(0, 1))(robot, human)
-    (robot_robot, robot_human), (_, human_human) = jax.hessian(robot_reward, argnums=(0, 1))(robot, human)
-    mixed, own = jax.jacfwd(jax.grad(human_reward, argnums=1), argnums=(0, 1))(robot, human)
+    def human_slope(both: Float[jax.Array, "2 2"]) -> Float[jax.Array, "2"]:
+        return jax.grad(_one_step_reward, argnums=2)(mirrored, mirrored_state, both[1], both[0])
+
+    slope, bend = jax.linearize(jax.grad(robot_reward), both)
+    directions = jnp.eye(4).reshape(4, 2, 2)
+    hessian = jax.vmap(bend)(directions).reshape(2, 2, 2, 2)  # robot or human, control; robot or human, control
+    mixed, own = jnp.moveaxis(jax.vmap(jax.linearize(human_slope, both)[1])(directions).reshape(2, 2, 2), -1, 1)
     return _Expansion(
-        slope_robot, slope_human, robot_robot, robot_human, human_human, response(game.influence, own, mixed)
+        slope[0], slope[1], hessian[0, :, 0], hessian[0, :, 1], hessian[1, :, 1], response(game.influence, own, mixed)
     )
 
 

@@ -17,10 +17,10 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.controller import compiled_plan
+from ms_highway.compiled import pack, plan_function
 from ms_highway.envs import SCENARIOS
 from ms_highway.game import Game, swap_roles
-from ms_highway.human_models import MODELS, HumanModel, Naive, ladder
+from ms_highway.human_models import MODELS, HumanModel, Naive, cold_start, ladder
 from ms_highway.reward import reward
 from ms_highway.scenario import build_game
 from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching, decide, first_memory
@@ -117,7 +117,9 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
 
 
 def _first_controls(model: HumanModel, game: Game, states: Float[jax.Array, "n cars 4"]) -> Float[np.ndarray, "n 2"]:
-    return np.array([np.asarray(compiled_plan(model, game, state).robot)[0] for state in states])
+    numbers, layout = pack(game)
+    plan, start = plan_function(model, layout), cold_start(game)
+    return np.array([np.asarray(plan(numbers, state, start).robot)[0] for state in states])
 
 
 def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> dict[str, int]:
