@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ms_highway import experiment, report, validation, video
+from ms_highway.compiled import keep_compilations
 from ms_highway.envs import SCENARIOS
 from ms_highway.files import replacing
 
@@ -50,6 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if all went well, 2 with one line on standard error if the input was at fault."""
     options = _parser().parse_args(arguments)
     try:
+        if not (options.no_compilation_cache or os.environ.get("JAX_COMPILATION_CACHE_DIR")):
+            keep_compilations()
         options.run(options)
     except (ValueError, OSError, ImportError) as error:
         print(f"ms-highway: {error}", file=sys.stderr)
@@ -63,6 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="ms-highway", description="Robot cars that choose how hard to think about human drivers."
+    )
+    parser.add_argument(
+        "--no-compilation-cache",
+        action="store_true",
+        help="do not keep compiled planners in the user's cache directory, nor use those kept there",
     )
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 

@@ -46,11 +46,11 @@ RELEASED_DRAG = 0.2  # per paper unit, in the world only: the released planners 
 PAPER_DYNAMICS = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
 """The paper's motion with friction, Sec. IV-A; the same in any unit of length."""
 
-PHYSICAL_LIMIT = (0.2, 30.0)  # 1/m and m/s^2
-"""Usual bounds on plans: the curvature of a front wheel turned by 45 degrees, and three times what road tyres hold.
+PHYSICAL_LIMIT = (0.2, 50.0)  # 1/m and m/s^2
+"""Usual bounds on plans: the curvature of a front wheel turned by 45 degrees, and five times what road tyres hold.
 
-The paper's scenes do not work within what tyres hold: their horizon of half a second sees a cone 10 m ahead at 20 m/s,
-and its human yields with up to 21 m/s^2.
+The paper's scenes do not work within what tyres hold: at 20 m/s a horizon of half a second sees a cone only 10 m
+ahead, so that gradient plans in Stay Back need 50 m/s^2, and the human in Merger yields with up to 21 m/s^2.
 """
 
 COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.controller import FixedModel, ModelSwitching, _decide, compiled_plan, measure_costs
+from ms_highway.compiled import decide_function, measure_costs, pack, plan_function
+from ms_highway.controller import FixedModel, ModelSwitching, brake
+from ms_highway.dynamics import step as move
 from ms_highway.human_models import MODELS, ladder
 from ms_highway.switching import Switching
 
@@ -23,11 +25,19 @@ def test_a_step_reports_what_was_planned_in_physical_units(played):
     assert step.decision_seconds == 0
 
 
+def compilations(controller):
+    """How often the plans of each rung, and the decision, have been compiled for games of this shape."""
+    game, layouts = controller.game, [pack(controller.game)[1], pack((controller.switching, controller.game))[1]]
+    assert game.planner.horizon == 5
+    plans = [plan_function(model, layouts[0]) for model in controller.switching.ladder]
+    return [function._cache_size() for function in (*plans, decide_function(layouts[1]))]
+
+
 def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later(played):
     game, state = played("merger")
     controller = ModelSwitching(game, Switching(np.array([0.09, 0.17, 0.37]), 0.0, ladder(("naive", "turn", "tom"))))
     controller.step(np.asarray(state))
-    sizes = compiled_plan._cache_size(), _decide._cache_size()
+    sizes = compilations(controller)
     models = set()
     for _ in range(6):
         state = state.at[:, 0].add(state[:, 3] * 0.1)
@@ -35,23 +45,51 @@ def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later
         assert step.compile_seconds == 0
         models.add(step.model)
     dearer = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
-    ModelSwitching(dearer, replace(controller.switching, price=3.0)).step(np.asarray(state))
+    dearer_controller = ModelSwitching(dearer, replace(controller.switching, price=3.0))
+    dearer_controller.step(np.asarray(state))
     assert len(models) > 1
-    assert (compiled_plan._cache_size(), _decide._cache_size()) == sizes
+    assert compilations(dearer_controller) == sizes == [1, 1, 1, 1]
 
 
-def test_a_plan_that_is_not_finite_falls_back_to_the_last_one_and_then_keeps_velocity(played):
-    game, state = played("stay_back")
+def blinded(controller, game):
+    """The controller with a game in which every reward is NaN."""
+    broken = replace(game, robot=replace(game.robot, weights=game.robot.weights * jnp.nan))
+    return type(controller)(broken, controller.model)
+
+
+@pytest.mark.parametrize("solver", ["gradient", "newton"])
+def test_plans_that_fail_fall_back_to_the_rest_of_the_last_one_and_then_brake(played, solver):
+    game, state = played("stay_back", solver=solver)
     controller = FixedModel(game, MODELS["turn"])
     first = controller.step(np.asarray(state))
-    controller.game = replace(game, robot=replace(game.robot, weights=game.robot.weights * jnp.nan))
-    second = controller.step(np.asarray(state))
-    assert second.status == "previous plan"
-    np.testing.assert_array_equal(second.plan[:-1], first.plan[1:])
-    controller.reset()
-    third = controller.step(np.asarray(state))
-    assert third.status == "keep velocity"
-    np.testing.assert_allclose(third.control, [0.0, 0.2 * float(state[0, 3])], rtol=1e-5)
+    controller._numbers = blinded(controller, game)._numbers
+    steps = [controller.step(np.asarray(state)) for _ in range(6)]
+    assert [step.status for step in steps] == ["previous plan"] * 4 + ["braking"] * 2
+    np.testing.assert_array_equal(steps[0].plan, first.plan[1:])
+    np.testing.assert_array_equal(steps[3].control, first.plan[4])
+    np.testing.assert_allclose(steps[4].control, [0.0, -8.0], atol=0.01)
+
+
+def test_braking_brings_a_car_to_a_stop_along_the_road(played):
+    game, _ = played("merger", control_limit=(0.05, 6.0))
+    car = np.array([0.0, 0.0, 0.2, 12.0])
+    for _ in range(40):
+        control = brake(game, car)[0]
+        assert (abs(control) <= [0.05 + 1e-6, 6.0 + 1e-6]).all()
+        car = move(game.world, car, control)
+    assert car[3] == pytest.approx(0.0, abs=1e-6)
+    assert abs(car[2]) < 0.01
+
+
+def test_a_warm_start_goes_on_from_the_last_plan(played):
+    game, state = played("merger")
+    cold, warm = FixedModel(game, MODELS["naive"]), FixedModel(game, MODELS["naive"], warm_start=True)
+    state = np.asarray(state)
+    first = [controller.step(state) for controller in (cold, warm)]
+    np.testing.assert_array_equal(first[0].plan, first[1].plan)
+    again = [controller.step(state) for controller in (cold, warm)]
+    np.testing.assert_array_equal(again[0].plan, first[0].plan)
+    assert abs(again[1].plan - first[1].plan).max() > 1e-3
 
 
 def test_a_state_that_is_no_state_is_refused(played):

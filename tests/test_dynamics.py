@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.dynamics import Dynamics, coast, keep_velocity, recover_control, rollout, step
+from ms_highway.dynamics import Dynamics, coast, keep_velocity, observe, recover_control, rollout, step
 
 PAPER = Dynamics("curvature", "linear", 0.2, 0.1)
 RELEASED_PLAN = Dynamics("yaw_rate", "linear", 0.0, 0.1)
@@ -53,9 +53,10 @@ def test_a_rollout_is_as_many_steps(dynamics, batch):
     states = [state]
     for control in controls:
         states.append(step(dynamics, states[-1], control))
-    rolled = rollout(dynamics, jnp.asarray(state), jnp.asarray(controls))
-    assert rolled.shape == (5, *batch, 4)
-    np.testing.assert_allclose(rolled, states[1:], rtol=1e-5, atol=1e-4)
+    rolled = rollout(dynamics, jnp.asarray(state), jnp.moveaxis(jnp.asarray(controls), 0, -2))
+    for field, expected in zip(rolled, observe(np.stack(states[1:], axis=-2)), strict=True):
+        assert field.shape == (*batch, 5)
+        np.testing.assert_allclose(field, expected, rtol=1e-5, atol=1e-4)
 
 
 def test_a_rollout_refuses_quadratic_friction():
@@ -71,4 +72,6 @@ def test_a_car_that_keeps_its_velocity_coasts(dynamics, batch):
     for _ in range(4):
         moved = step(dynamics, moved, keep_velocity(dynamics, moved))
     np.testing.assert_allclose(moved[..., 2:], state[..., 2:], atol=1e-9)
-    np.testing.assert_allclose(coast(dynamics, jnp.asarray(state), 4)[-1], moved, rtol=1e-5, atol=1e-4)
+    for field, expected in zip(coast(dynamics, jnp.asarray(state), 4), observe(moved), strict=True):
+        assert field.shape == (*batch, 4)
+        np.testing.assert_allclose(field[..., -1], expected, rtol=1e-5, atol=1e-4)

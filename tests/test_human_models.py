@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.controller import compiled_plan as plan
+from ms_highway.compiled import pack, plan_function
 from ms_highway.derivatives import response
 from ms_highway.game import constant_velocity, swap, total_reward
-from ms_highway.human_models import MODELS, JointPlan, TheoryOfMind, Turn, _plan_against, ladder
+from ms_highway.human_models import MODELS, JointPlan, TheoryOfMind, Turn, _plan_against, cold_start, ladder
 from ms_highway.planner import Planner, ascend
 from ms_highway.reward import FEATURES
+
+
+def plan(model, game, state):
+    numbers, layout = pack(game)
+    return plan_function(model, layout)(numbers, state, cold_start(game))
 
 
 def mirrored(game, state):
@@ -73,7 +78,7 @@ def test_theory_of_mind_without_influence_steps_like_turn(played):
     still = jnp.zeros((5, 2))  # where both start
     slope_robot, slope_human = slopes(game, state, still, still)
     assert abs(slope_human).max() > 1e-3, "the human should matter to the robot here"
-    turn_step = _plan_against(game, state, still).robot
+    turn_step = _plan_against(game, state, still, None).robot
     np.testing.assert_allclose(plan(TheoryOfMind(), game, state).robot, turn_step, atol=1e-6)
     np.testing.assert_allclose(turn_step, 0.03 * slope_robot, atol=1e-6)
 
