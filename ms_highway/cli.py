@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.box import SIMPLE
 from rich.console import Console
@@ -14,8 +15,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ms_highway import experiment, report, validation, video
+from ms_highway.bench import bench
 from ms_highway.compiled import keep_compilations
-from ms_highway.envs import SCENARIOS
+from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.files import replacing
 
 __all__ = ["main"]
@@ -31,6 +33,11 @@ runs: all three scenarios, each with its ladder and the paper's two lambdas.
 
 Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
 SCENARIO_bars.png and SCENARIO_timeline.png. Stopped and started again with the same --out, it goes on where it was."""
+
+BENCH_HELP = """\
+Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for every
+scenario and human model. With --peer casadi, the same plans are also written in CasADi, compiled to C, checked to give
+the same controls, and measured in the same run (needs the extra "bench" and gcc)."""
 
 COMPARE_EXAMPLES = """\
 examples:
@@ -124,6 +131,17 @@ def _parser() -> argparse.ArgumentParser:
     film.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4 or .gif file")
     film.set_defaults(run=_video)
 
+    measure = command(
+        "bench",
+        "measure planning time",
+        BENCH_HELP,
+        "examples:\n  ms-highway bench merger\n  ms-highway bench --peer casadi --json bench.json",
+    )
+    measure.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: all)")
+    measure.add_argument("--peer", choices=["casadi"], help="measure the same plans in CasADi's C code as well")
+    measure.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
+    measure.set_defaults(run=_bench)
+
     check = command(
         "validate",
         "replay reference episodes",
@@ -206,6 +224,43 @@ def _video(options: argparse.Namespace) -> None:
     pictures, rate = video.frames(options.scenario, controller, options.seed, options.semantics)
     video.write(pictures, options.out, rate * options.speed)
     print(f"{options.out}: {len(pictures)} frames, {len(pictures) / rate / options.speed:.1f} s")
+
+
+def _bench(options: argparse.Namespace) -> None:
+    scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
+    for scenario in scenarios:
+        environment_id(scenario)  # refuses unknown ones before anything is measured
+    results: dict[str, dict[str, Any]] = {}
+    grid = Table(box=SIMPLE, title="medians, on one core; us: microseconds", title_justify="left")
+    for column in (
+        "scenario",
+        "model",
+        "plan us",
+        "p99",
+        "C us",
+        "ratio",
+        "decision us",
+        "step us",
+        "compile s",
+        "cached",
+    ):
+        grid.add_column(column, justify="left" if column in ("scenario", "model") else "right")
+    with Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=Console(stderr=True)) as progress:
+        task = progress.add_task("measuring", total=None)
+        for scenario in scenarios:
+            results[scenario] = {}
+            for model, result in bench(scenario, peer=options.peer == "casadi"):
+                progress.update(task, description=f"measured {scenario}, {model}")
+                results[scenario][model] = result
+                ours, theirs = result["plan_us"], result.get("peer_us", {}).get("p50")
+                against = [f"{theirs:.0f}", f"{ours['p50'] / theirs:.2f}"] if theirs else ["", ""]
+                rest = [f"{result[key]:.0f}" for key in ("decision_us", "step_us")]
+                compiling = [f"{result['compile_s'][kind]:.1f}" for kind in ("cold", "cached")]
+                grid.add_row(scenario, model, f"{ours['p50']:.0f}", f"{ours['p99']:.0f}", *against, *rest, *compiling)
+    _console().print(grid)
+    if options.json:
+        with replacing(options.json) as path:
+            path.write_text(json.dumps(results, indent=2) + "\n")
 
 
 def _validate(options: argparse.Namespace) -> None:

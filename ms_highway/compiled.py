@@ -75,7 +75,7 @@ def pack(tree: Any) -> Packed:
 
 
 @cache
-def plan_function(model: HumanModel, layout: Layout) -> Callable[[Float[jax.Array, "n"], State, JointPlan], JointPlan]:
+def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
     """``model.plan``, of a packed game, the state, and the plan to start from: compiled once for all that plan so."""
 
     @partial(jax.jit, compiler_options=QUICKLY if model.responds else None)
@@ -86,9 +86,7 @@ def plan_function(model: HumanModel, layout: Layout) -> Callable[[Float[jax.Arra
 
 
 @cache
-def decide_function(
-    layout: Layout,
-) -> Callable[[Float[jax.Array, "n"], Memory, State, Float[jax.Array, "2"], State], Decision]:
+def decide_function(layout: Layout) -> jax.stages.Wrapped:
     """`decide`, of a packed (Switching, Game) and of what was observed around the executed step.
 
     The compiled function takes the numbers, the memory, all cars before the step, the robot's control in the units of

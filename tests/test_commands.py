@@ -1,6 +1,7 @@
 """The commands as a user types them."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -113,6 +114,7 @@ def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys
         (["video", "merger", "--out", "film.mp4", "--speed", "nan"], "--speed"),
         (["video", "merger", "--out", "film.mp4", "--seed", "-1"], "--seed"),
         (["validate", "nowhere"], "no reference episodes"),
+        (["bench", "roundabout"], "'roundabout'; the scenarios are"),
     ],
 )
 def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):
@@ -131,10 +133,39 @@ def test_a_video_plays_at_true_speed(suffix, tmp_path, capsys):
     assert [path.name for path in film.parent.iterdir()] == [film.name]
 
 
-@pytest.mark.parametrize("command", [[], ["compare"], ["video"], ["validate"]])
+@pytest.mark.parametrize("command", [[], ["compare"], ["video"], ["bench"], ["validate"]])
 def test_help_teaches_the_command(command):
     run = subprocess.run(
         [sys.executable, "-m", "ms_highway", *command, "--help"], capture_output=True, text=True, check=True
     )
     assert "ms-highway" in run.stdout
     assert len(run.stdout) > 250
+
+
+def test_commands_keep_compiled_planners_in_the_users_own_cache_unless_told_not_to(tmp_path):
+    """In processes of their own, as no process forgets what it has compiled."""
+    home = tmp_path / "home"
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_COMPILATION")}
+    environment["XDG_CACHE_HOME"] = str(home)
+    arguments = ["compare", "stay_back", "--controllers", "naive", "--seeds", "1", "--out"]
+    for run, options in enumerate((["--no-compilation-cache"], [])):
+        command = [sys.executable, "-m", "ms_highway", *options, *arguments, str(tmp_path / str(run))]
+        subprocess.run(command, check=True, capture_output=True, env=environment)
+        assert (home / "ms_highway").exists() == (run == 1)
+    assert (home / "ms_highway" / "compiled").stat().st_mode & 0o077 == 0
+    assert list((home / "ms_highway" / "compiled").iterdir())
+
+
+def test_bench_measures_every_rung_and_a_peer_that_plans_the_same(tmp_path):
+    out = tmp_path / "bench.json"
+    assert main(["bench", "stay_back", "--peer", "casadi", "--json", str(out)]) == 0
+    rungs = json.loads(out.read_text())["stay_back"]
+    assert list(rungs) == ["naive", "turn"]
+    for result in rungs.values():
+        assert 0 < result["plan_us"]["p50"] <= result["plan_us"]["p99"] < 1e6
+        assert 0 < result["peer_us"]["p50"] < 1e6
+        assert 0 < result["decision_us"] < 1e6
+        assert 0 < result["step_us"] < 1e6
+        assert 0 < result["compile_s"]["cached"] < result["compile_s"]["cold"]
+        assert set(result["plans_per_s"]) == {"1", "32", "1024"}
+    assert rungs["turn"]["flop"] > 1.5 * rungs["naive"]["flop"] > 1e5

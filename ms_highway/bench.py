@@ -1,0 +1,170 @@
+"""How long plans, decisions and environment steps take, and how long they take to compile."""
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jax.experimental.compilation_cache import compilation_cache
+
+from ms_highway.casadi_peer import compiled_peer
+from ms_highway.compiled import decide_function, pack, plan_function, timed
+from ms_highway.envs import SCENARIOS
+from ms_highway.envs.base import InteractionEnv
+from ms_highway.experiment import make_environment
+from ms_highway.game import Game
+from ms_highway.human_models import HumanModel, cold_start, ladder
+from ms_highway.scenario import PHYSICAL_LIMIT, build_game, draw_starts
+from ms_highway.switching import PUBLISHED_COSTS, Switching, first_memory
+
+__all__ = ["BATCHES", "bench"]
+
+REPEATS = 300
+BATCHES = (1, 32, 1024)  # of vmapped plans
+AGREEMENT = 1e-3  # between ours and the peer's scaled controls
+
+
+def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Measures each rung of a scenario's ladder, in microseconds, in the default configuration, from its first start.
+
+    Compilation is measured first, on all cores; everything else warm, on one core. Yields for every rung its name and:
+
+    * ``plan_us``: median (p50) and p99 of a plan, until its result is there;
+    * ``peer_us``: median of the same plan in CasADi's C code, checked to agree before (only with ``peer``);
+    * ``decision_us``: median of a decision at this rung, one in three of which checks the rung below;
+    * ``step_us``: median of a step of the environment less the plans of both cars;
+    * ``compile_s``: tracing and compiling the plan, ``cold`` and from a persistent cache, ``cached``;
+    * ``flop``: floating-point operations of a plan, from XLA's cost analysis;
+    * ``plans_per_s``: throughput of vmapped plans by batch size.
+
+    Raises:
+        ImportError: if the peer is wanted and CasADi is not there.
+        RuntimeError: if the peer plans something else.
+    """
+    game = build_game(SCENARIOS[scenario], control_limit=PHYSICAL_LIMIT)
+    state = jnp.asarray(draw_starts(SCENARIOS[scenario], np.random.default_rng(0)), dtype=jnp.float32)
+    models = ladder(SCENARIOS[scenario].ladder)
+    compiling = {model.name: _compile_seconds(game, model, state) for model in models}
+    with _one_core():
+        step = _step_without_planning(scenario)
+        for rung, model in enumerate(models):
+            numbers, layout = pack(game)
+            plan, arguments = plan_function(model, layout), (numbers, state, cold_start(game))
+            times = _times(plan, *arguments)
+            result: dict[str, Any] = {"plan_us": {"p50": _median(times), "p99": float(np.quantile(times, 0.99))}}
+            if peer:
+                result["peer_us"] = {"p50": _peer(game, model, state)}
+            result["decision_us"] = _decision(game, models, rung, state)
+            result["step_us"] = step
+            result["compile_s"] = compiling[model.name]
+            result["flop"] = _operations(game, model, state)
+            result["plans_per_s"] = {str(size): _throughput(game, model, state, size) for size in BATCHES}
+            yield model.name, result
+
+
+def _times(function: Callable[..., Any], *arguments: Any, repeats: int = REPEATS) -> list[float]:
+    """Microseconds of each of many warm runs."""
+    jax.block_until_ready(function(*arguments))
+    return [1e6 * timed(function, *arguments)[1] for _ in range(repeats)]
+
+
+def _median(times: list[float]) -> float:
+    return float(np.median(times))
+
+
+@contextmanager
+def _one_core() -> Iterator[None]:
+    """Keep to one core, where the system lets a process choose."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def _compile_seconds(game: Game, model: HumanModel, state: jax.Array) -> dict[str, float]:
+    """Seconds to trace and compile a plan, without a cache and from one; leaves the user's cache alone."""
+    kept = jax.config.values["jax_compilation_cache_dir"]
+    numbers, layout = pack(game)
+    seconds = {}
+    with tempfile.TemporaryDirectory() as directory:
+        try:
+            for kind, cache in (("cold", None), ("filling", directory), ("cached", directory)):
+                jax.config.update("jax_compilation_cache_dir", cache)
+                compilation_cache.reset_cache()
+                jax.clear_caches()
+                start = perf_counter()
+                plan_function(model, layout).lower(numbers, state, cold_start(game)).compile()
+                seconds[kind] = perf_counter() - start
+        finally:
+            jax.config.update("jax_compilation_cache_dir", kept)
+            compilation_cache.reset_cache()
+    del seconds["filling"]
+    return seconds
+
+
+def _peer(game: Game, model: HumanModel, state: jax.Array) -> float:
+    numbers, layout = pack(game)
+    ours = np.asarray(plan_function(model, layout)(numbers, state, cold_start(game)).robot)
+    with tempfile.TemporaryDirectory() as directory:
+        call, repeat = compiled_peer(game, model.name, len(state), Path(directory))
+        apart = float(abs(call(np.asarray(state)) - ours).max())
+        if not apart < AGREEMENT:
+            raise RuntimeError(
+                f"CasADi's {model.name} plan is {apart:.1e} away from ours; they must agree to be compared"
+            )
+        return _median(_times(repeat))
+
+
+def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: jax.Array) -> float:
+    """A decision that never goes up, so that it checks the rung below whenever the cooldown lets it."""
+    switching = Switching(np.array([PUBLISHED_COSTS[model.name] for model in models]), 1e9, models)
+    numbers, layout = pack((switching, game))
+    decide, checking = decide_function(layout), first_memory(switching, rung)
+    waiting = checking._replace(last_check=jnp.zeros_like(checking.last_check))
+    seconds = [_median(_times(decide, numbers, memory, state, jnp.zeros(2), state)) for memory in (checking, waiting)]
+    cooldown = int(switching.cooldown)
+    return (seconds[0] + (cooldown - 1) * seconds[1]) / cooldown
+
+
+def _step_without_planning(scenario: str) -> float:
+    env = make_environment(scenario, "naive")
+    inner = env.unwrapped
+    assert isinstance(inner, InteractionEnv)
+    times: list[float] = []
+    for seed in range(2):  # the first episode compiles
+        env.reset(seed=seed)
+        done, times = False, []
+        while not done:
+            start = perf_counter()
+            *_, terminated, truncated, _ = env.step(0)
+            seconds = perf_counter() - start
+            done = terminated or truncated
+            cars = inner.robot, inner.human
+            times.append(1e6 * (seconds - sum(car.last_step.planning_seconds for car in cars if car.last_step)))
+    env.close()
+    return _median(times)
+
+
+def _operations(game: Game, model: HumanModel, state: jax.Array) -> float:
+    """XLA counts the body of a loop once, however often it runs; the little outside of the loop is counted as often."""
+    numbers, layout = pack(game)
+    compiled = plan_function(model, layout).lower(numbers, state, cold_start(game)).compile()
+    analysis = compiled.cost_analysis() or {}
+    return game.planner.iterations * float(analysis["flops"])
+
+
+def _throughput(game: Game, model: HumanModel, state: jax.Array, size: int) -> float:
+    states = jnp.broadcast_to(state, (size, *state.shape))
+    plans = jax.jit(jax.vmap(lambda state: model.plan(game, state)))
+    return size / _median(_times(plans, states, repeats=10)) * 1e6
