@@ -33,7 +33,7 @@ AGREEMENT = 1e-3  # between ours and the peer's scaled controls
 def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, Any]]]:
     """Measures each rung of a scenario's ladder, in microseconds, in the default configuration, from its first start.
 
-    Compilation is measured first, on all cores; everything else warm, on one core. Yields for every rung its name and:
+    Compilation is measured on all cores, everything else warm, on one core. Yields for every rung its name and:
 
     * ``plan_us``: median (p50) and p99 of a plan, until its result is there;
     * ``peer_us``: median of the same plan in CasADi's C code, checked to agree before (only with ``peer``);
@@ -50,22 +50,25 @@ def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, An
     game = build_game(SCENARIOS[scenario], control_limit=PHYSICAL_LIMIT)
     state = jnp.asarray(draw_starts(SCENARIOS[scenario], np.random.default_rng(0)), dtype=jnp.float32)
     models = ladder(SCENARIOS[scenario].ladder)
-    compiling = {model.name: _compile_seconds(game, model, state) for model in models}
     with _one_core():
         step = _step_without_planning(scenario)
-        for rung, model in enumerate(models):
-            numbers, layout = pack(game)
-            plan, arguments = plan_function(model, layout), (numbers, state, cold_start(game))
-            times = _times(plan, *arguments)
-            result: dict[str, Any] = {"plan_us": {"p50": _median(times), "p99": float(np.quantile(times, 0.99))}}
-            if peer:
-                result["peer_us"] = {"p50": _peer(game, model, state)}
-            result["decision_us"] = _decision(game, models, rung, state)
-            result["step_us"] = step
-            result["compile_s"] = compiling[model.name]
-            result["flop"] = _operations(game, model, state)
-            result["plans_per_s"] = {str(size): _throughput(game, model, state, size) for size in BATCHES}
-            yield model.name, result
+    for rung, model in enumerate(models):
+        compiling = _compile_seconds(game, model, state)
+        with _one_core():
+            yield model.name, _measured(game, models, rung, state, peer) | {"step_us": step, "compile_s": compiling}
+
+
+def _measured(game: Game, models: tuple[HumanModel, ...], rung: int, state: jax.Array, peer: bool) -> dict[str, Any]:
+    """What is measured warm of one rung."""
+    numbers, layout = pack(game)
+    times = _times(plan_function(models[rung], layout), numbers, state, cold_start(game))
+    return {
+        "plan_us": {"p50": _median(times), "p99": float(np.quantile(times, 0.99))},
+        **({"peer_us": {"p50": _peer(game, models[rung], state)}} if peer else {}),
+        "decision_us": _decision(game, models, rung, state),
+        "flop": _operations(game, models[rung], state),
+        "plans_per_s": {str(size): _throughput(game, models[rung], state, size) for size in BATCHES},
+    }
 
 
 def _times(function: Callable[..., Any], *arguments: Any, repeats: int = REPEATS) -> list[float]:
