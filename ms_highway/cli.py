@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         if not (options.no_compilation_cache or os.environ.get("JAX_COMPILATION_CACHE_DIR")):
-            keep_compilations()
+            _keep_compilations()
         options.run(options)
     except (ValueError, OSError, ImportError) as error:
         print(f"ms-highway: {error}", file=sys.stderr)
@@ -68,6 +68,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("ms-highway: stopped", file=sys.stderr)
         return 130
     return 0
+
+
+def _keep_compilations() -> None:
+    """Keep compiled planners; where that cannot be, say so and go on without."""
+    try:
+        keep_compilations()
+    except OSError as error:
+        print(f"ms-highway: compiled planners are not kept: {error}", file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -157,6 +157,16 @@ def test_commands_keep_compiled_planners_in_the_users_own_cache_unless_told_not_
     assert list((home / "ms_highway" / "compiled").iterdir())
 
 
+def test_a_command_goes_on_where_compiled_planners_cannot_be_kept(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").touch()
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert main(["bench", "roundabout"]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert "not kept" in said[0]
+    assert "roundabout" in said[1]
+
+
 def test_bench_measures_a_plan_and_a_peer_that_plans_the_same():
     name, result = next(bench("stay_back", peer=True))
     assert name == "naive"
