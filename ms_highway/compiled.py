@@ -26,6 +26,7 @@ from ms_highway.switching import Decision, Memory, decide
 
 __all__ = [
     "Packed",
+    "checked_state",
     "decide_function",
     "keep_compilations",
     "measure_costs",
@@ -128,12 +129,33 @@ def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
     return result, perf_counter() - start
 
 
+def checked_state(state: Float[np.ndarray, "cars 4"]) -> Float[jax.Array, "cars 4"]:
+    """The state in the core's precision.
+
+    Raises:
+        ValueError: if it is not a finite array [cars, 4] of two cars or more.
+    """
+    state = np.asarray(state)
+    if state.ndim != 2 or state.shape[0] < 2 or state.shape[1] != 4:
+        raise ValueError(f"a state has shape [cars, 4] with the robot, its partner and any others; got {state.shape}")
+    if not np.isfinite(state).all():
+        car, column = np.argwhere(~np.isfinite(state))[0]
+        raise ValueError(
+            f"the state of car {car} is not finite: {['x', 'y', 'heading', 'speed'][column]} is {state[car, column]}"
+        )
+    return jnp.asarray(state, dtype=jnp.float32)
+
+
 def measure_costs(
     game: Game, ladder: Sequence[HumanModel], state: Float[np.ndarray, "cars 4"], repeats: int = 20
 ) -> Float[np.ndarray, "rungs"]:
-    """T(M) on this machine: the median seconds of a warm plan in this state, for each model."""
+    """T(M) on this machine: the median seconds of a warm plan in this state, for each model.
+
+    Raises:
+        ValueError: if the state is not a finite array [cars, 4] of two cars or more.
+    """
     numbers, layout = pack(game)
-    arguments = numbers, jnp.asarray(state, dtype=jnp.float32), cold_start(game)
+    arguments = numbers, checked_state(state), cold_start(game)
     costs = []
     for model in ladder:
         function = plan_function(model, layout)

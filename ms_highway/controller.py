@@ -13,7 +13,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.compiled import decide_function, pack, plan_function, timed, warm_up
+from ms_highway.compiled import checked_state, decide_function, pack, plan_function, timed, warm_up
 from ms_highway.dynamics import keep_velocity, step
 from ms_highway.game import Game
 from ms_highway.human_models import HumanModel, JointPlan, cold_start
@@ -64,23 +64,6 @@ class Controller(Protocol):
 
     def step(self, state: Float[np.ndarray, "cars 4"]) -> ControlStep:
         """Control for the coming step, given all cars now."""
-
-
-def _checked(state: Float[np.ndarray, "cars 4"]) -> Float[jax.Array, "cars 4"]:
-    """The state in the core's precision.
-
-    Raises:
-        ValueError: if it is not a finite array [cars, 4] of two cars or more.
-    """
-    state = np.asarray(state)
-    if state.ndim != 2 or state.shape[0] < 2 or state.shape[1] != 4:
-        raise ValueError(f"a state has shape [cars, 4] with the robot, its partner and any others; got {state.shape}")
-    if not np.isfinite(state).all():
-        car, column = np.argwhere(~np.isfinite(state))[0]
-        raise ValueError(
-            f"the state of car {car} is not finite: {['x', 'y', 'heading', 'speed'][column]} is {state[car, column]}"
-        )
-    return jnp.asarray(state, dtype=jnp.float32)
 
 
 def brake(game: Game, car: Float[np.ndarray, "4"]) -> Float[np.ndarray, "steps 2"]:
@@ -153,7 +136,7 @@ class FixedModel:
         Raises:
             ValueError: if the state is not a finite array [cars, 4] of two cars or more.
         """
-        now = _checked(state)
+        now = checked_state(state)
         arguments = self._numbers, now, _start(self.game, self._last) if self.warm_start else self._cold
         models = [self.model] if self._last else [*self.ladder, self.model]
         compiling = sum((warm_up(plan_function(model, self._layout), *arguments) for model in models), 0.0)
@@ -194,7 +177,7 @@ class ModelSwitching:
         Raises:
             ValueError: if the state is not a finite array [cars, 4] of two cars or more.
         """
-        now = _checked(state)
+        now = checked_state(state)
         compiling = self._warm_up(now) if self._last is None else 0.0
         deciding, gains = (0.0, {}) if self._last is None else self._choose(self._last.control, now)
         model = self.switching.ladder[int(self._memory.rung)]

@@ -56,7 +56,7 @@ def ascend(planner: Planner, direction: Callable[[Controls], Controls], start: C
     """Controls after ``iterations`` projected steps, ``z <- clip(z + step_size * direction(z))``.
 
     Args:
-        planner: step size and limits.
+        planner: step size, number of steps and limits.
         direction: the direction of ascent at given controls; the gradient of the objective for plain ascent.
         start: the first controls, an array [..., 2] or a pytree of them, in units of ``control_scale``.
 

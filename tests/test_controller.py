@@ -99,6 +99,8 @@ def test_a_state_that_is_no_state_is_refused(played):
         controller.step(np.asarray(state)[0])
     with pytest.raises(ValueError, match="car 1 is not finite: speed is nan"):
         controller.step(np.asarray(state.at[1, 3].set(jnp.nan)))
+    with pytest.raises(ValueError, match="car 0 is not finite: x is inf"):
+        measure_costs(game, [MODELS["naive"]], np.asarray(state.at[0, 0].set(jnp.inf)))
 
 
 def test_measured_costs_grow_up_the_ladder(played):
