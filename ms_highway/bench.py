@@ -14,7 +14,7 @@ from jax import numpy as jnp
 from jax.experimental.compilation_cache import compilation_cache
 
 from ms_highway.casadi_peer import compiled_peer
-from ms_highway.compiled import decide_function, pack, plan_function, timed
+from ms_highway.compiled import decide_function, observation, pack, packed_memory, plan_function, timed
 from ms_highway.envs import SCENARIOS
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiment import make_environment
@@ -61,7 +61,7 @@ def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, An
 def _measured(game: Game, models: tuple[HumanModel, ...], rung: int, state: jax.Array, peer: bool) -> dict[str, Any]:
     """What is measured warm of one rung."""
     numbers, layout = pack(game)
-    times = _times(plan_function(models[rung], layout), numbers, state, cold_start(game))
+    times = _times(plan_function(models[rung], layout), numbers, state, jnp.stack(cold_start(game)))
     return {
         "plan_us": {"p50": _median(times), "p99": float(np.quantile(times, 0.99))},
         **({"peer_us": {"p50": _peer(game, models[rung], state)}} if peer else {}),
@@ -107,7 +107,7 @@ def _compile_seconds(game: Game, model: HumanModel, state: jax.Array) -> dict[st
                 compilation_cache.reset_cache()
                 jax.clear_caches()
                 start = perf_counter()
-                plan_function(model, layout).lower(numbers, state, cold_start(game)).compile()
+                plan_function(model, layout).lower(numbers, state, jnp.stack(cold_start(game))).compile()
                 seconds[kind] = perf_counter() - start
         finally:
             jax.config.update("jax_compilation_cache_dir", kept)
@@ -118,7 +118,7 @@ def _compile_seconds(game: Game, model: HumanModel, state: jax.Array) -> dict[st
 
 def _peer(game: Game, model: HumanModel, state: jax.Array) -> float:
     numbers, layout = pack(game)
-    ours = np.asarray(plan_function(model, layout)(numbers, state, cold_start(game)).robot)
+    ours = np.asarray(plan_function(model, layout)(numbers, state, jnp.stack(cold_start(game)))[0])
     with tempfile.TemporaryDirectory() as directory:
         call, repeat = compiled_peer(game, model.name, len(state), Path(directory))
         apart = float(abs(call(np.asarray(state)) - ours).max())
@@ -135,7 +135,8 @@ def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: jax.
     numbers, layout = pack((switching, game))
     decide, checking = decide_function(layout), first_memory(switching, rung)
     waiting = checking._replace(last_check=jnp.zeros_like(checking.last_check))
-    seconds = [_median(_times(decide, numbers, memory, state, jnp.zeros(2), state)) for memory in (checking, waiting)]
+    observed = [observation(packed_memory(memory), state, np.zeros(2), state) for memory in (checking, waiting)]
+    seconds = [_median(_times(decide, numbers, what)) for what in observed]
     cooldown = int(switching.cooldown)
     return (seconds[0] + (cooldown - 1) * seconds[1]) / cooldown
 
@@ -162,7 +163,7 @@ def _step_without_planning(scenario: str) -> float:
 def _operations(game: Game, model: HumanModel, state: jax.Array) -> float:
     """XLA counts the body of a loop once, however often it runs; the little outside of the loop is counted as often."""
     numbers, layout = pack(game)
-    compiled = plan_function(model, layout).lower(numbers, state, cold_start(game)).compile()
+    compiled = plan_function(model, layout).lower(numbers, state, jnp.stack(cold_start(game))).compile()
     analysis = compiled.cost_analysis() or {}
     return game.planner.iterations * float(analysis["flops"])
 

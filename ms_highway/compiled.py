@@ -6,7 +6,7 @@ numbers of a game travel as one array.
 
 import os
 from collections.abc import Callable, Hashable, Sequence
-from functools import cache, partial
+from functools import cache, partial, wraps
 from math import prod
 from pathlib import Path
 from statistics import median
@@ -18,19 +18,22 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.dynamics import recover_control
+from ms_highway.dynamics import Array, recover_control
 from ms_highway.game import Game
 from ms_highway.human_models import HumanModel, JointPlan, cold_start
 from ms_highway.reward import reward
-from ms_highway.switching import Decision, Memory, decide
+from ms_highway.switching import Memory, decide
 
 __all__ = [
     "Packed",
     "checked_state",
     "decide_function",
     "keep_compilations",
+    "low_latency",
     "measure_costs",
+    "observation",
     "pack",
+    "packed_memory",
     "plan_function",
     "timed",
     "warm_up",
@@ -41,6 +44,9 @@ State = Float[jax.Array, "cars 4"]
 
 QUICKLY = {"xla_cpu_use_fusion_emitters": False}
 """Compiler options that halve compilation; they cost small plans a tenth of their speed, and large ones nothing."""
+
+
+KERNEL_BYTES = 1_000_000
 
 
 class Layout(NamedTuple):
@@ -75,36 +81,100 @@ def pack(tree: Any) -> Packed:
     )
 
 
+def low_latency() -> None:
+    """Set JAX up for many small computations on the CPU, before it computes anything; it holds for the whole process.
+
+    Two things make up much of a plan's time: handing a computation over to another thread, and starting a hundred
+    kernels per iteration. The first is switched off; against the second, XLA is told to compile loops of up to
+    `KERNEL_BYTES` per iteration as one kernel, as it does by itself only with much smaller ones. Where ``XLA_FLAGS``
+    has that option, or JAX has begun already, nothing changes but the speed.
+    """
+    flags, option = os.environ.get("XLA_FLAGS", ""), "xla_cpu_small_while_loop_byte_threshold"
+    if option not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={option}={KERNEL_BYTES}".strip()
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
+    """The same function of float arrays, the first of which begins with a finite number, as a loop that runs once.
+
+    See `low_latency`; without that, the loop does no harm. XLA must not see that it runs once, nor that what it works
+    on stays the same, or else it would take it apart. NaN where the first number is NaN.
+    """
+
+    @wraps(function)
+    def looped(*arguments: jax.Array) -> jax.Array:
+        shape = jax.eval_shape(function, *arguments)
+
+        def run(carry: tuple[jax.Array, tuple[jax.Array, ...], jax.Array]) -> tuple[Any, ...]:
+            _, given, _ = carry
+            return jnp.bool(True), tuple(jnp.zeros_like(argument) for argument in given), function(*given)
+
+        first = jnp.isnan(arguments[0].ravel()[0]), arguments, jnp.full(shape.shape, jnp.nan, shape.dtype)
+        return jax.lax.while_loop(lambda carry: ~carry[0], run, first)[-1]
+
+    return looped
+
+
 @cache
 def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
-    """``model.plan``, of a packed game, the state, and the plan to start from: compiled once for all that plan so."""
+    """``model.plan``, compiled once for all that plan so.
+
+    The compiled function takes the numbers of a packed game, all cars now, and the plan to start from; plans are arrays
+    [2, steps, 2] of the robot's and the human's scaled controls.
+    """
 
     @partial(jax.jit, compiler_options=QUICKLY if model.responds else None)
-    def plan(numbers: Float[jax.Array, "n"], state: State, start: JointPlan) -> JointPlan:
-        return model.plan(layout.unpack(numbers), state, start)
+    @in_one_kernel
+    def plan(
+        numbers: Float[jax.Array, "n"], state: State, start: Float[jax.Array, "2 steps 2"]
+    ) -> Float[jax.Array, "2 steps 2"]:
+        return jnp.stack(model.plan(layout.unpack(numbers), state, JointPlan(*start)))
 
     return plan
 
 
 @cache
 def decide_function(layout: Layout) -> jax.stages.Wrapped:
-    """`decide`, of a packed (Switching, Game) and of what was observed around the executed step.
+    """`decide`, compiled once for all that decide so.
 
-    The compiled function takes the numbers, the memory, all cars before the step, the robot's control in the units of
-    the world, and all cars after it.
+    The compiled function takes the numbers of a packed (Switching, Game), and an `observation` with the robot's
+    control in the units of the world. It returns the new memory, packed, and the gains of going up and down.
     """
 
     @partial(jax.jit, compiler_options=QUICKLY)
-    def observe_and_decide(
-        numbers: Float[jax.Array, "n"], memory: Memory, before: State, control: Float[jax.Array, "2"], after: State
-    ) -> Decision:
+    @in_one_kernel
+    def observe_and_decide(numbers: Float[jax.Array, "n"], observed: Float[jax.Array, "m"]) -> Float[jax.Array, "k"]:
         switching, game = layout.unpack(numbers)
+        remembered = 2 + len(switching.ladder)
+        (rung, step, *checks), rest = observed[:remembered].astype(jnp.int32), observed[remembered:]
+        before, control, after = jnp.split(rest, [(len(rest) - 2) // 2, (len(rest) + 2) // 2])
+        before, after = before.reshape(-1, 4), after.reshape(-1, 4)
         scale = game.planner.control_scale
         human = recover_control(game.world, before[1], after[1]) / scale
-        observed = reward(game.scene, game.robot, after)
-        return decide(switching, game, memory, before, control / scale, human, observed)
+        earned = reward(game.scene, game.robot, after)
+        decision = decide(
+            switching, game, Memory(rung, step, jnp.stack(checks)), before, control / scale, human, earned
+        )
+        memory = decision.memory
+        return jnp.stack([memory.rung, memory.step, *memory.last_check, decision.gain_up, decision.gain_down])
 
     return observe_and_decide
+
+
+def packed_memory(memory: Memory) -> Float[np.ndarray, "n"]:
+    """A memory of switching as one array: the rung, the step, and each rung's last check."""
+    return np.concatenate([np.ravel(part) for part in memory]).astype(np.float32)
+
+
+def observation(
+    memory: Float[np.ndarray, "n"],
+    before: Float[Array, "cars 4"],
+    control: Float[np.ndarray, "2"],
+    after: Float[Array, "cars 4"],
+) -> Float[np.ndarray, "m"]:
+    """What a `decide_function` looks at: packed memory, cars before a step, control executed in it, cars after it."""
+    return np.concatenate([memory, np.ravel(before), control, np.ravel(after)], dtype=np.float32)
 
 
 _warm: set[Hashable] = set()  # compiled functions that have run with arguments of these shapes
@@ -155,7 +225,7 @@ def measure_costs(
         ValueError: if the state is not a finite array [cars, 4] of two cars or more.
     """
     numbers, layout = pack(game)
-    arguments = numbers, checked_state(state), cold_start(game)
+    arguments = numbers, checked_state(state), jnp.stack(cold_start(game))
     costs = []
     for model in ladder:
         function = plan_function(model, layout)

@@ -13,10 +13,19 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.compiled import checked_state, decide_function, pack, plan_function, timed, warm_up
+from ms_highway.compiled import (
+    checked_state,
+    decide_function,
+    observation,
+    pack,
+    packed_memory,
+    plan_function,
+    timed,
+    warm_up,
+)
 from ms_highway.dynamics import keep_velocity, step
 from ms_highway.game import Game
-from ms_highway.human_models import HumanModel, JointPlan, cold_start
+from ms_highway.human_models import HumanModel, cold_start
 from ms_highway.switching import Switching, first_memory
 
 __all__ = ["ControlStep", "Controller", "FixedModel", "ModelSwitching", "Status"]
@@ -81,11 +90,14 @@ def brake(game: Game, car: Float[np.ndarray, "4"]) -> Float[np.ndarray, "steps 2
 
 
 def _record(
-    game: Game, model: HumanModel, plan: JointPlan, state: Float[np.ndarray, "cars 4"], last: ControlStep | None
+    game: Game,
+    model: HumanModel,
+    plan: Float[jax.Array, "2 steps 2"],
+    state: Float[np.ndarray, "cars 4"],
+    last: ControlStep | None,
 ) -> ControlStep:
     """The record of a plan; where the plan is not finite, of what is left of the last one, or of braking."""
-    scale = np.asarray(game.planner.control_scale, dtype=float)
-    robot, human = np.asarray(plan.robot) * scale, np.asarray(plan.human) * scale
+    robot, human = np.asarray(plan) * np.asarray(game.planner.control_scale, dtype=float)
     status: Status = "planned"
     if not (np.isfinite(robot).all() and np.isfinite(human).all()):
         if last is not None and last.status != "braking" and len(last.plan) > 1:
@@ -96,13 +108,13 @@ def _record(
     return ControlStep(robot[0], robot, human, model.name, 0.0, status=status)
 
 
-def _start(game: Game, last: ControlStep | None) -> JointPlan:
+def _start(game: Game, last: ControlStep | None) -> Float[jax.Array, "2 steps 2"]:
     """Where a warm start begins: the rest of the last plan, scaled, its last control repeated; cold without one."""
     if last is None:
-        return cold_start(game)
+        return jnp.stack(cold_start(game))
     rest = np.minimum(np.arange(1, game.planner.horizon + 1), len(last.plan) - 1)
     scale = np.asarray(game.planner.control_scale)
-    return JointPlan(*(jnp.asarray(controls[rest] / scale, dtype=jnp.float32) for controls in (last.plan, last.human)))
+    return jnp.asarray(np.stack([last.plan[rest], last.human[rest]]) / scale, dtype=jnp.float32)
 
 
 class FixedModel:
@@ -123,7 +135,7 @@ class FixedModel:
         self.ladder = ladder
         self.warm_start = warm_start
         self._numbers, self._layout = pack(game)
-        self._cold = cold_start(game)
+        self._cold = _start(game, None)
         self.reset()
 
     def reset(self) -> None:
@@ -162,14 +174,14 @@ class ModelSwitching:
         self._numbers, self._layout = pack(game)
         self._switching_numbers, layout = pack((switching, game))
         self._decide = decide_function(layout)
-        self._cold = cold_start(game)
+        self._cold = _start(game, None)
         self.reset()
 
     def reset(self) -> None:
         """Start again at the bottom of the ladder."""
-        self._memory = first_memory(self.switching)
+        self._memory = packed_memory(first_memory(self.switching))
         self._last: ControlStep | None = None
-        self._before: Float[jax.Array, "cars 4"] | None = None
+        self._before: Float[np.ndarray, "cars 4"] | None = None
 
     def step(self, state: Float[np.ndarray, "cars 4"]) -> ControlStep:
         """Control for the coming step, after choosing the model from how the last step went.
@@ -180,11 +192,11 @@ class ModelSwitching:
         now = checked_state(state)
         compiling = self._warm_up(now) if self._last is None else 0.0
         deciding, gains = (0.0, {}) if self._last is None else self._choose(self._last.control, now)
-        model = self.switching.ladder[int(self._memory.rung)]
+        model = self.switching.ladder[int(self._memory[0])]
         start = _start(self.game, self._last) if self.warm_start else self._cold
         plan, planning = timed(plan_function(model, self._layout), self._numbers, now, start)
         record = _record(self.game, model, plan, state, self._last)
-        self._before = now
+        self._before = np.asarray(now)
         self._last = replace(
             record, planning_seconds=planning, decision_seconds=deciding, compile_seconds=compiling, gains=gains
         )
@@ -194,18 +206,19 @@ class ModelSwitching:
         """Compile every rung and the decision before the first control is due; seconds spent."""
         rungs = [plan_function(model, self._layout) for model in self.switching.ladder]
         plans = sum(warm_up(rung, self._numbers, state, self._cold) for rung in rungs)
-        return plans + warm_up(self._decide, self._switching_numbers, self._memory, state, jnp.zeros(2), state)
+        observed = observation(self._memory, state, np.zeros(2), state)
+        return plans + warm_up(self._decide, self._switching_numbers, observed)
 
     def _choose(
         self, executed: Float[np.ndarray, "2"], now: Float[jax.Array, "cars 4"]
     ) -> tuple[float, dict[str, float]]:
         """Take the decision; seconds spent, and the gains estimated by name of the alternative."""
-        rung, ladder = int(self._memory.rung), self.switching.ladder
-        control = jnp.asarray(executed, dtype=jnp.float32)
-        observed = self._switching_numbers, self._memory, self._before, control, now
-        decision, seconds = timed(self._decide, *observed)
-        self._memory = decision.memory
-        estimates = {ladder[rung - 1].name: float(decision.gain_down)} if rung > 0 else {}
+        rung, ladder = int(self._memory[0]), self.switching.ladder
+        observed = observation(self._memory, self._before, executed, now)
+        decision, seconds = timed(self._decide, self._switching_numbers, observed)
+        *memory, up, down = np.asarray(decision)
+        self._memory = np.array(memory)
+        estimates = {ladder[rung - 1].name: float(down)} if rung > 0 else {}
         if rung < len(ladder) - 1:
-            estimates[ladder[-1].name] = float(decision.gain_up)
+            estimates[ladder[-1].name] = float(up)
         return seconds, {name: gain for name, gain in estimates.items() if np.isfinite(gain)}

@@ -7,7 +7,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-__all__ = ["Expansion", "Influence", "Path", "damped_inverse", "expand", "response"]
+__all__ = ["Expansion", "Influence", "Path", "damped_inverse", "eigenpairs", "expand", "response", "slope_and_bend"]
 
 Influence: TypeAlias = Literal["exact", "damped"]
 
@@ -65,6 +65,26 @@ def expand(
     return Expansion(jnp.sum(jacobian * along_path[..., None], axis=(0, 1)), hessian, jacobian)
 
 
+def slope_and_bend(
+    function: Callable[[Float[jax.Array, "*shape"]], jax.Array],
+) -> Callable[[Float[jax.Array, "*shape"]], tuple[jax.Array, jax.Array]]:
+    """First and second derivative, [*value, *shape] and [*value, *shape, *shape], forward over forward.
+
+    For few variables that takes fewer operations than going back through the function.
+    """
+    slope = jax.jacfwd(function)
+
+    def both(variables: Float[jax.Array, "*shape"]) -> tuple[jax.Array, jax.Array]:
+        value = slope(variables)
+        return value, value
+
+    def derivatives(variables: Float[jax.Array, "*shape"]) -> tuple[jax.Array, jax.Array]:
+        bend, value = jax.jacfwd(both, has_aux=True)(variables)
+        return value, bend
+
+    return derivatives
+
+
 def response(
     influence: Influence, hessian: Float[jax.Array, "n n"], vector: Float[jax.Array, "n *columns"]
 ) -> Float[jax.Array, "n *columns"]:
@@ -74,12 +94,29 @@ def response(
       nor invertible, and then the answer is wild or not finite.
     * ``damped`` first sets H's eigenvalues l to ``-max(|l|, 1)``, which makes every response an ascent and bounds it.
     """
-    if influence == "exact":
-        return -jnp.linalg.solve(hessian, vector)
-    return damped_inverse(hessian, 1.0) @ vector
+    if influence == "damped":
+        return damped_inverse(hessian, 1.0) @ vector
+    if len(hessian) == 2:
+        (a, b), (c, d) = hessian
+        return jnp.array([[-d, b], [c, -a]]) @ vector / (a * d - b * c)
+    return -jnp.linalg.solve(hessian, vector)
 
 
 def damped_inverse(hessian: Float[jax.Array, "n n"], floor: float) -> Float[jax.Array, "n n"]:
     """``-H^-1`` with the eigenvalues l of H set to ``-max(|l|, floor)``: a metric in which every slope leads up."""
-    values, vectors = jnp.linalg.eigh(hessian)
+    values, vectors = eigenpairs(hessian)
     return (vectors / jnp.maximum(jnp.abs(values), floor)) @ vectors.T
+
+
+def eigenpairs(symmetric: Float[jax.Array, "n n"]) -> tuple[Float[jax.Array, "n"], Float[jax.Array, "n n"]]:
+    """Eigenvalues, ascending, and eigenvectors in columns.
+
+    Two by two they are written out, which XLA compiles together with what stands around it; a call of LAPACK it cannot.
+    """
+    if len(symmetric) != 2:
+        return jnp.linalg.eigh(symmetric)
+    (a, b), (_, d) = symmetric
+    mean, half = (a + d) / 2, (a - d) / 2
+    spread, angle = jnp.hypot(half, b), jnp.arctan2(b, half) / 2
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([mean - spread, mean + spread]), jnp.array([[-sine, cosine], [cosine, sine]])

@@ -6,7 +6,7 @@ eyes. Lengths enter the features in the scene's ``length_unit`` U, so that weigh
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 
 import jax
 import numpy as np
@@ -144,12 +144,13 @@ def _collision_risk(
     points and obstacles; the indicator says whether any D < 1.
     """
     risk, collision = jnp.zeros_like(own.x), jnp.zeros_like(own.x, dtype=bool)
+    terms = jax.lax.optimization_barrier(_body_terms(scene))
 
     def add(bodies: Motion, size: Float[Array, "2"], sharpness: float, share: float) -> None:
         nonlocal risk, collision
-        distances = _distances(scene, own, bodies, size)
-        risk += share * jnp.sum(jnp.exp(-sharpness * distances), axis=(0, -1))
-        collision |= jnp.any(distances < 0, axis=(0, -1))
+        distances = _distances(own, bodies, size)
+        risk += share * jnp.sum(_closeness(distances, terms, sharpness), axis=0)
+        collision |= jnp.any(_at_points(jax.lax.stop_gradient(distances), terms) < 0, axis=(0, -1))
 
     for first in range(0, len(others.x), CARS_AT_ONCE):
         pair = Motion(*(field[first : first + CARS_AT_ONCE] for field in others))
@@ -161,14 +162,12 @@ def _collision_risk(
     return risk, collision.astype(risk.dtype)
 
 
-def _distances(
-    scene: Scene, own: Motion, others: Motion, size: Float[Array, "2"]
-) -> Float[jax.Array, "others *times 9"]:
-    """D - 1 of every body point to every other body of that size.
+def _distances(own: Motion, others: Motion, size: Float[Array, "2"]) -> Float[jax.Array, "6 others *times"]:
+    """D - 1 of a body to every other body of that size, as a polynomial in the point of the own body.
 
-    With the points p of the own body, its rotation R, the offset d from the other's centre and the ellipse's matrix
-    ``A = Q^T diag(4 / size^2) Q`` in the road's axes, ``D = (d + R p)^T A (d + R p)`` is a polynomial in p; so few
-    numbers per pair of bodies make all nine distances.
+    With the point p, the own rotation R, the offset d from the other's centre and the ellipse's matrix
+    ``A = Q^T diag(4 / size^2) Q`` in the road's axes, ``D - 1 = (d + R p)^T A (d + R p) - 1``: a polynomial with the
+    terms of `_body_terms`, whose six coefficients are returned.
     """
     shape = jnp.broadcast_shapes(others.x.shape, (1, *own.x.shape))
     x, y, cosine, sine = (jnp.broadcast_to(field, shape) for field in (own.x, own.y, own.cosine, own.sine))
@@ -186,18 +185,59 @@ def _distances(
         2 * ((cosine**2 - sine**2) * xy + cosine * sine * (yy - xx)),
         sine**2 * xx - 2 * cosine * sine * xy + cosine**2 * yy,
     ]
-    px, py = _body_points(scene)
-    powers = jnp.stack([jnp.ones_like(px), px, py, px * px, px * py, py * py])
-    return jnp.sum(
-        jax.lax.optimization_barrier(jnp.stack(coefficients))[..., None] * powers.reshape(6, *[1] * x.ndim, 9), axis=0
-    )
+    return jax.lax.optimization_barrier(jnp.stack(coefficients))
 
 
-def _body_points(scene: Scene) -> Float[jax.Array, "2 9"]:
-    """Corners, middles of the edges and centre of a car, in its own frame [m]."""
+def _at_points(polynomials: Float[jax.Array, "6 *bodies"], terms: Float[jax.Array, "6 9"]) -> jax.Array:
+    """Values [*bodies, 9] of polynomials with the terms of `_body_terms`."""
+    _, x, y, *_ = terms
+    one, along, across, xx, xy, yy = jnp.unstack(polynomials[..., None])
+    return one + x * (along + xx * x + xy * y) + y * (across + yy * y)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _closeness(
+    distances: Float[jax.Array, "6 *bodies"], terms: Float[jax.Array, "6 9"], sharpness: float
+) -> Float[jax.Array, "*bodies"]:
+    """``sum exp(-sharpness (D - 1))`` over the points of a body, with derivatives that take few operations.
+
+    With E the summands and t the terms at a point, the derivative in the coefficients is ``-sharpness sum E t``: six
+    sums per body, see `_moments`. The points are given, so that nothing can be derived in them.
+    """
+    return jnp.sum(jnp.exp(-sharpness * _at_points(distances, terms)), axis=-1)
+
+
+@_closeness.defjvp
+def _(sharpness: float, primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+    return _closeness(*primals, sharpness), -sharpness * jnp.sum(_moments(*primals, sharpness) * tangents[0], axis=0)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _moments(
+    distances: Float[jax.Array, "6 *bodies"], terms: Float[jax.Array, "6 9"], sharpness: float
+) -> Float[jax.Array, "6 *bodies"]:
+    """``sum E t`` over the points of a body; the derivative takes the same sums of the changes of E."""
+    return _summed(jnp.exp(-sharpness * _at_points(distances, terms)), terms)
+
+
+@_moments.defjvp
+def _(sharpness: float, primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+    distances, terms = primals
+    changes = jnp.exp(-sharpness * _at_points(distances, terms)) * _at_points(tangents[0], terms)
+    return _moments(distances, terms, sharpness), -sharpness * _summed(changes, terms)
+
+
+def _summed(summands: Float[jax.Array, "*bodies 9"], terms: Float[jax.Array, "6 9"]) -> Float[jax.Array, "6 *bodies"]:
+    """Sums over the points of a body, weighted by each of the terms."""
+    return jnp.sum(summands * terms.reshape(6, *[1] * (summands.ndim - 1), 9), axis=-1)
+
+
+def _body_terms(scene: Scene) -> Float[jax.Array, "6 9"]:
+    """The terms 1, x, y, x^2, xy, y^2 at corners, middles of the edges and centre of a car, in its own frame [m]."""
     q = scene.corner
     shares = [(q, q), (q, -q), (-q, q), (-q, -q), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5), (0.0, 0.0)]
-    return (jnp.array(shares) * jnp.asarray(scene.car_size)).T
+    x, y = (jnp.array(shares) * jnp.asarray(scene.car_size)).T
+    return jax.lax.stop_gradient(jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y]))
 
 
 def _depth_off_road(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:

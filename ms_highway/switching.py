@@ -5,7 +5,7 @@ executed controls tells how the robot's control would have changed under another
 All controls here are scaled, see `ms_highway.game`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -13,10 +13,12 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.derivatives import response
-from ms_highway.dynamics import Array
-from ms_highway.game import Game, swap, total_reward
+from ms_highway.derivatives import eigenpairs, response, slope_and_bend
+from ms_highway.dynamics import Array, keep_velocity, step
+from ms_highway.game import Game, swap
 from ms_highway.human_models import HumanModel
+from ms_highway.reward import Reward, reward
+from ms_highway.scene import Scene
 
 __all__ = [
     "PUBLISHED_COSTS",
@@ -120,60 +122,85 @@ def decide(
         observed_reward: the robot's reward after it.
     """
     ladder, costs = switching.ladder, jnp.asarray(switching.costs)
-    rung, top = memory.rung, len(ladder) - 1
-    step = memory.step + 1
-    expansion = _expand(game, state, robot, human)
-    none = jnp.zeros((2, 2))
+    rung, top, now = memory.rung, len(ladder) - 1, memory.step + 1
+    climbs = rung < top
+    checks = (rung > 0) & (now - memory.last_check[rung] >= switching.cooldown)
+    none, not_estimated = jnp.zeros((2, 2)), jnp.float32(jnp.nan)
 
-    def gain(
-        expected: Float[jax.Array, "2"], influence: Float[jax.Array, "2 2"], alternative: Int[jax.Array, ""] | int
-    ) -> Float[jax.Array, ""]:
-        change = _change_of_control(expansion, human, expected, influence, switching)
-        earned = _one_step_reward(game, state, robot + change, human + expansion.influence @ change)
-        return earned - observed_reward - switching.price * (costs[alternative] - costs[rung])
+    def estimate() -> tuple[Float[jax.Array, ""], Float[jax.Array, ""]]:
+        expansion = _expand(game, state, robot, human)
 
-    def gain_down() -> Float[jax.Array, ""]:
-        below = jnp.maximum(rung - 1, 0)
-        predictions = [partial(model.predict, game, state) for model in ladder[: max(top, 1)]]
-        return gain(jax.lax.switch(below, predictions)[0], none, below)
+        def gain(
+            expected: Float[jax.Array, "2"], influence: Float[jax.Array, "2 2"], alternative: Int[jax.Array, ""] | int
+        ) -> Float[jax.Array, ""]:
+            change = _change_of_control(expansion, human, expected, influence, switching)
+            earned = _earned(game, game.scene, game.robot, state, robot + change, human + expansion.influence @ change)
+            return earned - observed_reward - switching.price * (costs[alternative] - costs[rung])
 
-    not_estimated = jnp.float32(jnp.nan)
-    gain_up = jnp.where(rung < top, gain(human, expansion.influence if ladder[top].responds else none, top), jnp.nan)
-    goes_up = gain_up > 0
-    checks = ~goes_up & (rung > 0) & (step - memory.last_check[rung] >= switching.cooldown)
-    down = jax.lax.cond(checks, gain_down, lambda: not_estimated)
+        def gain_down() -> Float[jax.Array, ""]:
+            below = jnp.maximum(rung - 1, 0)
+            predictions = [partial(model.predict, game, state) for model in ladder[: max(top, 1)]]
+            return gain(jax.lax.switch(below, predictions)[0], none, below)
+
+        influence = expansion.influence if ladder[top].responds else none
+        up = jax.lax.cond(climbs, lambda: gain(human, influence, top), lambda: not_estimated)
+        return up, jax.lax.cond(checks & ~(up > 0), gain_down, lambda: not_estimated)
+
+    up, down = jax.lax.cond(climbs | checks, estimate, lambda: (not_estimated, not_estimated))
+    goes_up = up > 0
     chosen = jnp.where(goes_up, top, jnp.where(down > 0, rung - 1, rung))
-    last_check = jnp.where(checks, memory.last_check.at[rung].set(step), memory.last_check)
-    return Decision(Memory(chosen, step, last_check), gain_up, down)
+    last_check = jnp.where(checks & ~goes_up, memory.last_check.at[rung].set(now), memory.last_check)
+    return Decision(Memory(chosen, now, last_check), up, down)
 
 
-def _one_step_reward(
-    game: Game, state: Float[jax.Array, "cars 4"], robot: Float[jax.Array, "2"], human: Float[jax.Array, "2"]
+def _earned(
+    game: Game,
+    scene: Scene,
+    parameters: Reward,
+    state: Float[jax.Array, "cars 4"],
+    own: Float[jax.Array, "2"],
+    partner: Float[jax.Array, "2"],
 ) -> Float[jax.Array, ""]:
-    """The robot's reward after one step."""
-    return total_reward(game, state, robot[None], human[None])
+    """Car 0's reward after one step with these controls, in which the others keep their velocity."""
+    controls = jnp.stack([own, partner]) * game.planner.control_scale
+    others = keep_velocity(game.dynamics, state[2:])
+    return reward(scene, parameters, step(game.dynamics, state, jnp.concatenate([controls, others])))
 
 
 def _expand(
     game: Game, state: Float[jax.Array, "cars 4"], robot: Float[jax.Array, "2"], human: Float[jax.Array, "2"]
 ) -> _Expansion:
-    """Derivatives of the one-step rewards at the executed controls, and J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R."""
-    mirrored, mirrored_state = swap(game, state)
-    both = jnp.stack([robot, human])
+    """Derivatives of the one-step rewards at the executed controls, and J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R.
 
-    def robot_reward(both: Float[jax.Array, "2 2"]) -> Float[jax.Array, ""]:
-        return _one_step_reward(game, state, both[0], both[1])
+    Robot's and human's reward are expanded together, each as the own one. Of the scene, only what lies between the
+    two depends on the partner's control.
+    """
+    pair = replace(game.scene, obstacles=game.scene.obstacles[:0], leader=1 if game.scene.leader == 1 else None)
 
-    def human_slope(both: Float[jax.Array, "2 2"]) -> Float[jax.Array, "2"]:
-        return jax.grad(_one_step_reward, argnums=2)(mirrored, mirrored_state, both[1], both[0])
+    def derivatives(
+        parameters: Reward,
+        state: Float[jax.Array, "cars 4"],
+        own: Float[jax.Array, "2"],
+        partner: Float[jax.Array, "2"],
+    ) -> tuple[jax.Array, ...]:
+        def in_partner(both: Float[jax.Array, "2 2"]) -> tuple[jax.Array, jax.Array]:
+            slope = jax.jacfwd(lambda partner: _earned(game, pair, parameters, state[:2], both[0], partner))(both[1])
+            return slope, slope
 
-    slope, bend = jax.linearize(jax.grad(robot_reward), both)
-    directions = jnp.eye(4).reshape(4, 2, 2)
-    hessian = jax.vmap(bend)(directions).reshape(2, 2, 2, 2)  # robot or human, control; robot or human, control
-    mixed, own = jnp.moveaxis(jax.vmap(jax.linearize(human_slope, both)[1])(directions).reshape(2, 2, 2), -1, 1)
-    return _Expansion(
-        slope[0], slope[1], hessian[0, :, 0], hessian[0, :, 1], hessian[1, :, 1], response(game.influence, own, mixed)
+        own_slope, own_bend = slope_and_bend(lambda own: _earned(game, game.scene, parameters, state, own, partner))(
+            own
+        )
+        bend, partner_slope = jax.jacfwd(in_partner, has_aux=True)(jnp.stack([own, partner]))
+        return own_slope, partner_slope, own_bend, bend[:, 0].T, bend[:, 1]
+
+    rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human)
+    states = jnp.stack([state, swap(game, state)[1]])
+    controls = jnp.stack([robot, human])
+    own, partner, own_own, own_partner, partner_partner = jax.vmap(derivatives)(
+        rewards, states, controls, controls[::-1]
     )
+    influence = response(game.influence, own_own[1], own_partner[1])
+    return _Expansion(own[0], partner[0], own_own[0], own_partner[0], partner_partner[0], influence)
 
 
 def _change_of_control(
@@ -210,7 +237,7 @@ def trust_region_step(
     ``|b| / radius`` and is bisected until ``|x|`` is within ``tolerance * radius`` of the radius. Where b has no part
     along the top eigenvector (the "hard case"), the rest of the radius is spent along it.
     """
-    values, vectors = jnp.linalg.eigh((quadratic + quadratic.T) / 2)
+    values, vectors = eigenpairs((quadratic + quadratic.T) / 2)
     along = vectors.T @ linear
     gaps = values[-1] - values
     least = jnp.maximum(0.0, -values[-1])
@@ -221,31 +248,35 @@ def trust_region_step(
     def excess(shift: Float[jax.Array, ""]) -> Float[jax.Array, ""]:
         return jnp.linalg.norm(at(shift)) - radius
 
-    def unfinished(bracket: _Bracket) -> Bool[jax.Array, ""]:
-        return (bracket.halvings < HALVINGS) & (jnp.abs(excess(bracket.middle)) > tolerance * radius)
+    def bracket(low: Float[jax.Array, ""], high: Float[jax.Array, ""], halvings: Int[jax.Array, ""]) -> _Bracket:
+        return _Bracket(low, high, halvings, excess((low + high) / 2))
 
-    def halve(bracket: _Bracket) -> _Bracket:
-        outside = excess(bracket.middle) > 0
-        low = jnp.where(outside, bracket.middle, bracket.low)
-        high = jnp.where(outside, bracket.high, bracket.middle)
-        return _Bracket(low, high, bracket.halvings + 1)
+    def unfinished(found: _Bracket) -> Bool[jax.Array, ""]:
+        return (found.halvings < HALVINGS) & (jnp.abs(found.excess) > tolerance * radius)
+
+    def halve(found: _Bracket) -> _Bracket:
+        outside = found.excess > 0
+        low = jnp.where(outside, found.middle, found.low)
+        high = jnp.where(outside, found.high, found.middle)
+        return bracket(low, high, found.halvings + 1)
 
     interior = (values[-1] < 0) & (excess(least) <= 0)
-    first = _Bracket(least, jnp.linalg.norm(along) / radius, jnp.int32(0))
-    bracket = jax.lax.while_loop(unfinished, halve, first)
-    inside = at(jnp.where(interior, least, bracket.middle))
-    hard = (values[-1] > 0) & (bracket.halvings == HALVINGS)
+    first = bracket(least, jnp.linalg.norm(along) / radius, jnp.int32(0))
+    found = jax.lax.while_loop(unfinished, halve, first)
+    inside = at(jnp.where(interior, least, found.middle))
+    hard = (values[-1] > 0) & (found.halvings == HALVINGS)
     left = radius**2 - jnp.sum(inside**2)
     rest = jnp.where(hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0)
     return vectors @ inside.at[-1].add(jnp.where(along[-1] < 0, -rest, rest))
 
 
 class _Bracket(NamedTuple):
-    """Bounds of the shift and how often they were halved."""
+    """Bounds of the shift, how often they were halved, and how far the step at their middle leaves the ball."""
 
     low: Float[jax.Array, ""]
     high: Float[jax.Array, ""]
     halvings: Int[jax.Array, ""]
+    excess: Float[jax.Array, ""]
 
     @property
     def middle(self) -> Float[jax.Array, ""]:

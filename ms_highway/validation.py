@@ -118,8 +118,8 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
 
 def _first_controls(model: HumanModel, game: Game, states: Float[jax.Array, "n cars 4"]) -> Float[np.ndarray, "n 2"]:
     numbers, layout = pack(game)
-    plan, start = plan_function(model, layout), cold_start(game)
-    return np.array([np.asarray(plan(numbers, state, start).robot)[0] for state in states])
+    plan, start = plan_function(model, layout), jnp.stack(cold_start(game))
+    return np.array([np.asarray(plan(numbers, state, start))[0, 0] for state in states])
 
 
 def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> dict[str, int]:

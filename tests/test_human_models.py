@@ -18,7 +18,7 @@ from ms_highway.reward import FEATURES
 
 def plan(model, game, state):
     numbers, layout = pack(game)
-    return plan_function(model, layout)(numbers, state, cold_start(game))
+    return JointPlan(*plan_function(model, layout)(numbers, state, jnp.stack(cold_start(game))))
 
 
 def mirrored(game, state):
