@@ -16,7 +16,7 @@ from rich.table import Table
 
 from ms_highway import experiment, report, validation, video
 from ms_highway.bench import bench
-from ms_highway.compiled import keep_compilations
+from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.files import replacing
 
@@ -57,6 +57,7 @@ controls and switching decisions with the logs. Errors are quantiles over all st
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if all went well, 2 with one line on standard error if the input was at fault."""
     options = _parser().parse_args(arguments)
+    low_latency()
     try:
         if not (options.no_compilation_cache or os.environ.get("JAX_COMPILATION_CACHE_DIR")):
             _keep_compilations()

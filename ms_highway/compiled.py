@@ -124,14 +124,14 @@ def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
     [2, steps, 2] of the robot's and the human's scaled controls.
     """
 
-    @partial(jax.jit, compiler_options=QUICKLY if model.responds else None)
-    @in_one_kernel
     def plan(
         numbers: Float[jax.Array, "n"], state: State, start: Float[jax.Array, "2 steps 2"]
     ) -> Float[jax.Array, "2 steps 2"]:
         return jnp.stack(model.plan(layout.unpack(numbers), state, JointPlan(*start)))
 
-    return plan
+    if model.responds:  # its eigenvalues come from LAPACK, whose calls no kernel can hold
+        return jax.jit(plan, compiler_options=QUICKLY)
+    return jax.jit(in_one_kernel(plan))
 
 
 @cache

@@ -15,6 +15,7 @@ from ms_highway.dynamics import Dynamics, Motion, coast, keep_velocity, rollout
 from ms_highway.planner import Planner
 from ms_highway.reward import Reward, motion_reward
 from ms_highway.scene import Scene
+from ms_highway.sums import total
 
 __all__ = [
     "Game",
@@ -83,7 +84,7 @@ def path_reward(game: Game, state: Float[jax.Array, "cars 4"], robot: Path, huma
     """
     rest = coast(game.dynamics, state[2:], robot.shape[-1])
     others = Motion(*(jnp.concatenate([first[None], more]) for first, more in zip(human, rest, strict=True)))
-    return jnp.sum(motion_reward(game.scene, game.robot, Motion(*robot), others))
+    return total(motion_reward(game.scene, game.robot, Motion(*robot), others))
 
 
 def total_reward(

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from ms_highway.dynamics import Array, Motion, observe
 from ms_highway.scene import Scene
+from ms_highway.sums import fold, total
 
 __all__ = ["FEATURES", "Reward", "features", "motion_reward", "reward", "weights"]
 
@@ -36,6 +37,8 @@ CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
 OBSTACLE_SHARE = 0.5  # an obstacle's risk counts half of a car's
 CARS_AT_ONCE = 2  # XLA still unrolls and vectorises the loops over two cars, and no longer those over three
+CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
+MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of the edges, and the body's
 HEADING_SHARE = 0.01  # of directional against lateral alignment with a lane
 
 
@@ -149,8 +152,9 @@ def _collision_risk(
     def add(bodies: Motion, size: Float[Array, "2"], sharpness: float, share: float) -> None:
         nonlocal risk, collision
         distances = _distances(own, bodies, size)
-        risk += share * jnp.sum(_closeness(distances, terms, sharpness), axis=0)
-        collision |= jnp.any(_at_points(jax.lax.stop_gradient(distances), terms) < 0, axis=(0, -1))
+        risk += share * total(_closeness(distances, terms, sharpness), axis=0)
+        inside = _at_points(jax.lax.stop_gradient(distances), terms) < 0
+        collision |= fold(jnp.logical_or, fold(jnp.logical_or, inside), axis=0)
 
     for first in range(0, len(others.x), CARS_AT_ONCE):
         pair = Motion(*(field[first : first + CARS_AT_ONCE] for field in others))
@@ -204,12 +208,12 @@ def _closeness(
     With E the summands and t the terms at a point, the derivative in the coefficients is ``-sharpness sum E t``: six
     sums per body, see `_moments`. The points are given, so that nothing can be derived in them.
     """
-    return jnp.sum(jnp.exp(-sharpness * _at_points(distances, terms)), axis=-1)
+    return total(jnp.exp(-sharpness * _at_points(distances, terms)))
 
 
 @_closeness.defjvp
 def _(sharpness: float, primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
-    return _closeness(*primals, sharpness), -sharpness * jnp.sum(_moments(*primals, sharpness) * tangents[0], axis=0)
+    return _closeness(*primals, sharpness), -sharpness * total(_moments(*primals, sharpness) * tangents[0], axis=0)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
@@ -234,9 +238,8 @@ def _summed(summands: Float[jax.Array, "*bodies 9"], terms: Float[jax.Array, "6 
 
 def _body_terms(scene: Scene) -> Float[jax.Array, "6 9"]:
     """The terms 1, x, y, x^2, xy, y^2 at corners, middles of the edges and centre of a car, in its own frame [m]."""
-    q = scene.corner
-    shares = [(q, q), (q, -q), (-q, q), (-q, -q), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5), (0.0, 0.0)]
-    x, y = (jnp.array(shares) * jnp.asarray(scene.car_size)).T
+    shares = jnp.concatenate([scene.corner * CORNERS, MIDDLES])
+    x, y = (shares * jnp.asarray(scene.car_size)).T
     return jax.lax.stop_gradient(jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y]))
 
 
@@ -244,13 +247,14 @@ def _depth_off_road(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
     """How far the outermost corner is beyond the edge of the road, 0 on the road [m]."""
     length, width = scene.car_size
     reach = (length * jnp.abs(car.sine) + width * jnp.abs(car.cosine)) / 2
-    low, high = jnp.min(jnp.asarray(scene.lanes)), jnp.max(jnp.asarray(scene.lanes))
+    low, high = (fold(choice, jnp.asarray(scene.lanes)) for choice in (jnp.minimum, jnp.maximum))
     depth = jnp.abs(car.y - (low + high) / 2) + reach - (high - low + scene.lane_width) / 2
     return jnp.where(depth > 0, depth, 0.0)
 
 
 def _merged(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
     """1 where the car has reached the target lane: ``y + width / 2 sin(heading)`` is beyond that lane's inner edge."""
-    side = jnp.where(scene.target_lane <= jnp.mean(jnp.asarray(scene.lanes)), -1.0, 1.0)
+    middle = total(jnp.asarray(scene.lanes)) / len(scene.lanes)
+    side = jnp.where(scene.target_lane <= middle, -1.0, 1.0)
     inside = side * (car.y + scene.car_size[1] / 2 * car.sine - scene.target_lane) > -scene.lane_width / 2
     return jax.lax.stop_gradient(inside.astype(car.y.dtype))

@@ -19,6 +19,7 @@ from ms_highway.game import Game, swap
 from ms_highway.human_models import HumanModel
 from ms_highway.reward import Reward, reward
 from ms_highway.scene import Scene
+from ms_highway.sums import total
 
 __all__ = [
     "PUBLISHED_COSTS",
@@ -246,7 +247,7 @@ def trust_region_step(
         return jnp.where(along == 0, 0.0, along / (shift + gaps))
 
     def excess(shift: Float[jax.Array, ""]) -> Float[jax.Array, ""]:
-        return jnp.linalg.norm(at(shift)) - radius
+        return jnp.sqrt(total(at(shift) ** 2)) - radius
 
     def bracket(low: Float[jax.Array, ""], high: Float[jax.Array, ""], halvings: Int[jax.Array, ""]) -> _Bracket:
         return _Bracket(low, high, halvings, excess((low + high) / 2))
@@ -261,11 +262,11 @@ def trust_region_step(
         return bracket(low, high, found.halvings + 1)
 
     interior = (values[-1] < 0) & (excess(least) <= 0)
-    first = bracket(least, jnp.linalg.norm(along) / radius, jnp.int32(0))
+    first = bracket(least, jnp.sqrt(total(along**2)) / radius, jnp.int32(0))
     found = jax.lax.while_loop(unfinished, halve, first)
     inside = at(jnp.where(interior, least, found.middle))
     hard = (values[-1] > 0) & (found.halvings == HALVINGS)
-    left = radius**2 - jnp.sum(inside**2)
+    left = radius**2 - total(inside**2)
     rest = jnp.where(hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0)
     return vectors @ inside.at[-1].add(jnp.where(along[-1] < 0, -rest, rest))
 
