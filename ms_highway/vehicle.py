@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import atan, tan
+from math import atan, cos, sin, tan
 from typing import Any
 
 import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import RoadObject
 from jaxtyping import Float
 
 from ms_highway.controller import Controller, ControlStep, FixedModel
@@ -25,6 +26,18 @@ FAR_AWAY = 1000.0  # m
 def _state(car: Vehicle) -> Float[np.ndarray, "4"]:
     """State of any of highway-env's vehicles."""
     return np.array([*car.position, car.heading, car.speed], dtype=float)
+
+
+def _apart(one: RoadObject, other: RoadObject) -> bool:
+    """Whether a line along or across the first body keeps the two apart."""
+    x, y = (other.position - one.position).tolist()
+    forward, right = cos(one.heading), sin(one.heading)
+    turn = other.heading - one.heading
+    cosine, sine = abs(cos(turn)), abs(sin(turn))
+    return (
+        abs(x * forward + y * right) > (one.LENGTH + other.LENGTH * cosine + other.WIDTH * sine) / 2
+        or abs(y * forward - x * right) > (one.WIDTH + other.LENGTH * sine + other.WIDTH * cosine) / 2
+    )
 
 
 class BicycleVehicle(Vehicle):
@@ -87,6 +100,16 @@ class BicycleVehicle(Vehicle):
             self.crashed = True
             self.impact = None
         self.on_state_update()
+
+    def _is_colliding(self, other: RoadObject, dt: float) -> tuple[bool, bool, Float[np.ndarray, "2"] | None]:
+        """Whether the bodies overlap, will within ``dt``, and how to push them apart; see `RoadObject`.
+
+        Where one of them is not solid, nothing will be pushed: then it only counts whether they overlap now, that is
+        whether no line along or across either body keeps them apart.
+        """
+        if self.solid and other.solid:
+            return super()._is_colliding(other, dt)
+        return not (_apart(self, other) or _apart(other, self)), False, None
 
 
 class ScriptedVehicle(BicycleVehicle):
