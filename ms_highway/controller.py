@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, TypeAlias
 
-import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
@@ -102,7 +101,8 @@ def _start(game: Game, last: ControlStep | None) -> JointPlan:
         return cold_start(game)
     rest = np.minimum(np.arange(1, game.planner.horizon + 1), len(last.plan) - 1)
     scale = np.asarray(game.planner.control_scale)
-    return JointPlan(*(jnp.asarray(controls[rest] / scale, dtype=jnp.float32) for controls in (last.plan, last.human)))
+    scaled = [(controls[rest] / scale).astype(np.float32) for controls in (last.plan, last.human)]
+    return JointPlan(*map(jnp.asarray, scaled))
 
 
 class FixedModel:
@@ -169,7 +169,7 @@ class ModelSwitching:
         """Start again at the bottom of the ladder."""
         self._memory = first_memory(self.switching)
         self._last: ControlStep | None = None
-        self._before: Float[jax.Array, "cars 4"] | None = None
+        self._before: Float[np.ndarray, "cars 4"] | None = None
 
     def step(self, state: Float[np.ndarray, "cars 4"]) -> ControlStep:
         """Control for the coming step, after choosing the model from how the last step went.
@@ -190,14 +190,14 @@ class ModelSwitching:
         )
         return self._last
 
-    def _warm_up(self, state: Float[jax.Array, "cars 4"]) -> float:
+    def _warm_up(self, state: Float[np.ndarray, "cars 4"]) -> float:
         """Compile every rung and the decision before the first control is due; seconds spent."""
         rungs = [plan_function(model, self._layout) for model in self.switching.ladder]
         plans = sum(warm_up(rung, self._numbers, state, self._cold) for rung in rungs)
         return plans + warm_up(self._decide, self._switching_numbers, self._memory, state, jnp.zeros(2), state)
 
     def _choose(
-        self, executed: Float[np.ndarray, "2"], now: Float[jax.Array, "cars 4"]
+        self, executed: Float[np.ndarray, "2"], now: Float[np.ndarray, "cars 4"]
     ) -> tuple[float, dict[str, float]]:
         """Take the decision; seconds spent, and the gains estimated by name of the alternative."""
         rung, ladder = int(self._memory.rung), self.switching.ladder
