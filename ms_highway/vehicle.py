@@ -1,6 +1,6 @@
 """highway-env vehicles: a bicycle with friction, a car on a script, and cars that plan."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import atan, cos, sin, tan
 from typing import Any
@@ -18,14 +18,14 @@ from ms_highway.human_models import Naive
 from ms_highway.scenario import PAPER_DYNAMICS, PAPER_UNIT, SPEED_LIMIT, driving_game
 from ms_highway.scene import from_road
 
-__all__ = ["BicycleVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle", "ScriptedVehicle"]
+__all__ = ["BicycleVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle", "ScriptedVehicle", "states_of"]
 
 FAR_AWAY = 1000.0  # m
 
 
-def _state(car: Vehicle) -> Float[np.ndarray, "4"]:
-    """State of any of highway-env's vehicles."""
-    return np.array([*car.position, car.heading, car.speed], dtype=float)
+def states_of(cars: Iterable[Vehicle]) -> Float[np.ndarray, "cars 4"]:
+    """``(x, y, heading, speed)`` of any of highway-env's vehicles."""
+    return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
 
 
 def _apart(one: RoadObject, other: RoadObject) -> bool:
@@ -68,7 +68,7 @@ class BicycleVehicle(Vehicle):
     @property
     def state(self) -> Float[np.ndarray, "4"]:
         """``(x, y, heading, speed)`` in metres, radians and metres per second."""
-        return _state(self)
+        return states_of([self])[0]
 
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Take an action, to be executed until the next one; without one, go on with the last."""
@@ -146,7 +146,7 @@ class PlanningVehicle(BicycleVehicle):
 
     def observe(self) -> Float[np.ndarray, "cars 4"]:
         """States of this car and of its companions."""
-        return np.stack([_state(car) for car in (self, *self.companions)])
+        return states_of([self, *self.companions])
 
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Plan and take the plan's first control; an action that is given holds until the road lets vehicles act."""
@@ -192,7 +192,7 @@ class HumanVehicle(PlanningVehicle):
             key=lambda car: float(np.linalg.norm(car.position - self.position)),
         )[: self.NEIGHBOURS]
         absent = np.array([self.position[0] - FAR_AWAY, self.position[1], 0.0, 0.0])
-        return np.stack([_state(car) for car in (self, *others)] + [absent] * (self.NEIGHBOURS - len(others)))
+        return np.stack([*states_of([self, *others]), *[absent] * (self.NEIGHBOURS - len(others))])
 
     def _game_on_road(self) -> Game:
         limit = self.lane.speed_limit or SPEED_LIMIT * PAPER_UNIT
