@@ -12,6 +12,7 @@ from highway_env.envs.common.observation import observation_factory
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.objects import Obstacle
+from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.compiled import measure_costs
@@ -23,15 +24,22 @@ from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
 from ms_highway.game import Game, swap_roles
 from ms_highway.human_models import HumanModel, Naive, ladder
-from ms_highway.reward import FEATURES, features
+from ms_highway.reward import FEATURES, Reward, features
 from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, PHYSICAL_LIMIT, Scenario, build_game, draw_starts
+from ms_highway.scene import Scene
 from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
-from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
+from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
 __all__ = ["Cone", "InteractionEnv", "Seconds"]
 
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
-_features = jax.jit(features)
+
+
+@jax.jit
+def _evaluate(scene: Scene, robot: Reward, states: Float[jax.Array, "cars 4"]) -> Float[jax.Array, "2 features"]:
+    """The features phi of the robot's state, and what each of them adds to its reward, in one transfer."""
+    phi = features(scene, robot, states)
+    return jnp.stack([phi, phi * robot.weights])
 
 
 class Seconds(float):
@@ -288,7 +296,7 @@ class InteractionEnv(AbstractEnv):
     @property
     def car_states(self) -> Float[np.ndarray, "cars 4"]:
         """``(x, y, heading, speed)`` of robot, human and scripted cars in SI units."""
-        return np.stack([car.state for car in self.road.vehicles])
+        return states_of(self.road.vehicles)
 
     def render(self) -> np.ndarray | None:
         """The road from above and a panel with the model in use, its history, reward and planning time."""
@@ -301,10 +309,9 @@ class InteractionEnv(AbstractEnv):
         for car in self.road.vehicles:
             car.hit = False
         super()._simulate(action)
-        robot = self.game.robot
-        phi = np.asarray(_features(self.game.scene, robot, self.car_states.astype(np.float32)))
-        terms = (phi * np.asarray(robot.weights)).astype(float)
-        self._terms = dict(zip(FEATURES, terms.tolist(), strict=True))
+        states = self.car_states.astype(np.float32)
+        phi, terms = np.asarray(_evaluate(self.game.scene, self.game.robot, states)).tolist()
+        self._terms = dict(zip(FEATURES, terms, strict=True))
         if isinstance(self.action_type, HumanModelAction):
             seconds = self.costs(self.car_states)[int(action)]
             self._terms["computation"] = -float(self.action_type.price * seconds)

@@ -30,6 +30,6 @@ class CarStates(ObservationType):
     def observe(self) -> Float[np.ndarray, "cars 6"]:
         x, y, heading, speed = self.env.car_states.T
         cosine, sine = np.cos(heading), np.sin(heading)
-        rows = np.stack([x, y, speed * cosine, speed * sine, cosine, sine], axis=-1)
+        rows = np.array([x, y, speed * cosine, speed * sine, cosine, sine]).T
         rows[1:, :4] -= rows[0, :4]
-        return np.clip(rows / RANGES, -1.0, 1.0).astype(np.float32)
+        return (rows / RANGES).clip(-1.0, 1.0).astype(np.float32, order="C")

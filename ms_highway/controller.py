@@ -114,7 +114,7 @@ def _start(game: Game, last: ControlStep | None) -> Float[jax.Array, "2 steps 2"
         return jnp.stack(cold_start(game))
     rest = np.minimum(np.arange(1, game.planner.horizon + 1), len(last.plan) - 1)
     scale = np.asarray(game.planner.control_scale)
-    return jnp.asarray(np.stack([last.plan[rest], last.human[rest]]) / scale, dtype=jnp.float32)
+    return jnp.asarray((np.stack([last.plan[rest], last.human[rest]]) / scale).astype(np.float32))
 
 
 class FixedModel:
@@ -190,19 +190,22 @@ class ModelSwitching:
             ValueError: if the state is not a finite array [cars, 4] of two cars or more.
         """
         now = checked_state(state)
-        compiling = self._warm_up(now) if self._last is None else 0.0
-        deciding, gains = (0.0, {}) if self._last is None else self._choose(self._last.control, now)
+        compiling, deciding, gains = 0.0, 0.0, dict[str, float]()
+        if self._last is None or self._before is None:
+            compiling = self._warm_up(now)
+        else:
+            deciding, gains = self._choose(self._before, self._last.control, now)
         model = self.switching.ladder[int(self._memory[0])]
         start = _start(self.game, self._last) if self.warm_start else self._cold
         plan, planning = timed(plan_function(model, self._layout), self._numbers, now, start)
         record = _record(self.game, model, plan, state, self._last)
-        self._before = np.asarray(now)
+        self._before = now
         self._last = replace(
             record, planning_seconds=planning, decision_seconds=deciding, compile_seconds=compiling, gains=gains
         )
         return self._last
 
-    def _warm_up(self, state: Float[jax.Array, "cars 4"]) -> float:
+    def _warm_up(self, state: Float[np.ndarray, "cars 4"]) -> float:
         """Compile every rung and the decision before the first control is due; seconds spent."""
         rungs = [plan_function(model, self._layout) for model in self.switching.ladder]
         plans = sum(warm_up(rung, self._numbers, state, self._cold) for rung in rungs)
@@ -210,11 +213,11 @@ class ModelSwitching:
         return plans + warm_up(self._decide, self._switching_numbers, observed)
 
     def _choose(
-        self, executed: Float[np.ndarray, "2"], now: Float[jax.Array, "cars 4"]
+        self, before: Float[np.ndarray, "cars 4"], executed: Float[np.ndarray, "2"], now: Float[np.ndarray, "cars 4"]
     ) -> tuple[float, dict[str, float]]:
         """Take the decision; seconds spent, and the gains estimated by name of the alternative."""
         rung, ladder = int(self._memory[0]), self.switching.ladder
-        observed = observation(self._memory, self._before, executed, now)
+        observed = observation(self._memory, before, executed, now)
         decision, seconds = timed(self._decide, self._switching_numbers, observed)
         *memory, up, down = np.asarray(decision)
         self._memory = np.array(memory)

@@ -1,13 +1,14 @@
 """highway-env vehicles: a bicycle with friction, a car on a script, and cars that plan."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from math import atan, tan
+from math import atan, cos, sin, tan
 from typing import Any
 
 import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import RoadObject
 from jaxtyping import Float
 
 from ms_highway.controller import Controller, ControlStep, FixedModel
@@ -17,14 +18,26 @@ from ms_highway.human_models import Naive
 from ms_highway.scenario import PAPER_DYNAMICS, PAPER_UNIT, SPEED_LIMIT, driving_game
 from ms_highway.scene import from_road
 
-__all__ = ["BicycleVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle", "ScriptedVehicle"]
+__all__ = ["BicycleVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle", "ScriptedVehicle", "states_of"]
 
 FAR_AWAY = 1000.0  # m
 
 
-def _state(car: Vehicle) -> Float[np.ndarray, "4"]:
-    """State of any of highway-env's vehicles."""
-    return np.array([*car.position, car.heading, car.speed], dtype=float)
+def states_of(cars: Iterable[Vehicle]) -> Float[np.ndarray, "cars 4"]:
+    """``(x, y, heading, speed)`` of any of highway-env's vehicles."""
+    return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
+
+
+def _apart(one: RoadObject, other: RoadObject) -> bool:
+    """Whether a line along or across the first body keeps the two apart."""
+    x, y = (other.position - one.position).tolist()
+    forward, right = cos(one.heading), sin(one.heading)
+    turn = other.heading - one.heading
+    cosine, sine = abs(cos(turn)), abs(sin(turn))
+    return (
+        abs(x * forward + y * right) > (one.LENGTH + other.LENGTH * cosine + other.WIDTH * sine) / 2
+        or abs(y * forward - x * right) > (one.WIDTH + other.LENGTH * sine + other.WIDTH * cosine) / 2
+    )
 
 
 class BicycleVehicle(Vehicle):
@@ -55,7 +68,7 @@ class BicycleVehicle(Vehicle):
     @property
     def state(self) -> Float[np.ndarray, "4"]:
         """``(x, y, heading, speed)`` in metres, radians and metres per second."""
-        return _state(self)
+        return states_of([self])[0]
 
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Take an action, to be executed until the next one; without one, go on with the last."""
@@ -87,6 +100,16 @@ class BicycleVehicle(Vehicle):
             self.crashed = True
             self.impact = None
         self.on_state_update()
+
+    def _is_colliding(self, other: RoadObject, dt: float) -> tuple[bool, bool, Float[np.ndarray, "2"] | None]:
+        """Whether the bodies overlap, will within ``dt``, and how to push them apart; see `RoadObject`.
+
+        Where one of them is not solid, nothing will be pushed: then it only counts whether they overlap now, that is
+        whether no line along or across either body keeps them apart.
+        """
+        if self.solid and other.solid:
+            return super()._is_colliding(other, dt)
+        return not (_apart(self, other) or _apart(other, self)), False, None
 
 
 class ScriptedVehicle(BicycleVehicle):
@@ -123,7 +146,7 @@ class PlanningVehicle(BicycleVehicle):
 
     def observe(self) -> Float[np.ndarray, "cars 4"]:
         """States of this car and of its companions."""
-        return np.stack([_state(car) for car in (self, *self.companions)])
+        return states_of([self, *self.companions])
 
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Plan and take the plan's first control; an action that is given holds until the road lets vehicles act."""
@@ -169,7 +192,7 @@ class HumanVehicle(PlanningVehicle):
             key=lambda car: float(np.linalg.norm(car.position - self.position)),
         )[: self.NEIGHBOURS]
         absent = np.array([self.position[0] - FAR_AWAY, self.position[1], 0.0, 0.0])
-        return np.stack([_state(car) for car in (self, *others)] + [absent] * (self.NEIGHBOURS - len(others)))
+        return np.stack([*states_of([self, *others]), *[absent] * (self.NEIGHBOURS - len(others))])
 
     def _game_on_road(self) -> Game:
         limit = self.lane.speed_limit or SPEED_LIMIT * PAPER_UNIT

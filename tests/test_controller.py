@@ -103,6 +103,19 @@ def test_a_state_that_is_no_state_is_refused(played):
         measure_costs(game, [MODELS["naive"]], np.asarray(state.at[0, 0].set(jnp.inf)))
 
 
+def test_a_state_may_be_changed_in_place_between_steps(played):
+    game, state = played("merger")
+    switching = Switching(np.array([0.09, 0.17, 0.37]), 0.0, ladder(("naive", "turn", "tom")))
+    fresh, reusing = ModelSwitching(game, switching), ModelSwitching(game, switching)
+    states = [np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count)) for count in range(4)]
+    reused = states[0].copy()
+    for now in states:
+        reused[:] = now
+        expected, step = fresh.step(now), reusing.step(reused)
+        assert step.gains == expected.gains
+        np.testing.assert_array_equal(step.plan, expected.plan)
+
+
 def test_measured_costs_grow_up_the_ladder(played):
     game, state = played("merger")
     naive, _, tom = measure_costs(game, ladder(("naive", "turn", "tom")), np.asarray(state), repeats=15)

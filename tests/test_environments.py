@@ -182,6 +182,7 @@ def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked
 def test_observations_stay_in_their_space_and_name_the_cars_by_role():
     env = make("give_way", controller=FIXED)
     observation, _ = env.reset(seed=0)
+    assert observation.flags.c_contiguous
     assert np.isfinite(env.observation_space.low).all()
     assert np.isfinite(env.observation_space.high).all()
     x, y, _, speed = env.unwrapped.car_states[1] - env.unwrapped.car_states[0]

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from highway_env.road.lane import SineLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
+from highway_env.utils import are_polygons_intersecting
+from highway_env.vehicle.objects import Landmark
 
 from ms_highway.controller import ModelSwitching
 from ms_highway.dynamics import step
@@ -58,6 +60,35 @@ def test_a_crashed_bicycle_brakes_to_a_stop_as_highway_env_has_it():
         road.step(0.1)
     assert cars[0].crashed
     assert cars[0].speed < 1.0
+    assert cars[1].position[0] > 8.0  # solid bodies push each other
+
+
+@pytest.mark.parametrize("kind", [Cone, BicycleVehicle, Landmark])
+def test_a_car_that_is_not_solid_is_hit_where_highway_env_sees_the_bodies_overlap(kind):
+    road, random, hits = straight_road(), np.random.default_rng(0), []
+    for _ in range(300):
+        car = BicycleVehicle(road, random.uniform(-1, 1, 2), random.uniform(-4, 4), speed=20.0)
+        other = kind(road, random.uniform(-5, 5, 2), random.uniform(-4, 4))
+        car.solid = False
+        other.solid = kind is Cone
+        still = np.zeros(2)
+        overlap, *_ = are_polygons_intersecting(car.polygon(), other.polygon(), still, still)
+        car.handle_collisions(other, 0.1)
+        assert (car.hit, other.hit) == (overlap, overlap and not other.solid)
+        assert (car.crashed, other.crashed, car.impact) == (False, False, None)
+        hits.append(overlap)
+    assert 0.2 < np.mean(hits) < 0.8
+
+
+@pytest.mark.parametrize(("width_apart", "hit"), [(2.49, True), (2.51, False)])
+def test_bodies_side_by_side_are_told_apart_to_the_centimetre(width_apart, hit):
+    road = straight_road()
+    cars = [BicycleVehicle(road, [0.0, y], heading=np.pi, speed=20.0) for y in (0.0, width_apart)]
+    for car in cars:
+        car.solid = False
+    road.vehicles = cars
+    road.step(0.1)
+    assert [car.hit for car in cars] == [hit, hit]
 
 
 def test_the_scene_of_an_environment_can_be_read_from_its_road():
