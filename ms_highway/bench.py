@@ -2,30 +2,32 @@
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import gymnasium as gym
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jax.experimental.compilation_cache import compilation_cache
+from jaxtyping import Float
 
 from ms_highway.casadi_peer import compiled_peer
 from ms_highway.compiled import decide_function, observation, pack, packed_memory, plan_function, timed
-from ms_highway.envs import SCENARIOS
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiment import make_environment
 from ms_highway.game import Game
-from ms_highway.human_models import HumanModel, cold_start, ladder
-from ms_highway.scenario import PHYSICAL_LIMIT, build_game, draw_starts
+from ms_highway.human_models import HumanModel, cold_start
 from ms_highway.switching import PUBLISHED_COSTS, Switching, first_memory
 
 __all__ = ["BATCHES", "bench"]
 
-REPEATS = 300
+REPEATS = 600
+TURN = 20  # runs of one thing before the next
 BATCHES = (1, 32, 1024)  # of vmapped plans
 AGREEMENT = 1e-3  # between ours and the peer's scaled controls
 
@@ -36,7 +38,8 @@ def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, An
     Compilation is measured on all cores, everything else warm, on one core. Yields for every rung its name and:
 
     * ``plan_us``: median (p50) and p99 of a plan, until its result is there;
-    * ``peer_us``: median of the same plan in CasADi's C code, checked to agree before (only with ``peer``);
+    * ``peer_us``: median of the same plan in CasADi's C code, checked to agree before, and run in turns with ours, so
+      that both see the same moods of the machine (only with ``peer``);
     * ``decision_us``: median of a decision at this rung, one in three of which checks the rung below;
     * ``step_us``: median of a step of the environment less the plans of both cars;
     * ``compile_s``: tracing and compiling the plan, ``cold`` and from a persistent cache, ``cached``;
@@ -47,11 +50,14 @@ def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, An
         ImportError: if the peer is wanted and CasADi is not there.
         RuntimeError: if the peer plans something else.
     """
-    game = build_game(SCENARIOS[scenario], control_limit=PHYSICAL_LIMIT)
-    state = jnp.asarray(draw_starts(SCENARIOS[scenario], np.random.default_rng(0)), dtype=jnp.float32)
-    models = ladder(SCENARIOS[scenario].ladder)
+    env = make_environment(scenario, "naive")
+    env.reset(seed=0)
+    inner = env.unwrapped
+    assert isinstance(inner, InteractionEnv)
+    game, models, state = inner.game, inner.models, jnp.asarray(inner.car_states, dtype=jnp.float32)
     with _one_core():
-        step = _step_without_planning(scenario)
+        step = _step_without_planning(env, inner)
+    env.close()
     for rung, model in enumerate(models):
         compiling = _compile_seconds(game, model, state)
         with _one_core():
@@ -61,20 +67,35 @@ def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, An
 def _measured(game: Game, models: tuple[HumanModel, ...], rung: int, state: jax.Array, peer: bool) -> dict[str, Any]:
     """What is measured warm of one rung."""
     numbers, layout = pack(game)
-    times = _times(plan_function(models[rung], layout), numbers, state, jnp.stack(cold_start(game)))
+    function, arguments = plan_function(models[rung], layout), (numbers, state, jnp.stack(cold_start(game)))
+    plans: dict[str, Callable[[], None]] = {"plan_us": partial(_run, function, *arguments)}
+    with tempfile.TemporaryDirectory() as directory:
+        if peer:
+            plans["peer_us"] = _peer(game, models[rung], state, np.asarray(function(*arguments))[0], Path(directory))
+        times = _times(plans)
     return {
-        "plan_us": {"p50": _median(times), "p99": float(np.quantile(times, 0.99))},
-        **({"peer_us": {"p50": _peer(game, models[rung], state)}} if peer else {}),
+        "plan_us": {"p50": _median(times["plan_us"]), "p99": float(np.quantile(times["plan_us"], 0.99))},
+        **({"peer_us": {"p50": _median(times["peer_us"])}} if peer else {}),
         "decision_us": _decision(game, models, rung, state),
         "flop": _operations(game, models[rung], state),
         "plans_per_s": {str(size): _throughput(game, models[rung], state, size) for size in BATCHES},
     }
 
 
-def _times(function: Callable[..., Any], *arguments: Any, repeats: int = REPEATS) -> list[float]:
-    """Microseconds of each of many warm runs."""
+def _run(function: Callable[..., Any], *arguments: Any) -> None:
+    """Run a compiled function until its result is there."""
     jax.block_until_ready(function(*arguments))
-    return [1e6 * timed(function, *arguments)[1] for _ in range(repeats)]
+
+
+def _times(runs: Mapping[str, Callable[[], None]], repeats: int = REPEATS) -> dict[str, list[float]]:
+    """Microseconds of each of many warm runs; where there are several things to run, in turns of `TURN` runs."""
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for run in runs.values():
+        run()
+    for _ in range(-(-repeats // TURN)):
+        for name, run in runs.items():
+            times[name] += [1e6 * timed(run)[1] for _ in range(TURN)]
+    return times
 
 
 def _median(times: list[float]) -> float:
@@ -116,17 +137,15 @@ def _compile_seconds(game: Game, model: HumanModel, state: jax.Array) -> dict[st
     return seconds
 
 
-def _peer(game: Game, model: HumanModel, state: jax.Array) -> float:
-    numbers, layout = pack(game)
-    ours = np.asarray(plan_function(model, layout)(numbers, state, jnp.stack(cold_start(game)))[0])
-    with tempfile.TemporaryDirectory() as directory:
-        call, repeat = compiled_peer(game, model.name, len(state), Path(directory))
-        apart = float(abs(call(np.asarray(state)) - ours).max())
-        if not apart < AGREEMENT:
-            raise RuntimeError(
-                f"CasADi's {model.name} plan is {apart:.1e} away from ours; they must agree to be compared"
-            )
-        return _median(_times(repeat))
+def _peer(
+    game: Game, model: HumanModel, state: jax.Array, ours: Float[np.ndarray, "steps 2"], directory: Path
+) -> Callable[[], None]:
+    """What repeats the peer's plan, once its first result has been seen to agree with ours."""
+    call, repeat = compiled_peer(game, model.name, len(state), directory)
+    apart = float(abs(call(np.asarray(state)) - ours).max())
+    if not apart < AGREEMENT:
+        raise RuntimeError(f"CasADi's {model.name} plan is {apart:.1e} away from ours; they must agree to be compared")
+    return repeat
 
 
 def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: jax.Array) -> float:
@@ -135,16 +154,16 @@ def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: jax.
     numbers, layout = pack((switching, game))
     decide, checking = decide_function(layout), first_memory(switching, rung)
     waiting = checking._replace(last_check=jnp.zeros_like(checking.last_check))
-    observed = [observation(packed_memory(memory), state, np.zeros(2), state) for memory in (checking, waiting)]
-    seconds = [_median(_times(decide, numbers, what)) for what in observed]
+    observed = {
+        name: observation(packed_memory(memory), state, np.zeros(2), state)
+        for name, memory in (("checking", checking), ("waiting", waiting))
+    }
+    times = _times({name: partial(_run, decide, numbers, what) for name, what in observed.items()})
     cooldown = int(switching.cooldown)
-    return (seconds[0] + (cooldown - 1) * seconds[1]) / cooldown
+    return (_median(times["checking"]) + (cooldown - 1) * _median(times["waiting"])) / cooldown
 
 
-def _step_without_planning(scenario: str) -> float:
-    env = make_environment(scenario, "naive")
-    inner = env.unwrapped
-    assert isinstance(inner, InteractionEnv)
+def _step_without_planning(env: gym.Env, inner: InteractionEnv) -> float:
     times: list[float] = []
     for seed in range(2):  # the first episode compiles
         env.reset(seed=seed)
@@ -156,7 +175,6 @@ def _step_without_planning(scenario: str) -> float:
             done = terminated or truncated
             cars = inner.robot, inner.human
             times.append(1e6 * (seconds - sum(car.last_step.planning_seconds for car in cars if car.last_step)))
-    env.close()
     return _median(times)
 
 
@@ -171,4 +189,4 @@ def _operations(game: Game, model: HumanModel, state: jax.Array) -> float:
 def _throughput(game: Game, model: HumanModel, state: jax.Array, size: int) -> float:
     states = jnp.broadcast_to(state, (size, *state.shape))
     plans = jax.jit(jax.vmap(lambda state: model.plan(game, state)))
-    return size / _median(_times(plans, states, repeats=10)) * 1e6
+    return size / _median(_times({"plans": partial(_run, plans, states)}, TURN)["plans"]) * 1e6

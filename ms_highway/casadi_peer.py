@@ -75,7 +75,7 @@ def _bind(
         repeat()
         return planned.reshape(-1, 2).copy()
 
-    call.buffers = integers, work  # type: ignore[attr-defined]  # they must outlive this function
+    repeat.buffers = given, planned, integers, work  # type: ignore[attr-defined]  # C sees only their addresses
     return call, repeat
 
 

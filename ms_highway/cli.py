@@ -241,18 +241,8 @@ def _bench(options: argparse.Namespace) -> None:
         environment_id(scenario)  # refuses unknown ones before anything is measured
     results: dict[str, dict[str, Any]] = {}
     grid = Table(box=SIMPLE, title="medians, on one core; us: microseconds", title_justify="left")
-    for column in (
-        "scenario",
-        "model",
-        "plan us",
-        "p99",
-        "C us",
-        "ratio",
-        "decision us",
-        "step us",
-        "compile s",
-        "cached",
-    ):
+    names = "plan us", "p99", "C us", "ratio", "decision us", "of mean plan", "step us", "compile s", "cached"
+    for column in ("scenario", "model", *names):
         grid.add_column(column, justify="left" if column in ("scenario", "model") else "right")
     with Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=Console(stderr=True)) as progress:
         task = progress.add_task("measuring", total=None)
@@ -261,11 +251,14 @@ def _bench(options: argparse.Namespace) -> None:
             for model, result in bench(scenario, peer=options.peer == "casadi"):
                 progress.update(task, description=f"measured {scenario}, {model}")
                 results[scenario][model] = result
+            mean_plan = sum(result["plan_us"]["p50"] for result in results[scenario].values()) / len(results[scenario])
+            for model, result in results[scenario].items():
                 ours, theirs = result["plan_us"], result.get("peer_us", {}).get("p50")
                 against = [f"{theirs:.0f}", f"{ours['p50'] / theirs:.2f}"] if theirs else ["", ""]
-                rest = [f"{result[key]:.0f}" for key in ("decision_us", "step_us")]
+                decision = [f"{result['decision_us']:.0f}", f"{result['decision_us'] / mean_plan:.0%}"]
                 compiling = [f"{result['compile_s'][kind]:.1f}" for kind in ("cold", "cached")]
-                grid.add_row(scenario, model, f"{ours['p50']:.0f}", f"{ours['p99']:.0f}", *against, *rest, *compiling)
+                rest = [*against, *decision, f"{result['step_us']:.0f}", *compiling]
+                grid.add_row(scenario, model, f"{ours['p50']:.0f}", f"{ours['p99']:.0f}", *rest)
     _console().print(grid)
     if options.json:
         with replacing(options.json) as path:
