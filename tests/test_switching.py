@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
+from ms_highway.derivatives import response
+from ms_highway.game import swap, total_reward
 from ms_highway.human_models import ladder
-from ms_highway.switching import Switching, decide, first_memory, trust_region_step
+from ms_highway.switching import Switching, _expand, decide, first_memory, trust_region_step
 
 RADIUS = 1.5
 
@@ -51,6 +53,34 @@ def test_a_tolerance_stops_the_trust_region_step_near_the_radius():
     loose = trust_region_step(quadratic, linear, RADIUS, tolerance=0.05)
     assert 0.95 * RADIUS <= np.linalg.norm(loose) <= 1.05 * RADIUS
     assert np.linalg.norm(trust_region_step(quadratic, linear, RADIUS)) == pytest.approx(RADIUS, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "influence"), [("merger", "exact"), ("give_way", "damped"), ("stay_back", "damped")]
+)
+def test_the_expansion_is_that_of_the_rewards_after_one_step(scenario, played, influence):
+    """Against derivatives of the planners' own objective, taken with the controls of both as one argument."""
+    game, state = played(scenario, seed=2, influence=influence)
+    controls = jnp.asarray(np.random.default_rng(0).normal(0, 0.3, (2, 2)), dtype=jnp.float32)
+
+    def robot_reward(both):
+        return total_reward(game, state, both[:1], both[1:])
+
+    def human_reward(both):
+        return total_reward(*swap(game, state), both[1:], both[:1])
+
+    def derivatives(both):
+        return jax.grad(robot_reward)(both), jax.hessian(robot_reward)(both), jax.hessian(human_reward)(both)
+
+    expansion = jax.jit(_expand)(game, state, *controls)
+    slope, bend, human = (np.asarray(array) for array in jax.jit(derivatives)(controls))
+    scale = abs(bend).max()
+    np.testing.assert_allclose([expansion.robot, expansion.human], slope, rtol=1e-3, atol=1e-4 * abs(slope).max())
+    np.testing.assert_allclose(expansion.robot_robot, bend[0, :, 0], rtol=1e-3, atol=1e-4 * scale)
+    np.testing.assert_allclose(expansion.robot_human, bend[0, :, 1], rtol=1e-3, atol=1e-4 * scale)
+    np.testing.assert_allclose(expansion.human_human, bend[1, :, 1], rtol=1e-3, atol=1e-4 * scale)
+    expected = response(influence, jnp.asarray(human[1, :, 1]), jnp.asarray(human[1, :, 0]))
+    np.testing.assert_allclose(expansion.influence, expected, rtol=1e-2, atol=1e-4 * abs(expected).max())
 
 
 def made(price, names=("naive", "turn", "tom"), costs=(0.09, 0.17, 0.37)):

@@ -1,0 +1,93 @@
+"""Compiled computations: packing, kernels, and JAX set up for low latency."""
+
+import os
+import subprocess
+import sys
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+
+from ms_highway.compiled import decide_function, in_one_kernel, observation, pack, packed_memory
+from ms_highway.dynamics import keep_velocity, step
+from ms_highway.human_models import MODELS, ladder
+from ms_highway.reward import reward
+from ms_highway.switching import Memory, Switching, decide, first_memory
+
+IN_A_PROCESS_OF_ITS_OWN = """
+import os
+from ms_highway.compiled import low_latency, pack, plan_function
+low_latency()
+import jax, numpy as np
+from jax import numpy as jnp
+from ms_highway.envs.stay_back import STAY_BACK
+from ms_highway.human_models import MODELS
+from ms_highway.scenario import build_game, draw_starts
+game = build_game(STAY_BACK)
+state = jnp.asarray(draw_starts(STAY_BACK, np.random.default_rng(0)), dtype=jnp.float32)
+numbers, layout = pack(game)
+compiled = plan_function(MODELS["naive"], layout).lower(numbers, state, jnp.zeros((2, 5, 2))).compile()
+print(os.environ["XLA_FLAGS"])
+print(compiled.as_text().count('xla_cpu_small_call="true"'))
+print(jax.device_count())
+print(*np.asarray(compiled(numbers, state, jnp.zeros((2, 5, 2)))[0]).ravel().tolist())
+"""
+
+
+def run_with_low_latency(**environment):
+    clean = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    command = [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN]
+    run = subprocess.run(command, capture_output=True, text=True, check=True, env=clean | environment)
+    flags, kernels, devices, controls = run.stdout.splitlines()
+    return flags, int(kernels), int(devices), np.array(controls.split(), dtype=float)
+
+
+def test_low_latency_makes_a_plan_one_kernel_that_plans_the_same(played):
+    _, kernels, _, controls = run_with_low_latency()
+    assert kernels >= 1
+    game, state = played("stay_back")
+    expected = jax.jit(MODELS["naive"].plan)(game, state).robot
+    np.testing.assert_allclose(controls.reshape(5, 2), expected, atol=1e-5)
+
+
+def test_low_latency_keeps_the_flags_that_the_user_has_set():
+    flags, kernels, devices, _ = run_with_low_latency(XLA_FLAGS="--xla_force_host_platform_device_count=2")
+    assert "--xla_force_host_platform_device_count=2" in flags
+    assert devices == 2
+    assert kernels >= 1
+    own = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=0"
+    flags, kernels, _, _ = run_with_low_latency(XLA_FLAGS=own)
+    assert flags == own
+    assert kernels == 0
+
+
+def test_a_function_in_one_kernel_stays_the_same_function():
+    def function(numbers, more):
+        return numbers[:, None] * jnp.sin(more) + jnp.sum(numbers)
+
+    numbers, more = jnp.array([0.3, -2.0]), jnp.linspace(-1, 1, 5)
+    looped = jax.jit(in_one_kernel(function))
+    np.testing.assert_allclose(looped(numbers, more), function(numbers, more), rtol=1e-6)
+    np.testing.assert_allclose(looped(jnp.array([0.3, jnp.nan]), more), np.nan)
+    assert np.isnan(looped(jnp.array([jnp.nan, 0.3]), more)).all()
+
+
+def test_a_compiled_decision_is_the_decision_about_what_was_observed(played):
+    """It recovers the human's control and the robot's reward from the states before and after the step."""
+    game, before = played("merger", seed=4)
+    rungs = ladder(("naive", "turn", "tom"))
+    switching = jax.tree.map(jnp.asarray, Switching(np.array([0.09, 0.17, 0.37]), 0.1, rungs))
+    scale = np.asarray(game.planner.control_scale)
+    scaled = np.array([[-0.2, 0.1], [0.05, -0.3]], dtype=np.float32)
+    dynamics = jax.tree.map(float, game.world)
+    state = np.asarray(before, dtype=float)
+    after = step(dynamics, state, np.concatenate([scaled * scale, keep_velocity(dynamics, state[2:])]))
+    numbers, layout = pack((switching, game))
+    earned = reward(game.scene, game.robot, after.astype(np.float32))
+    for rung in range(3):
+        memory = first_memory(switching, rung)
+        expected = decide(switching, game, memory, before, *scaled, earned)
+        observed = observation(packed_memory(memory), state, scaled[0] * scale, after)
+        *remembered, up, down = np.asarray(decide_function(layout)(numbers, observed))
+        np.testing.assert_array_equal(remembered, packed_memory(Memory(*expected.memory)))
+        np.testing.assert_allclose([up, down], [expected.gain_up, expected.gain_down], rtol=1e-2, atol=1e-3)

@@ -1,0 +1,61 @@
+"""Plans and decisions from states that no scenario would start in."""
+
+import numpy as np
+import pytest
+
+from ms_highway.controller import FixedModel, ModelSwitching
+from ms_highway.dynamics import step as move
+from ms_highway.envs import SCENARIOS
+from ms_highway.human_models import ladder
+from ms_highway.scenario import PHYSICAL_LIMIT
+from ms_highway.switching import PUBLISHED_COSTS, Switching
+
+STARTS = 1000
+LIMIT = np.array(PHYSICAL_LIMIT)
+
+
+@pytest.fixture
+def wild(scenario, played):
+    """The scenario's game and starts: cars off the road, across it, reversing, standing, and one inside another."""
+    game, state = played(scenario, control_limit=PHYSICAL_LIMIT)
+    random = np.random.default_rng(0)
+    starts = np.asarray(state, dtype=float) + random.normal(0, [10, 4, 0.8, 12], (STARTS, *state.shape))
+    starts[::5, 0] = starts[::5, 1]  # the robot in the human's place
+    starts[1::5, :, 3] = 0.0  # all cars stand
+    starts[2::5, 0, :2] = starts[2::5, -1, :2]  # bodies overlap, motions differ
+    return game, starts
+
+
+def check(step):
+    assert step.status == "planned"
+    assert np.isfinite(step.plan).all()
+    assert np.isfinite(step.human).all()
+    assert (abs(step.plan) <= LIMIT * (1 + 1e-6)).all()
+
+
+def test_every_model_plans_finite_controls_within_the_limits_from_wild_starts(scenario, wild):
+    game, starts = wild
+    for model in ladder(SCENARIOS[scenario].ladder):
+        controller = FixedModel(game, model)
+        for start in starts:
+            check(controller.step(start))
+
+
+def test_switching_goes_on_from_wild_starts(scenario, wild):
+    """Five steps from every start, the human driving at random: enough to go up and all the way down."""
+    game, starts = wild
+    rungs = ladder(SCENARIOS[scenario].ladder)
+    controller = ModelSwitching(game, Switching(np.array([PUBLISHED_COSTS[model.name] for model in rungs]), 0.1, rungs))
+    random, models, estimated = np.random.default_rng(1), set(), set()
+    for state in starts:
+        controller.reset()
+        for _ in range(5):
+            step = controller.step(state)
+            check(step)
+            models.add(step.model)
+            estimated |= set(step.gains)
+            controls = np.zeros((len(state), 2))
+            controls[:2] = step.control, random.normal(0, LIMIT / 3)
+            state = move(game.world, state, controls)
+    assert models == set(SCENARIOS[scenario].ladder)
+    assert estimated == models
