@@ -73,6 +73,7 @@ def move(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "ste
     return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
 
 
+@jax.jit  # traced and differentiated once for all plans that look at it
 def path_reward(game: Game, state: Float[jax.Array, "cars 4"], robot: Path, human: Path) -> Float[jax.Array, ""]:
     """The robot's reward, summed over the steps of both players' paths.
 

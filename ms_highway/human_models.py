@@ -123,6 +123,7 @@ def cold_start(game: Game) -> JointPlan:
     return JointPlan(still, still)
 
 
+@jax.jit  # traced once for the human and the robot, naive and turn
 def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | None) -> JointPlan:
     """The robot's own ascent of its reward against fixed human controls."""
     expected = move(game, state[1], human)
