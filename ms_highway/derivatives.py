@@ -55,10 +55,10 @@ def expand(
     point = controls.ravel()
     steps, slope = ravelled(point), jax.grad(reward)
     jacobian = jax.jacfwd(ravelled)(point)
-    along_path = slope(steps)
     fields = len(steps)
     directions = jnp.broadcast_to(jnp.eye(fields)[..., None], (fields, *steps.shape))
-    blocks = jax.vmap(lambda direction: jax.jvp(slope, (steps,), (direction,))[1])(directions)
+    bent_along = jax.vmap(lambda direction: jax.jvp(slope, (steps,), (direction,)), out_axes=(None, 0))
+    along_path, blocks = bent_along(directions)
     bent = jnp.sum(blocks[..., None] * jacobian[:, None], axis=0)
     bending = jax.jacfwd(lambda controls: jax.vjp(ravelled, controls)[1](along_path)[0])(point)
     hessian = jacobian.reshape(-1, point.size).T @ bent.reshape(-1, point.size) + bending

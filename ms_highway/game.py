@@ -68,6 +68,7 @@ def constant_velocity(game: Game, car: Float[jax.Array, "4"]) -> Float[jax.Array
     return jnp.broadcast_to(control, (game.planner.horizon, 2))
 
 
+@jax.jit  # traced once, like `path_reward`
 def move(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Path:
     """The path of a car under scaled controls."""
     return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
