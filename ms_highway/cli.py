@@ -5,6 +5,7 @@ import json
 import math
 import os
 import sys
+import typing
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from ms_highway.bench import bench
 from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.files import replacing
+from ms_highway.planner import Solver
 
 __all__ = ["main"]
 
@@ -43,7 +45,8 @@ COMPARE_EXAMPLES = """\
 examples:
   ms-highway compare
   ms-highway compare merger --controllers naive tom switching:0.1 --seeds 10 --out results/merger
-  ms-highway compare give_way --semantics released --costs measured"""
+  ms-highway compare give_way --semantics released --costs measured
+  ms-highway compare stay_back --controllers naive turn --solver newton --seeds 100 --out results/newton"""
 
 VIDEO_HELP = """\
 Film one episode from above: the road, the robot's plan, the human path that it counts on, and a panel with the model
@@ -112,6 +115,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_semantics(compare)
     compare.add_argument(
+        "--solver",
+        choices=typing.get_args(Solver),
+        default="gradient",
+        help="how the robot improves its plans under naive and turn: gradient, the paper's 20 steps (default), or "
+        "newton, second-order steps with a line search; tom always takes gradient steps",
+    )
+    compare.add_argument(
         "--costs",
         default="published",
         help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), measured on this "
@@ -178,7 +188,8 @@ def _compare(options: argparse.Namespace) -> None:
     scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
     chosen = list(dict.fromkeys(options.controllers or []))
     controllers = {name: chosen or experiment.paper_controllers(name) for name in scenarios}
-    comparison = experiment.Comparison(controllers, options.seeds, options.semantics, _costs(options.costs))
+    costs = _costs(options.costs)
+    comparison = experiment.Comparison(controllers, options.seeds, options.semantics, costs, options.solver)
     comparison.check()
     console = _console()
     columns = (

@@ -59,7 +59,7 @@ def expand(
     directions = jnp.broadcast_to(jnp.eye(fields)[..., None], (fields, *steps.shape))
     bent_along = jax.vmap(lambda direction: jax.jvp(slope, (steps,), (direction,)), out_axes=(None, 0))
     along_path, blocks = bent_along(directions)
-    bent = jnp.sum(blocks[..., None] * jacobian[:, None], axis=0)
+    bent = jnp.einsum("dfk,dkn->fkn", blocks, jacobian)
     bending = jax.jacfwd(lambda controls: jax.vjp(ravelled, controls)[1](along_path)[0])(point)
     hessian = jacobian.reshape(-1, point.size).T @ bent.reshape(-1, point.size) + bending
     return Expansion(jnp.sum(jacobian * along_path[..., None], axis=(0, 1)), hessian, jacobian)

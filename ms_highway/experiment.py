@@ -18,6 +18,7 @@ from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import controller_config, merged
 from ms_highway.files import replacing
+from ms_highway.planner import Solver
 
 __all__ = [
     "COLUMNS",
@@ -58,12 +59,14 @@ class Comparison:
         seeds: number of episodes of each controller; episode k is seeded with k.
         semantics: ``paper`` or ``released``.
         costs: T(M) in the decisions: ``published``, ``measured``, or seconds by model.
+        solver: how the robot improves its plans, ``gradient`` or ``newton``, see `ms_highway.planner.climb`.
     """
 
     controllers: dict[str, list[str]]
     seeds: int = 30
     semantics: str = "paper"
     costs: Any = "published"
+    solver: Solver = "gradient"
 
     def episodes(self) -> Iterator[tuple[str, str, int]]:
         """Every (scenario, controller, seed)."""
@@ -76,14 +79,18 @@ class Comparison:
         """Look for mistakes before anything is run or written.
 
         Raises:
-            ValueError: for an unknown scenario or controller, or impossible costs.
+            ValueError: for an unknown scenario, controller or solver, or impossible costs.
         """
         for scenario, controllers in self.controllers.items():
             environment_id(scenario)
             for controller in controllers:
                 driver = controller_config(controller)
-                changes = {"semantics": self.semantics, "costs": self.costs, "controller": driver}
+                changes = {**self.common_config(), "costs": self.costs, "controller": driver}
                 merged(ENVIRONMENTS[scenario].default_config(), changes)
+
+    def common_config(self) -> dict[str, Any]:
+        """The configuration that all environments have in common."""
+        return {"semantics": self.semantics, "solver": self.solver}
 
 
 def paper_controllers(scenario: str) -> list[str]:
@@ -149,7 +156,7 @@ def run(comparison: Comparison, directory: Path) -> Iterator[int]:
             missing = [seed for _, _, seed in group if (scenario, controller, seed) not in done]
             if not missing:
                 continue
-            env = make_environment(scenario, controller, semantics=comparison.semantics, costs=costs[scenario])
+            env = make_environment(scenario, controller, costs=costs[scenario], **comparison.common_config())
             for seed in missing:
                 text = io.StringIO()
                 writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
@@ -171,14 +178,14 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
         are measured once, kept with the results, and used again when the run goes on.
     """
     steps, settings_file = directory / STEPS_FILE, directory / SETTINGS_FILE
-    settings = {"semantics": comparison.semantics, "costs": comparison.costs}
+    settings = {**comparison.common_config(), "costs": comparison.costs}
     known = _read_settings(settings_file) if steps.exists() else {**settings, "measured": {}}
     if {key: known.get(key) for key in settings} != settings:
         raise ValueError(f"{directory} holds results of {known}, not of {settings}; choose another directory")
     done = _whole_episodes(steps) if steps.exists() else set()
     if comparison.costs == "measured":
         for scenario in comparison.controllers.keys() - known["measured"].keys():
-            known["measured"][scenario] = _measured(scenario, comparison.semantics)
+            known["measured"][scenario] = _measured(scenario, comparison.common_config())
     with replacing(settings_file) as path:
         path.write_text(json.dumps(known, indent=2) + "\n")
     if not steps.exists():
@@ -188,16 +195,17 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
 
 
 def _read_settings(file: Path) -> dict[str, Any]:
+    """What a directory's results were run with; before there was a choice, the solver was ``gradient``."""
     try:
         settings = json.loads(file.read_text())
-        return {**settings, "measured": settings.get("measured", {})}
+        return {**settings, "solver": settings.get("solver", "gradient"), "measured": settings.get("measured", {})}
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
 
 
-def _measured(scenario: str, semantics: str) -> dict[str, float]:
+def _measured(scenario: str, config: dict[str, Any]) -> dict[str, float]:
     """Seconds of a warm plan on this machine, for every model on the scenario's ladder."""
-    env = make_environment(scenario, "naive", semantics=semantics).unwrapped
+    env = make_environment(scenario, "naive", **config).unwrapped
     assert isinstance(env, InteractionEnv)
     seconds = measure_costs(env.game, env.models, env.car_states)
     return {model.name: float(cost) for model, cost in zip(env.models, seconds, strict=True)}

@@ -93,6 +93,25 @@ def test_compare_refuses_a_directory_of_other_settings(compared, capsys):
     assert "choose another directory" in line
 
 
+def test_compare_plans_with_the_solver_that_is_asked_for_and_keeps_its_results_apart(compared, tmp_path, capsys):
+    arguments = ["compare", "stay_back", "--controllers", "naive", "--seeds", "1", "--solver", "newton", "--out"]
+    assert "choose another directory" in failure(capsys, *arguments, str(compared))
+    assert main([*arguments, str(tmp_path)]) == 0
+    assert json.loads((tmp_path / "settings.json").read_text())["solver"] == "newton"
+    plain = untimed(compared).query("controller == 'naive' and seed == 0")
+    assert (abs(untimed(tmp_path)["reward"].to_numpy() - plain["reward"].to_numpy()) > 1e-3).any()
+
+
+def test_results_from_before_there_was_a_choice_of_solver_count_as_those_of_the_gradient(compared, tmp_path, capsys):
+    settings = json.loads((compared / "settings.json").read_text())
+    del settings["solver"]
+    (tmp_path / "settings.json").write_text(json.dumps(settings))
+    (tmp_path / "steps.csv").write_text((compared / "steps.csv").read_text())
+    assert "choose another directory" in failure(capsys, *COMPARE, str(tmp_path), "--solver", "newton")
+    assert main([*COMPARE, str(tmp_path)]) == 0
+    assert (tmp_path / "steps.csv").read_text() == (compared / "steps.csv").read_text()
+
+
 def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys):
     (tmp_path / "settings.json").write_text((compared / "settings.json").read_text())
     (tmp_path / "steps.csv").write_text("these are\nno, records\n")
