@@ -28,6 +28,8 @@ __all__ = [
     "Packed",
     "checked_state",
     "decide_function",
+    "forget",
+    "in_one_kernel",
     "keep_compilations",
     "low_latency",
     "measure_costs",
@@ -40,7 +42,6 @@ __all__ = [
 ]
 
 State = Float[jax.Array, "cars 4"]
-
 
 QUICKLY = {"xla_cpu_use_fusion_emitters": False}
 """Compiler options that halve compilation; they cost small plans a tenth of their speed, and large ones nothing."""
@@ -84,15 +85,16 @@ def pack(tree: Any) -> Packed:
 
 
 def low_latency() -> None:
-    """Set JAX up for many small computations on the CPU, before it computes anything; it holds for the whole process.
+    """Set JAX up for many small computations on the CPU, before it computes anything.
 
-    Two things make up much of a plan's time: handing a computation over to another thread, and starting a hundred
-    kernels per iteration. The first is switched off; against the second, XLA is told to compile loops of up to
-    `KERNEL_BYTES` per iteration as one kernel, as it does by itself only with much smaller ones. Where ``XLA_FLAGS``
-    has that option, or JAX has begun already, nothing changes but the speed.
+    It holds for the whole process and for those that it starts. Two things make up much of a plan's time: handing a
+    computation over to another thread, and starting a hundred kernels per iteration. The first is switched off; against
+    the second, XLA is told to compile loops of up to `KERNEL_BYTES` per iteration as one kernel, as it does by itself
+    only with much smaller ones. Where ``XLA_FLAGS`` has that option already or names a file, it stays as it is; and
+    where JAX has begun already, plans are slower, and the same.
     """
     flags, option = os.environ.get("XLA_FLAGS", ""), "xla_cpu_small_while_loop_byte_threshold"
-    if option not in flags:
+    if option not in flags and (not flags or flags.startswith("-")):
         os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={option}={KERNEL_BYTES}".strip()
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
@@ -131,7 +133,7 @@ def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
     ) -> Float[jax.Array, "2 steps 2"]:
         return jnp.stack(model.plan(layout.unpack(numbers), state, JointPlan(*start)))
 
-    if model.responds:  # its eigenvalues come from LAPACK, whose calls no kernel can hold
+    if model.responds:  # through LAPACK (`eigh` or `solve`), whose calls no kernel can hold
         return jax.jit(plan, compiler_options=QUICKLY)
     return jax.jit(in_one_kernel(plan))
 
@@ -140,13 +142,13 @@ def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
 def decide_function(layout: Layout) -> jax.stages.Wrapped:
     """`decide`, compiled once for all that decide so.
 
-    The compiled function takes the numbers of a packed (Switching, Game), and an `observation` with the robot's
-    control in the units of the world. It returns the new memory, packed, and the gains of going up and down.
+    The compiled function takes an `observation` with the robot's control in the units of the world, and the numbers of
+    a packed (Switching, Game). It returns the new memory, packed, and the gains of going up and down.
     """
 
     @partial(jax.jit, compiler_options=QUICKLY)
     @in_one_kernel
-    def observe_and_decide(numbers: Float[jax.Array, "n"], observed: Float[jax.Array, "m"]) -> Float[jax.Array, "k"]:
+    def observe_and_decide(observed: Float[jax.Array, "m"], numbers: Float[jax.Array, "n"]) -> Float[jax.Array, "k"]:
         switching, game = layout.unpack(numbers)
         remembered = 2 + len(switching.ladder)
         (rung, step, *checks), rest = observed[:remembered].astype(jnp.int32), observed[remembered:]
@@ -192,6 +194,12 @@ def warm_up(function: Callable[..., Any], *arguments: Any) -> float:
     jax.block_until_ready(function(*arguments))
     _warm.add(key)
     return perf_counter() - start
+
+
+def forget() -> None:
+    """Forget all that this process has compiled."""
+    jax.clear_caches()
+    _warm.clear()
 
 
 def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:

@@ -210,7 +210,7 @@ class ModelSwitching:
         rungs = [plan_function(model, self._layout) for model in self.switching.ladder]
         plans = sum(warm_up(rung, self._numbers, state, self._cold) for rung in rungs)
         observed = observation(self._memory, state, np.zeros(2), state)
-        return plans + warm_up(self._decide, self._switching_numbers, observed)
+        return plans + warm_up(self._decide, observed, self._switching_numbers)
 
     def _choose(
         self, before: Float[np.ndarray, "cars 4"], executed: Float[np.ndarray, "2"], now: Float[np.ndarray, "cars 4"]
@@ -218,7 +218,7 @@ class ModelSwitching:
         """Take the decision; seconds spent, and the gains estimated by name of the alternative."""
         rung, ladder = int(self._memory[0]), self.switching.ladder
         observed = observation(self._memory, before, executed, now)
-        decision, seconds = timed(self._decide, self._switching_numbers, observed)
+        decision, seconds = timed(self._decide, observed, self._switching_numbers)
         *memory, up, down = np.asarray(decision)
         self._memory = np.array(memory)
         estimates = {ladder[rung - 1].name: float(down)} if rung > 0 else {}

@@ -88,7 +88,8 @@ def features(
     * merged: 1 if ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane;
     * partner_target_lane, partner_merged: the same of the partner.
 
-    ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient.
+    ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient. Nor has ``collision_risk`` in
+    where the points of the body are: derivatives are those in states, not in the shape of cars.
     """
     return jnp.stack(_features(scene, parameters, *_apart(states)), axis=-1)
 
@@ -212,7 +213,9 @@ def _closeness(
 
 
 @_closeness.defjvp
-def _(sharpness: float, primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+def _closeness_jvp(
+    sharpness: float, primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]
+) -> tuple[jax.Array, jax.Array]:
     return _closeness(*primals, sharpness), -sharpness * total(_moments(*primals, sharpness) * tangents[0], axis=0)
 
 
@@ -225,7 +228,9 @@ def _moments(
 
 
 @_moments.defjvp
-def _(sharpness: float, primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+def _moments_jvp(
+    sharpness: float, primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]
+) -> tuple[jax.Array, jax.Array]:
     distances, terms = primals
     changes = jnp.exp(-sharpness * _at_points(distances, terms)) * _at_points(tangents[0], terms)
     return _moments(distances, terms, sharpness), -sharpness * _summed(changes, terms)
@@ -240,7 +245,7 @@ def _body_terms(scene: Scene) -> Float[jax.Array, "6 9"]:
     """The terms 1, x, y, x^2, xy, y^2 at corners, middles of the edges and centre of a car, in its own frame [m]."""
     shares = jnp.concatenate([scene.corner * CORNERS, MIDDLES])
     x, y = (shares * jnp.asarray(scene.car_size)).T
-    return jax.lax.stop_gradient(jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y]))
+    return jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y])
 
 
 def _depth_off_road(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:

@@ -173,8 +173,8 @@ def _expand(
 ) -> _Expansion:
     """Derivatives of the one-step rewards at the executed controls, and J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R.
 
-    Robot's and human's reward are expanded together, each as the own one. Of the scene, only what lies between the
-    two depends on the partner's control.
+    Robot's and human's reward are expanded together, each as the own one. What obstacles, other cars and another
+    leader add to a reward does not depend on the partner's control, and is left out of derivatives in that.
     """
     pair = replace(game.scene, obstacles=game.scene.obstacles[:0], leader=1 if game.scene.leader == 1 else None)
 

@@ -120,3 +120,11 @@ def test_measured_costs_grow_up_the_ladder(played):
     game, state = played("merger")
     naive, _, tom = measure_costs(game, ladder(("naive", "turn", "tom")), np.asarray(state), repeats=15)
     assert 0 < naive < tom
+
+
+def test_switching_without_a_known_cost_stays_on_its_rung_and_drives_on(played):
+    game, state = played("stay_back")
+    controller = ModelSwitching(game, Switching(np.array([np.nan, 0.17]), 0.1, ladder(("naive", "turn"))))
+    steps = [controller.step(np.asarray(state)) for _ in range(3)]
+    assert [step.model for step in steps] == ["naive"] * 3
+    assert all(step.status == "planned" and not step.gains for step in steps)
