@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import StrMethodFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from rich.box import SIMPLE
 from rich.table import Table
 from scipy import stats
@@ -131,8 +131,9 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
         style = "-" if name in switching else "--"
         axes[0].plot(seconds.index, 1e3 * seconds, style, color=color, label=name, linewidth=2)
     axes[0].set(title=f"{scenario}: computation along the episode", ylabel="planning + deciding [ms]", yscale="log")
+    axes[0].yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes[0].yaxis.set_minor_formatter(StrMethodFormatter("{x:g}"))
+    axes[0].yaxis.set_minor_formatter(NullFormatter())
     axes[0].legend(ncols=len(controllers), loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False)
     for name, panel in zip(switching, axes[1:], strict=True):
         _models_in_use(panel, rows[rows["controller"] == name], name)
