@@ -20,7 +20,18 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-__all__ = ["Array", "Dynamics", "Motion", "coast", "keep_velocity", "observe", "recover_control", "rollout", "step"]
+__all__ = [
+    "Array",
+    "Dynamics",
+    "Motion",
+    "SameArray",
+    "coast",
+    "keep_velocity",
+    "observe",
+    "recover_control",
+    "rollout",
+    "step",
+]
 
 Array: TypeAlias = jax.Array | np.ndarray
 SameArray = TypeVar("SameArray", jax.Array, np.ndarray)

@@ -52,7 +52,9 @@ class Recording:
         if not np.isfinite(self.lanes).all() or not self.lane_width > 0:
             raise ValueError(f"{self.name}: lanes {self.lanes} of width {self.lane_width} are not a road")
         if np.shape(self.sizes) != (times_and_cars[1], 2) or not (np.asarray(self.sizes) > 0).all():
-            raise ValueError(f"{self.name}: every one of its {times_and_cars[1]} cars needs a positive length and width")
+            raise ValueError(
+                f"{self.name}: every one of its {times_and_cars[1]} cars needs a positive length and width"
+            )
         for car in self.drivers:
             seen = self.seen[:, car]
             first, last = (int(seen.argmax()), len(seen) - int(seen[::-1].argmax())) if seen.any() else (0, 0)

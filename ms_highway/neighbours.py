@@ -1,0 +1,46 @@
+"""Which cars around a driver count: the nearest ahead and behind, in its own lane and in those beside it."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ms_highway.dynamics import SameArray
+
+__all__ = ["NEIGHBOURS", "neighbours"]
+
+FAR_AWAY = 1000.0  # m behind, where absent cars are
+
+SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, of each place
+AHEAD = np.array([True, False] * 3)  # whether a place is for the car ahead, or for the one behind
+
+NEIGHBOURS = len(SIDES)
+"""Places for neighbours: ahead and behind, in the own lane, in the left one and in the right one, in this order."""
+
+
+def neighbours(
+    driver: Float[SameArray, "*batch 4"],
+    others: Float[SameArray, "*batch cars 4"],
+    present: Bool[SameArray, "*batch cars"],
+    lane_width: float | Float[SameArray, "*batch"],
+) -> Float[SameArray, "*batch 6 4"]:
+    """States of the neighbours of a driver, one for each of the six places.
+
+    A car is in the own lane if it is less than half a lane's width to the side. A place that no car takes holds a
+    standing car far behind, so that the shape never changes.
+
+    Args:
+        driver: state of the driver.
+        others: states of the other cars, in the same coordinates, along the road.
+        present: which of the others are there; the states of those that are not may be anything, even NaN.
+        lane_width: of a lane [m].
+    """
+    xp = driver.__array_namespace__()
+    offset = others[..., :2] - driver[..., None, :2]
+    lane = xp.round(offset[..., 1] / xp.asarray(lane_width)[..., None])
+    ahead = offset[..., 0] > 0
+    fits = (lane[..., None] == SIDES) & (ahead[..., None] == AHEAD) & present[..., None]
+    distance = xp.where(fits, xp.abs(offset[..., :1]), xp.inf)
+    nearest = xp.argmin(distance, axis=-2)
+    found = xp.take_along_axis(others, nearest[..., None], axis=-2)
+    taken = xp.any(fits, axis=-2)
+    absent = xp.stack([driver[..., 0] - FAR_AWAY, *[driver[..., 0] * 0] * 3], axis=-1)
+    return xp.where(taken[..., None], found, absent[..., None, :])
