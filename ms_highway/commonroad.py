@@ -3,7 +3,6 @@
 import gzip
 import tempfile
 import warnings
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -47,25 +46,23 @@ def read_directory(directory: Path) -> list[Recording]:
 
 def _open(path: Path) -> Any:
     """The scenario of a file, as commonroad-io has it."""
-    try:
-        from commonroad.common.file_reader import CommonRoadFileReader
-    except ImportError as error:
-        raise ImportError(
-            'CommonRoad scenarios need the extra \'commonroad\': pip install "ms-highway[commonroad]"'
-        ) from error
     with tempfile.TemporaryDirectory() as temporary, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about what is of no interest here, such as unknown locations
+        try:
+            from commonroad.common.file_reader import CommonRoadFileReader
+        except ImportError as error:
+            raise ImportError(
+                "CommonRoad needs the extra 'commonroad': pip install 'ms-highway[commonroad]'"
+            ) from error
         try:
             readable = path
             if path.name.endswith(COMPRESSED):
                 readable = Path(temporary) / path.name.removesuffix(".gz")
                 readable.write_bytes(gzip.decompress(path.read_bytes()))
             scenario, _ = CommonRoadFileReader(readable).open()
-        except (OSError, EOFError, zlib.error) as error:
-            raise ValueError(f"cannot read {path}: {error}; fetch it again") from error
-        except Exception as error:  # whatever the library stumbles over
+        except Exception as error:  # of many kinds: whatever unpacking, parsing and the library stumble over
             raise ValueError(
-                f"{path} is no CommonRoad scenario, or damaged: {type(error).__name__}: {error}; fetch it again"
+                f"{path} is no CommonRoad scenario, or damaged ({type(error).__name__}: {error}); fetch it again"
             ) from error
     return scenario
 
