@@ -16,6 +16,7 @@ g and H are linear in theta: the features' derivatives are worked out once, and 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -25,8 +26,11 @@ from jax.scipy.linalg import cho_solve
 from jaxtyping import Float
 from scipy import optimize
 
+from ms_highway.derivatives import slope_and_bend
+from ms_highway.dynamics import Array
+from ms_highway.game import move
 from ms_highway.reward import COMFORT, FEATURES
-from ms_highway.windows import Windows, features_along, template
+from ms_highway.windows import Window, Windows, features_at, template, unease
 
 __all__ = ["Fit", "Model", "Slopes", "fit", "floored", "log_likelihoods", "slopes_of"]
 
@@ -98,9 +102,9 @@ class Slopes(NamedTuple):
         hessians: second derivatives.
     """
 
-    features: Float[np.ndarray, "n names"]
-    gradients: Float[np.ndarray, "n names d"]
-    hessians: Float[np.ndarray, "n names d d"]
+    features: Float[Array, "n names"]
+    gradients: Float[Array, "n names d"]
+    hessians: Float[Array, "n names d d"]
 
     def of(self, chosen: np.ndarray) -> "Slopes":
         """Those of some windows."""
@@ -141,25 +145,36 @@ class Fit:
 def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
     """The derivatives of these features in every window.
 
+    A feature looks at the motion one step at a time: with s_k the motion at step k, ``J_k = ds_k / du``, and g_k and
+    Q_k the feature's derivatives in s_k, its Hessian in the controls is ``sum_k J_k^T Q_k J_k + g_k d2s_k / du2``.
+
     Raises:
         ValueError: if they are not finite somewhere.
     """
     game = template(windows, {})
     places = np.array([(*FEATURES, *COMFORT).index(name) for name in names])
-    scale = np.asarray(game.planner.control_scale)
 
-    def derivatives(window: Windows) -> Slopes:
-        def along(controls: Float[jax.Array, "d"]) -> tuple[jax.Array, jax.Array]:
-            phi = features_along(game, window, controls.reshape(-1, 2))[places]
-            return phi, phi
+    def derivatives(window: Window) -> Slopes:
+        def path(controls: Float[jax.Array, "d"]) -> Float[jax.Array, "fields K"]:
+            return move(game, window.start, controls.reshape(-1, 2))
 
-        def slope(controls: Float[jax.Array, "d"]) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-            gradients, phi = jax.jacrev(along, has_aux=True)(controls)
-            return gradients, (phi, gradients)
+        def at_step(own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]) -> Slopes:
+            function = partial(features_at, game, window, others=others)
+            return Slopes(function(own), *slope_and_bend(function)(own))
 
-        point = (window.controls / scale).ravel()
-        hessians, (phi, gradients) = jax.jacfwd(slope, has_aux=True)(point)
-        return Slopes(phi, gradients, hessians)
+        controls = (window.controls / game.planner.control_scale).ravel()
+        steps = path(controls)
+        first, second = slope_and_bend(path)(controls)
+        phi, slope, bend = jax.vmap(at_step, in_axes=(1, 1))(steps, window.others)
+        bent = jnp.einsum("knfg,gkd->knfd", bend, first)
+        gradients = jnp.einsum("knf,fkd->nd", slope, first)
+        hessians = jnp.einsum("knfd,fke->nde", bent, first) + jnp.einsum("knf,fkde->nde", slope, second)
+        uneasy = unease(game, window, controls.reshape(-1, 2))
+        of_kind = jnp.eye(2)[:, None, :]  # one of the two controls at every step
+        kinds = jnp.broadcast_to(of_kind, (2, *uneasy.shape)).reshape(2, -1)
+        ease = Slopes(-jnp.sum(uneasy**2, axis=0) / 2, -(of_kind * uneasy).reshape(2, -1), -jax.vmap(jnp.diag)(kinds))
+        everything = Slopes(phi.sum(axis=0), gradients, hessians)
+        return jax.tree.map(lambda paid, felt: jnp.concatenate([paid, felt])[places], everything, ease)
 
     single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
     batches = jax.jit(lambda windows: jax.lax.map(derivatives, windows, batch_size=min(BATCH, len(windows))))(single)
@@ -167,7 +182,8 @@ def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
     for part in slopes:
         if not np.isfinite(part).all():
             window = int(np.argwhere(~np.isfinite(part))[0][0])
-            raise ValueError(f"the features of window {window} have no finite derivatives; its start is {windows.start[window]}")
+            start = windows.start[window]
+            raise ValueError(f"the features of window {window} have no finite derivatives; it starts at {start}")
     return slopes
 
 
@@ -199,18 +215,21 @@ def _floored_jvp(
 
 
 def log_likelihoods(
-    slopes: Slopes, theta: Float[jax.Array, "names"], temperature: Float[jax.Array, ""], floor: float
+    slopes: Slopes, theta: Float[Array, "names"], temperature: float | Float[Array, ""], floor: float
 ) -> Float[jax.Array, "n"]:
     """Laplace's log p of every window's scaled controls; eigenvalues of -H are floored at ``floor / T``."""
 
-    def window(gradients: Float[jax.Array, "names d"], hessians: Float[jax.Array, "names d d"]) -> jax.Array:
-        slope = jnp.einsum("f,fd->d", theta, gradients) / temperature
-        bend = floored(-jnp.einsum("f,fde->de", theta, hessians) / temperature, floor / temperature)
-        root = jnp.linalg.cholesky(bend)
+    def window(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
+        slope, bend = pair
+        lowest = floor / temperature
+        high = jnp.isfinite(jnp.linalg.cholesky(bend - lowest * jnp.eye(len(bend)))).all()  # then nothing is floored
+        root = jnp.linalg.cholesky(jax.lax.cond(high, lambda bend: bend, lambda bend: floored(bend, lowest), bend))
         off = slope @ cho_solve((root, True), slope)
         return -off / 2 + jnp.sum(jnp.log(jnp.diagonal(root))) - len(slope) / 2 * jnp.log(2 * jnp.pi)
 
-    return jax.vmap(window)(slopes.gradients, slopes.hessians)
+    slope = jnp.einsum("f,nfd->nd", theta, slopes.gradients) / temperature
+    bend = -jnp.einsum("f,nfde->nde", theta, slopes.hessians) / temperature
+    return jax.lax.map(window, (slope, bend))
 
 
 def fit(slopes: Slopes, model: Model) -> Fit:

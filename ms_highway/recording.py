@@ -26,6 +26,7 @@ class Recording:
         lanes: lateral position of each lane's centre, ascending.
         lane_width: width of a lane.
         speed_limit: of the road [m/s].
+        measured: whether states were measured, with noise, rather than simulated.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Recording:
     lanes: Float[np.ndarray, "lanes"]
     lane_width: float
     speed_limit: float
+    measured: bool = True
 
     def __post_init__(self) -> None:
         """Check it.

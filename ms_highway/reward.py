@@ -167,9 +167,7 @@ def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
     return Motion(*(field[0] for field in cars)), Motion(*(field[1:] for field in cars))
 
 
-def motion_features(
-    scene: Scene, parameters: Reward, own: Motion, others: Motion
-) -> list[Float[jax.Array, "*times"]]:
+def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:
     """The features of a car along its motion, one array for each of the reward's names.
 
     Takes what `motion_reward` takes. Constants are inverted first: a division by each would be repeated at every state.

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ms_highway.dynamics import Dynamics, recover_control, step
 from ms_highway.recording import Recording
 
-__all__ = ["Track", "smoothed"]
+__all__ = ["Track", "smoothed", "track_of"]
 
 # What is plausible, as standard deviations. Errors of position and jerks decide together how smooth tracks are: here,
 # swings faster than (JERK dt / POSITION)^(1/3) / dt, a third of a hertz, are taken for noise. The other three are wide,
@@ -36,7 +36,26 @@ class Track(NamedTuple):
     controls: Float[np.ndarray, "steps 2"]
 
 
-def smoothed(recording: Recording, car: int, dynamics: Dynamics) -> Track:
+def track_of(recording: Recording, car: int, dynamics: Dynamics) -> Track:
+    """What a car did: `smoothed` if it was measured; if it was simulated, the recorded states as they are.
+
+    Raises:
+        ValueError: if the car was seen less than twice, or the recording's time step is not that of the dynamics.
+    """
+    if not np.isclose(recording.time_step, dynamics.time_step):
+        raise ValueError(
+            f"{recording.name} has a time step of {recording.time_step} s; plans are made of steps of "
+            f"{dynamics.time_step} s, so resample it"
+        )
+    states = recording.states[recording.seen[:, car], car]
+    if len(states) < 2:
+        raise ValueError(f"{recording.name}: car {car} was seen {len(states)} times; a track needs two samples")
+    if recording.measured:
+        return smoothed(states[:, :2], dynamics)
+    return Track(states, recover_control(dynamics, states[:-1], states[1:]))
+
+
+def smoothed(recorded: Float[np.ndarray, "times 2"], dynamics: Dynamics) -> Track:
     """The likeliest track of a car, given its recorded positions and what accelerations and jerks are plausible.
 
     Recorded speeds and headings, themselves derived from noisy positions, are not used. With a step's distance
@@ -48,16 +67,8 @@ def smoothed(recording: Recording, car: int, dynamics: Dynamics) -> Track:
 
     They penalise errors of position, jerks ``a'`` and ``v^2 c'``, and, weakly, a, c and h_0. Where a car stands, its
     heading therefore stays and its curvature fades to 0.
-
-    Raises:
-        ValueError: if the car was seen less than twice, or the recording's time step is not that of the dynamics.
     """
-    recorded = recording.states[recording.seen[:, car], car, :2]
-    if len(recorded) < 2:
-        raise ValueError(f"{recording.name}: car {car} was seen {len(recorded)} times; a track needs two samples")
     dt = float(dynamics.time_step)
-    if not np.isclose(recording.time_step, dt):
-        raise ValueError(f"{recording.name} has a time step of {recording.time_step} s, its dynamics one of {dt} s")
     steps = len(recorded) - 1
     change = np.diff(np.eye(steps), axis=0)
     cosine = sine_per_heading = np.ones(steps)

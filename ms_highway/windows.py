@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import jax
 import numpy as np
@@ -19,15 +20,17 @@ from ms_highway.scene import Scene
 from ms_highway.tracks import track_of
 
 __all__ = [
+    "Window",
     "Windows",
     "at_window",
-    "check_time_step",
     "coasting",
     "cut",
     "features_along",
+    "features_at",
     "first_step",
     "scene_of",
     "template",
+    "unease",
 ]
 
 
@@ -54,6 +57,10 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.start)
+
+
+Window: TypeAlias = Windows
+"""One of them: the same arrays without the axis [n]."""
 
 
 def scene_of(recording: Recording, driver: int, lanes: int) -> Scene:
@@ -88,10 +95,9 @@ def cut(recordings: Sequence[Recording], steps: int) -> Windows:
     lanes = max((len(item.lanes) for item in recordings), default=1)
     rows = []
     for recording in recordings:
-        check_time_step(recording)
-        everyone = coasting(recording)
+        everyone = coasting(recording.states, recording.time_step)
         for driver in map(int, recording.drivers):
-            track = track_of(recording, driver)
+            track = track_of(recording, driver, PAPER_DYNAMICS)
             scene = scene_of(recording, driver, lanes)
             for first in range(0, len(track.controls) - steps + 1, steps):
                 start, now = track.states[first], first_step(recording, driver) + first
@@ -104,30 +110,17 @@ def cut(recordings: Sequence[Recording], steps: int) -> Windows:
     return jax.tree.map(lambda *parts: np.stack(parts), *rows)
 
 
-def check_time_step(recording: Recording) -> None:
-    """Refuse a recording that is sampled otherwise than plans are.
-
-    Raises:
-        ValueError: if it is.
-    """
-    if not np.isclose(recording.time_step, PAPER_DYNAMICS.time_step):
-        raise ValueError(
-            f"{recording.name} has a time step of {recording.time_step} s; plans are made of steps of "
-            f"{PAPER_DYNAMICS.time_step} s, so resample it"
-        )
-
-
 def first_step(recording: Recording, car: int) -> int:
     """When a car was first seen."""
     return int(recording.seen[:, car].argmax())
 
 
-def coasting(recording: Recording) -> Float[np.ndarray, "times cars 4"]:
-    """The recorded states; a car that gets lost keeps its velocity from there."""
-    states = recording.states.copy()
+def coasting(states: Float[np.ndarray, "times cars 4"], time_step: float) -> Float[np.ndarray, "times cars 4"]:
+    """The states; a car that gets lost (NaN) keeps its velocity from there."""
+    states = states.copy()
     for before, after in itertools.pairwise(states):
         lost = np.isnan(after).any(axis=-1)
-        heading, distance = before[lost, 2], before[lost, 3] * recording.time_step
+        heading, distance = before[lost, 2], before[lost, 3] * time_step
         after[lost] = before[lost]
         after[lost, :2] += np.stack([distance * np.cos(heading), distance * np.sin(heading)], axis=-1)
     return states
@@ -160,21 +153,33 @@ def template(windows: Windows, weights: Mapping[str, float]) -> Game:
     return replace(game, planner=replace(game.planner, horizon=horizon))
 
 
-def at_window(game: Game, window: Windows) -> Game:
-    """The game in one window, whose arrays have no axis [n]."""
+def at_window(game: Game, window: Window) -> Game:
+    """The game in one window."""
     return replace(game, scene=window.scenes, robot=replace(game.robot, speed_limit=window.speed_limit))
 
 
-def features_along(
-    game: Game, window: Windows, controls: Float[jax.Array, "K 2"]
+def features_at(
+    game: Game, window: Window, own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]
 ) -> Float[jax.Array, "features"]:
-    """The features `FEATURES` summed over a window's steps, and those of comfort, under scaled controls.
+    """The features `FEATURES` at one step of a window.
 
-    Comfort's features are ``-(u - u_keep)^2 / 2`` of each control, so that the driver's reward is theta times these.
+    Args:
+        game: as `template` makes it.
+        window: which one.
+        own: the driver's motion then, the fields of a `Motion`.
+        others: the neighbours' states then.
     """
     here = at_window(game, window)
-    own = Motion(*move(here, window.start, controls))
-    others = observe(window.others)
-    phi = jnp.stack([jnp.sum(column) for column in motion_features(here.scene, here.robot, own, others)])
-    kept = keep_velocity(game.dynamics, window.start) / game.planner.control_scale
-    return jnp.concatenate([phi, -jnp.sum((controls - kept) ** 2, axis=0) / 2])
+    return jnp.stack(motion_features(here.scene, here.robot, Motion(*own), observe(others)))
+
+
+def unease(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "K 2"]:
+    """How far scaled controls are from keeping the velocity; comfort's features are ``-unease^2 / 2``, summed."""
+    return controls - keep_velocity(game.dynamics, jnp.asarray(window.start)) / game.planner.control_scale
+
+
+def features_along(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "features"]:
+    """The features `FEATURES` summed over a window's steps, and then those of comfort, under scaled controls."""
+    path = move(game, jnp.asarray(window.start), controls)
+    steps = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
+    return jnp.concatenate([steps.sum(axis=0), -jnp.sum(unease(game, window, controls) ** 2, axis=0) / 2])

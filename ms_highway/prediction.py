@@ -1,0 +1,206 @@
+"""How well driving is predicted: by a learnt reward, by constant velocity and by highway-env's IDM, on the same cases.
+
+A predicted driver starts where the recorded one was, with its recorded speed and heading, and then drives by itself
+for up to 5 s, at 10 Hz; it looks anew at the others before every step, as it would in an environment.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias
+
+import jax
+import numpy as np
+from highway_env.road.lane import StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from jax import numpy as jnp
+from jaxtyping import Bool, Float
+
+from ms_highway.dynamics import Array, step
+from ms_highway.game import Game
+from ms_highway.human_models import Naive
+from ms_highway.neighbours import neighbours
+from ms_highway.recording import Recording
+from ms_highway.reward import FEATURES
+from ms_highway.scenario import PAPER_DYNAMICS, driving_game
+from ms_highway.scene import Scene
+from ms_highway.windows import coasting, scene_of
+
+__all__ = ["HORIZONS", "Cases", "Others", "cases_of", "constant_velocity", "drive", "errors", "idm"]
+
+Others: TypeAlias = Literal["recorded", "coasting"]
+"""What the predicted driver meets: the others as they were recorded, or as they would go on from the start."""
+
+HORIZONS = (1, 2, 3, 5)  # s
+STEPS = 50  # 0.1 s, of the longest
+APART = 10  # steps between the starts of two cases of a driver
+MISS = 2.0  # m
+BATCH = 128  # cases that are driven at once
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Cases:
+    """n stretches of recorded driving to be predicted; arrays in SI units and lane coordinates.
+
+    Attributes:
+        scenes: the road and the driver's own size, every array with a leading axis [n].
+        speed_limit: of the road [m/s].
+        recorded: the driver at the start and after each of 50 steps, NaN after it was seen last.
+        others: all other cars, at the same times but the last.
+        present: which of them are there.
+        track: number of the driver's track.
+        group: number of the recording's group, to split by.
+    """
+
+    scenes: Scene
+    speed_limit: Float[Array, "n"]
+    recorded: Float[Array, "n 51 4"]
+    others: Float[Array, "n 50 cars 4"]
+    present: Bool[Array, "n 50 cars"]
+    track: Float[Array, "n"]
+    group: Float[Array, "n"]
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+
+def cases_of(recordings: Sequence[Recording], others: Others = "recorded") -> Cases:
+    """The stretches of every driver's track that start at its beginning and at every full second after that.
+
+    A case ends with the track, and counts for the horizons that it reaches.
+
+    Args:
+        recordings: where to look.
+        others: see `Others`.
+
+    Raises:
+        ValueError: if no driver was seen for as long as the shortest horizon.
+    """
+    groups = {name: number for number, name in enumerate(dict.fromkeys(item.group for item in recordings))}
+    most_lanes = max((len(item.lanes) for item in recordings), default=0)
+    most_cars = max((item.states.shape[1] for item in recordings), default=1) - 1
+    rows, track = [], 0
+    for recording in recordings:
+        times = STEPS + 1
+        everyone = np.pad(recording.states, ((0, times), (0, 0), (0, 0)), constant_values=np.nan)
+        for driver in map(int, recording.drivers):
+            scene = scene_of(recording, driver, most_lanes)
+            seen = np.flatnonzero(recording.seen[:, driver])
+            for start in range(seen[0], seen[-1] - 10 * HORIZONS[0] + 1, APART):
+                stretch = everyone[start : start + times]
+                if others == "coasting":
+                    now = np.where(np.arange(times)[:, None, None] == 0, stretch, np.nan)
+                    around = coasting(now, recording.time_step)
+                else:
+                    around = stretch
+                around = np.delete(around, driver, axis=1)[:-1]
+                missing = most_cars - around.shape[1]
+                around = np.pad(around, ((0, 0), (0, missing), (0, 0)), constant_values=np.nan)
+                present = np.isfinite(around).all(axis=-1)
+                limit, group = np.float64(recording.speed_limit), np.int64(groups[recording.group])
+                cells = stretch[:, driver], np.nan_to_num(around).astype(np.float32), present, np.int64(track), group
+                rows.append(Cases(scene, limit, *cells))
+            track += 1
+    if not rows:
+        raise ValueError(
+            f"no driver of the {len(recordings)} recordings was seen for {HORIZONS[0]} s, the shortest horizon"
+        )
+    return jax.tree.map(lambda *parts: np.stack(parts), *rows)
+
+
+def drive(cases: Cases, weights: Mapping[str, float], horizon: int) -> Float[np.ndarray, "n 50 2"]:
+    """Where drivers get who drive for these weights.
+
+    At every step the driver plans by second-order steps over a horizon, believes that its neighbours keep their
+    velocity, and executes the first control, as `ms_highway.vehicle.HumanVehicle` does.
+
+    Args:
+        cases: where they start.
+        weights: of the reward by name, divided by the temperature: second-order steps need to know how much counts.
+        horizon: of the plans, in steps.
+    """
+    scene = jax.tree.map(lambda numbers: numbers[0], cases.scenes)
+    game = driving_game(scene, float(cases.speed_limit[0]), weights, FEATURES, solver="newton")
+    game = replace(game, planner=replace(game.planner, horizon=horizon))
+    single = jax.tree.map(_single, (cases.scenes, cases.speed_limit, cases.recorded[:, 0], cases.others))
+    return np.asarray(_drive(game, (*single, cases.present)))
+
+
+def _single(numbers: Array) -> jax.Array:
+    return jnp.asarray(numbers, dtype=jnp.float32)
+
+
+@jax.jit
+def _drive(game: Game, cases: tuple[Any, ...]) -> Float[jax.Array, "n 50 2"]:
+    def one(case: tuple[Any, ...]) -> Float[jax.Array, "50 2"]:
+        scene, limit, start, others, present = case
+        here = replace(game, scene=scene, robot=replace(game.robot, speed_limit=limit))
+
+        def go(car: jax.Array, around: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            state = jnp.concatenate([car[None], neighbours(car, *around, scene.lane_width)])
+            plan = Naive().plan(here, state).robot
+            moved = step(here.dynamics, car, plan[0] * here.planner.control_scale)
+            return moved.at[3].max(0.0), moved[:2]
+
+        return jax.lax.scan(go, start, (others, present))[1]
+
+    return jax.lax.map(one, cases, batch_size=BATCH)
+
+
+def constant_velocity(cases: Cases) -> Float[np.ndarray, "n 50 2"]:
+    """Where drivers get who keep their velocity."""
+    x, y, heading, speed = np.moveaxis(np.asarray(cases.recorded)[:, 0], -1, 0)[..., None]
+    distance = speed * np.arange(1, STEPS + 1) * PAPER_DYNAMICS.time_step
+    return np.stack([x + distance * np.cos(heading), y + distance * np.sin(heading)], axis=-1)
+
+
+def idm(cases: Cases) -> Float[np.ndarray, "n 50 2"]:
+    """Where highway-env's IDM vehicles get, with its parameters, in their lane, and wanting the speed they start with.
+
+    They meet the six neighbours of each step. Without lane changes they are predicted better than with highway-env's.
+    """
+    return np.array(
+        [list(_idm(jax.tree.map(lambda numbers, case=case: numbers[case], cases))) for case in range(len(cases))]
+    )
+
+
+def _idm(case: Cases) -> Iterator[Float[np.ndarray, "2"]]:
+    network = RoadNetwork()
+    for y in np.unique(case.scenes.lanes):
+        ends = np.array([-1e4, y]), np.array([1e4, y])
+        network.add_lane(
+            "start", "end", StraightLane(*ends, width=case.scenes.lane_width, speed_limit=case.speed_limit)
+        )
+    road = Road(network, np_random=np.random.RandomState(0))
+    x, y, heading, speed = case.recorded[0]
+    driver = IDMVehicle(road, [x, y], heading, speed, enable_lane_change=False)
+    for others, present in zip(case.others, case.present, strict=True):
+        now = np.array([*driver.position, driver.heading, driver.speed])
+        around = neighbours(now, others.astype(float), present, case.scenes.lane_width)
+        road.vehicles = [driver, *(Vehicle(road, state[:2], *state[2:]) for state in around)]
+        driver.act()
+        driver.step(PAPER_DYNAMICS.time_step)
+        yield driver.position.copy()
+
+
+def errors(paths: Float[np.ndarray, "n 50 2"], cases: Cases) -> dict[str, dict[str, float]]:
+    """How far paths end from the recorded ones, by horizon in seconds.
+
+    Returns:
+        ``fde``: mean distance at the horizon [m]; ``ade``: mean distance up to it [m]; ``rmse``: root mean square of
+        the distance at it [m]; ``miss``: share of cases that are more than 2 m off at it.
+    """
+    distance = np.linalg.norm(paths - np.asarray(cases.recorded)[:, 1:, :2], axis=-1)
+    found: dict[str, dict[str, float]] = {"fde": {}, "ade": {}, "rmse": {}, "miss": {}}
+    for horizon in HORIZONS:
+        until = distance[:, : 10 * horizon]
+        until = until[np.isfinite(until[:, -1])]
+        if not len(until):
+            continue
+        last = until[:, -1]
+        values = last.mean(), until.mean(), np.sqrt((last**2).mean()), (last > MISS).mean()
+        for kind, value in zip(found, values, strict=True):
+            found[kind][str(horizon)] = float(value)
+    return found
