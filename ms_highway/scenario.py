@@ -131,17 +131,22 @@ def build_game(
     else:
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
-    return _game(scene, robot, human, plans, world, control_limit, influence, solver)
+    game = _game(scene, robot, human, plans, world, control_limit, influence, solver)
+    return jax.tree.map(lambda number: jnp.asarray(number, dtype=jnp.float32), game)
 
 
-def driving_game(scene: Scene, speed_limit: float) -> Game:
-    """A game on any scene in which both cars only drive, for `COMMON_WEIGHTS`, with the paper's dynamics.
+def driving_game(scene: Scene, speed_limit: float, driver_weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
+    """A game on any scene in which both cars only drive, with the paper's dynamics.
+
+    Its numbers are left as they are: a driver on a road builds it anew whenever it acts, and JAX would take longer to
+    take them over than to plan.
 
     Args:
         scene: where.
         speed_limit: the speed that is rewarded most [m/s].
+        driver_weights: weights of the reward of both, by feature.
     """
-    driver = Reward(weights(COMMON_WEIGHTS), speed_limit, 0.0)
+    driver = Reward(weights(driver_weights), speed_limit, 0.0)
     return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", "gradient")
 
 
@@ -155,7 +160,7 @@ def _game(
     influence: Influence,
     solver: Solver,
 ) -> Game:
-    """A game in float32, with the control scale that makes a step of 0.03 what it is in the paper.
+    """A game with the control scale that makes a step of 0.03 what it is in the paper.
 
     A unit of acceleration is one length unit; a unit of omega is one rad/s of yaw rate. With steering by curvature
     that is taken at the speed limit, ``omega = yaw_rate / v``, so that omega's gradient step is scaled by 1/v^2.
@@ -166,8 +171,7 @@ def _game(
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
         solver=solver,
     )
-    game = Game(scene, robot, human, plans, world, planner, influence)
-    return jax.tree.map(lambda number: jnp.asarray(number, dtype=jnp.float32), game)
+    return Game(scene, robot, human, plans, world, planner, influence)
 
 
 def draw_starts(
