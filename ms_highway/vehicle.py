@@ -168,13 +168,13 @@ class HumanVehicle(PlanningVehicle):
     In the scenarios of this package it is told its game by `drive_with`. On any other highway-env road it drives by
     itself, for ``weights`` among its neighbours, so that it can be the ``other_vehicles_type`` of a stock environment.
     It looks at the road anew whenever it acts, in the coordinates of its lane (see `ms_highway.road_view`); then
-    `last_state` and `last_step` are in these coordinates too. It sees nobody who crosses its road from elsewhere, and
-    knows no right of way.
+    `last_state` and `last_step` are in these coordinates too. It knows no right of way: where roads cross, it sees
+    others only once they are in its lane or beside it.
 
     Attributes:
         weights: of the reward that it drives for by itself, by feature.
         route: the roads that it follows by itself, None to follow whichever it is on.
-        target_speed: a speed [m/s] that it will not exceed even where the lane's limit is higher, None without one.
+        target_speed: a lower limit [m/s] than the lane's, None or 0 without one.
         enable_lane_change: what stock environments tell their drivers; to a human, only its reward says where to go.
     """
 
