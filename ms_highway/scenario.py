@@ -17,7 +17,7 @@ from ms_highway.derivatives import Influence
 from ms_highway.dynamics import Dynamics
 from ms_highway.game import Game
 from ms_highway.planner import Planner, Solver
-from ms_highway.reward import Reward, weights
+from ms_highway.reward import Reward, features_for, linear_reward
 from ms_highway.scene import Scene
 
 __all__ = [
@@ -101,6 +101,7 @@ def build_game(
     control_limit: tuple[float, float] | None = None,
     unit: float = PAPER_UNIT,
     solver: Solver = "gradient",
+    human_driving: Mapping[str, float] | None = None,
 ) -> Game:
     """The game of a scenario.
 
@@ -112,7 +113,13 @@ def build_game(
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics.
         unit: how long one paper unit is in the game's lengths; 1 keeps the released code's numbers.
         solver: how plans are improved, see `ms_highway.planner.climb`.
+        human_driving: weights by name that take the place of `COMMON_WEIGHTS` in the human's reward; what the human is
+            after in this scenario beyond driving stays.
     """
+    human_weights = scenario.human_weights
+    if human_driving is not None:
+        aims = {name: weight for name, weight in human_weights.items() if name not in COMMON_WEIGHTS}
+        human_weights = {**human_driving, **aims}
     scene = Scene(
         lanes=np.array(scenario.lanes) * unit,
         lane_width=LANE_WIDTH * unit,
@@ -124,8 +131,9 @@ def build_game(
         length_unit=unit,
         leader=2 if len(scenario.cars) > 2 else None,
     )
-    robot = Reward(weights(scenario.robot_weights), SPEED_LIMIT * unit, scenario.robot_gap * unit)
-    human = Reward(weights(scenario.human_weights), SPEED_LIMIT * unit, scenario.human_gap * unit)
+    names = features_for(scenario.robot_weights, human_weights)
+    robot = linear_reward(scenario.robot_weights, SPEED_LIMIT * unit, scenario.robot_gap * unit, names)
+    human = linear_reward(human_weights, SPEED_LIMIT * unit, scenario.human_gap * unit, names)
     if semantics == "paper":
         plans = world = PAPER_DYNAMICS
     else:
@@ -135,7 +143,13 @@ def build_game(
     return jax.tree.map(lambda number: jnp.asarray(number, dtype=jnp.float32), game)
 
 
-def driving_game(scene: Scene, speed_limit: float, driver_weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
+def driving_game(
+    scene: Scene,
+    speed_limit: float,
+    weights: Mapping[str, float] = COMMON_WEIGHTS,
+    names: tuple[str, ...] | None = None,
+    solver: Solver = "gradient",
+) -> Game:
     """A game on any scene in which both cars only drive, with the paper's dynamics.
 
     Its numbers are left as they are: a driver on a road builds it anew whenever it acts, and JAX would take longer to
@@ -144,10 +158,12 @@ def driving_game(scene: Scene, speed_limit: float, driver_weights: Mapping[str, 
     Args:
         scene: where.
         speed_limit: the speed that is rewarded most [m/s].
-        driver_weights: weights of the reward of both, by feature.
+        weights: of the reward of both, by name.
+        names: of the features to compute, see `ms_highway.reward.linear_reward`.
+        solver: how plans are improved, see `ms_highway.planner.climb`.
     """
-    driver = Reward(weights(driver_weights), speed_limit, 0.0)
-    return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", "gradient")
+    driver = linear_reward(weights, speed_limit, names=names)
+    return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", solver)
 
 
 def _game(
@@ -163,9 +179,9 @@ def _game(
     """A game with the control scale that makes a step of 0.03 what it is in the paper.
 
     A unit of acceleration is one length unit; a unit of omega is one rad/s of yaw rate. With steering by curvature
-    that is taken at the speed limit, ``omega = yaw_rate / v``, so that omega's gradient step is scaled by 1/v^2.
+    that is taken at the paper's speed limit, ``omega = yaw_rate / v``, so that omega's gradient step is scaled by 1/v^2.
     """
-    turn_scale = 1 / robot.speed_limit if plans.steering == "curvature" else 1.0
+    turn_scale = 1 / (SPEED_LIMIT * scene.length_unit) if plans.steering == "curvature" else 1.0
     planner = Planner(
         control_scale=np.array([turn_scale, scene.length_unit]),
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
