@@ -70,16 +70,16 @@ class Layout(NamedTuple):
 class Packed(NamedTuple):
     """A pytree as one array of numbers, and how to build it again."""
 
-    numbers: Float[jax.Array, "n"]
+    numbers: Float[np.ndarray, "n"]
     layout: Layout
 
 
 def pack(tree: Any) -> Packed:
-    """A pytree of numbers, packed in float32."""
+    """A pytree of numbers, packed in float32; compiled functions take them over faster than JAX converts them."""
     leaves, structure = jax.tree.flatten(tree)
     arrays = [np.asarray(leaf, dtype=np.float32) for leaf in leaves]
     return Packed(
-        jnp.asarray(np.concatenate([array.ravel() for array in arrays])),
+        np.concatenate([array.ravel() for array in arrays]),
         Layout(structure, tuple(array.shape for array in arrays)),
     )
 

@@ -6,6 +6,7 @@ driven, car 1 its partner. They are the only stateful objects of the core.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Literal, Protocol, TypeAlias
 
 import jax
@@ -25,7 +26,7 @@ from ms_highway.compiled import (
 )
 from ms_highway.dynamics import keep_velocity, step
 from ms_highway.game import Game
-from ms_highway.human_models import HumanModel, cold_start
+from ms_highway.human_models import HumanModel
 from ms_highway.switching import Switching, first_memory
 
 __all__ = ["ControlStep", "Controller", "FixedModel", "ModelSwitching", "Status"]
@@ -108,10 +109,16 @@ def _record(
     return ControlStep(robot[0], robot, human, model.name, 0.0, status=status)
 
 
+@cache
+def _still(steps: int) -> Float[jax.Array, "2 steps 2"]:
+    """Zero controls for both players."""
+    return jnp.zeros((2, steps, 2))
+
+
 def _start(game: Game, last: ControlStep | None) -> Float[jax.Array, "2 steps 2"]:
     """Where a warm start begins: the rest of the last plan, scaled, its last control repeated; cold without one."""
     if last is None:
-        return jnp.stack(cold_start(game))
+        return _still(game.planner.horizon)
     rest = np.minimum(np.arange(1, game.planner.horizon + 1), len(last.plan) - 1)
     scale = np.asarray(game.planner.control_scale)
     return jnp.asarray((np.stack([last.plan[rest], last.human[rest]]) / scale).astype(np.float32))
@@ -130,13 +137,22 @@ class FixedModel:
     def __init__(
         self, game: Game, model: HumanModel, ladder: Sequence[HumanModel] = (), warm_start: bool = False
     ) -> None:
-        self.game = game
         self.model = model
         self.ladder = ladder
         self.warm_start = warm_start
+        self.game = game
+        self.reset()
+
+    @property
+    def game(self) -> Game:
+        """What is played; it may change between steps, and one of the same shapes compiles nothing."""
+        return self._game
+
+    @game.setter
+    def game(self, game: Game) -> None:
+        self._game = game
         self._numbers, self._layout = pack(game)
         self._cold = _start(game, None)
-        self.reset()
 
     def reset(self) -> None:
         """Forget the last plan."""

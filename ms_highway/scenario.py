@@ -139,7 +139,8 @@ def build_game(
     else:
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
-    return _game(scene, robot, human, plans, world, control_limit, influence, solver)
+    game = _game(scene, robot, human, plans, world, control_limit, influence, solver)
+    return jax.tree.map(lambda number: jnp.asarray(number, dtype=jnp.float32), game)
 
 
 def driving_game(
@@ -150,6 +151,9 @@ def driving_game(
     solver: Solver = "gradient",
 ) -> Game:
     """A game on any scene in which both cars only drive, with the paper's dynamics.
+
+    Its numbers are left as they are: a driver on a road builds it anew whenever it acts, and JAX would take longer to
+    take them over than to plan.
 
     Args:
         scene: where.
@@ -172,7 +176,7 @@ def _game(
     influence: Influence,
     solver: Solver,
 ) -> Game:
-    """A game in float32, with the control scale that makes a step of 0.03 what it is in the paper.
+    """A game with the control scale that makes a step of 0.03 what it is in the paper.
 
     A unit of acceleration is one length unit; a unit of omega is one rad/s of yaw rate. With steering by curvature
     that is taken at the paper's speed limit, ``omega = yaw_rate / v``; omega's gradient step is scaled by 1/v^2.
@@ -183,8 +187,7 @@ def _game(
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
         solver=solver,
     )
-    game = Game(scene, robot, human, plans, world, planner, influence)
-    return jax.tree.map(lambda number: jnp.asarray(number, dtype=jnp.float32), game)
+    return Game(scene, robot, human, plans, world, planner, influence)
 
 
 def draw_starts(

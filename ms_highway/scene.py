@@ -1,15 +1,13 @@
 """The scene that cars drive in: lanes, obstacles, the cars' bodies, and who follows whom."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import jax
-import numpy as np
 from jaxtyping import Float
 
 from ms_highway.dynamics import Array
 
-__all__ = ["Scene", "from_road"]
+__all__ = ["Scene"]
 
 
 @jax.tree_util.register_dataclass
@@ -39,40 +37,3 @@ class Scene:
     target_lane: float | Float[Array, ""]
     length_unit: float | Float[Array, ""]
     leader: int | None = field(default=None, metadata={"static": True})
-
-
-def from_road(road: Any, car_size: tuple[float, float], length_unit: float) -> Scene:
-    """The scene on a highway-env road: its lanes, and its objects as obstacles.
-
-    Args:
-        road: a `highway_env.road.road.Road`.
-        car_size: length and width of every car [m].
-        length_unit: the length that features count in [m].
-
-    Returns:
-        The scene; its target lane is the leftmost one, and the largest object gives the size of all obstacles.
-
-    Raises:
-        ValueError: if a lane is not straight along x.
-    """
-    lanes = road.network.lanes_list()
-    for lane in lanes:
-        sides = [lane.position(share * lane.length, 0)[1] for share in (0.0, 0.5, 1.0)]
-        if np.ptp(sides) > 1e-3 or lane.heading_at(0) != 0:
-            raise ValueError(
-                f"the lane from {lane.position(0, 0)} to {lane.position(lane.length, 0)} is not straight along x; "
-                "a scene needs straight lanes, so build the Scene by hand or drive another vehicle here"
-            )
-    centres = np.unique([lane.position(0, 0)[1] for lane in lanes])
-    obstacles = np.array([item.position for item in road.objects], dtype=float).reshape(-1, 2)
-    sizes = np.array([(item.LENGTH, item.WIDTH) for item in road.objects], dtype=float).reshape(-1, 2)
-    return Scene(
-        lanes=centres,
-        lane_width=min(lane.width for lane in lanes),
-        obstacles=obstacles,
-        obstacle_size=sizes.max(axis=0, initial=1e-3),
-        car_size=np.array(car_size),
-        corner=0.5,
-        target_lane=centres[0],
-        length_unit=length_unit,
-    )

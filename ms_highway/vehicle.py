@@ -1,26 +1,24 @@
 """highway-env vehicles: a bicycle with friction, a car on a script, and cars that plan."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import atan, cos, sin, tan
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from highway_env.road.road import Road
+from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 from jaxtyping import Float
 
 from ms_highway.controller import Controller, ControlStep, FixedModel
 from ms_highway.dynamics import keep_velocity, step
-from ms_highway.game import Game
 from ms_highway.human_models import Naive
-from ms_highway.scenario import PAPER_DYNAMICS, PAPER_UNIT, SPEED_LIMIT, driving_game
-from ms_highway.scene import from_road
+from ms_highway.road_view import Route, look
+from ms_highway.scenario import COMMON_WEIGHTS, PAPER_DYNAMICS, PAPER_UNIT, SPEED_LIMIT, driving_game
 
 __all__ = ["BicycleVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle", "ScriptedVehicle", "states_of"]
-
-FAR_AWAY = 1000.0  # m
 
 
 def states_of(cars: Iterable[Vehicle]) -> Float[np.ndarray, "cars 4"]:
@@ -167,33 +165,53 @@ class RobotVehicle(PlanningVehicle):
 class HumanVehicle(PlanningVehicle):
     """A human driver: plans for its own reward and believes that all others keep their velocity.
 
-    In the scenarios of this package it is told its game. Put on any other straight road, it reads the scene from the
-    road when it first acts, and drives for `COMMON_WEIGHTS` among its nearest neighbours.
+    In the scenarios of this package it is told its game by `drive_with`. On any other highway-env road it drives by
+    itself, for ``weights`` among its neighbours, so that it can be the ``other_vehicles_type`` of a stock environment.
+    It looks at the road anew whenever it acts, in the coordinates of its lane (see `ms_highway.road_view`); then
+    `last_state` and `last_step` are in these coordinates too. It knows no right of way: where roads cross, it sees
+    others only once they are in its lane or beside it.
+
+    Attributes:
+        weights: of the reward that it drives for by itself, by feature.
+        route: the roads that it follows by itself, None to follow whichever it is on.
+        target_speed: a lower limit [m/s] than the lane's, None or 0 without one.
+        enable_lane_change: what stock environments tell their drivers; to a human, only its reward says where to go.
     """
 
     COLOR = (60, 130, 220)
-    NEIGHBOURS = 4
+    weights: ClassVar[Mapping[str, float]] = COMMON_WEIGHTS
+
+    def __init__(
+        self,
+        road: Road | None,
+        position: Sequence[float],
+        heading: float = 0,
+        speed: float = 0,
+        enable_lane_change: bool = True,
+    ) -> None:
+        super().__init__(road, position, heading, speed)
+        self.enable_lane_change = enable_lane_change
+        self.route: Route | None = None
+        self.target_speed: float | None = None
+        self._alone: FixedModel | None = None
+
+    plan_route_to = ControlledVehicle.plan_route_to
 
     def act(self, action: dict[str, Any] | None = None) -> None:
-        """Plan for the own reward; the scene is read from the road unless `drive_with` told another."""
-        if not action and self.controller is None and self.road is not None:
-            self.controller = FixedModel(self._game_on_road(), Naive())
-        super().act(action)
+        """Plan for the own reward: in the game that `drive_with` told, or else on the road as it looks now."""
+        if action or self.controller is not None or self.road is None:
+            super().act(action)
+        elif not self.crashed:
+            self._drive_on_road()
 
-    def observe(self) -> Float[np.ndarray, "cars 4"]:
-        """States of this car and of its companions; without any, of its nearest neighbours.
-
-        Where there are fewer than `NEIGHBOURS`, cars far behind fill the places, so that the shape never changes.
-        """
-        if self.companions:
-            return super().observe()
-        others = sorted(
-            (car for car in self.road.vehicles if car is not self),
-            key=lambda car: float(np.linalg.norm(car.position - self.position)),
-        )[: self.NEIGHBOURS]
-        absent = np.array([self.position[0] - FAR_AWAY, self.position[1], 0.0, 0.0])
-        return np.stack([*states_of([self, *others]), *[absent] * (self.NEIGHBOURS - len(others))])
-
-    def _game_on_road(self) -> Game:
-        limit = self.lane.speed_limit or SPEED_LIMIT * PAPER_UNIT
-        return driving_game(from_road(self.road, (self.LENGTH, self.WIDTH), PAPER_UNIT), limit)
+    def _drive_on_road(self) -> None:
+        """Plan as if the lane were straight, and add its bend to the plan's first control."""
+        view = look(self, self.route)
+        limit = view.speed_limit or SPEED_LIMIT * PAPER_UNIT
+        game = driving_game(view.scene, min(limit, self.target_speed or limit), self.weights)
+        if self._alone is None:
+            self._alone = FixedModel(game, Naive())
+        self._alone.game = game
+        self.last_state = view.states
+        self.last_step = self._alone.step(view.states)
+        self.execute(self.last_step.control + np.array([view.curvature, 0.0]))

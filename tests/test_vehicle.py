@@ -2,10 +2,9 @@
 
 from math import atan
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from highway_env.road.lane import SineLane, StraightLane
+from highway_env.road.lane import StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.utils import are_polygons_intersecting
 from highway_env.vehicle.objects import Landmark
@@ -14,8 +13,8 @@ from ms_highway.controller import ModelSwitching
 from ms_highway.dynamics import step
 from ms_highway.envs.base import Cone
 from ms_highway.human_models import ladder
+from ms_highway.road_view import look
 from ms_highway.scenario import driving_game
-from ms_highway.scene import from_road
 from ms_highway.switching import Switching
 from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RobotVehicle, ScriptedVehicle
 
@@ -91,21 +90,6 @@ def test_bodies_side_by_side_are_told_apart_to_the_centimetre(width_apart, hit):
     assert [car.hit for car in cars] == [hit, hit]
 
 
-def test_the_scene_of_an_environment_can_be_read_from_its_road():
-    env = gym.make("ms_highway:ms-highway/stay-back-v0").unwrapped
-    env.reset(seed=0)
-    read, built = from_road(env.road, (5.0, 2.5), 100 / 3), env.game.scene
-    for name in ("lanes", "lane_width", "obstacles", "obstacle_size", "target_lane"):
-        np.testing.assert_allclose(getattr(read, name), getattr(built, name), rtol=1e-5, err_msg=name)
-
-
-def test_a_scene_with_a_winding_lane_is_refused_with_its_place():
-    network = RoadNetwork()
-    network.add_lane("a", "b", SineLane([0, 0], [100, 0], amplitude=3, pulsation=0.1, phase=0))
-    with pytest.raises(ValueError, match="not straight along x"):
-        from_road(Road(network), (5.0, 2.5), 100 / 3)
-
-
 def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
     road = straight_road()
     road.objects.append(Cone(road, [40.0, 4.0]))
@@ -123,10 +107,10 @@ def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
 
 def test_a_robot_drives_in_a_foreign_scene_with_its_own_game():
     road = straight_road()
-    robot = RobotVehicle(road, [0.0, 4.0], speed=18.0)
-    human = HumanVehicle(road, [-3.0, 0.0], speed=18.0)
+    robot = RobotVehicle(road, [0.0, 0.0], speed=18.0)
+    human = HumanVehicle(road, [-3.0, 4.0], speed=18.0)
     road.vehicles = [robot, human]
-    game = driving_game(from_road(road, (robot.LENGTH, robot.WIDTH), 100 / 3), speed_limit=20.0)
+    game = driving_game(look(robot).scene, speed_limit=20.0)
     switching = Switching(np.array([0.09, 0.17]), 0.1, ladder(("naive", "turn")))
     robot.drive_with(ModelSwitching(game, switching), [human])
     for _ in range(20):
@@ -135,19 +119,6 @@ def test_a_robot_drives_in_a_foreign_scene_with_its_own_game():
     assert robot.last_step.status == "planned"
     assert robot.speed > 18.5
     assert not robot.crashed
-
-
-def test_humans_drive_as_the_other_vehicles_of_a_stock_environment():
-    env = gym.make(
-        "highway-v0",
-        config={"other_vehicles_type": "ms_highway.vehicle.HumanVehicle", "vehicles_count": 6, "duration": 4},
-    )
-    env.reset(seed=0)
-    for _ in range(3):
-        env.step(1)
-    humans = [car for car in env.unwrapped.road.vehicles if isinstance(car, HumanVehicle)]
-    assert len(humans) == 6
-    assert all(human.last_step.status == "planned" for human in humans)
 
 
 def test_vehicle_at_a_stock_lane_is_created_like_any_other():
