@@ -42,6 +42,7 @@ NO_GRADIENT = ("collision", "merged", "partner_merged")
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
 FLOOR = 0.5  # of the least comfort weight that is given: the least curvature of -R that is believed
+MANY = 600  # windows, of which half as many are fitted first
 BATCH = 256  # windows that are differentiated at once
 DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
 TOLERANCE = 1e-3  # of the slope of the objective per window, in a fit that has converged
@@ -121,6 +122,7 @@ class Fit:
         covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior.
         converged: whether the optimiser reached the top.
         iterations: how many the optimiser took.
+        windows: how many were fitted.
         log_likelihood: mean over the windows.
     """
 
@@ -129,6 +131,7 @@ class Fit:
     covariance: Float[np.ndarray, "parameters parameters"]
     converged: bool
     iterations: int
+    windows: int
     log_likelihood: float
 
     @property
@@ -140,6 +143,11 @@ class Fit:
     def temperature(self) -> float:
         """T, how far from the optimum the drivers strayed, in the units of the reward."""
         return float(np.exp(self.logarithms[-1]))
+
+    @property
+    def sharp_weights(self) -> dict[str, float]:
+        """The weights over the temperature: the reward in units of log-probability."""
+        return {name: weight / self.temperature for name, weight in self.weights.items()}
 
 
 def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
@@ -232,7 +240,7 @@ def log_likelihoods(
     return jax.lax.map(window, (slope, bend))
 
 
-def fit(slopes: Slopes, model: Model) -> Fit:
+def fit(slopes: Slopes, model: Model, near: Fit | None = None) -> Fit:
     """The most likely weights and temperature, under a weak prior, in double precision.
 
     The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
@@ -241,10 +249,13 @@ def fit(slopes: Slopes, model: Model) -> Fit:
     Args:
         slopes: of the features `Model.names`, in their order.
         model: what to learn.
+        near: a fit to begin with; without, one of a few of the windows, where there are many.
 
     Raises:
         ValueError: if the weights diverge.
     """
+    if near is None and len(slopes.features) > MANY:
+        near = fit(slopes.of(np.arange(0, len(slopes.features), len(slopes.features) * 2 // MANY)), model)
     with jax.enable_x64(True):
         given = jnp.array([float(value) for value in model.given.values()])
         signs, windows = jnp.asarray(model.signs()), len(slopes.features)
@@ -264,7 +275,13 @@ def fit(slopes: Slopes, model: Model) -> Fit:
             value, slope = loss(jnp.asarray(logarithms), data)
             return float(value), np.asarray(slope)
 
-        found = optimize.minimize(numbers, np.zeros(len(model.learnt) + 1), jac=True, method="BFGS")
+        parameters = len(model.learnt) + 1
+        begin, curvature = (
+            (np.zeros(parameters), np.eye(parameters))
+            if near is None
+            else (near.logarithms, near.covariance * near.windows)
+        )
+        found = optimize.minimize(numbers, begin, jac=True, method="BFGS", options={"hess_inv0": curvature})
         top = np.asarray(found.x)
         value, slope = numbers(top)
         if not (np.isfinite(top).all() and np.isfinite(value)):
@@ -274,4 +291,4 @@ def fit(slopes: Slopes, model: Model) -> Fit:
         likely = float(jnp.mean(log_likelihoods(data, *split(jnp.asarray(top)), model.floor)))
     covariance = np.linalg.pinv(windows * (hessian + hessian.T) / 2, hermitian=True)
     converged = bool(np.abs(slope).max() < TOLERANCE)
-    return Fit(model, top, covariance, converged, int(found.nit), likely)
+    return Fit(model, top, covariance, converged, int(found.nit), windows, likely)

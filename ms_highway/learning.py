@@ -1,0 +1,151 @@
+"""From recordings to a learnt reward: windows, a fit on all of them, and what it is worth on those held out."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from importlib.metadata import version
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Bool, Float
+
+from ms_highway.dynamics import Motion, observe
+from ms_highway.game import constant_velocity, discomfort, move
+from ms_highway.irl import BATCH, Fit, Model, Slopes, fit, log_likelihoods, slopes_of
+from ms_highway.learnt import LearntReward
+from ms_highway.planner import climb
+from ms_highway.recording import Recording
+from ms_highway.reward import motion_reward
+from ms_highway.sums import total
+from ms_highway.windows import Window, Windows, at_window, cut, template
+
+__all__ = ["COMFORT_GIVEN", "REAL", "SIMULATED", "best_controls", "folds", "learn"]
+
+COMFORT_GIVEN = 0.1
+"""The comfort weight that sets the scale of all others; small against the published weights' curvature."""
+
+SIMULATED = Model(
+    ("speed", "lane_alignment", "collision_risk", "off_road"),
+    {"comfort_steering": COMFORT_GIVEN, "comfort_acceleration": COMFORT_GIVEN},
+)
+"""What is learnt from simulated demonstrations: the weights that every driver of the paper has."""
+
+REAL = Model(
+    (*SIMULATED.learnt, "headway", "closing_speed", "induced_braking", "comfort_steering"),
+    {"comfort_acceleration": COMFORT_GIVEN},
+)
+"""What is learnt from real drivers: also what traffic needs, and how uneasy steering is against accelerating."""
+
+
+def folds(groups: np.ndarray, number: int) -> Iterator[Bool[np.ndarray, "n"]]:
+    """Which of n items to hold out, fold after fold, so that every group is held out once, as a whole."""
+    names = np.unique(groups)
+    for chosen in np.array_split(names, min(number, len(names))):
+        yield np.isin(groups, chosen)
+
+
+def learn(
+    recordings: Sequence[Recording], model: Model, horizon: int, source: str, validations: int = 4
+) -> Iterator[LearntReward | str]:
+    """Learn a reward from all drivers of the recordings.
+
+    Args:
+        recordings: from which.
+        model: what to learn.
+        horizon: K, the length of the windows in steps.
+        source: name of the data, for the record.
+        validations: number of folds of the cross-validated likelihood.
+
+    Yields:
+        What is being done; at the end, the learnt reward.
+
+    Raises:
+        ValueError: if there is nothing to learn from, or the weights diverge.
+    """
+    yield "cutting windows"
+    windows = cut(recordings, horizon)
+    yield f"differentiating {len(windows)} windows"
+    slopes = slopes_of(windows, model.names)
+    yield "fitting"
+    found = fit(slopes, model)
+    held_out = []
+    parts = list(folds(np.asarray(windows.group), validations))
+    for number, chosen in enumerate(parts if len(parts) > 1 else [], 1):
+        yield f"cross-validating, {number} of {len(parts)}"
+        rest = fit(slopes.of(~chosen), model, found)
+        held_out.append(likelihoods(slopes.of(chosen), rest))
+    yield "counting features"
+    yield LearntReward(
+        weights=found.weights,
+        temperature=found.temperature,
+        learnt=model.learnt,
+        covariance=found.covariance.tolist(),
+        horizon=horizon,
+        converged=found.converged,
+        iterations=found.iterations,
+        windows=len(windows),
+        log_likelihood={
+            "train": found.log_likelihood,
+            "held_out": float(np.concatenate(held_out).mean()) if held_out else None,
+        },
+        feature_counts={
+            "human": dict(zip(model.names, slopes.features.mean(axis=0).tolist(), strict=True)),
+            "model": dict(zip(model.names, expected_features(windows, found).tolist(), strict=True)),
+        },
+        provenance={
+            "data": source,
+            "groups": list(dict.fromkeys(recording.group for recording in recordings))[:64],
+            "drivers": sum(len(recording.drivers) for recording in recordings),
+            "versions": {package: version(package) for package in ("ms-highway", "jax", "numpy", "scipy")},
+        },
+    )
+
+
+def likelihoods(slopes: Slopes, found: Fit) -> Float[np.ndarray, "n"]:
+    """Log p of every window under a fit."""
+    with jax.enable_x64(True):
+        theta = jnp.array([found.weights[name] for name in found.model.names])
+        data = Slopes(*map(jnp.asarray, slopes))
+        return np.asarray(log_likelihoods(data, theta, found.temperature, found.model.floor))
+
+
+def best_controls(windows: Windows, sharp_weights: dict[str, float]) -> Float[np.ndarray, "n K 2"]:
+    """The controls of a local optimum of a reward in every window, found from keeping the velocity.
+
+    Args:
+        windows: where, with the others as recorded.
+        sharp_weights: of the reward by name, over the temperature.
+    """
+    game = template(windows, sharp_weights)
+    game = replace(game, planner=replace(game.planner, solver="newton"))
+
+    def best(window: Window) -> Float[jax.Array, "K 2"]:
+        here, others = at_window(game, window), observe(window.others)
+        scaled = climb(
+            here.planner,
+            partial(move, here, window.start),
+            lambda path: total(motion_reward(here.scene, here.robot, Motion(*path), others)),
+            partial(discomfort, here, window.start),
+            constant_velocity(here, window.start),
+        )
+        return scaled * here.planner.control_scale
+
+    single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
+    return np.asarray(jax.jit(lambda windows: jax.lax.map(best, windows, batch_size=min(BATCH, len(windows))))(single))
+
+
+def expected_features(windows: Windows, found: Fit) -> Float[np.ndarray, "names"]:
+    """What the features sum to in a window on average, if drivers draw their controls as the fit says.
+
+    To second order around the best controls u*: ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, whose
+    eigenvalues are bounded as in the fit.
+    """
+    best = replace(windows, controls=best_controls(windows, found.sharp_weights))
+    slopes = slopes_of(best, found.model.names)
+    theta = np.array([found.weights[name] for name in found.model.names])
+    values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, slopes.hessians) / found.temperature)
+    spread = np.einsum(
+        "nde,ne,nfe->ndf", vectors, 1 / np.maximum(values, found.model.floor / found.temperature), vectors
+    )
+    return np.mean(slopes.features + np.einsum("nfde,nde->nf", slopes.hessians, spread) / 2, axis=0)

@@ -1,0 +1,124 @@
+"""A learnt reward as a file: the weights, how sure they are, and where they come from."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.files import replacing
+from ms_highway.reward import linear_reward
+
+__all__ = ["SHIPPED", "VERSION", "LearntReward", "load", "save", "shipped"]
+
+VERSION = 1
+"""Of the file format; a file of another version is refused."""
+
+SHIPPED = {"demonstrations": "learnt from simulated demonstrations", "us101": "learnt from drivers on US-101"}
+"""The learnt rewards that come with the package."""
+
+
+@dataclass(frozen=True)
+class LearntReward:
+    """What `ms-highway irl fit` writes.
+
+    Attributes:
+        weights: by name, of features and comfort; in units in which the given comfort weights are what they are.
+        temperature: T of maximum entropy, in the same units.
+        learnt: names of the weights that were learnt; the others were given.
+        covariance: of the logarithms of the learnt weights' sizes and, at the end, of the temperature.
+        horizon: K, number of steps of 0.1 s in the windows it was learnt from.
+        converged: whether the optimiser reached the top.
+        iterations: how many the optimiser took.
+        windows: how many it was learnt from.
+        log_likelihood: mean per window: ``train``, and ``held_out``, cross-validated by group of recordings (None where
+            there is one group only).
+        feature_counts: mean sums of the features over a window: ``human``, and ``model``, expected under the reward.
+        provenance: data, groups of recordings, and versions of the software.
+    """
+
+    weights: dict[str, float]
+    temperature: float
+    learnt: tuple[str, ...]
+    covariance: list[list[float]]
+    horizon: int
+    converged: bool
+    iterations: int
+    windows: int
+    log_likelihood: dict[str, float | None]
+    feature_counts: dict[str, dict[str, float]]
+    provenance: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        """Check it.
+
+        Raises:
+            ValueError: naming what is wrong with it.
+        """
+        linear_reward(self.weights, 1.0)
+        parameters = len(self.learnt) + 1
+        if np.shape(self.covariance) != (parameters, parameters) or not np.isfinite(self.covariance).all():
+            raise ValueError(f"the covariance is no finite array of shape {(parameters, parameters)}")
+        if not (np.isfinite(self.temperature) and self.temperature > 0):
+            raise ValueError(f"the temperature is {self.temperature}; it must be positive")
+        if missing := sorted(set(self.learnt) - set(self.weights)):
+            raise ValueError(f"there is no weight for {missing}")
+
+    @property
+    def sharp_weights(self) -> dict[str, float]:
+        """The weights over the temperature: the reward in units of log-probability."""
+        return {name: weight / self.temperature for name, weight in self.weights.items()}
+
+    def interval(self, name: str, deviations: float = 1.645) -> Float[np.ndarray, "2"]:
+        """The weight at so many standard deviations of its logarithm below and above; 1.645 span 90 %."""
+        place = self.learnt.index(name)
+        spread = deviations * np.sqrt(self.covariance[place][place])
+        return self.weights[name] * np.exp([-spread, spread])
+
+
+def save(learnt: LearntReward, path: Path) -> None:
+    """Write a learnt reward as JSON, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps({"version": VERSION, **asdict(learnt)}, indent=2) + "\n")
+
+
+def load(path: Path) -> LearntReward:
+    """Read what `save` wrote.
+
+    Raises:
+        ValueError: if there is no such file, or it is damaged or of another version.
+    """
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read as a learnt reward: {error}") from error
+    return _checked(content, str(path))
+
+
+@cache
+def shipped(name: str) -> LearntReward:
+    """One of the learnt rewards that come with the package, see `SHIPPED`.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if name not in SHIPPED:
+        raise ValueError(f"no learnt reward {name!r} comes with ms_highway; there are {', '.join(SHIPPED)}")
+    return _checked(json.loads((resources.files("ms_highway") / "data" / f"{name}.json").read_text()), name)
+
+
+def _checked(content: Any, place: str) -> LearntReward:
+    version = content.pop("version", None) if isinstance(content, Mapping) else None
+    if version != VERSION:
+        raise ValueError(
+            f"{place} holds a learnt reward of version {version}, not {VERSION}; learn it anew with `ms-highway irl fit`"
+        )
+    try:
+        return LearntReward(**{**content, "learnt": tuple(content["learnt"])})
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{place} is damaged: {error}; learn it anew with `ms-highway irl fit`") from error
