@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ms_highway.dynamics import step
 
-__all__ = ["MODEL_COLORS", "MODEL_MEANINGS", "InteractionViewer"]
+__all__ = ["MODEL_COLORS", "MODEL_MEANINGS", "InteractionViewer", "Viewer"]
 
 Color = tuple[int, int, int]
 
@@ -29,8 +29,8 @@ MARGIN = 16  # px
 TEXT_WIDTH = 400  # px, left part of the panel
 
 
-class InteractionViewer(EnvViewer):
-    """Draws an `InteractionEnv` on a surface of ``screen_width`` x ``screen_height``."""
+class Viewer(EnvViewer):
+    """highway-env's viewer, which here draws also without a display, beside others of its kind."""
 
     def __init__(self, env: Any) -> None:
         super().__init__(env)
@@ -40,6 +40,10 @@ class InteractionViewer(EnvViewer):
         """Close the window, if there is one; other environments of the process may still be drawing."""
         if not self.offscreen:
             pygame.display.quit()
+
+
+class InteractionViewer(Viewer):
+    """Draws an `InteractionEnv` on a surface of ``screen_width`` x ``screen_height``."""
 
     def window_position(self) -> Float[np.ndarray, "2"]:
         """The view follows the robot along the road and keeps the road in place."""
