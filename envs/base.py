@@ -23,7 +23,6 @@ from ms_highway.envs.observations import CarStates
 from ms_highway.envs.stage import evaluate, straight_road
 from ms_highway.game import Game, swap_roles
 from ms_highway.human_models import HumanModel, Naive, ladder
-from ms_highway.reward import FEATURES
 from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, PHYSICAL_LIMIT, Scenario, build_game, draw_starts
 from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
@@ -287,11 +286,11 @@ class InteractionEnv(AbstractEnv):
         super()._simulate(action)
         states = self.car_states.astype(np.float32)
         phi, terms = np.asarray(evaluate(self.game.scene, self.game.robot, states)).tolist()
-        self._terms = dict(zip(FEATURES, terms, strict=True))
+        self._terms = dict(zip(self.game.robot.names, terms, strict=True))
         if isinstance(self.action_type, HumanModelAction):
             seconds = self.costs(self.car_states)[int(action)]
             self._terms["computation"] = -float(self.action_type.price * seconds)
-        self.collision = bool(phi[FEATURES.index("collision")])
+        self.collision = bool(phi[self.game.robot.names.index("collision")])
         self.history.append(self._record())
 
     def _record(self) -> dict[str, Any]:

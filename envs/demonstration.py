@@ -1,5 +1,6 @@
 """Demonstration: a car to be driven, by a person or a program, among others that do not react."""
 
+from collections.abc import Mapping
 from math import atan, pi
 from typing import Any
 
@@ -15,11 +16,10 @@ from ms_highway.envs.graphics import Viewer
 from ms_highway.envs.observations import CarTracks
 from ms_highway.envs.stage import evaluate, straight_road
 from ms_highway.game import Game
-from ms_highway.reward import FEATURES
 from ms_highway.routes import DENSITIES, draw_routes
-from ms_highway.scenario import CAR_SIZE, LANE_WIDTH, PAPER_UNIT, SPEED_LIMIT, TIME_STEP, driving_game
+from ms_highway.scenario import CAR_SIZE, COMMON_WEIGHTS, LANE_WIDTH, PAPER_UNIT, SPEED_LIMIT, TIME_STEP, driving_game
 from ms_highway.scene import Scene
-from ms_highway.vehicle import BicycleVehicle, RoutedVehicle, states_of
+from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RoutedVehicle, states_of
 
 __all__ = ["KEYBOARD_ACTION", "DemonstrationEnv", "demonstration_game"]
 
@@ -42,8 +42,8 @@ Without a key, the engine makes up for the friction at 20 m/s; with one, the car
 """
 
 
-def demonstration_game() -> Game:
-    """The game of whoever drives here: to drive for `COMMON_WEIGHTS` on three lanes of the paper's scenes."""
+def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
+    """The game of whoever drives here, for these weights by name, on three lanes of the paper's scenes."""
     lanes = np.arange(LANES) * LANE_WIDTH * PAPER_UNIT
     scene = Scene(
         lanes=lanes,
@@ -55,7 +55,7 @@ def demonstration_game() -> Game:
         target_lane=lanes[0],
         length_unit=PAPER_UNIT,
     )
-    return driving_game(scene, SPEED_LIMIT * PAPER_UNIT)
+    return driving_game(scene, SPEED_LIMIT * PAPER_UNIT, weights)
 
 
 class DemonstrationEnv(AbstractEnv):
@@ -162,6 +162,7 @@ class DemonstrationEnv(AbstractEnv):
         self.road = Road(straight_road(self.game), np_random=self.np_random)
         x, y, heading, speed = start.tolist()
         driver = BicycleVehicle(self.road, [x, y], heading, speed)
+        driver.color = HumanVehicle.COLOR
         self.road.vehicles = [driver, *(RoutedVehicle(self.road, route) for route in routes)]
         for car in self.road.vehicles:
             car.solid = False  # collisions are seen, without effect
@@ -216,8 +217,8 @@ class DemonstrationEnv(AbstractEnv):
         super()._simulate(action)
         states = self.car_states.astype(np.float32)
         phi, terms = np.asarray(evaluate(self.game.scene, self.game.robot, states)).tolist()
-        self._terms = dict(zip(FEATURES, terms, strict=True))
-        self.collision = bool(phi[FEATURES.index("collision")])
+        self._terms = dict(zip(self.game.robot.names, terms, strict=True))
+        self.collision = bool(phi[self.game.robot.names.index("collision")])
 
     def _reward(self, action: Any) -> float:
         return sum(self._terms.values())

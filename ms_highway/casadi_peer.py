@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game import Game
-from ms_highway.reward import CAR_SHARPNESS, FEATURES, HEADING_SHARE, OBSTACLE_SHARE, OBSTACLE_SHARPNESS, Reward
+from ms_highway.reward import CAR_SHARPNESS, HEADING_SHARE, OBSTACLE_SHARE, OBSTACLE_SHARPNESS, Reward
 
 __all__ = ["compiled_peer"]
 
@@ -177,7 +177,7 @@ def _response(ca: Any, influence: str, hessian: Any, vector: Any, size: int) -> 
 def _reward(ca: Any, game: Game, parameters: Reward, own: State, others: list[State]) -> Any:
     """Theta . phi, without the indicators, which have no gradient."""
     scene = game.scene
-    weight = dict(zip(FEATURES, np.asarray(parameters.weights, dtype=float), strict=True))
+    weight = dict(zip(parameters.names, np.asarray(parameters.weights, dtype=float), strict=True))
     unit, target, corner = float(scene.length_unit), float(scene.target_lane), float(scene.corner)
     lanes, (length, width) = np.asarray(scene.lanes, dtype=float), np.asarray(scene.car_size, dtype=float)
     x, y, heading, speed = own

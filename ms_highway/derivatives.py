@@ -33,6 +33,7 @@ def expand(
     path: Callable[[Float[jax.Array, "steps 2"]], Path],
     reward: Callable[[Path], Float[jax.Array, ""]],
     controls: Float[jax.Array, "steps 2"],
+    cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]] | None = None,
 ) -> Expansion:
     """Gradient and Hessian, by the chain rule, of a reward that is a sum over the steps of the path.
 
@@ -47,6 +48,7 @@ def expand(
         path: the path under the controls.
         reward: what a path earns; no step may look at another.
         controls: where to expand.
+        cost: what is paid for the controls themselves, a sum over them; it is taken off the reward.
     """
 
     def ravelled(controls: Float[jax.Array, "n"]) -> Path:
@@ -62,7 +64,11 @@ def expand(
     bent = jnp.einsum("dfk,dkn->fkn", blocks, jacobian)
     bending = jax.jacfwd(lambda controls: jax.vjp(ravelled, controls)[1](along_path)[0])(point)
     hessian = jacobian.reshape(-1, point.size).T @ bent.reshape(-1, point.size) + bending
-    return Expansion(jnp.sum(jacobian * along_path[..., None], axis=(0, 1)), hessian, jacobian)
+    gradient = jnp.sum(jacobian * along_path[..., None], axis=(0, 1))
+    if cost is not None:  # of a sum over controls, the derivative along all at once is the diagonal of the Hessian
+        marginal, diagonal = jax.jvp(jax.grad(cost), (controls,), (jnp.ones_like(controls),))
+        gradient, hessian = gradient - marginal.ravel(), hessian - jnp.diag(diagonal.ravel())
+    return Expansion(gradient, hessian, jacobian)
 
 
 def slope_and_bend(

@@ -20,6 +20,8 @@ from ms_highway.sums import total
 __all__ = [
     "Game",
     "constant_velocity",
+    "discomfort",
+    "driven_reward",
     "move",
     "path_reward",
     "swap",
@@ -68,6 +70,12 @@ def constant_velocity(game: Game, car: Float[jax.Array, "4"]) -> Float[jax.Array
     return jnp.broadcast_to(control, (game.planner.horizon, 2))
 
 
+def discomfort(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
+    """What car 0 pays for not keeping the velocity that it has now, ``sum comfort (u - u_keep)^2 / 2``, u scaled."""
+    kept = keep_velocity(game.dynamics, car) / game.planner.control_scale
+    return jnp.sum(game.robot.comfort * (controls - kept) ** 2) / 2
+
+
 @jax.jit  # traced once, like `path_reward`
 def move(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Path:
     """The path of a car under scaled controls."""
@@ -87,6 +95,21 @@ def path_reward(game: Game, state: Float[jax.Array, "cars 4"], robot: Path, huma
     rest = coast(game.dynamics, state[2:], robot.shape[-1])
     others = Motion(*(jnp.concatenate([first[None], more]) for first, more in zip(human, rest, strict=True)))
     return total(motion_reward(game.scene, game.robot, Motion(*robot), others))
+
+
+def driven_reward(
+    game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"], others: Motion
+) -> Float[jax.Array, ""]:
+    """What car 0 earns by driving among others whose motion is given, its discomfort taken off.
+
+    Args:
+        game: whose reward and motion.
+        car: car 0 now.
+        controls: its scaled controls.
+        others: the motion of all others after each step, arrays [others, steps].
+    """
+    own = Motion(*move(game, car, controls))
+    return jnp.sum(motion_reward(game.scene, game.robot, own, others)) - discomfort(game, car, controls)
 
 
 def total_reward(

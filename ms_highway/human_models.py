@@ -13,7 +13,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.derivatives import expand, response
-from ms_highway.game import Game, constant_velocity, move, path_reward, swap
+from ms_highway.game import Game, constant_velocity, discomfort, move, path_reward, swap
 from ms_highway.planner import ascend, climb
 
 __all__ = ["MODELS", "HumanModel", "JointPlan", "Naive", "TheoryOfMind", "Turn", "cold_start", "ladder"]
@@ -106,13 +106,17 @@ class TheoryOfMind:
                 partial(move, game, state[1]),
                 lambda human: path_reward(mirrored, mirrored_state, human, robot),
                 plan.human,
+                partial(discomfort, mirrored, state[1]),
             )
             pushed = response(game.influence, earned.hessian, pull_human(along_human)[0].ravel())
             _, pull_back = jax.vjp(
                 lambda robot: jax.grad(path_reward, argnums=2)(mirrored, mirrored_state, human, robot), robot
             )
             through_human = pull_back(jnp.sum(earned.jacobian * pushed, axis=-1))[0]
-            return JointPlan(pull_robot(along_robot + through_human)[0], earned.gradient.reshape(plan.human.shape))
+            eased = pull_robot(along_robot + through_human)[0] - jax.grad(partial(discomfort, game, state[0]))(
+                plan.robot
+            )
+            return JointPlan(eased, earned.gradient.reshape(plan.human.shape))
 
         return ascend(game.planner, direction, start or cold_start(game))
 
@@ -131,6 +135,7 @@ def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | 
         game.planner,
         partial(move, game, state[0]),
         lambda robot: path_reward(game, state, robot, expected),
+        partial(discomfort, game, state[0]),
         (start or cold_start(game)).robot,
     )
     return JointPlan(robot, human)

@@ -76,6 +76,7 @@ def climb(
     planner: Planner,
     path: Callable[[Float[jax.Array, "steps 2"]], Path],
     reward: Callable[[Path], Float[jax.Array, ""]],
+    cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]],
     start: Float[jax.Array, "steps 2"],
 ) -> Float[jax.Array, "steps 2"]:
     """Controls whose path earns more, found by the planner's solver.
@@ -90,17 +91,18 @@ def climb(
         planner: solver, step size and limits.
         path: the path under scaled controls.
         reward: what a path earns; no step may look at another.
+        cost: what is paid for the controls themselves, a sum over them.
         start: the first controls, scaled.
     """
 
     def earned(controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
-        return reward(path(controls))
+        return reward(path(controls)) - cost(controls)
 
     if planner.solver == "gradient":
         return ascend(planner, jax.grad(earned), start)
 
     def with_hessian(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
-        metric = damped_inverse(expand(path, reward, controls).hessian, NEWTON_FLOOR)
+        metric = damped_inverse(expand(path, reward, controls, cost).hessian, NEWTON_FLOOR)
 
         def improve(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
             step = (metric @ jax.grad(earned)(controls).ravel()).reshape(controls.shape)

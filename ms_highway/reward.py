@@ -5,7 +5,7 @@ eyes. Lengths enter the features in the scene's ``length_unit`` U, so that weigh
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial, reduce
 
 import jax
@@ -17,9 +17,9 @@ from ms_highway.dynamics import Array, Motion, observe
 from ms_highway.scene import Scene
 from ms_highway.sums import fold, total
 
-__all__ = ["FEATURES", "Reward", "features", "motion_reward", "reward", "weights"]
+__all__ = ["COMFORT", "FEATURES", "PAPER_FEATURES", "Reward", "features", "linear_reward", "motion_reward", "reward"]
 
-FEATURES = (
+PAPER_FEATURES = (
     "speed",
     "lane_alignment",
     "collision_risk",
@@ -31,7 +31,15 @@ FEATURES = (
     "partner_target_lane",
     "partner_merged",
 )
-"""Names of the features, in the order of a weight vector."""
+"""Names of the paper's features, in the order of a weight vector."""
+
+TRAFFIC_FEATURES = ("headway", "closing_speed", "induced_braking")
+
+FEATURES = (*PAPER_FEATURES, *TRAFFIC_FEATURES)
+"""Names of all features: the paper's, and those that real traffic needs, whose weight is zero in the paper."""
+
+COMFORT = ("comfort_steering", "comfort_acceleration")
+"""Names of the weights of comfort, which belongs to controls rather than to states, see `Reward`."""
 
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
@@ -40,6 +48,11 @@ CARS_AT_ONCE = 2  # XLA still unrolls and vectorises the loops over two cars, an
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
 MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of the edges, and the body's
 HEADING_SHARE = 0.01  # of directional against lateral alignment with a lane
+TIME_HEADWAY = 1.0  # s, between bumpers
+STANDSTILL_GAP = 0.06  # length units (2 m), between the bumpers of a standing queue
+SMALLEST_GAP = 0.03  # length units (1 m), below which induced braking does not grow any more
+ATTENTION = 0.6  # length units (20 m), the gap by which the attention to a neighbour falls to 1 / e
+OWN_LANE = 0.25  # lane widths, standard deviation of how far to the side a car is still in the own lane
 
 
 @jax.tree_util.register_dataclass
@@ -48,26 +61,54 @@ class Reward:
     """A linear reward with the two numbers that its features are measured against.
 
     Attributes:
-        weights: theta, one weight per name in `FEATURES`.
+        weights: theta, one weight per name of a feature.
         speed_limit: the speed that the speed feature is highest at [m/s].
         gap: how far behind the leader the gap feature is highest [m].
+        comfort: what plans pay, beside the features, for half the square of each scaled control's difference from
+            keeping the velocity.
+        names: of the features, `PAPER_FEATURES` or `FEATURES`; others are not even computed (static).
     """
 
     weights: Float[Array, "features"]
     speed_limit: float | Float[Array, ""]
     gap: float | Float[Array, ""]
+    comfort: Float[Array, "2"]
+    names: tuple[str, ...] = field(metadata={"static": True})
 
 
-def weights(values: Mapping[str, float]) -> Float[np.ndarray, "features"]:
-    """A weight vector from weights by name; a feature without a weight gets 0.
+def linear_reward(
+    values: Mapping[str, float],
+    speed_limit: float,
+    gap: float = 0.0,
+    names: tuple[str, ...] | None = None,
+) -> Reward:
+    """A reward from weights by name, of `FEATURES` and `COMFORT`; what is without a weight gets 0.
+
+    Args:
+        values: the weights.
+        speed_limit: see `Reward` [m/s].
+        gap: see `Reward` [m].
+        names: of the features to compute; without, the paper's if those are all that is weighed.
 
     Raises:
-        ValueError: for a name that is no feature.
+        ValueError: for a name that is no feature, or a weight that is not finite.
     """
-    unknown = sorted(set(values) - set(FEATURES))
+    known = (*FEATURES, *COMFORT)
+    unknown = sorted(map(str, set(values) - set(known)))
     if unknown:
-        raise ValueError(f"unknown reward features {unknown}; the features are {', '.join(FEATURES)}")
-    return np.array([values.get(name, 0.0) for name in FEATURES], dtype=np.float32)
+        raise ValueError(f"unknown reward features {unknown}; the features are {', '.join(known)}")
+    for name, value in values.items():
+        if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.isfinite(value):
+            raise ValueError(f"the weight of {name} is {value!r}; it must be a finite number")
+    names = names or features_for(values)
+    weights, comfort = ([values.get(name, 0.0) for name in group] for group in (names, COMFORT))
+    return Reward(np.array(weights, np.float32), speed_limit, gap, np.array(comfort, np.float32), names)
+
+
+def features_for(*rewards: Mapping[str, float]) -> tuple[str, ...]:
+    """Names of the features that have to be computed for all of these weights by name."""
+    paper = all(value == 0 for values in rewards for name, value in values.items() if name in TRAFFIC_FEATURES)
+    return PAPER_FEATURES if paper else FEATURES
 
 
 def reward(scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]) -> Float[jax.Array, "*batch"]:
@@ -78,7 +119,7 @@ def reward(scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4
 def features(
     scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]
 ) -> Float[jax.Array, "*batch features"]:
-    """The features phi of car 0 in each state, in the order of `FEATURES`.
+    """The features phi of car 0 in each state, in the order of the reward's names.
 
     * speed: ``-f (f - 2 s) / s^2`` with ``f = v cos(heading)`` and s the speed limit;
     * lane_alignment: ``-min_lane (y - y_lane)^2 / U^2 + 0.01 cos(heading)``;
@@ -86,7 +127,8 @@ def features(
     * off_road: ``(depth of the outermost corner beyond the road's edge)^2 / U^2``;
     * target_lane: ``-(y - y_target)^2 / U^2``; gap: ``-(x - (x_leader - gap))^2 / U^2``;
     * merged: 1 if ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane;
-    * partner_target_lane, partner_merged: the same of the partner.
+    * partner_target_lane, partner_merged: the same of the partner;
+    * headway, closing_speed, induced_braking: see `_traffic`.
 
     ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient. Nor has ``collision_risk`` in
     where the points of the body are: derivatives are those in states, not in the shape of cars.
@@ -123,6 +165,7 @@ def _features(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> 
     leader_x = own.x if scene.leader is None else others.x[scene.leader - 1]
     gap_error = jnp.zeros_like(own.x) if scene.leader is None else (own.x - (leader_x - parameters.gap)) * per_unit
     partner = Motion(*(field[0] for field in others))
+    traffic = [] if parameters.names == PAPER_FEATURES else _traffic(scene, parameters, own, others)
     return [
         -forward * (forward - 2),
         -(((own.y - lane) * per_unit) ** 2) + HEADING_SHARE * own.cosine,
@@ -134,6 +177,33 @@ def _features(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> 
         _merged(scene, own),
         -(((partner.y - scene.target_lane) * per_unit) ** 2),
         _merged(scene, partner),
+        *traffic,
+    ]
+
+
+def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:
+    """The features that following and being followed in real traffic need.
+
+    With g the gap between bumpers in length units U, v the own speed, v_j the other's, and the attention
+    ``w = exp(-g / 0.6) exp(-(dy / (lane width / 4))^2 / 2)``, which falls with the gap and beside the own lane:
+
+    * headway: ``-sum w (g - (0.06 + v 1 s / U))^2`` over the cars ahead, their gap against two metres and a second;
+    * closing_speed: ``-sum w ((v - v_j) / s)^2`` over the cars ahead, s the speed limit;
+    * induced_braking: ``-sum w (max(v_j - v, 0)^2 / (2 U^2 max(g, 0.03)))^2`` over the cars behind: the braking [U/s^2]
+      that keeps them from hitting this car.
+    """
+    per_unit = 1 / scene.length_unit
+    along, across = (others.x - own.x) * per_unit, (others.y - own.y) / (OWN_LANE * scene.lane_width)
+    gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] * per_unit, 0.0)
+    attention = jnp.exp(-gap / ATTENTION - across**2 / 2)
+    ahead, behind = (jnp.where(place, attention, 0.0) for place in (along > 0, along <= 0))
+    speed = own.speed * per_unit
+    faster = jnp.maximum(others.speed * per_unit - speed, 0.0)
+    braking = faster**2 / (2 * jnp.maximum(gap, SMALLEST_GAP))
+    return [
+        -total(ahead * (gap - STANDSTILL_GAP - TIME_HEADWAY * speed) ** 2, axis=0),
+        -total(ahead * ((own.speed - others.speed) / parameters.speed_limit) ** 2, axis=0),
+        -total(behind * braking**2, axis=0),
     ]
 
 

@@ -17,7 +17,7 @@ from ms_highway.derivatives import Influence
 from ms_highway.dynamics import Dynamics
 from ms_highway.game import Game
 from ms_highway.planner import Planner, Solver
-from ms_highway.reward import Reward, weights
+from ms_highway.reward import Reward, features_for, linear_reward
 from ms_highway.scene import Scene
 
 __all__ = [
@@ -101,6 +101,7 @@ def build_game(
     control_limit: tuple[float, float] | None = None,
     unit: float = PAPER_UNIT,
     solver: Solver = "gradient",
+    human_driving: Mapping[str, float] | None = None,
 ) -> Game:
     """The game of a scenario.
 
@@ -112,7 +113,13 @@ def build_game(
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics.
         unit: how long one paper unit is in the game's lengths; 1 keeps the released code's numbers.
         solver: how plans are improved, see `ms_highway.planner.climb`.
+        human_driving: weights by name that take the place of `COMMON_WEIGHTS` in the human's reward; what the human is
+            after in this scenario beyond driving stays.
     """
+    human_weights = scenario.human_weights
+    if human_driving is not None:
+        aims = {name: weight for name, weight in human_weights.items() if name not in COMMON_WEIGHTS}
+        human_weights = {**human_driving, **aims}
     scene = Scene(
         lanes=np.array(scenario.lanes) * unit,
         lane_width=LANE_WIDTH * unit,
@@ -124,8 +131,9 @@ def build_game(
         length_unit=unit,
         leader=2 if len(scenario.cars) > 2 else None,
     )
-    robot = Reward(weights(scenario.robot_weights), SPEED_LIMIT * unit, scenario.robot_gap * unit)
-    human = Reward(weights(scenario.human_weights), SPEED_LIMIT * unit, scenario.human_gap * unit)
+    names = features_for(scenario.robot_weights, human_weights)
+    robot = linear_reward(scenario.robot_weights, SPEED_LIMIT * unit, scenario.robot_gap * unit, names)
+    human = linear_reward(human_weights, SPEED_LIMIT * unit, scenario.human_gap * unit, names)
     if semantics == "paper":
         plans = world = PAPER_DYNAMICS
     else:
@@ -134,15 +142,24 @@ def build_game(
     return _game(scene, robot, human, plans, world, control_limit, influence, solver)
 
 
-def driving_game(scene: Scene, speed_limit: float) -> Game:
-    """A game on any scene in which both cars only drive, for `COMMON_WEIGHTS`, with the paper's dynamics.
+def driving_game(
+    scene: Scene,
+    speed_limit: float,
+    weights: Mapping[str, float] = COMMON_WEIGHTS,
+    names: tuple[str, ...] | None = None,
+    solver: Solver = "gradient",
+) -> Game:
+    """A game on any scene in which both cars only drive, with the paper's dynamics.
 
     Args:
         scene: where.
         speed_limit: the speed that is rewarded most [m/s].
+        weights: of the reward of both, by name.
+        names: of the features to compute, see `ms_highway.reward.linear_reward`.
+        solver: how plans are improved, see `ms_highway.planner.climb`.
     """
-    driver = Reward(weights(COMMON_WEIGHTS), speed_limit, 0.0)
-    return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", "gradient")
+    driver = linear_reward(weights, speed_limit, names=names)
+    return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", solver)
 
 
 def _game(

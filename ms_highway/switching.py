@@ -200,7 +200,8 @@ def _expand(
     own, partner, own_own, own_partner, partner_partner = jax.vmap(derivatives)(
         rewards, states, controls, controls[::-1]
     )
-    influence = response(game.influence, own_own[1], own_partner[1])
+    human_bend = own_own[1] - jnp.diag(game.human.comfort)
+    influence = response(game.influence, human_bend, own_partner[1])
     return _Expansion(own[0], partner[0], own_own[0], own_partner[0], partner_partner[0], influence)
 
 

@@ -13,7 +13,7 @@ from ms_highway.derivatives import response
 from ms_highway.game import constant_velocity, swap, total_reward
 from ms_highway.human_models import MODELS, JointPlan, TheoryOfMind, Turn, _plan_against, cold_start, ladder
 from ms_highway.planner import Planner, ascend
-from ms_highway.reward import FEATURES
+from ms_highway.reward import PAPER_FEATURES
 
 
 def plan(model, game, state):
@@ -73,7 +73,7 @@ def after_one_step(game):
 def test_theory_of_mind_without_influence_steps_like_turn(played):
     """Where the human's reward does not depend on the robot, ToM's step is Turn's against the same human controls."""
     game, state = played("merger")
-    blind = replace(game.human, weights=game.human.weights.at[FEATURES.index("collision_risk")].set(0.0))
+    blind = replace(game.human, weights=game.human.weights.at[PAPER_FEATURES.index("collision_risk")].set(0.0))
     game = after_one_step(replace(game, human=blind))
     still = jnp.zeros((5, 2))  # where both start
     slope_robot, slope_human = slopes(game, state, still, still)

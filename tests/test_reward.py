@@ -7,7 +7,7 @@ from jax import numpy as jnp
 from jax.test_util import check_grads
 
 from ms_highway.game import swap, total_reward
-from ms_highway.reward import FEATURES, _closeness, features, reward, weights
+from ms_highway.reward import PAPER_FEATURES, _closeness, features, linear_reward, reward
 
 INDICATORS = ["collision", "merged", "partner_merged"]
 
@@ -16,14 +16,14 @@ compiled = jax.jit(features)
 
 
 def feature(name, game, state):
-    return float(compiled(game.scene, game.robot, jnp.asarray(state))[FEATURES.index(name)])
+    return float(compiled(game.scene, game.robot, jnp.asarray(state))[PAPER_FEATURES.index(name)])
 
 
 @pytest.mark.parametrize("batch", [(), (3,), (2, 1)])
 def test_features_take_every_batch_shape(scenario, played, batch):
     game, state = played(scenario)
     states = jnp.broadcast_to(state, (*batch, *state.shape))
-    assert compiled(game.scene, game.robot, states).shape == (*batch, len(FEATURES))
+    assert compiled(game.scene, game.robot, states).shape == (*batch, len(PAPER_FEATURES))
     np.testing.assert_allclose(
         reward(game.scene, game.robot, states), np.full(batch, reward(game.scene, game.robot, state)), rtol=1e-6
     )
@@ -86,7 +86,7 @@ def test_a_car_has_merged_when_it_is_inside_the_target_lane(played):
 @pytest.mark.parametrize("name", INDICATORS)
 def test_indicators_have_no_gradient(played, name):
     game, state = played("give_way")
-    slope = jax.jit(jax.grad(lambda state: features(game.scene, game.robot, state)[FEATURES.index(name)]))(state)
+    slope = jax.jit(jax.grad(lambda state: features(game.scene, game.robot, state)[PAPER_FEATURES.index(name)]))(state)
     np.testing.assert_array_equal(slope, np.zeros_like(state))
 
 
@@ -99,7 +99,7 @@ def test_swapping_twice_gives_the_same_game(played):
 
 def test_an_unknown_feature_is_refused_by_name():
     with pytest.raises(ValueError, match="sped"):
-        weights({"sped": 1.0})
+        linear_reward({"sped": 1.0}, 20.0)
 
 
 def test_the_derivatives_of_closeness_are_those_of_its_formula():
