@@ -4,17 +4,18 @@ Drivers plan a window of as many steps as the game's planner looks ahead, execut
 window earns R_H, the sum of the reward over its steps less the discomfort of its controls, see `driven_reward`.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
-from ms_highway.derivatives import damped_inverse, eigenpairs
+from ms_highway.derivatives import Path, damped_inverse, eigenpairs, expand
 from ms_highway.dynamics import Motion, observe
-from ms_highway.game import Game, constant_velocity, driven_reward
+from ms_highway.game import Game, constant_velocity, driven_reward, move
 from ms_highway.planner import project
+from ms_highway.reward import motion_reward
 from ms_highway.scenario import COMMON_WEIGHTS
 
 __all__ = ["DRIVER_WEIGHTS", "TEMPERATURE", "Optimum", "maxent", "optimal", "window"]
@@ -29,10 +30,11 @@ some comfort, without which some controls would not matter at all."""
 
 TEMPERATURE = 1e-3  # reward; makes controls vary by up to 0.005 1/m and 3 m/s^2
 
-STEPS = 100  # of the search for an optimum, at most
+STEPS = 50  # of the search for an optimum, at most
 FLOOR = 0.05  # of the eigenvalues of Hessians, half the least that comfort gives them
 TOLERANCE = 1e-3  # reward per scaled control, the slope at which an optimum counts as found
-SHARES = 0.5 ** np.arange(12, dtype=np.float32)  # of a Newton step that its line search tries
+SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(np.float32)  # of a Newton step that its line search tries
+NOISE = 1e-6  # of a reward, relative, in float32
 DRAWS = 20  # length of the chain that a sample ends
 
 
@@ -48,6 +50,10 @@ class Optimum(NamedTuple):
     controls: Float[jax.Array, "steps 2"]
     gradient: Float[jax.Array, "steps 2"]
     hessian: Float[jax.Array, "controls controls"]
+
+
+Search: TypeAlias = tuple[int, Float[jax.Array, "steps 2"], Optimum]
+"""Steps taken, where the next looks, and what the last found."""
 
 
 def window(
@@ -66,7 +72,7 @@ def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
     """The local optimum of a window that is uphill from keeping the velocity.
 
     Newton steps, whose Hessian's eigenvalues l become ``-max(|l|, 0.05)``, with a line search, until the slope
-    vanishes. Where float32 no longer tells which of two controls earns more, the one with less slope is better.
+    vanishes. Where float32 no longer tells which controls earn more, whole steps go on to where it does.
 
     Args:
         game: whose reward and motion; car 0 is driven.
@@ -74,37 +80,34 @@ def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
         others: motion of the others after each step, arrays [others, steps].
     """
 
-    def earned(controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
-        return driven_reward(game, car, controls, others)
+    def along(path: Path) -> Float[jax.Array, ""]:
+        return jnp.sum(motion_reward(game.scene, game.robot, Motion(*path), others))
 
-    slope = jax.grad(earned)
+    def climbing(search: Search) -> Bool[jax.Array, ""]:
+        count, controls, last = search
+        moved = (count == 0) | (controls != last.controls).any()
+        return moved & (count < STEPS) & (jnp.abs(last.gradient).max() > TOLERANCE)
 
-    def expanded(controls: Float[jax.Array, "steps 2"]) -> Optimum:
-        hessian = jax.hessian(earned)(controls).reshape(controls.size, controls.size)
-        return Optimum(controls, slope(controls), hessian)
+    def improve(search: Search) -> Search:
+        count, controls, _ = search
+        # The chain rule spares most of what XLA would have to compile for the Hessian of everything at once.
+        expansion = expand(lambda controls: move(game, car, controls), along, controls)
+        gradient = expansion.gradient.reshape(controls.shape) - game.robot.comfort * (controls - kept)
+        hessian = expansion.hessian - jnp.diag(jnp.tile(game.robot.comfort, len(controls)))
+        step = (damped_inverse(hessian, FLOOR) @ gradient.ravel()).reshape(controls.shape)
+        candidates = project(game.planner, controls + SHARES[:, None, None] * step)
+        rewards = jax.vmap(lambda controls: driven_reward(game, car, controls, others))(candidates)
+        gains, noise = rewards - rewards[-1], NOISE * (1 + jnp.abs(rewards[-1]))
+        settling = (gains.max() <= noise) & (gains[0] >= -noise)
+        chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
+        return count + 1, chosen, Optimum(controls, gradient, hessian)
 
-    def climbing(search: tuple[int, Bool[jax.Array, ""], Optimum]) -> Bool[jax.Array, ""]:
-        count, moved, now = search
-        return moved & (count < STEPS) & (jnp.abs(now.gradient).max() > TOLERANCE)
-
-    def improve(search: tuple[int, Bool[jax.Array, ""], Optimum]) -> tuple[int, Bool[jax.Array, ""], Optimum]:
-        count, _, now = search
-        step = (damped_inverse(now.hessian, FLOOR) @ now.gradient.ravel()).reshape(now.controls.shape)
-        candidates = project(game.planner, now.controls + SHARES[:, None, None] * step)
-        gains = jax.vmap(earned)(candidates) - earned(now.controls)
-        best = jnp.argmax(gains)
-        noise = 1e-6 * (1 + jnp.abs(earned(now.controls)))
-        flatter = jnp.abs(slope(candidates[0])).max() < jnp.abs(now.gradient).max()
-        settle = (gains[best] <= noise) & (gains[0] >= -noise) & flatter
-        chosen = jnp.where(settle, candidates[0], candidates[best])
-        moved = settle | (gains[best] > 0)
-        return count + 1, moved, expanded(jnp.where(moved, chosen, now.controls))
-
-    start = expanded(project(game.planner, constant_velocity(game, car)))
-    return jax.lax.while_loop(climbing, improve, (0, jnp.array(True), start))[-1]
+    kept = constant_velocity(game, car)
+    start = project(game.planner, kept)
+    unknown = Optimum(start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size)))
+    return jax.lax.while_loop(climbing, improve, (0, start, unknown))[-1]
 
 
-@jax.jit
 def maxent(
     game: Game, car: Float[jax.Array, "4"], others: Motion, key: jax.Array, temperature: float
 ) -> Float[jax.Array, "steps 2"]:
@@ -120,7 +123,13 @@ def maxent(
         key: of the random numbers.
         temperature: how far from optimal, in reward.
     """
-    best = optimal(game, car, others)
+    return _sample(game, car, others, optimal(game, car, others), key, temperature)
+
+
+@jax.jit
+def _sample(
+    game: Game, car: Float[jax.Array, "4"], others: Motion, best: Optimum, key: jax.Array, temperature: float
+) -> Float[jax.Array, "steps 2"]:
     values, vectors = eigenpairs(best.hessian)
     spread = vectors * jnp.sqrt(temperature / jnp.maximum(jnp.abs(values), FLOOR))
     proposing, accepting = jax.random.split(key)
