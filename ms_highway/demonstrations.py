@@ -81,12 +81,13 @@ def record(
     yield done
     if done >= episodes:
         return
-    collector = minari.DataCollector(_environment(driver))
+    env = _environment(driver)
+    collector = minari.DataCollector(env)
     try:
         for episode in range(done, episodes):
             density = densities[episode % len(densities)]
             _drive(collector, driver, seed + episode, density, temperature)
-            with _replacing(dataset, data, collector, provenance) as storage:
+            with _replacing(dataset, data, env, provenance) as storage:
                 copy = minari.MinariDataset(storage)
                 collector.add_to_dataset(copy)
                 marks = {"seed": seed + episode, "density": density}  # Minari loses the seed on the way
