@@ -1,11 +1,11 @@
 """Which cars around a driver count: the nearest ahead and behind, in its own lane and in those beside it."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ms_highway.dynamics import SameArray
 
-__all__ = ["NEIGHBOURS", "neighbours"]
+__all__ = ["NEIGHBOURS", "far_behind", "neighbours", "places"]
 
 FAR_AWAY = 1000.0  # m behind, where absent cars are
 
@@ -16,16 +16,15 @@ NEIGHBOURS = len(SIDES)
 """Places for neighbours: ahead and behind, in the own lane, in the left one and in the right one, in this order."""
 
 
-def neighbours(
+def places(
     driver: Float[SameArray, "*batch 4"],
     others: Float[SameArray, "*batch cars 4"],
     present: Bool[SameArray, "*batch cars"],
     lane_width: float | Float[SameArray, "*batch"],
-) -> Float[SameArray, "*batch 6 4"]:
-    """States of the neighbours of a driver, one for each of the six places.
+) -> tuple[Int[SameArray, "*batch 6"], Bool[SameArray, "*batch 6"]]:
+    """Which of the others takes each of the six places around a driver, and whether any does.
 
-    A car is in the own lane if it is less than half a lane's width to the side. A place that no car takes holds a
-    standing car far behind, so that the shape never changes.
+    A car is in the own lane if it is less than half a lane's width to the side.
 
     Args:
         driver: state of the driver.
@@ -39,8 +38,27 @@ def neighbours(
     ahead = offset[..., 0] > 0
     fits = (lane[..., None] == SIDES) & (ahead[..., None] == AHEAD) & present[..., None]
     distance = xp.where(fits, xp.abs(offset[..., :1]), xp.inf)
-    nearest = xp.argmin(distance, axis=-2)
-    found = xp.take_along_axis(others, nearest[..., None], axis=-2)
-    taken = xp.any(fits, axis=-2)
-    absent = xp.stack([driver[..., 0] - FAR_AWAY, *[driver[..., 0] * 0] * 3], axis=-1)
-    return xp.where(taken[..., None], found, absent[..., None, :])
+    return xp.argmin(distance, axis=-2), xp.any(fits, axis=-2)
+
+
+def neighbours(
+    driver: Float[SameArray, "*batch 4"],
+    others: Float[SameArray, "*batch cars 4"],
+    present: Bool[SameArray, "*batch cars"],
+    lane_width: float | Float[SameArray, "*batch"],
+) -> Float[SameArray, "*batch 6 4"]:
+    """States of the neighbours of a driver, one for each of the six places; takes what `places` takes.
+
+    A place that no car takes holds a standing car far behind, so that the shape never changes.
+    """
+    xp = driver.__array_namespace__()
+    cars, taken = places(driver, others, present, lane_width)
+    found = xp.take_along_axis(others, cars[..., None], axis=-2)
+    return xp.where(taken[..., None], found, far_behind(driver)[..., None, :])
+
+
+def far_behind(driver: Float[SameArray, "*batch 4"]) -> Float[SameArray, "*batch 4"]:
+    """The state of a standing car that is too far behind a driver to matter."""
+    xp = driver.__array_namespace__()
+    zero = xp.zeros_like(driver[..., 0])
+    return xp.stack([driver[..., 0] - FAR_AWAY, driver[..., 1], zero, zero], axis=-1)

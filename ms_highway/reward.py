@@ -17,7 +17,18 @@ from ms_highway.dynamics import Array, Motion, observe
 from ms_highway.scene import Scene
 from ms_highway.sums import fold, total
 
-__all__ = ["COMFORT", "FEATURES", "PAPER_FEATURES", "Reward", "features", "linear_reward", "motion_reward", "reward"]
+__all__ = [
+    "COMFORT",
+    "FEATURES",
+    "PAPER_FEATURES",
+    "Reward",
+    "features",
+    "features_for",
+    "linear_reward",
+    "motion_features",
+    "motion_reward",
+    "reward",
+]
 
 PAPER_FEATURES = (
     "speed",
@@ -133,7 +144,7 @@ def features(
     ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient. Nor has ``collision_risk`` in
     where the points of the body are: derivatives are those in states, not in the shape of cars.
     """
-    return jnp.stack(_features(scene, parameters, *_apart(states)), axis=-1)
+    return jnp.stack(motion_features(scene, parameters, *_apart(states)), axis=-1)
 
 
 def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
@@ -145,7 +156,7 @@ def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion)
         own: motion of the car, arrays [*times].
         others: motion of all others, its partner first, arrays [others, *times].
     """
-    columns = _features(scene, parameters, own, others)
+    columns = motion_features(scene, parameters, own, others)
     weighted = [weight * column for weight, column in zip(jnp.unstack(parameters.weights), columns, strict=True)]
     return reduce(jnp.add, weighted)
 
@@ -156,8 +167,13 @@ def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
     return Motion(*(field[0] for field in cars)), Motion(*(field[1:] for field in cars))
 
 
-def _features(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:
-    """The columns of `features`. Constants are inverted first: a division by each would be repeated at every state."""
+def motion_features(
+    scene: Scene, parameters: Reward, own: Motion, others: Motion
+) -> list[Float[jax.Array, "*times"]]:
+    """The features of a car along its motion, one array for each of the reward's names.
+
+    Takes what `motion_reward` takes. Constants are inverted first: a division by each would be repeated at every state.
+    """
     per_unit, per_limit = 1 / scene.length_unit, 1 / parameters.speed_limit
     forward = own.speed * own.cosine * per_limit
     lane = reduce(lambda a, b: jnp.where(jnp.abs(own.y - a) <= jnp.abs(own.y - b), a, b), jnp.unstack(scene.lanes))

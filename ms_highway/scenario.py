@@ -175,9 +175,9 @@ def _game(
     """A game in float32, with the control scale that makes a step of 0.03 what it is in the paper.
 
     A unit of acceleration is one length unit; a unit of omega is one rad/s of yaw rate. With steering by curvature
-    that is taken at the speed limit, ``omega = yaw_rate / v``, so that omega's gradient step is scaled by 1/v^2.
+    that is taken at the paper's speed limit, ``omega = yaw_rate / v``, so that omega's gradient step is scaled by 1/v^2.
     """
-    turn_scale = 1 / robot.speed_limit if plans.steering == "curvature" else 1.0
+    turn_scale = 1 / (SPEED_LIMIT * scene.length_unit) if plans.steering == "curvature" else 1.0
     planner = Planner(
         control_scale=np.array([turn_scale, scene.length_unit]),
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),

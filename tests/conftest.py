@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
+from ms_highway.commonroad import read_directory
 from ms_highway.envs import SCENARIOS
 from ms_highway.game import Game
+from ms_highway.recording import Recording
 from ms_highway.scenario import build_game, draw_starts
 
 
@@ -30,6 +32,22 @@ def reference() -> Path:
     if not list(directory.glob("*.npz")):
         pytest.skip(f"no reference episodes in {directory}; set MS_HIGHWAY_REFERENCE to their directory")
     return directory
+
+
+@pytest.fixture(scope="session")
+def us101_directory() -> Path:
+    """The directory of human driving on the US-101 highway."""
+    default = Path(__file__).parents[2] / "shared" / "human_driving" / "us101"
+    directory = Path(os.environ.get("MS_HIGHWAY_HUMAN_DRIVING", default))
+    if not list(directory.glob("*.xml.gz")):
+        pytest.skip(f"no human driving in {directory}; set MS_HIGHWAY_HUMAN_DRIVING to its directory")
+    return directory
+
+
+@pytest.fixture(scope="session")
+def us101(us101_directory: Path) -> list[Recording]:
+    """Human driving on the US-101 highway."""
+    return read_directory(us101_directory)
 
 
 @pytest.fixture(params=SCENARIOS)

@@ -1,0 +1,169 @@
+"""Human driving from CommonRoad scenarios, such as those of the US-101 highway, as recordings in lane coordinates."""
+
+import gzip
+import tempfile
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.lane_coordinates import LaneCoordinates, along
+from ms_highway.recording import Recording
+from ms_highway.scenario import TIME_STEP
+
+__all__ = ["SPEED_LIMIT", "read_directory"]
+
+SPEED_LIMIT = 29.06  # m/s, 65 mph: on US-101, whose scenarios have no traffic signs
+
+LANE_SPREAD = 0.5  # m, median departure from the median offset; more, and a lane is not parallel to the others
+DISTINCT_LANES = 1.0  # m; chains of lanelets that are closer are one lane
+
+COMPRESSED = ".xml.gz"
+
+
+def read_directory(directory: Path) -> list[Recording]:
+    """All CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
+
+    Every moving obstacle is a driver, except those that were seen once only. Files of one recording, such as
+    ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``, form a group and may show the same tracks: a track is among the
+    drivers of the first file that shows it, and still there, as a neighbour, in the others.
+
+    Raises:
+        ValueError: if there is nothing to read, or a file is no scenario with lanes, drivers and the time step 0.1 s.
+        ImportError: without the packages of the extra ``commonroad``.
+    """
+    if not directory.is_dir():
+        raise ValueError(f"{directory} is not a directory; give the one that holds the CommonRoad scenarios")
+    paths = sorted(path for path in directory.iterdir() if path.name.endswith((".xml", COMPRESSED)))
+    if not paths:
+        raise ValueError(f"{directory} holds no CommonRoad scenarios, files *.xml or *.xml.gz")
+    counted: set[tuple] = set()
+    return [_convert(_open(path), path, counted) for path in paths]
+
+
+def _open(path: Path) -> Any:
+    """The scenario of a file, as commonroad-io has it."""
+    with tempfile.TemporaryDirectory() as temporary, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about what is of no interest here, such as unknown locations
+        try:
+            from commonroad.common.file_reader import CommonRoadFileReader
+        except ImportError as error:
+            raise ImportError(
+                "CommonRoad needs the extra 'commonroad': pip install 'ms-highway[commonroad]'"
+            ) from error
+        try:
+            readable = path
+            if path.name.endswith(COMPRESSED):
+                readable = Path(temporary) / path.name.removesuffix(".gz")
+                readable.write_bytes(gzip.decompress(path.read_bytes()))
+            scenario, _ = CommonRoadFileReader(readable).open()
+        except Exception as error:  # of many kinds: whatever unpacking, parsing and the library stumble over
+            raise ValueError(
+                f"{path} is no CommonRoad scenario, or damaged ({type(error).__name__}: {error}); fetch it again"
+            ) from error
+    return scenario
+
+
+def _convert(scenario: Any, path: Path, counted: set[tuple]) -> Recording:
+    """A scenario as a recording; its drivers are added to those that were counted."""
+    if not np.isclose(scenario.dt, TIME_STEP):
+        raise ValueError(f"{path} has a time step of {scenario.dt} s; it must be {TIME_STEP} s")
+    road, lanes, lane_width = _road(scenario.lanelet_network, path)
+    group = f"{scenario.scenario_id.map_name}-{scenario.scenario_id.map_id}"
+    obstacles = scenario.dynamic_obstacles
+    tracks = [_samples(obstacle, path) for obstacle in obstacles]
+    if not any(len(track) > 1 for track in tracks):
+        raise ValueError(f"{path} has no dynamic obstacle with two samples; there is no driving in it")
+    times = 1 + max(int(track[-1, 0]) for track in tracks)
+    states = np.full((times, len(tracks), 4), np.nan)
+    drivers = []
+    for car, (obstacle, track) in enumerate(zip(obstacles, tracks, strict=True)):
+        time, position, orientation, speed = track[:, 0].astype(int), track[:, 1:3], track[:, 3], track[:, 4]
+        place = road.locate(position)
+        # Headings turn right here, orientations left; the difference of two angles is wrapped, not they.
+        heading = (place.heading - orientation + np.pi) % (2 * np.pi) - np.pi
+        states[time, car] = np.stack([place.x, place.y, heading, speed], axis=-1)
+        identity = (group, obstacle.obstacle_id, *position[0].round(2))
+        if len(track) > 1 and identity not in counted:
+            drivers.append(car)
+            counted.add(identity)
+    return Recording(
+        name=str(scenario.scenario_id),
+        group=group,
+        time_step=TIME_STEP,
+        states=states,
+        drivers=np.array(drivers, dtype=int),
+        sizes=np.array([_size(obstacle.obstacle_shape) for obstacle in obstacles]),
+        lanes=lanes,
+        lane_width=lane_width,
+        speed_limit=SPEED_LIMIT,
+    )
+
+
+def _samples(obstacle: Any, path: Path) -> Float[np.ndarray, "times 5"]:
+    """Time step, position x and y, orientation and speed of an obstacle, as in the file."""
+    states = [obstacle.initial_state]
+    states += getattr(getattr(obstacle.prediction, "trajectory", None), "state_list", [])
+    try:
+        rows = [(state.time_step, *state.position, state.orientation, state.velocity) for state in states]
+        return np.array(rows, dtype=float).reshape(-1, 5)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path}: obstacle {obstacle.obstacle_id} lacks an exact time, position, orientation or velocity; "
+            "only recorded driving can be read"
+        ) from error
+
+
+def _size(shape: Any) -> tuple[float, float]:
+    """Length and width of an obstacle's shape."""
+    if hasattr(shape, "length"):
+        return shape.length, shape.width
+    left, low, right, high = shape.shapely_object.bounds
+    return right - left, high - low
+
+
+def _road(network: Any, path: Path) -> tuple[LaneCoordinates, Float[np.ndarray, "lanes"], float]:
+    """Coordinates along the leftmost lane, the lateral positions of lanes, ascending, and their width."""
+    chains = list(_chains(network))
+    if not chains:
+        raise ValueError(f"{path} has no lanelets from which lanes start; driving can only be judged on a road")
+    lines = [np.concatenate([lanelet.center_vertices for lanelet in chain]) for chain in chains]
+    # Any lane tells which of the others are parallel to it. A ramp, to which nothing is, shows itself.
+    offsets = max((_offsets(along(line), lines) for line in lines), key=lambda offset: np.isfinite(offset).sum())
+    road = along(lines[int(np.nanargmin(offsets))])
+    found = np.sort(_offsets(road, lines))
+    found = found[np.isfinite(found)]
+    lanes = found[np.r_[True, np.diff(found) > DISTINCT_LANES]]
+    if len(lanes) > 1:
+        return road, lanes, float(np.median(np.diff(lanes)))
+    lanelet = chains[int(np.nanargmin(offsets))][0]
+    return road, lanes, float(np.median(np.linalg.norm(lanelet.left_vertices - lanelet.right_vertices, axis=-1)))
+
+
+def _chains(network: Any) -> Iterator[list[Any]]:
+    """Every lane: a lanelet that none leads to, and those that follow it, always the first where there are several."""
+    known = {lanelet.lanelet_id: lanelet for lanelet in network.lanelets}
+    for start in network.lanelets:
+        if known.keys() & set(start.predecessor):
+            continue
+        chain = [start]
+        while following := [known[i] for i in chain[-1].successor if i in known and known[i] not in chain]:
+            chain.append(following[0])
+        yield chain
+
+
+def _offsets(road: LaneCoordinates, lines: list[Float[np.ndarray, "points 2"]]) -> Float[np.ndarray, "lines"]:
+    """How far to the right of a road's reference line other lines are; NaN for those that are no lanes of the road.
+
+    Lanes run in the road's direction and parallel to it, with room for a beginning or an end as a ramp. In recording
+    10 of US-101, a ramp comes from 40 m away: its median offset, 23 m, is not where anybody drives.
+    """
+    offsets = np.full(len(lines), np.nan)
+    for line, places in enumerate(map(road.locate, lines)):
+        middle = np.median(places.y)
+        if places.x[-1] > places.x[0] and np.median(np.abs(places.y - middle)) < LANE_SPREAD:
+            offsets[line] = middle
+    return offsets

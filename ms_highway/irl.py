@@ -1,0 +1,258 @@
+"""Maximum-entropy inverse reinforcement learning: the reward that makes recorded driving likely.
+
+A driver is taken to draw the controls u of a window, in the planner's scaled units, from
+
+    p(u) = exp(R(u) / T) / integral of exp(R(u') / T) du',    R(u) = theta . phi(u)
+
+with the features along the window, comfort among them, and the others moving as they were recorded. Laplace's
+approximation of the integral around what the driver did gives, with the gradient g and the Hessian H of R / T there
+(Levine and Koltun 2012, Eq. 4),
+
+    log p(u) = g^T H^-1 g / 2 + log det(-H) / 2 - (d / 2) log 2 pi
+
+so that a reward is likely under which the driver was near an optimum (the first term), and a sharp one (the second).
+g and H are linear in theta: the features' derivatives are worked out once, and then a fit takes seconds.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jax.scipy.linalg import cho_solve
+from jaxtyping import Float
+from scipy import optimize
+
+from ms_highway.reward import COMFORT, FEATURES
+from ms_highway.windows import Windows, features_along, template
+
+__all__ = ["Fit", "Model", "Slopes", "fit", "floored", "log_likelihoods", "slopes_of"]
+
+PENALTIES = ("collision_risk", "collision", "off_road")
+"""Features whose weights are negative; those of all others are positive."""
+
+NO_GRADIENT = ("collision", "merged", "partner_merged")
+"""Indicators: a driver's slopes tell nothing about their weights."""
+
+PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
+FLOOR = 0.5  # of the least comfort weight that is given: the least curvature of -R that is believed
+BATCH = 256  # windows that are differentiated at once
+DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
+TOLERANCE = 1e-3  # of the slope of the objective per window, in a fit that has converged
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is to be learnt, and what is given.
+
+    Attributes:
+        learnt: names of the weights to learn, of `FEATURES` and `COMFORT`.
+        given: weights that are fixed, by name; comfort's set the scale of all others.
+
+    Raises:
+        ValueError: for unknown names, an indicator, a weight both learnt and given, or none for comfort.
+    """
+
+    learnt: tuple[str, ...]
+    given: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        known = [name for name in (*FEATURES, *COMFORT) if name not in NO_GRADIENT]
+        for name in self.names:
+            if name not in known:
+                raise ValueError(f"{name!r} cannot be learnt; the weights to learn are {', '.join(known)}")
+        twice = sorted(set(self.learnt) & set(self.given))
+        if twice or len(set(self.learnt)) < len(self.learnt):
+            raise ValueError(f"weights {twice or list(self.learnt)} are named twice")
+        if not any(self.given.get(name, 0.0) > 0 for name in COMFORT):
+            raise ValueError(f"one of {', '.join(COMFORT)} must be given: it sets the scale of all weights")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names: the learnt ones, then the given ones."""
+        return (*self.learnt, *self.given)
+
+    @property
+    def floor(self) -> float:
+        """The least curvature of -R in any direction that a fit believes."""
+        return FLOOR * min(value for name, value in self.given.items() if name in COMFORT and value > 0)
+
+    def signs(self) -> Float[np.ndarray, "learnt"]:
+        """Signs of the learnt weights, which are fixed."""
+        return np.array([-1.0 if name in PENALTIES else 1.0 for name in self.learnt])
+
+    def weights(self, logarithms: Float[np.ndarray, "parameters"]) -> dict[str, float]:
+        """All weights by name, from the logarithms of the learnt ones' sizes and, at the end, of the temperature."""
+        learnt = (self.signs() * np.exp(logarithms[:-1])).tolist()
+        return {**dict(zip(self.learnt, learnt, strict=True)), **self.given}
+
+
+class Slopes(NamedTuple):
+    """The features' derivatives in the scaled controls of n windows, at what the drivers did.
+
+    Attributes:
+        features: phi along each window.
+        gradients: first derivatives.
+        hessians: second derivatives.
+    """
+
+    features: Float[np.ndarray, "n names"]
+    gradients: Float[np.ndarray, "n names d"]
+    hessians: Float[np.ndarray, "n names d d"]
+
+    def of(self, chosen: np.ndarray) -> "Slopes":
+        """Those of some windows."""
+        return Slopes(*(part[chosen] for part in self))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit found.
+
+    Attributes:
+        model: what was learnt and what was given.
+        logarithms: of the learnt weights' sizes and, at the end, of the temperature T.
+        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior.
+        converged: whether the optimiser reached the top.
+        iterations: how many the optimiser took.
+        log_likelihood: mean over the windows.
+    """
+
+    model: Model
+    logarithms: Float[np.ndarray, "parameters"]
+    covariance: Float[np.ndarray, "parameters parameters"]
+    converged: bool
+    iterations: int
+    log_likelihood: float
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """All weights by name."""
+        return self.model.weights(self.logarithms)
+
+    @property
+    def temperature(self) -> float:
+        """T, how far from the optimum the drivers strayed, in the units of the reward."""
+        return float(np.exp(self.logarithms[-1]))
+
+
+def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
+    """The derivatives of these features in every window.
+
+    Raises:
+        ValueError: if they are not finite somewhere.
+    """
+    game = template(windows, {})
+    places = np.array([(*FEATURES, *COMFORT).index(name) for name in names])
+    scale = np.asarray(game.planner.control_scale)
+
+    def derivatives(window: Windows) -> Slopes:
+        def along(controls: Float[jax.Array, "d"]) -> tuple[jax.Array, jax.Array]:
+            phi = features_along(game, window, controls.reshape(-1, 2))[places]
+            return phi, phi
+
+        def slope(controls: Float[jax.Array, "d"]) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+            gradients, phi = jax.jacrev(along, has_aux=True)(controls)
+            return gradients, (phi, gradients)
+
+        point = (window.controls / scale).ravel()
+        hessians, (phi, gradients) = jax.jacfwd(slope, has_aux=True)(point)
+        return Slopes(phi, gradients, hessians)
+
+    single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
+    batches = jax.jit(lambda windows: jax.lax.map(derivatives, windows, batch_size=min(BATCH, len(windows))))(single)
+    slopes = Slopes(*(np.asarray(part, dtype=np.float64) for part in batches))
+    for part in slopes:
+        if not np.isfinite(part).all():
+            window = int(np.argwhere(~np.isfinite(part))[0][0])
+            raise ValueError(f"the features of window {window} have no finite derivatives; its start is {windows.start[window]}")
+    return slopes
+
+
+@jax.custom_jvp
+def floored(symmetric: Float[jax.Array, "d d"], floor: Float[jax.Array, ""]) -> Float[jax.Array, "d d"]:
+    """The symmetric matrix with eigenvalues below a floor set to the floor.
+
+    Its derivative is exact also where eigenvalues meet, where those of the eigenvectors are not finite: with divided
+    differences F of max(., floor), ``d floored = V (F * (V^T dA V)) V^T``.
+    """
+    values, vectors = jnp.linalg.eigh(symmetric)
+    return (vectors * jnp.maximum(values, floor)) @ vectors.T
+
+
+@floored.defjvp
+def _floored_jvp(
+    primals: tuple[jax.Array, jax.Array], tangents: tuple[jax.Array, jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    (symmetric, floor), (change, of_floor) = primals, tangents
+    values, vectors = jnp.linalg.eigh(symmetric)
+    high = values > floor
+    above, below = jnp.where(high, values, floor)[:, None], jnp.where(high, floor - 1.0, values)[None, :]
+    mixed = (above - floor) / (above - below)
+    one_of_two = high[:, None] ^ high[None, :]
+    shares = jnp.where(one_of_two, jnp.where(high[:, None], mixed, mixed.T), high[:, None] & high[None, :])
+    turned = vectors.T @ change @ vectors
+    back = vectors @ (shares * turned) @ vectors.T + of_floor * (vectors * ~high) @ vectors.T
+    return (vectors * jnp.maximum(values, floor)) @ vectors.T, back
+
+
+def log_likelihoods(
+    slopes: Slopes, theta: Float[jax.Array, "names"], temperature: Float[jax.Array, ""], floor: float
+) -> Float[jax.Array, "n"]:
+    """Laplace's log p of every window's scaled controls; eigenvalues of -H are floored at ``floor / T``."""
+
+    def window(gradients: Float[jax.Array, "names d"], hessians: Float[jax.Array, "names d d"]) -> jax.Array:
+        slope = jnp.einsum("f,fd->d", theta, gradients) / temperature
+        bend = floored(-jnp.einsum("f,fde->de", theta, hessians) / temperature, floor / temperature)
+        root = jnp.linalg.cholesky(bend)
+        off = slope @ cho_solve((root, True), slope)
+        return -off / 2 + jnp.sum(jnp.log(jnp.diagonal(root))) - len(slope) / 2 * jnp.log(2 * jnp.pi)
+
+    return jax.vmap(window)(slopes.gradients, slopes.hessians)
+
+
+def fit(slopes: Slopes, model: Model) -> Fit:
+    """The most likely weights and temperature, under a weak prior, in double precision.
+
+    The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
+    deviation 4. Where the drivers tell nothing about a weight, the prior is what is left, and the covariance says so.
+
+    Args:
+        slopes: of the features `Model.names`, in their order.
+        model: what to learn.
+
+    Raises:
+        ValueError: if the weights diverge.
+    """
+    with jax.enable_x64(True):
+        given = jnp.array([float(value) for value in model.given.values()])
+        signs, windows = jnp.asarray(model.signs()), len(slopes.features)
+        data = Slopes(*map(jnp.asarray, slopes))
+
+        def split(logarithms: Float[jax.Array, "parameters"]) -> tuple[jax.Array, jax.Array]:
+            sizes = jnp.exp(logarithms)
+            return jnp.concatenate([signs * sizes[:-1], given]), sizes[-1]
+
+        @jax.jit
+        @jax.value_and_grad
+        def loss(logarithms: Float[jax.Array, "parameters"], data: Slopes) -> Float[jax.Array, ""]:
+            likely = jnp.sum(log_likelihoods(data, *split(logarithms), model.floor))
+            return (jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2) - likely) / windows
+
+        def numbers(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
+            value, slope = loss(jnp.asarray(logarithms), data)
+            return float(value), np.asarray(slope)
+
+        found = optimize.minimize(numbers, np.zeros(len(model.learnt) + 1), jac=True, method="BFGS")
+        top = np.asarray(found.x)
+        value, slope = numbers(top)
+        if not (np.isfinite(top).all() and np.isfinite(value)):
+            raise ValueError(f"the weights diverge: {model.weights(top)}; learn fewer of them, or from more driving")
+        steps = DIFFERENCE * np.eye(len(top))
+        hessian = np.stack([numbers(top + step)[1] - numbers(top - step)[1] for step in steps]) / (2 * DIFFERENCE)
+        likely = float(jnp.mean(log_likelihoods(data, *split(jnp.asarray(top)), model.floor)))
+    covariance = np.linalg.pinv(windows * (hessian + hessian.T) / 2, hermitian=True)
+    converged = bool(np.abs(slope).max() < TOLERANCE)
+    return Fit(model, top, covariance, converged, int(found.nit), likely)

@@ -1,0 +1,180 @@
+"""Recorded driving cut into windows: a driver's controls over a plan's horizon, and what went on around it."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.dynamics import Array, Motion, keep_velocity, observe
+from ms_highway.game import Game, move
+from ms_highway.neighbours import far_behind, places
+from ms_highway.recording import Recording
+from ms_highway.reward import FEATURES, motion_features
+from ms_highway.scenario import PAPER_DYNAMICS, PAPER_UNIT, driving_game
+from ms_highway.scene import Scene
+from ms_highway.tracks import track_of
+
+__all__ = [
+    "Windows",
+    "at_window",
+    "check_time_step",
+    "coasting",
+    "cut",
+    "features_along",
+    "first_step",
+    "scene_of",
+    "template",
+]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Windows:
+    """n windows of K steps, all arrays in SI units.
+
+    Attributes:
+        scenes: the road and the driver's own size, every array with a leading axis [n].
+        speed_limit: of the road [m/s].
+        start: the driver before the first step.
+        controls: what it did.
+        others: its six neighbours (see `ms_highway.neighbours`) after each step, wherever they went.
+        group: number of the recording's group, to split by.
+    """
+
+    scenes: Scene
+    speed_limit: Float[Array, "n"]
+    start: Float[Array, "n 4"]
+    controls: Float[Array, "n K 2"]
+    others: Float[Array, "n 6 K 4"]
+    group: Int[Array, "n"]
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+def scene_of(recording: Recording, driver: int, lanes: int) -> Scene:
+    """The scene that a driver is in: its own size stands for that of all cars, and lanes are padded to a number.
+
+    The last lane is repeated, which changes no feature.
+    """
+    missing = lanes - len(recording.lanes)
+    return Scene(
+        lanes=np.pad(np.asarray(recording.lanes, dtype=float), (0, missing), mode="edge"),
+        lane_width=float(recording.lane_width),
+        obstacles=np.empty((0, 2)),
+        obstacle_size=np.ones(2),
+        car_size=np.asarray(recording.sizes[driver], dtype=float),
+        corner=0.5,
+        target_lane=float(recording.lanes[0]),
+        length_unit=PAPER_UNIT,
+    )
+
+
+def cut(recordings: Sequence[Recording], steps: int) -> Windows:
+    """All windows of the drivers' tracks, one after the other, without overlap.
+
+    Args:
+        recordings: where to look.
+        steps: K, the length of a window.
+
+    Raises:
+        ValueError: if there is none, or a recording's time step is not that of the planners.
+    """
+    groups = {name: number for number, name in enumerate(dict.fromkeys(item.group for item in recordings))}
+    lanes = max((len(item.lanes) for item in recordings), default=1)
+    rows = []
+    for recording in recordings:
+        check_time_step(recording)
+        everyone = coasting(recording)
+        for driver in map(int, recording.drivers):
+            track = track_of(recording, driver)
+            scene = scene_of(recording, driver, lanes)
+            for first in range(0, len(track.controls) - steps + 1, steps):
+                start, now = track.states[first], first_step(recording, driver) + first
+                others = _around(start, everyone[now : now + steps + 1], _others(recording, driver, now), recording)
+                group = np.int64(groups[recording.group])
+                controls = track.controls[first : first + steps]
+                rows.append(Windows(scene, np.float64(recording.speed_limit), start, controls, others, group))
+    if not rows:
+        raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {steps + 1} samples on end")
+    return jax.tree.map(lambda *parts: np.stack(parts), *rows)
+
+
+def check_time_step(recording: Recording) -> None:
+    """Refuse a recording that is sampled otherwise than plans are.
+
+    Raises:
+        ValueError: if it is.
+    """
+    if not np.isclose(recording.time_step, PAPER_DYNAMICS.time_step):
+        raise ValueError(
+            f"{recording.name} has a time step of {recording.time_step} s; plans are made of steps of "
+            f"{PAPER_DYNAMICS.time_step} s, so resample it"
+        )
+
+
+def first_step(recording: Recording, car: int) -> int:
+    """When a car was first seen."""
+    return int(recording.seen[:, car].argmax())
+
+
+def coasting(recording: Recording) -> Float[np.ndarray, "times cars 4"]:
+    """The recorded states; a car that gets lost keeps its velocity from there."""
+    states = recording.states.copy()
+    for before, after in itertools.pairwise(states):
+        lost = np.isnan(after).any(axis=-1)
+        heading, distance = before[lost, 2], before[lost, 3] * recording.time_step
+        after[lost] = before[lost]
+        after[lost, :2] += np.stack([distance * np.cos(heading), distance * np.sin(heading)], axis=-1)
+    return states
+
+
+def _others(recording: Recording, driver: int, time: int) -> Bool[np.ndarray, "cars"]:
+    """Which cars, beside the driver, are seen at a time."""
+    others = recording.seen[time].copy()
+    others[driver] = False
+    return others
+
+
+def _around(
+    driver: Float[np.ndarray, "4"],
+    everyone: Float[np.ndarray, "K+1 cars 4"],
+    present: Bool[np.ndarray, "cars"],
+    recording: Recording,
+) -> Float[np.ndarray, "6 K 4"]:
+    """Where those go who are the driver's neighbours at first."""
+    cars, taken = places(driver, everyone[0], present, recording.lane_width)
+    paths = np.moveaxis(everyone[1:, cars], 0, 1)
+    return np.where(taken[:, None, None], paths, far_behind(driver))
+
+
+def template(windows: Windows, weights: Mapping[str, float]) -> Game:
+    """A game in which a driver drives for these weights; `at_window` puts it where a window is."""
+    scene = jax.tree.map(lambda numbers: numbers[0], windows.scenes)
+    game = driving_game(scene, float(windows.speed_limit[0]), weights, FEATURES)
+    horizon = windows.controls.shape[1]
+    return replace(game, planner=replace(game.planner, horizon=horizon))
+
+
+def at_window(game: Game, window: Windows) -> Game:
+    """The game in one window, whose arrays have no axis [n]."""
+    return replace(game, scene=window.scenes, robot=replace(game.robot, speed_limit=window.speed_limit))
+
+
+def features_along(
+    game: Game, window: Windows, controls: Float[jax.Array, "K 2"]
+) -> Float[jax.Array, "features"]:
+    """The features `FEATURES` summed over a window's steps, and those of comfort, under scaled controls.
+
+    Comfort's features are ``-(u - u_keep)^2 / 2`` of each control, so that the driver's reward is theta times these.
+    """
+    here = at_window(game, window)
+    own = Motion(*move(here, window.start, controls))
+    others = observe(window.others)
+    phi = jnp.stack([jnp.sum(column) for column in motion_features(here.scene, here.robot, own, others)])
+    kept = keep_velocity(game.dynamics, window.start) / game.planner.control_scale
+    return jnp.concatenate([phi, -jnp.sum((controls - kept) ** 2, axis=0) / 2])
