@@ -125,10 +125,12 @@ class DemonstrationEnv(AbstractEnv):
         super().update_metadata(video_real_time_ratio)
 
     def define_spaces(self) -> None:
-        """Set observation and action type; an action space keeps its random generator."""
+        """Set observation and action type; an action space that did not change keeps its random generator."""
         before = self.action_space
         self.action_type = ContinuousAction(self, **self.config["action"])
-        self.action_space = before or self.action_type.space()
+        self.action_space = self.action_type.space()
+        if before == self.action_space:
+            self.action_space = before
         self.observation_type = CarTracks(self, 1 + OTHERS)
         self.observation_space = self.observation_type.space()
 

@@ -152,7 +152,8 @@ def load(dataset: str) -> list[Recording]:
             raise ValueError(f"data set {dataset} has {name} {provenance.get(key)}, not {expected}; {AGAIN}")
     if not len(stored):
         raise ValueError(f"data set {dataset} is empty; record episodes with `ms-highway irl record`")
-    return [_recording(dataset, stored, episode) for episode in range(len(stored))]
+    episodes = stored.iterate_episodes()  # opens the file once
+    return [_recording(f"data set {dataset}, episode {number}", episodes, stored) for number in range(len(stored))]
 
 
 def _minari() -> Any:
@@ -311,11 +312,10 @@ def _new_storage(dataset: str, directory: Path, env: gym.Env, provenance: dict[s
     return storage
 
 
-def _recording(dataset: str, stored: Any, episode: int) -> Recording:
-    """One episode, checked."""
-    name = f"data set {dataset}, episode {episode}"
+def _recording(name: str, episodes: Iterator[Any], stored: Any) -> Recording:
+    """The next episode of a data set, checked."""
     try:
-        tracks = np.asarray(stored[episode].observations, dtype=float)
+        tracks = np.asarray(next(episodes).observations, dtype=float)
     except (OSError, ValueError, KeyError, AssertionError) as error:
         raise ValueError(f"{name} cannot be read ({error!r}); {AGAIN}") from error
     expected = stored.observation_space.shape
@@ -330,7 +330,7 @@ def _recording(dataset: str, stored: Any, episode: int) -> Recording:
     game = demonstration_game()
     return Recording(
         name=name,
-        group=f"{dataset}/{episode}",
+        group=name,
         time_step=TIME_STEP,
         states=np.where(present[..., None], states, np.nan),
         drivers=np.array([0]),

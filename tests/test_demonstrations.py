@@ -183,6 +183,15 @@ def test_collisions_are_noted_and_without_effect():
     np.testing.assert_array_equal(ahead.state, env.routes[0, 1])
 
 
+def test_an_action_space_follows_the_configuration_and_keeps_its_seed():
+    env = make().unwrapped
+    space = env.action_space
+    env.reset(seed=0)
+    assert env.action_space is space
+    env.reset(options={"config": {"action": {"lateral": False}}})
+    assert env.action_space.shape == (1,)
+
+
 def test_the_driver_is_drawn_in_its_colour():
     env = make(render_mode="rgb_array")
     env.reset(seed=0)
@@ -433,6 +442,12 @@ def test_a_broken_file_and_a_missing_data_set_are_refused(files):
         load(NAME)
     with pytest.raises(ValueError, match="there is no data set ms-highway/other-v0"):
         load("ms-highway/other-v0")
+
+
+def test_without_minari_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "minari", None)
+    with pytest.raises(ImportError, match=r"pip install 'ms-highway\[demonstrations\]'"):
+        load(NAME)
 
 
 def test_a_person_needs_a_display(datasets, monkeypatch, capsys):
