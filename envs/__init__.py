@@ -1,18 +1,28 @@
-"""The environments: three scenarios of human and robot, as highway-env environments.
+"""The environments: three scenarios of human and robot, and one to record driving in, as highway-env environments.
 
-Importing this package registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0`` and
-``ms-highway/give-way-v0`` with Gymnasium.
+Importing this package registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
+``ms-highway/give-way-v0`` and ``ms-highway/demonstration-v0`` with Gymnasium.
 """
 
 from gymnasium.envs.registration import register, registry
 
 from ms_highway.envs.base import InteractionEnv
+from ms_highway.envs.demonstration import DemonstrationEnv
 from ms_highway.envs.give_way import GiveWayEnv
 from ms_highway.envs.merger import MergerEnv
 from ms_highway.envs.stay_back import StayBackEnv
 from ms_highway.scenario import Scenario
 
-__all__ = ["ENVIRONMENTS", "SCENARIOS", "GiveWayEnv", "MergerEnv", "StayBackEnv", "environment_id"]
+__all__ = [
+    "DEMONSTRATION_ID",
+    "ENVIRONMENTS",
+    "SCENARIOS",
+    "DemonstrationEnv",
+    "GiveWayEnv",
+    "MergerEnv",
+    "StayBackEnv",
+    "environment_id",
+]
 
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
     environment.scenario.name: environment for environment in (StayBackEnv, MergerEnv, GiveWayEnv)
@@ -21,6 +31,9 @@ ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
 
 SCENARIOS: dict[str, Scenario] = {name: environment.scenario for name, environment in ENVIRONMENTS.items()}
 """The scenarios by name."""
+
+DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
+"""The Gymnasium id of the `DemonstrationEnv`, with the prefix that lets spawned workers find it."""
 
 
 def environment_id(scenario: str) -> str:
@@ -36,8 +49,9 @@ def environment_id(scenario: str) -> str:
 
 def _register() -> None:
     """Register every id once, however often this runs."""
-    for name, environment in ENVIRONMENTS.items():
-        bare_id = environment_id(name).removeprefix("ms_highway:")
+    classes = {environment_id(name): environment for name, environment in ENVIRONMENTS.items()}
+    for identity, environment in {**classes, DEMONSTRATION_ID: DemonstrationEnv}.items():
+        bare_id = identity.removeprefix("ms_highway:")
         if bare_id not in registry:
             register(bare_id, entry_point=f"{environment.__module__}:{environment.__name__}")
 

@@ -9,10 +9,8 @@ from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ActionType, action_factory
 from highway_env.envs.common.observation import observation_factory
-from highway_env.road.lane import LineType, StraightLane
-from highway_env.road.road import Road, RoadNetwork
+from highway_env.road.road import Road
 from highway_env.vehicle.objects import Obstacle
-from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.compiled import measure_costs
@@ -22,24 +20,14 @@ from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.configuration import merged
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
+from ms_highway.envs.stage import evaluate, straight_road
 from ms_highway.game import Game, swap_roles
 from ms_highway.human_models import HumanModel, Naive, ladder
-from ms_highway.reward import Reward, features
 from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, PHYSICAL_LIMIT, Scenario, build_game, draw_starts
-from ms_highway.scene import Scene
 from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
 __all__ = ["Cone", "InteractionEnv", "Seconds"]
-
-ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
-
-
-@jax.jit
-def _evaluate(scene: Scene, robot: Reward, states: Float[jax.Array, "cars 4"]) -> Float[jax.Array, "2 features"]:
-    """The features phi of the robot's state, and what each of them adds to its reward, in one transfer."""
-    phi = features(scene, robot, states)
-    return jnp.stack([phi, phi * robot.weights])
 
 
 class Seconds(float):
@@ -224,7 +212,7 @@ class InteractionEnv(AbstractEnv):
         states = self._initial_states
         if states is None:
             states = draw_starts(self.scenario, self.np_random)
-        self.road = Road(self._network(), np_random=self.np_random)
+        self.road = Road(straight_road(self.game), np_random=self.np_random)
         for x, y in np.asarray(self.game.scene.obstacles, dtype=float):
             self.road.objects.append(Cone(self.road, [x, y]))
         classes = [RobotVehicle, HumanVehicle] + [ScriptedVehicle] * (len(states) - 2)
@@ -241,19 +229,6 @@ class InteractionEnv(AbstractEnv):
         self.controlled_vehicles = [robot]
         self.history = []
         self.collision = False
-
-    def _network(self) -> RoadNetwork:
-        scene = self.game.scene
-        network, lanes = RoadNetwork(), np.asarray(scene.lanes, dtype=float)
-        for place, y in enumerate(lanes):
-            right = LineType.CONTINUOUS_LINE if place == len(lanes) - 1 else LineType.STRIPED
-            apart = place > 0 and y - lanes[place - 1] > 1.01 * float(scene.lane_width)
-            left = LineType.CONTINUOUS_LINE if place == 0 else LineType.STRIPED if apart else LineType.NONE
-            ends = [ROAD_BEHIND, y], [ROAD_AHEAD, y]
-            limit = float(self.game.robot.speed_limit)
-            lane = StraightLane(*ends, width=float(scene.lane_width), line_types=[left, right], speed_limit=limit)
-            network.add_lane("start", "end", lane)
-        return network
 
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:
         settings, warm_start = self.config["controller"], self.config["warm_start"]
@@ -310,7 +285,7 @@ class InteractionEnv(AbstractEnv):
             car.hit = False
         super()._simulate(action)
         states = self.car_states.astype(np.float32)
-        phi, terms = np.asarray(_evaluate(self.game.scene, self.game.robot, states)).tolist()
+        phi, terms = np.asarray(evaluate(self.game.scene, self.game.robot, states)).tolist()
         self._terms = dict(zip(self.game.robot.names, terms, strict=True))
         if isinstance(self.action_type, HumanModelAction):
             seconds = self.costs(self.car_states)[int(action)]

@@ -14,8 +14,9 @@ from highway_env.envs.common.observation import (
 )
 
 from ms_highway.human_models import MODELS, ladder
+from ms_highway.routes import DENSITIES
 
-__all__ = ["controller_config", "merged"]
+__all__ = ["changed", "controller_config", "merged"]
 
 CONTROLLER_KEYS = {"switching": {"type", "lambda"}, "fixed": {"type", "model"}}
 ACTIONS: dict[str, set[str]] = {
@@ -26,6 +27,7 @@ ACTIONS: dict[str, set[str]] = {
 }
 OBSERVATIONS = {
     "CarStates": None,
+    "CarTracks": None,
     "Kinematics": KinematicObservation,
     "OccupancyGrid": OccupancyGridObservation,
     "LidarObservation": LidarObservation,
@@ -35,6 +37,7 @@ CHOICES = {
     "semantics": ("paper", "released"),
     "influence": (None, "exact", "damped"),
     "solver": ("gradient", "newton"),
+    "density": tuple(DENSITIES),
 }
 FREQUENCY = 10  # Hz
 
@@ -60,7 +63,26 @@ def controller_config(text: str) -> dict[str, Any]:
 
 
 def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The defaults with the changes made, checked.
+    """The configuration of an `InteractionEnv`: the defaults with the changes made, checked.
+
+    Raises:
+        ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
+    """
+    config = changed(defaults, changes)
+    try:
+        if isinstance(config["ladder"], str):
+            raise ValueError(f"{config['ladder']!r} is one name; give a list of names")
+        ladder(config["ladder"])
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"config['ladder']: {error}") from None
+    _check_controller(config["controller"])
+    _check_costs(config["costs"], config["ladder"])
+    _check_limit(config["control_limit"])
+    return config
+
+
+def changed(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The defaults of any environment with the changes made, as far as all environments share them, checked.
 
     A nested mapping changes only the keys that it names, unless its ``type`` differs: then it replaces the default.
 
@@ -70,25 +92,16 @@ def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> di
     changes = changes or {}
     _refuse_unknown("config", changes, defaults)
     config = {key: _merged_value(defaults[key], changes.get(key, defaults[key])) for key in defaults}
-    for key, choices in CHOICES.items():
-        if not _is_one_of(config[key], choices):
-            raise ValueError(f"config[{key!r}] is {config[key]!r}; choose one of {', '.join(map(repr, choices))}")
+    for key in CHOICES.keys() & config.keys():
+        if not _is_one_of(config[key], CHOICES[key]):
+            raise ValueError(f"config[{key!r}] is {config[key]!r}; choose one of {', '.join(map(repr, CHOICES[key]))}")
     for key, default in defaults.items():
         _check_scalar(key, default, config[key])
     for key in ("simulation_frequency", "policy_frequency"):
         if config[key] != FREQUENCY:
             raise ValueError(f"config[{key!r}] is {config[key]!r}; plans are made of steps of 0.1 s, so it must be 10")
-    try:
-        if isinstance(config["ladder"], str):
-            raise ValueError(f"{config['ladder']!r} is one name; give a list of names")
-        ladder(config["ladder"])
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"config['ladder']: {error}") from None
-    _check_controller(config["controller"])
     _check_action(config["action"])
     _check_observation(config["observation"])
-    _check_costs(config["costs"], config["ladder"])
-    _check_limit(config["control_limit"])
     return config
 
 

@@ -1,5 +1,6 @@
 """What a person sees: the road from above, plans and predictions on it, and a panel with what the robot thinks."""
 
+import os
 from typing import Any
 
 import jax
@@ -12,7 +13,7 @@ from jaxtyping import Float
 
 from ms_highway.dynamics import step
 
-__all__ = ["MODEL_COLORS", "MODEL_MEANINGS", "InteractionViewer"]
+__all__ = ["MODEL_COLORS", "MODEL_MEANINGS", "InteractionViewer", "Viewer", "check_display"]
 
 Color = tuple[int, int, int]
 
@@ -29,8 +30,8 @@ MARGIN = 16  # px
 TEXT_WIDTH = 400  # px, left part of the panel
 
 
-class InteractionViewer(EnvViewer):
-    """Draws an `InteractionEnv` on a surface of ``screen_width`` x ``screen_height``."""
+class Viewer(EnvViewer):
+    """highway-env's viewer, which here draws also without a display, beside others of its kind."""
 
     def __init__(self, env: Any) -> None:
         super().__init__(env)
@@ -40,6 +41,10 @@ class InteractionViewer(EnvViewer):
         """Close the window, if there is one; other environments of the process may still be drawing."""
         if not self.offscreen:
             pygame.display.quit()
+
+
+class InteractionViewer(Viewer):
+    """Draws an `InteractionEnv` on a surface of ``screen_width`` x ``screen_height``."""
 
     def window_position(self) -> Float[np.ndarray, "2"]:
         """The view follows the robot along the road and keeps the road in place."""
@@ -200,6 +205,22 @@ class InteractionViewer(EnvViewer):
 
     def _text(self, text: str, size: int, color: Color, place: tuple[int, int]) -> None:
         self.sim_surface.blit(_font(size).render(text, True, color), place)
+
+
+def check_display() -> None:
+    """Make sure that a window would be seen, unless the environment asks for a certain video driver.
+
+    Raises:
+        OSError: without a display.
+    """
+    unseen = False
+    try:
+        pygame.display.init()
+        unseen = pygame.display.get_driver() in ("dummy", "offscreen") and "SDL_VIDEODRIVER" not in os.environ
+    except pygame.error:
+        unseen = True
+    if unseen:
+        raise OSError("there is no display for a person to drive at; use a desktop, or let a program drive")
 
 
 def _font(size: int) -> pygame.font.Font:

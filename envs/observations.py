@@ -1,4 +1,4 @@
-"""What an agent sees: all cars in the order of their roles."""
+"""What an agent sees: all cars in the order of their roles, scaled for learning or exact for recording."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from gymnasium import spaces
 from highway_env.envs.common.observation import ObservationType
 from jaxtyping import Float
 
-__all__ = ["CarStates"]
+__all__ = ["CarStates", "CarTracks"]
 
 FEATURES = ("x", "y", "vx", "vy", "cos_h", "sin_h")
 RANGES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
@@ -33,3 +33,29 @@ class CarStates(ObservationType):
         rows = np.array([x, y, speed * cosine, speed * sine, cosine, sine]).T
         rows[1:, :4] -= rows[0, :4]
         return (rows / RANGES).clip(-1.0, 1.0).astype(np.float32, order="C")
+
+
+class CarTracks(ObservationType):
+    """``presence, x, y, heading, speed`` of the driver and of all others, in SI units, absolute and unscaled.
+
+    Always as many rows as there may be cars; rows of absent cars are zero. ``env.car_states`` may hold anything there,
+    ``env.present`` says which cars are there.
+    """
+
+    BOUND = 1e4  # m, rad or m/s; never reached
+
+    def __init__(self, env: Any, cars: int) -> None:
+        super().__init__(env)
+        self.shape = (cars, 5)
+
+    def space(self) -> spaces.Box:
+        high = np.full(self.shape, self.BOUND, dtype=np.float32)
+        high[:, 0] = 1
+        low = -high
+        low[:, 0] = 0
+        return spaces.Box(low, high, dtype=np.float32)
+
+    def observe(self) -> Float[np.ndarray, "cars 5"]:
+        present = self.env.present
+        tracks = np.concatenate([present[:, None], self.env.car_states], axis=-1) * present[:, None]
+        return tracks.clip(-self.BOUND, self.BOUND).astype(np.float32)

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from ms_highway import experiment, report, validation, video
 from ms_highway.bench import bench
+from ms_highway.cli_irl import add_irl
 from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.files import replacing
@@ -170,6 +171,8 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("directory", type=Path, metavar="DIR", help="directory of reference files, SCENARIO__KIND.npz")
     check.add_argument("--json", action="store_true", help="print JSON instead of a table")
     check.set_defaults(run=_validate)
+
+    add_irl(commands)
     return parser
 
 

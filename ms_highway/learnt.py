@@ -1,7 +1,6 @@
 """A learnt reward as a file: the weights, how sure they are, and where they come from."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import resources
@@ -18,6 +17,8 @@ __all__ = ["SHIPPED", "VERSION", "LearntReward", "load", "save", "shipped"]
 
 VERSION = 1
 """Of the file format; a file of another version is refused."""
+
+ANEW = "learn it anew with `ms-highway irl fit`"
 
 SHIPPED = {"demonstrations": "learnt from simulated demonstrations", "us101": "learnt from drivers on US-101"}
 """The learnt rewards that come with the package."""
@@ -113,12 +114,11 @@ def shipped(name: str) -> LearntReward:
 
 
 def _checked(content: Any, place: str) -> LearntReward:
-    version = content.pop("version", None) if isinstance(content, Mapping) else None
+    version = content.get("version") if isinstance(content, dict) else None
     if version != VERSION:
-        raise ValueError(
-            f"{place} holds a learnt reward of version {version}, not {VERSION}; learn it anew with `ms-highway irl fit`"
-        )
+        raise ValueError(f"{place} holds a learnt reward of version {version}, not {VERSION}; {ANEW}")
+    fields = {name: value for name, value in content.items() if name != "version"}
     try:
-        return LearntReward(**{**content, "learnt": tuple(content["learnt"])})
+        return LearntReward(**{**fields, "learnt": tuple(content["learnt"])})
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{place} is damaged: {error}; learn it anew with `ms-highway irl fit`") from error
+        raise ValueError(f"{place} is damaged: {error}; {ANEW}") from error

@@ -42,7 +42,7 @@ BATCH = 128  # cases that are driven at once
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Cases:
-    """n stretches of recorded driving to be predicted; arrays in SI units and lane coordinates.
+    """n stretches of recorded driving to be predicted; arrays, of NumPy or JAX, in SI units and lane coordinates.
 
     Attributes:
         scenes: the road and the driver's own size, every array with a leading axis [n].
@@ -55,12 +55,12 @@ class Cases:
     """
 
     scenes: Scene
-    speed_limit: Float[Array, "n"]
-    recorded: Float[Array, "n 51 4"]
-    others: Float[Array, "n 50 cars 4"]
-    present: Bool[Array, "n 50 cars"]
-    track: Float[Array, "n"]
-    group: Float[Array, "n"]
+    speed_limit: Float[Any, "n"]
+    recorded: Float[Any, "n 51 4"]
+    others: Float[Any, "n 50 cars 4"]
+    present: Bool[Any, "n 50 cars"]
+    track: Float[Any, "n"]
+    group: Float[Any, "n"]
 
     def __len__(self) -> int:
         return len(self.track)

@@ -1,4 +1,4 @@
-"""highway-env vehicles: a bicycle with friction, a car on a script, and cars that plan."""
+"""highway-env vehicles: a bicycle with friction, cars on a script or a route, and cars that plan."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -18,7 +18,15 @@ from ms_highway.human_models import Naive
 from ms_highway.road_view import Route, look
 from ms_highway.scenario import COMMON_WEIGHTS, PAPER_DYNAMICS, PAPER_UNIT, SPEED_LIMIT, driving_game
 
-__all__ = ["BicycleVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle", "ScriptedVehicle", "states_of"]
+__all__ = [
+    "BicycleVehicle",
+    "HumanVehicle",
+    "PlanningVehicle",
+    "RobotVehicle",
+    "RoutedVehicle",
+    "ScriptedVehicle",
+    "states_of",
+]
 
 
 def states_of(cars: Iterable[Vehicle]) -> Float[np.ndarray, "cars 4"]:
@@ -118,6 +126,38 @@ class ScriptedVehicle(BicycleVehicle):
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Make up for friction; actions are ignored."""
         self.execute(keep_velocity(self.dynamics, self.state))
+
+
+class RoutedVehicle(BicycleVehicle):
+    """A car on a route that was worked out beforehand, whatever happens; past its end, the car keeps its velocity.
+
+    Args:
+        road: where.
+        route: ``(x, y, heading, speed)`` now and after every step, [times, 4].
+    """
+
+    COLOR = (150, 150, 160)
+
+    def __init__(self, road: Road | None, route: Float[np.ndarray, "times 4"]) -> None:
+        x, y, heading, speed = route[0].tolist()
+        super().__init__(road, [x, y], heading, speed)
+        self.route = route
+        self.place = 0
+
+    def act(self, action: dict[str, Any] | None = None) -> None:
+        """Make up for friction, for after the route; actions are ignored."""
+        self.execute(keep_velocity(self.dynamics, self.state))
+
+    def step(self, dt: float) -> None:
+        """Go to the next state of the route, however long ``dt`` is."""
+        self.place += 1
+        if self.place >= len(self.route):
+            super().step(dt)
+            return
+        x, y, heading, speed = self.route[self.place].tolist()
+        self.position = np.array([x, y])
+        self.heading, self.speed = heading, speed
+        self.on_state_update()
 
 
 class PlanningVehicle(BicycleVehicle):

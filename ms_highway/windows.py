@@ -3,14 +3,14 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.dynamics import Array, Motion, keep_velocity, observe
+from ms_highway.dynamics import Motion, keep_velocity, observe
 from ms_highway.game import Game, move
 from ms_highway.neighbours import far_behind, places
 from ms_highway.recording import Recording
@@ -37,7 +37,7 @@ __all__ = [
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Windows:
-    """n windows of K steps, all arrays in SI units.
+    """n windows of K steps, all arrays, of NumPy or JAX, in SI units.
 
     Attributes:
         scenes: the road and the driver's own size, every array with a leading axis [n].
@@ -49,11 +49,11 @@ class Windows:
     """
 
     scenes: Scene
-    speed_limit: Float[Array, "n"]
-    start: Float[Array, "n 4"]
-    controls: Float[Array, "n K 2"]
-    others: Float[Array, "n 6 K 4"]
-    group: Int[Array, "n"]
+    speed_limit: Float[Any, "n"]
+    start: Float[Any, "n 4"]
+    controls: Float[Any, "n K 2"]
+    others: Float[Any, "n 6 K 4"]
+    group: Int[Any, "n"]
 
     def __len__(self) -> int:
         return len(self.start)

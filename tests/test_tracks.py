@@ -8,7 +8,7 @@ import pytest
 from ms_highway.dynamics import Dynamics, step
 from ms_highway.recording import Recording
 from ms_highway.scenario import PAPER_DYNAMICS
-from ms_highway.tracks import Track, smoothed
+from ms_highway.tracks import Track, track_of
 
 
 def recording_of(states: np.ndarray, time_step: float = 0.1) -> Recording:
@@ -39,7 +39,7 @@ def wave(speed: float) -> np.ndarray:
 @pytest.mark.parametrize("dynamics", [PAPER_DYNAMICS, Dynamics("yaw_rate", "quadratic", 0.01, 0.1)])
 def test_controls_drive_the_car_along_its_track(dynamics: Dynamics) -> None:
     states = driven(wave(20.0), (5.0, 1.0, 0.02, 20.0))
-    track = smoothed(recording_of(states), 0, dynamics)
+    track = track_of(recording_of(states), 0, dynamics)
     assert track.states.shape == (81, 4)
     assert track.controls.shape == (80, 2)
     np.testing.assert_allclose(driven(track.controls, tuple(track.states[0]), dynamics), track.states, atol=1e-9)
@@ -50,7 +50,7 @@ def test_noise_is_not_taken_for_driving() -> None:
     controls = wave(20.0)
     states = driven(controls, (0.0, 0.0, 0.0, 20.0))
     noisy = states + np.random.default_rng(0).normal(size=states.shape) * [0.1, 0.1, 0, 0]
-    track = smoothed(recording_of(noisy), 0, PAPER_DYNAMICS)
+    track = track_of(recording_of(noisy), 0, PAPER_DYNAMICS)
     assert error(track, states) < 0.06
     assert np.std(track.controls[:, 1] - controls[:, 1]) < 0.3  # second differences would give 24
     assert np.std(track.controls[:, 0] - controls[:, 0]) < 0.0005
@@ -58,8 +58,8 @@ def test_noise_is_not_taken_for_driving() -> None:
 
 def test_the_position_where_a_car_is_does_not_matter() -> None:
     states = driven(wave(20.0), (0.0, 0.0, 0.0, 20.0))
-    near = smoothed(recording_of(states), 0, PAPER_DYNAMICS)
-    far = smoothed(recording_of(states + np.array([400.0, 17.0, 0, 0])), 0, PAPER_DYNAMICS)
+    near = track_of(recording_of(states), 0, PAPER_DYNAMICS)
+    far = track_of(recording_of(states + np.array([400.0, 17.0, 0, 0])), 0, PAPER_DYNAMICS)
     np.testing.assert_allclose(far.controls, near.controls, atol=1e-6)
 
 
@@ -69,7 +69,7 @@ def test_a_car_that_comes_to_rest_keeps_its_heading_there() -> None:
     x = np.r_[0, np.cumsum((speed[:-1] + speed[1:]) / 2 * 0.1)]
     noise = np.random.default_rng(1).normal(size=(100, 2)) * 0.1
     states = np.stack([x + noise[:, 0], 0.05 * x + noise[:, 1], 0 * x, speed], axis=-1)
-    track = smoothed(recording_of(states), 0, PAPER_DYNAMICS)
+    track = track_of(recording_of(states), 0, PAPER_DYNAMICS)
     slow = time > 4.5
     assert (track.states[:, 3] >= 0).all()
     assert (track.states[slow, 3] < 0.3).all()
@@ -79,18 +79,18 @@ def test_a_car_that_comes_to_rest_keeps_its_heading_there() -> None:
 
 
 def test_a_standing_car_and_the_shortest_track_have_controls() -> None:
-    standing = smoothed(recording_of(np.zeros((30, 4))), 0, PAPER_DYNAMICS)
+    standing = track_of(recording_of(np.zeros((30, 4))), 0, PAPER_DYNAMICS)
     np.testing.assert_allclose(standing.states, 0, atol=1e-9)
     np.testing.assert_allclose(standing.controls, 0, atol=1e-9)
     two = np.array([[0.0, 0, 0, 10], [1.0, 0, 0, 10]])
-    track = smoothed(recording_of(two), 0, PAPER_DYNAMICS)
+    track = track_of(recording_of(two), 0, PAPER_DYNAMICS)
     np.testing.assert_allclose(track.states, two, atol=1e-6)
 
 
 def test_what_cannot_be_smoothed_is_refused() -> None:
     recording = recording_of(np.zeros((5, 4)), time_step=0.2)
     with pytest.raises(ValueError, match=r"a road has a time step of 0\.2 s, its dynamics one of 0\.1 s"):
-        smoothed(recording, 0, PAPER_DYNAMICS)
+        track_of(recording, 0, PAPER_DYNAMICS)
     states = np.full((5, 2, 4), np.nan)
     states[:, 0] = states[0, 1] = 0.0
     passing = replace(recording, time_step=0.1, states=states, sizes=np.ones((2, 2)))
