@@ -89,20 +89,20 @@ def test_a_standing_car_and_the_shortest_track_have_controls() -> None:
 
 def test_what_cannot_be_smoothed_is_refused() -> None:
     recording = recording_of(np.zeros((5, 4)), time_step=0.2)
-    with pytest.raises(ValueError, match=r"a road has a time step of 0\.2 s, its dynamics one of 0\.1 s"):
+    with pytest.raises(ValueError, match=r"a road has a time step of 0\.2 s; plans are made of steps of 0\.1 s"):
         track_of(recording, 0, PAPER_DYNAMICS)
     states = np.full((5, 2, 4), np.nan)
     states[:, 0] = states[0, 1] = 0.0
     passing = replace(recording, time_step=0.1, states=states, sizes=np.ones((2, 2)))
     with pytest.raises(ValueError, match="a road: car 1 was seen 1 times; a track needs two samples"):
-        smoothed(passing, 1, PAPER_DYNAMICS)
+        track_of(passing, 1, PAPER_DYNAMICS)
 
 
 def test_us101_tracks_are_close_to_what_was_recorded_and_plausible(us101: list[Recording]) -> None:
     squares, acceleration, curvature = [], [], []
     for recording in us101[::4]:
         for driver in recording.drivers:
-            track = smoothed(recording, driver, PAPER_DYNAMICS)
+            track = track_of(recording, driver, PAPER_DYNAMICS)
             squares.append(np.sum((track.states - recording.states[recording.seen[:, driver], driver])[:, :2] ** 2, -1))
             acceleration.append(np.diff(track.states[:, 3]) / 0.1)
             curvature.append(track.controls[:, 0])
