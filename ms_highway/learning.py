@@ -17,19 +17,23 @@ from ms_highway.learnt import LearntReward
 from ms_highway.planner import climb
 from ms_highway.recording import Recording
 from ms_highway.reward import motion_reward
+from ms_highway.scenario import COMMON_WEIGHTS
 from ms_highway.sums import total
-from ms_highway.windows import Window, Windows, at_window, cut, template
+from ms_highway.windows import Window, Windows, at_window, cut, regular, template
 
 __all__ = ["COMFORT_GIVEN", "REAL", "SIMULATED", "best_controls", "folds", "learn"]
 
 COMFORT_GIVEN = 0.1
 """The comfort weight that sets the scale of all others; small against the published weights' curvature."""
 
-SIMULATED = Model(
-    ("speed", "lane_alignment", "collision_risk", "off_road"),
-    {"comfort_steering": COMFORT_GIVEN, "comfort_acceleration": COMFORT_GIVEN},
-)
-"""What is learnt from simulated demonstrations: the weights that every driver of the paper has."""
+COMFORT = {"comfort_steering": COMFORT_GIVEN, "comfort_acceleration": COMFORT_GIVEN}
+
+SIMULATED = Model(("speed", "lane_alignment", "collision_risk"), {"off_road": COMMON_WEIGHTS["off_road"], **COMFORT})
+"""What is learnt from simulated demonstrations: the weights that every driver of the paper has.
+
+What leaving the road costs is given: those who stay on it tell nothing about it, and those who slide along its edge
+nothing that slopes could tell, see `ms_highway.windows.regular`.
+"""
 
 REAL = Model(
     (*SIMULATED.learnt, "headway", "closing_speed", "induced_braking", "comfort_steering"),
@@ -65,6 +69,9 @@ def learn(
     """
     yield "cutting windows"
     windows = cut(recordings, horizon)
+    windows = windows.of(regular(windows))
+    if not len(windows):
+        raise ValueError(f"none of the windows of {source} can be learnt from: all are at the road's edge or at limits")
     yield f"differentiating {len(windows)} windows"
     slopes = slopes_of(windows, model.names)
     yield "fitting"
