@@ -156,8 +156,8 @@ def _around(
 def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
     """Where the slope of a reward at the driver's controls can tell what the driver is after.
 
-    It cannot where a control is at its limit, as what holds the driver back there is no reward; nor where the car leaves
-    the road while it points along it: there `off_road` has a kink, as another corner becomes the outermost, and whoever
+    It cannot where a control is at its limit, as what holds the driver back there is no reward; nor where the car is
+    off the road and points along it: there `off_road` has a kink, as another corner becomes the outermost, and whoever
     slides along the edge stays at the kink whatever the weight is.
     """
     game = template(windows, {})
