@@ -1,7 +1,8 @@
 """How well known weights are recovered from demonstrations, and what planning loses by what is not."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import jax
 import numpy as np
@@ -10,14 +11,15 @@ from jax import numpy as jnp
 from jaxtyping import Float
 from scipy import optimize
 
-from ms_highway.demonstrators import DRIVER_WEIGHTS, TEMPERATURE
-from ms_highway.dynamics import keep_velocity
+from ms_highway.demonstrators import DRIVER_WEIGHTS, optimal
+from ms_highway.dynamics import keep_velocity, observe
+from ms_highway.game import Game
 from ms_highway.irl import Fit, Model, Slopes, fit, log_likelihoods, slopes_of
-from ms_highway.learning import SIMULATED, best_controls, likelihoods
+from ms_highway.learning import SIMULATED, likelihoods
 from ms_highway.recording import Recording
 from ms_highway.reward import COMFORT, FEATURES
-from ms_highway.scenario import PAPER_DYNAMICS
-from ms_highway.windows import Window, Windows, cut, features_along, template
+from ms_highway.scenario import PAPER_DYNAMICS, driving_game
+from ms_highway.windows import Window, Windows, at_window, cut, features_along, regular, template
 
 __all__ = ["IDENTIFIABLE", "recover", "true_rewards"]
 
@@ -53,10 +55,11 @@ def recover(
         ``demonstrations``, ``windows``: what was learnt from; ``weight``: its name; ``true``; ``learnt``; ``low`` and
         ``high``: the ends of the 90 % interval, by size; ``log_ratio``: log(learnt / true); ``spread``: standard
         deviation of the weight's logarithm; ``identifiable``: whether that is below 0.5; and, the same for all weights
-        of a number, ``temperature``; ``converged``; ``log_likelihood`` per held-out window, and ``log_likelihood_true``
-        of the true weights at the temperature at which it is highest; ``regret``: what the plans for the learnt weights
-        earn less, by the true ones, than the plans for those, as a share of what planning gains over keeping the
-        velocity.
+        of a number, ``temperature``; ``converged``; ``log_likelihood``
+        per held-out window, and ``log_likelihood_true``
+        of the true weights at the temperature at which it is highest; ``regret``: what the optimal controls for the
+        learnt weights earn less, by the true ones, than the optimal controls for those, as a share of what these gain
+        over keeping the velocity.
 
     Raises:
         ValueError: for numbers that the demonstrations do not allow, or a model whose truth is not known.
@@ -66,25 +69,29 @@ def recover(
     chosen = [*recordings[: numbers[-1]], *recordings[len(recordings) - held_out :]]
     yield f"cutting {len(chosen)} demonstrations into windows"
     windows = cut([replace(recording, group=str(place)) for place, recording in enumerate(chosen)], horizon)
+    judged = windows.of(windows.group >= numbers[-1])  # also where slopes cannot tell, which is where plans matter too
+    windows = windows.of(regular(windows))
+    fitted = windows.group < numbers[0]
+    if not fitted.any() or not (windows.group >= numbers[-1]).any():
+        raise ValueError(f"none of the windows of {numbers[0]} or of the held-out demonstrations tells by its slopes")
     yield f"differentiating {len(windows)} windows"
-    slopes, place = slopes_of(windows, model.names), np.asarray(windows.group)
-    kept: Windows = jax.tree.map(lambda part: part[place >= numbers[-1]], windows)
-    rest = slopes.of(place >= numbers[-1])
-    yield f"planning in {len(kept)} held-out windows"
-    earned = true_rewards(kept)
-    best = earned(best_controls(kept, {name: weight / TEMPERATURE for name, weight in DRIVER_WEIGHTS.items()}))
-    kept_velocity = np.asarray(keep_velocity(PAPER_DYNAMICS, jnp.asarray(kept.start)))
-    gain = float((best - earned(np.broadcast_to(kept_velocity[:, None], kept.controls.shape))).mean())
+    slopes = slopes_of(windows, model.names)
+    rest = slopes.of(windows.group >= numbers[-1])
+    yield f"planning in {len(judged)} held-out windows"
+    earned, plans = true_rewards(judged), _planning(judged)
+    best = earned(plans(DRIVER_WEIGHTS))
+    kept = np.asarray(keep_velocity(PAPER_DYNAMICS, jnp.asarray(judged.start)))[:, None]
+    gain = float((best - earned(np.broadcast_to(kept, judged.controls.shape))).mean())
     reference = _best_likelihood(rest, model)
     rows: list[dict[str, object]] = []
     for number in numbers:
         yield f"learning from {number} demonstrations"
-        found = fit(slopes.of(place < number), model)
-        lost = float((best - earned(best_controls(kept, found.sharp_weights))).mean())
+        found = fit(slopes.of(windows.group < number), model)
+        lost = float((best - earned(plans(found.weights))).mean())
         common = {
             "temperature": found.temperature,
             "converged": found.converged,
-            "log_likelihood": float(likelihoods(rest, found).mean()),
+            "log_likelihood": float(likelihoods(rest, model, found.weights, found.temperature).mean()),
             "log_likelihood_true": reference,
             "regret": lost / gain,
         }
@@ -105,6 +112,28 @@ def true_rewards(windows: Windows) -> Callable[[Float[np.ndarray, "n K 2"]], Flo
         return theta @ features_along(game, window, controls / game.planner.control_scale)
 
     return lambda controls: np.asarray(rewards(single, jnp.asarray(controls, dtype=jnp.float32)), dtype=float)
+
+
+def _planning(windows: Windows) -> Callable[[Mapping[str, float]], Float[np.ndarray, "n K 2"]]:
+    """A function from weights to the controls of the optimum in every window that `optimal` drivers find."""
+    ahead = windows.start[:, :1] * [1.0, 0.0, 0.0, 0.0]  # in coordinates that begin at the driver, as for them
+    near = replace(windows, start=windows.start - ahead, others=windows.others - ahead[:, None, None])
+
+    @jax.jit
+    def plan(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
+        def best(window: Window) -> Float[jax.Array, "K 2"]:
+            here = at_window(game, window)
+            return optimal(here, window.start, observe(window.others)).controls * game.planner.control_scale
+
+        return jax.vmap(best)(windows)
+
+    def plans(weights: Mapping[str, float]) -> Float[np.ndarray, "n K 2"]:
+        scene = jax.tree.map(lambda numbers: numbers[0], windows.scenes)
+        game = driving_game(scene, float(windows.speed_limit[0]), weights)
+        game = replace(game, planner=replace(game.planner, horizon=windows.controls.shape[1]))
+        return np.asarray(plan(*jax.tree.map(partial(jnp.asarray, dtype=jnp.float32), (game, near))), dtype=float)
+
+    return plans
 
 
 def _check(recordings: Sequence[Recording], numbers: Sequence[int], model: Model, held_out: int) -> None:
