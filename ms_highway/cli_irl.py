@@ -1,22 +1,31 @@
 """The command ``ms-highway irl``: demonstrations, and what can be learnt from them."""
 
 import argparse
+import json
+import typing
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
 
 from ms_highway import commonroad, demonstrations, irl_report
 from ms_highway.demonstrators import TEMPERATURE
+from ms_highway.evaluation import cross_validate, evaluate
 from ms_highway.files import replacing
-from ms_highway.learning import SIMULATED
-from ms_highway.learnt import SHIPPED, load, shipped
-from ms_highway.prediction import cases_of, constant_velocity, drive, idm
+from ms_highway.irl import Model
+from ms_highway.learning import COMFORT_GIVEN, REAL, SIMULATED, learn
+from ms_highway.learnt import SHIPPED, LearntReward, load, save, shipped
+from ms_highway.prediction import HORIZONS, Cases, Others, cases_of, constant_velocity, drive, idm
+from ms_highway.recording import Recording
 from ms_highway.recovery import recover
+from ms_highway.reward import COMFORT
 from ms_highway.routes import DENSITIES
 
 __all__ = ["add_irl"]
@@ -34,6 +43,27 @@ examples:
   ms-highway irl record --driver maxent --episodes 200 --dataset ms-highway/maxent-v0
   ms-highway irl record --driver keyboard --episodes 10 --dataset ms-highway/me-v0 --density sparse"""
 
+
+FIT_HELP = """\
+Learn the weights of a reward by maximum entropy: the reward that makes it most likely that drivers did what they did,
+window after window of --horizon steps of 0.1 s (Levine and Koltun 2012). Half the least comfort weight is the floor of
+the curvature that a fit believes. --out gets weights, temperature, covariance, likelihoods and where all of it is from.
+The indicator of a collision has no gradient and is left out."""
+
+FIT_EXAMPLES = """\
+examples:
+  ms-highway irl fit --data minari:ms-highway/maxent-v0 --out theta.json
+  ms-highway irl fit --data us101 --learn headway closing_speed comfort_steering --out theta.json"""
+
+EVALUATE_HELP = """\
+Predict recorded drivers for up to 5 s, replanning at 10 Hz, and compare with where they went; beside constant velocity
+and highway-env's IDM, on the same stretches of road. With --folds instead of --theta, rewards are learnt from the other
+recordings, fold after fold. ADE, FDE and RMSE are in metres; a miss is more than 2 m off."""
+
+EVALUATE_EXAMPLES = """\
+examples:
+  ms-highway irl evaluate --theta us101 --data recordings --json
+  ms-highway irl evaluate --folds 4 --data recordings"""
 
 RECOVER_HELP = """\
 Learn the weights of simulated drivers from more and more of their demonstrations, and compare them with the true ones
@@ -58,12 +88,19 @@ example:
 
 DPI = 110
 
+MINARI = "minari:"
+TABLE_WIDTH = 120  # characters
+
+Result = TypeVar("Result")
+
 
 def add_irl(commands: Any) -> None:
     """Add the command ``irl`` with its subcommands to a parser's subparsers."""
     irl = commands.add_parser("irl", help="record driving and learn rewards from it", description=IRL_HELP)
     subcommands = irl.add_subparsers(title="commands", required=True, metavar="COMMAND")
     _add_record(subcommands)
+    _add_fit(subcommands)
+    _add_evaluate(subcommands)
     _add_recover(subcommands)
     _add_report(subcommands)
 
@@ -116,6 +153,145 @@ def _record(options: argparse.Namespace) -> None:
     print(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")
 
 
+def _add_fit(commands: Any) -> None:
+    fit = commands.add_parser(
+        "fit",
+        help="learn a reward",
+        description=FIT_HELP,
+        epilog=FIT_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_data(fit)
+    _add_model(fit)
+    fit.add_argument("--out", type=Path, required=True, metavar="FILE", help="a .json file for the learnt reward")
+    fit.set_defaults(run=_fit)
+
+
+def _add_data(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--data",
+        required=True,
+        metavar="DIR|minari:NAME",
+        help="a directory of CommonRoad scenarios (*.xml, *.xml.gz), or a Minari data set of `ms-highway irl record`",
+    )
+
+
+def _add_model(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--learn",
+        nargs="+",
+        metavar="WEIGHT",
+        help=f"names of the weights to learn (default: {', '.join(REAL.learnt)}; of those, from a Minari data set, "
+        f"{', '.join(SIMULATED.learnt)}); comfort weights that are not learnt are 0.1 and set the scale",
+    )
+    parser.add_argument("--horizon", type=int, default=5, help="length of windows and plans, in steps (default: 5)")
+
+
+def _add_evaluate(commands: Any) -> None:
+    parser = commands.add_parser(
+        "evaluate",
+        help="predict recorded drivers",
+        description=EVALUATE_HELP,
+        epilog=EVALUATE_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_data(parser)
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--theta", metavar="FILE", help=f"a learnt reward: a file, or one of {', '.join(SHIPPED)}")
+    which.add_argument("--folds", type=int, metavar="N", help="cross-validate by recording, in N folds")
+    _add_model(parser)
+    parser.add_argument(
+        "--others",
+        choices=typing.get_args(Others),
+        default="recorded",
+        help="what predicted drivers meet: the others where they were recorded to be at each step (default), or where "
+        "they would be had they kept their velocity from the start, so that nothing of the future is known",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.set_defaults(run=_evaluate)
+
+
+def _fit(options: argparse.Namespace) -> None:
+    recordings = _read(options.data)
+    learnt = _working(learn(recordings, _model(options, recordings), options.horizon, options.data))
+    assert isinstance(learnt, LearntReward)
+    if not learnt.converged:
+        raise ValueError(
+            f"the fit has not converged after {learnt.iterations} iterations, at {learnt.weights}; "
+            "learn fewer weights, or from more driving"
+        )
+    save(learnt, options.out)
+    grid = Table(box=SIMPLE, title=f"learnt from {learnt.windows} windows", title_justify="left")
+    for column in ("weight", "value", "90 % interval"):
+        grid.add_column(column, justify="left" if column == "weight" else "right")
+    for name, value in learnt.weights.items():
+        interval = "{:.3g}, {:.3g}".format(*learnt.interval(name)) if name in learnt.learnt else "given"
+        grid.add_row(name, f"{value:.4g}", interval)
+    grid.add_row("temperature", f"{learnt.temperature:.3g}", "")
+    Console().print(grid)
+    likely = learnt.log_likelihood
+    held_out = "" if likely["held_out"] is None else f", {likely['held_out']:.3f} on those held out"
+    print(f"log-likelihood per window: {likely['train']:.3f}{held_out}")
+    print(f"the learnt reward is in {options.out}")
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    learnt = _theta(options.theta) if options.theta else None
+    recordings = _read(options.data)
+    if learnt:
+        found = _working(evaluate(recordings, learnt, options.others))
+    else:
+        model = _model(options, recordings)
+        found = _working(cross_validate(recordings, model, options.horizon, options.folds, options.others))
+    if options.json:
+        print(json.dumps(found, indent=2))
+        return
+    title = f"{found['windows']} stretches of road of {found['tracks']} drivers"
+    grid = Table(box=SIMPLE, title=title, title_justify="left")
+    columns = [f"{kind} {horizon} s" for kind in ("FDE", "miss") for horizon in HORIZONS]
+    for column in ("predicted by", *columns, "log p"):
+        grid.add_column(column, justify="left" if column == "predicted by" else "right")
+    for name in ("model", "constant_velocity", "idm"):
+        row, horizons = found[name], [str(horizon) for horizon in HORIZONS]
+        distances = [f"{row['fde'][horizon]:.2f}" if horizon in row["fde"] else "" for horizon in horizons]
+        misses = [f"{row['miss'][horizon]:.0%}" if horizon in row["miss"] else "" for horizon in horizons]
+        grid.add_row(name.replace("_", " "), *distances, *misses, f"{row['log_likelihood']:.2f}")
+    Console(width=max(Console().width, TABLE_WIDTH)).print(grid)
+
+
+def _read(data: str) -> list[Recording]:
+    if data.startswith(MINARI):
+        return demonstrations.load(data.removeprefix(MINARI))
+    return commonroad.read_directory(Path(data))
+
+
+def _theta(name: str) -> LearntReward:
+    return shipped(name) if name in SHIPPED else load(Path(name))
+
+
+def _model(options: argparse.Namespace, recordings: list[Recording]) -> Model:
+    if options.horizon < 1:
+        raise ValueError(f"--horizon is {options.horizon}; a window has at least one step")
+    usual = REAL if recordings[0].measured else SIMULATED
+    if not options.learn:
+        return usual
+    given = {**dict.fromkeys(COMFORT, COMFORT_GIVEN), **usual.given}
+    return Model(tuple(options.learn), {name: value for name, value in given.items() if name not in options.learn})
+
+
+def _working(progress: Iterator[str | Result]) -> Result:
+    """Run what tells what it is doing, and its result at the end."""
+    columns = TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+        for message in progress:
+            if isinstance(message, str):
+                bar.update(task, description=message)
+            else:
+                result = message
+    return result
+
+
 def _add_recover(commands: Any) -> None:
     parser = commands.add_parser(
         "recover",
@@ -148,25 +324,21 @@ def _recover(options: argparse.Namespace) -> None:
         raise ValueError(f"--horizon is {options.horizon}; a window has at least one step")
     data = list(dict.fromkeys(options.data))
     for name in data:
-        if not name.startswith("minari:"):
+        if not name.startswith(MINARI):
             raise ValueError(f"--data is {name!r}; true weights are known of simulated drivers only, minari:NAME")
-    sets = {name.removeprefix("minari:"): demonstrations.load(name.removeprefix("minari:")) for name in data}
+    sets = {name.removeprefix(MINARI): demonstrations.load(name.removeprefix(MINARI)) for name in data}
     tables = []
-    with _spinner() as progress:
-        task = progress.add_task("", total=None)
-        for name, recordings in sets.items():
-            for found in recover(recordings, options.demonstrations, SIMULATED, options.horizon, options.held_out):
-                if isinstance(found, str):
-                    progress.update(task, description=f"{name}: {found}")
-                else:
-                    found.insert(0, "driver", name)
-                    tables.append(found)
+    for name, recordings in sets.items():
+        found = _working(recover(recordings, options.demonstrations, SIMULATED, options.horizon, options.held_out))
+        assert isinstance(found, pd.DataFrame)
+        found.insert(0, "driver", name)
+        tables.append(found)
     rows = pd.concat(tables, ignore_index=True)
     with replacing(options.out / "recovery.csv") as path:
         rows.to_csv(path, index=False)
     figures = {"weights": irl_report.weights_figure(rows), "likelihood": irl_report.likelihood_figure(rows)}
     _save_figures(figures, options.out)
-    Console(width=max(Console().width, 120)).print(irl_report.recovery_table(rows))
+    Console(width=max(Console().width, TABLE_WIDTH)).print(irl_report.recovery_table(rows))
     print(f"results are in {options.out}")
 
 
@@ -184,48 +356,40 @@ def _add_report(commands: Any) -> None:
     parser.add_argument(
         "--theta", required=True, metavar="FILE", help=f"a learnt reward: a file, or one of {', '.join(SHIPPED)}"
     )
-    parser.add_argument(
-        "--data",
-        required=True,
-        metavar="DIR|minari:NAME",
-        help="where examples are from: CommonRoad scenarios, or a Minari data set",
-    )
+    _add_data(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory of results")
     parser.set_defaults(run=_report)
 
 
 def _report(options: argparse.Namespace) -> None:
     evaluation = irl_report.load_evaluation(options.evaluation)
-    learnt = shipped(options.theta) if options.theta in SHIPPED else load(Path(options.theta))
-    with _spinner() as progress:
-        task = progress.add_task("reading", total=None)
-        if options.data.startswith("minari:"):
-            recordings = demonstrations.load(options.data.removeprefix("minari:"))
-        else:
-            recordings = commonroad.read_directory(Path(options.data))
-        progress.update(task, description="choosing examples")
-        cases = cases_of(recordings)
-        chosen = irl_report.examples(cases)
-        cases = cases.of(np.array(list(chosen.values())))
-        progress.update(task, description=f"driving {len(cases)} examples")
-        paths = {
-            "model": drive(cases, learnt.sharp_weights, learnt.horizon),
-            "constant_velocity": constant_velocity(cases),
-            "idm": idm(cases),
-        }
+    learnt, recordings = _theta(options.theta), _read(options.data)
+    cases, titles, paths = _working(_drive_examples(recordings, learnt))
     figures = {
         "errors": irl_report.errors_figure(evaluation),
-        "paths": irl_report.paths_figure(cases, paths, list(chosen)),
+        "paths": irl_report.paths_figure(cases, paths, titles),
         "counts": irl_report.counts_figure(learnt),
     }
     _save_figures(figures, options.out)
-    Console(width=max(Console().width, 120)).print(irl_report.evaluation_table(evaluation))
+    Console(width=max(Console().width, TABLE_WIDTH)).print(irl_report.evaluation_table(evaluation))
     print(f"figures are in {options.out}")
 
 
-def _spinner() -> Progress:
-    """What is being done, and for how long."""
-    return Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=Console(stderr=True), transient=True)
+def _drive_examples(
+    recordings: list[Recording], learnt: LearntReward
+) -> Iterator[str | tuple[Cases, list[str], dict[str, Any]]]:
+    """Examples of the recordings, what is special about each, and where all predictors get in them."""
+    yield "choosing examples"
+    cases = cases_of(recordings)
+    chosen = irl_report.examples(cases)
+    cases = cases.of(np.array(list(chosen.values())))
+    yield f"driving {len(cases)} examples"
+    paths = {
+        "model": drive(cases, learnt.sharp_weights, learnt.horizon),
+        "constant_velocity": constant_velocity(cases),
+        "idm": idm(cases),
+    }
+    yield cases, list(chosen), paths
 
 
 def _save_figures(figures: dict[str, Figure], directory: Path) -> None:

@@ -173,16 +173,19 @@ def paths_figure(cases: Cases, paths: Mapping[str, Float[np.ndarray, "n 50 2"]],
     """
     figure = Figure(figsize=(11, 0.6 + 2.3 * len(cases)), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(cases), 1))
+    recorded = np.asarray(cases.recorded)
+    ends = np.concatenate([recorded[:, 1:, :1], *(path[..., :1] for path in paths.values())], axis=1)
+    stretch = -BEFORE, float(np.nanmax(ends[..., 0] - recorded[:, :1, 0])) + AFTER
     for number, (axes, title) in enumerate(zip(panels, titles, strict=True)):
         own = {name: path[number] for name, path in paths.items()}
-        _map(axes, cases, number, own)
-        track = np.asarray(cases.recorded)[number]
+        _map(axes, cases, number, own, stretch)
+        track = recorded[number]
         seen = np.isfinite(track).all(axis=-1)
         last = int(np.flatnonzero(seen)[-1])
         off = {name: float(np.linalg.norm(path[last - 1] - track[last, :2])) for name, path in own.items()}
-        ends = ", ".join(f"{PREDICTORS[name][0]} {value:.1f} m" for name, value in off.items())
+        misses = ", ".join(f"{PREDICTORS[name][0]} {value:.1f} m" for name, value in off.items())
         speeds = f"{track[0, 3]:.1f} to {track[last, 3]:.1f} m/s"
-        axes.set_title(f"{title}, {speeds}; off after {last / 10:g} s: {ends}", loc="left", fontsize="medium")
+        axes.set_title(f"{title}, {speeds}; off after {last / 10:g} s: {misses}", loc="left", fontsize="medium")
     panels[-1].set_xlabel("along the road [m]")
     handles = [Line2D([], [], color=RECORDED, marker="D", markersize=4, label="recorded")]
     handles += [
@@ -194,12 +197,13 @@ def paths_figure(cases: Cases, paths: Mapping[str, Float[np.ndarray, "n 50 2"]],
     return figure
 
 
-def _map(axes: Axes, cases: Cases, number: int, paths: Mapping[str, Float[np.ndarray, "50 2"]]) -> None:
+def _map(
+    axes: Axes, cases: Cases, number: int, paths: Mapping[str, Float[np.ndarray, "50 2"]], stretch: tuple[float, float]
+) -> None:
+    """One case, along a stretch of road that is measured from the driver."""
     lanes, width = np.unique(cases.scenes.lanes[number]), float(np.asarray(cases.scenes.lane_width)[number])
     car, track = np.asarray(cases.scenes.car_size[number]), np.asarray(cases.recorded)[number]
-    origin = track[0, 0]
-    xs = np.concatenate([track[:, 0], *(path[:, 0] for path in paths.values())]) - origin
-    low, high = -BEFORE, np.nanmax(xs) + AFTER
+    origin, (low, high) = track[0, 0], stretch
     axes.axhspan(lanes[0] - width / 2, lanes[-1] + width / 2, color="#f1f2f4", zorder=0)
     for edge in (lanes[0] - width / 2, lanes[-1] + width / 2):
         axes.axhline(edge, color="#555b66", linewidth=1.2, zorder=1)
@@ -220,7 +224,7 @@ def _map(axes: Axes, cases: Cases, number: int, paths: Mapping[str, Float[np.nda
         axes.plot(*line.T, color=color, linewidth=1.3, marker=marker, markersize=4, markevery=10, zorder=4 + order)
     axes.set(xlim=(low, high), ylim=(lanes[-1] + width, lanes[0] - width), ylabel="to the\nright [m]")
     axes.set_aspect("equal", adjustable="box")
-    axes.set_yticks(lanes, [f"{y:.1f}" for y in lanes], fontsize="x-small")
+    axes.set_yticks(lanes, [f"{round(y, 1) + 0.0:.1f}" for y in lanes], fontsize="x-small")
 
 
 def _body(state: Float[np.ndarray, "4"], size: Float[np.ndarray, "2"], **style: Any) -> Polygon:

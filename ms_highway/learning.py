@@ -16,7 +16,7 @@ from ms_highway.irl import BATCH, Fit, Model, Slopes, fit, log_likelihoods, slop
 from ms_highway.learnt import LearntReward
 from ms_highway.planner import climb
 from ms_highway.recording import Recording
-from ms_highway.reward import motion_reward
+from ms_highway.reward import COMFORT, motion_reward
 from ms_highway.scenario import COMMON_WEIGHTS
 from ms_highway.sums import total
 from ms_highway.windows import Window, Windows, at_window, cut, regular, template
@@ -26,9 +26,10 @@ __all__ = ["REAL", "SIMULATED", "best_controls", "folds", "learn", "likelihoods"
 COMFORT_GIVEN = 0.1
 """The comfort weight that sets the scale of all others; small against the published weights' curvature."""
 
-COMFORT = {"comfort_steering": COMFORT_GIVEN, "comfort_acceleration": COMFORT_GIVEN}
-
-SIMULATED = Model(("speed", "lane_alignment", "collision_risk"), {"off_road": COMMON_WEIGHTS["off_road"], **COMFORT})
+SIMULATED = Model(
+    ("speed", "lane_alignment", "collision_risk"),
+    {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)},
+)
 """What is learnt from simulated demonstrations: the weights that every driver of the paper has.
 
 What leaving the road costs is given: those who stay on it tell nothing about it, and those who slide along its edge
