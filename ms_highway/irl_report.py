@@ -113,7 +113,11 @@ def likelihood_figure(rows: pd.DataFrame) -> Figure:
             own["log_likelihood_true"].iloc[0], color="#4a8f4a", linestyle="--", label="true weights, best temperature"
         )
         lower.plot(own["demonstrations"], 100 * own["regret"], "o-", color=NUMBERS[-1])
-        lower.axhline(0, color="#4a8f4a", linestyle="--")
+        if (own["regret"] > 0).all():
+            lower.set_yscale("log")
+            lower.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        else:
+            lower.axhline(0, color="#4a8f4a", linestyle="--")
         upper.set_title(str(driver))
         upper.margins(y=0.15)
         lower.margins(y=0.15)
@@ -121,8 +125,8 @@ def likelihood_figure(rows: pd.DataFrame) -> Figure:
         lower.set_xticks(own["demonstrations"], [f"{number}" for number in own["demonstrations"]])
         lower.xaxis.set_minor_locator(NullLocator())
         lower.set_xlabel("demonstrations")
+        upper.ticklabel_format(axis="y", useOffset=False)
         for axes in (upper, lower):
-            axes.ticklabel_format(axis="y", useOffset=False)
             axes.spines[["top", "right"]].set_visible(False)
             axes.grid(axis="y", color="#eeeeee")
     panels[0, 0].set_ylabel("held-out log-likelihood\nper window [nat]")
