@@ -267,13 +267,13 @@ def errors_figure(evaluation: Mapping[str, Any]) -> Figure:
 
 
 def counts_figure(learnt: LearntReward) -> Figure:
-    """Mean sums of the features over a window: the humans', and those expected under the reward; the larger is 1."""
+    """Mean sums of the features over a window: the drivers', and those expected under the reward."""
     human, model = learnt.feature_counts["human"], learnt.feature_counts["model"]
     names = list(human)
     figure = Figure(figsize=(8.5, 1.4 + 0.5 * len(names)), layout="constrained")
     axes = figure.subplots()
     for shift, label, counts, color in (
-        (-0.2, "humans", human, RECORDED),
+        (-0.2, "drivers", human, RECORDED),
         (0.2, "expected under the reward", model, PREDICTORS["model"][1]),
     ):
         sizes = np.array([max(abs(human[name]), abs(model[name])) or 1.0 for name in names])
@@ -284,7 +284,7 @@ def counts_figure(learnt: LearntReward) -> Figure:
     axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     axes.invert_yaxis()
     axes.margins(x=0.15)
-    axes.set(xlabel="mean sum over a window, of the larger of both; numbers are the sums")
+    axes.set(xlabel="mean sum over a window, relative to the larger of the two; labels are the sums")
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside upper center", ncols=2, frameon=False)
     return figure

@@ -9,6 +9,7 @@ import pytest
 from matplotlib.image import imread
 from rich.console import Console
 
+from ms_highway.cli import main
 from ms_highway.demonstrators import DRIVER_WEIGHTS
 from ms_highway.irl_report import (
     counts_figure,
@@ -154,3 +155,20 @@ def test_what_is_no_evaluation_is_refused(content, message, tmp_path):
 def test_recovery_needs_enough_demonstrations(numbers, held_out, message, us101):
     with pytest.raises(ValueError, match=message):
         next(recover(us101[:2], numbers, held_out=held_out))
+
+
+def test_commands_refuse_what_they_cannot_use_before_anything_is_written(tmp_path, capsys):
+    path, out = tmp_path / "evaluation.json", str(tmp_path / "out")
+    path.write_text(json.dumps(evaluation()))
+    report = ["irl", "report", "--out", out, "--theta", "demonstrations"]
+    for arguments, message in (
+        (["irl", "recover", "--data", "recordings", "--out", out], "true weights are known of simulated drivers only"),
+        (["irl", "recover", "--data", "minari:ms-highway/absent-v0", "--out", out], "there is no data set"),
+        ([*report, "--evaluation", str(tmp_path / "absent.json"), "--data", out], "cannot be read as an evaluation"),
+        ([*report, "--evaluation", str(path), "--data", out], "is not a directory"),
+    ):
+        assert main(arguments) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
