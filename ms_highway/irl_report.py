@@ -41,6 +41,7 @@ PREDICTORS = {
 RECORDED = "#111318"
 CLOSE = 1.25  # factor within which a weight counts as recovered, and which is shaded
 NUMBERS = ("#a9c8ee", "#6c9fdc", "#3371c0", "#12427f")  # colours of numbers of demonstrations, few to many
+RESOLUTION = 1e-5  # of regrets, which are small differences in float32
 UNTOLD = "#a0a0a0"
 TICKS = np.array([n * 10.0**power for power in range(-9, 10) for n in (1, 2, 5)])
 BEFORE, AFTER = 15.0, 25.0  # m of road that are drawn behind and before where cars drive
@@ -55,7 +56,7 @@ def weights_figure(rows: pd.DataFrame) -> Figure:
     drivers, weights = list(dict.fromkeys(rows["driver"])), list(dict.fromkeys(rows["weight"]))
     numbers = sorted(rows["demonstrations"].unique())
     colors = _ramp(len(numbers))
-    figure = Figure(figsize=(max(4.2 * len(drivers), 6), 4.6), layout="constrained")
+    figure = Figure(figsize=(max(4.2 * len(drivers), 8.5), 4.6), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(drivers)))
     for axes, driver in zip(panels, drivers, strict=True):
         own = rows[rows["driver"] == driver]
@@ -101,7 +102,8 @@ def weights_figure(rows: pd.DataFrame) -> Figure:
 def likelihood_figure(rows: pd.DataFrame) -> Figure:
     """What learnt weights are worth on held-out demonstrations, against the number of demonstrations.
 
-    Above, the log-likelihood, dashed that of the true weights; below, the regret of planning. A column per driver.
+    Above, the log-likelihood, dashed that of the true weights; below, the regret of planning, of which float32 tells
+    no less than 1e-5. A column per driver.
     """
     drivers = list(dict.fromkeys(rows["driver"]))
     figure = Figure(figsize=(max(4.0 * len(drivers), 5), 5.4), layout="constrained")
@@ -112,12 +114,9 @@ def likelihood_figure(rows: pd.DataFrame) -> Figure:
         upper.axhline(
             own["log_likelihood_true"].iloc[0], color="#4a8f4a", linestyle="--", label="true weights, best temperature"
         )
-        lower.plot(own["demonstrations"], 100 * own["regret"], "o-", color=NUMBERS[-1])
-        if (own["regret"] > 0).all():
-            lower.set_yscale("log")
-            lower.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        else:
-            lower.axhline(0, color="#4a8f4a", linestyle="--")
+        lower.plot(own["demonstrations"], 100 * own["regret"].clip(lower=RESOLUTION), "o-", color=NUMBERS[-1])
+        lower.set_yscale("log")
+        lower.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         upper.set_title(str(driver))
         upper.margins(y=0.15)
         lower.margins(y=0.15)
