@@ -174,11 +174,13 @@ def paths_figure(cases: Cases, paths: Mapping[str, Float[np.ndarray, "n 50 2"]],
         paths: by predictor, see `PREDICTORS`.
         titles: of the cases.
     """
-    figure = Figure(figsize=(11, 0.6 + 2.3 * len(cases)), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(len(cases), 1))
     recorded = np.asarray(cases.recorded)
     ends = np.concatenate([recorded[:, 1:, :1], *(path[..., :1] for path in paths.values())], axis=1)
     stretch = -BEFORE, float(np.nanmax(ends[..., 0] - recorded[:, :1, 0])) + AFTER
+    across = float(np.ptp(cases.scenes.lanes, axis=1).max() + 2 * np.max(cases.scenes.lane_width))
+    height = 10 * across / (stretch[1] - stretch[0]) + 0.6  # inches, at one scale along and across
+    figure = Figure(figsize=(11, 0.6 + height * len(cases)), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(cases), 1))
     for number, (axes, title) in enumerate(zip(panels, titles, strict=True)):
         own = {name: path[number] for name, path in paths.items()}
         _map(axes, cases, number, own, stretch)
