@@ -22,7 +22,7 @@ from ms_highway.files import replacing
 from ms_highway.irl import Model
 from ms_highway.learning import COMFORT_GIVEN, REAL, SIMULATED, learn
 from ms_highway.learnt import SHIPPED, LearntReward, load, save, shipped
-from ms_highway.prediction import HORIZONS, Cases, Others, cases_of, constant_velocity, drive, idm
+from ms_highway.prediction import Cases, Others, cases_of, constant_velocity, drive, idm
 from ms_highway.recording import Recording
 from ms_highway.recovery import recover
 from ms_highway.reward import COMFORT
@@ -246,17 +246,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     if options.json:
         print(json.dumps(found, indent=2))
         return
-    title = f"{found['windows']} stretches of road of {found['tracks']} drivers"
-    grid = Table(box=SIMPLE, title=title, title_justify="left")
-    columns = [f"{kind} {horizon} s" for kind in ("FDE", "miss") for horizon in HORIZONS]
-    for column in ("predicted by", *columns, "log p"):
-        grid.add_column(column, justify="left" if column == "predicted by" else "right")
-    for name in ("model", "constant_velocity", "idm"):
-        row, horizons = found[name], [str(horizon) for horizon in HORIZONS]
-        distances = [f"{row['fde'][horizon]:.2f}" if horizon in row["fde"] else "" for horizon in horizons]
-        misses = [f"{row['miss'][horizon]:.0%}" if horizon in row["miss"] else "" for horizon in horizons]
-        grid.add_row(name.replace("_", " "), *distances, *misses, f"{row['log_likelihood']:.2f}")
-    Console(width=max(Console().width, TABLE_WIDTH)).print(grid)
+    Console(width=max(Console().width, TABLE_WIDTH)).print(irl_report.evaluation_table(found))
 
 
 def _read(data: str) -> list[Recording]:

@@ -57,11 +57,10 @@ def recover(
         ``demonstrations``, ``windows``: what was learnt from; ``weight``: its name; ``true``; ``learnt``; ``low`` and
         ``high``: the ends of the 90 % interval, by size; ``log_ratio``: log(learnt / true); ``spread``: standard
         deviation of the weight's logarithm; ``identifiable``: whether that is below 0.5; and, the same for all weights
-        of a number, ``temperature``; ``converged``; ``log_likelihood``
-        per held-out window, and ``log_likelihood_true``
-        of the true weights at the temperature at which it is highest; ``regret``: what the optimal controls for the
-        learnt weights earn less, by the true ones, than the optimal controls for those, as a share of what these gain
-        over keeping the velocity.
+        of a number, ``temperature``; ``converged``; ``log_likelihood`` per held-out window, and
+        ``log_likelihood_true`` of the true weights at the temperature at which it is highest; ``regret``: what the
+        optimal controls for the learnt weights earn less, by the true ones, than the optimal controls for those, as a
+        share of what these gain over keeping the velocity.
 
     Raises:
         ValueError: for numbers that the demonstrations do not allow, or a model whose truth is not known.
@@ -88,7 +87,8 @@ def recover(
     rows: list[dict[str, object]] = []
     for number in numbers:
         yield f"learning from {number} demonstrations"
-        found = fit(slopes.of(windows.group < number), model)
+        first = windows.group < number
+        found = fit(slopes.of(first), model)
         lost = float((best - earned(plans(found.weights))).mean())
         common = {
             "temperature": found.temperature,
@@ -97,8 +97,8 @@ def recover(
             "log_likelihood_true": reference,
             "regret": lost / gain,
         }
-        first = {"demonstrations": number, "windows": found.windows}
-        rows.extend({**first, **row, **common} for row in _weights(found))
+        counts = {"demonstrations": number, "windows": int(first.sum())}
+        rows.extend({**counts, **row, **common} for row in _weights(found))
     yield pd.DataFrame(rows)
 
 
