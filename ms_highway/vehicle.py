@@ -15,6 +15,8 @@ from jaxtyping import Float
 from ms_highway.controller import Controller, ControlStep, FixedModel
 from ms_highway.dynamics import keep_velocity, step
 from ms_highway.human_models import Naive
+from ms_highway.planner import Solver
+from ms_highway.reward import FEATURES
 from ms_highway.road_view import Route, look
 from ms_highway.scenario import COMMON_WEIGHTS, PAPER_DYNAMICS, PAPER_UNIT, SPEED_LIMIT, driving_game
 
@@ -220,6 +222,7 @@ class HumanVehicle(PlanningVehicle):
 
     COLOR = (60, 130, 220)
     weights: ClassVar[Mapping[str, float]] = COMMON_WEIGHTS
+    solver: ClassVar[Solver] = "gradient"
 
     def __init__(
         self,
@@ -248,7 +251,7 @@ class HumanVehicle(PlanningVehicle):
         """Plan as if the lane were straight, and add its bend to the plan's first control."""
         view = look(self, self.route)
         limit = view.speed_limit or SPEED_LIMIT * PAPER_UNIT
-        game = driving_game(view.scene, min(limit, self.target_speed or limit), self.weights)
+        game = driving_game(view.scene, min(limit, self.target_speed or limit), self.weights, FEATURES, self.solver)
         if self._alone is None:
             self._alone = FixedModel(game, Naive())
         self._alone.game = game
