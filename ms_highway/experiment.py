@@ -202,7 +202,8 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
 def _read_settings(file: Path) -> dict[str, Any]:
     """What a directory's results were run with, also where it was written before there was a choice."""
     try:
-        return {**BEFORE, **json.loads(file.read_text())}
+        settings = json.loads(file.read_text())
+        return settings | {key: value for key, value in BEFORE.items() if key not in settings}
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
 

@@ -123,6 +123,7 @@ def test_compare_keeps_results_among_other_humans_apart(compared, tmp_path, caps
     assert main([*arguments, str(tmp_path / "out")]) == 0
     assert json.loads((tmp_path / "out" / "settings.json").read_text())["human_reward"]["speed"] == 0.5
     assert main([*arguments, str(tmp_path / "out")]) == 0
+    capsys.readouterr()
     assert "choose another directory" in failure(capsys, *arguments[:-3], "--out", str(tmp_path / "out"))
 
 
