@@ -1,13 +1,26 @@
 """The command ``ms-highway irl``: demonstrations, and what can be learnt from them."""
 
 import argparse
-from typing import Any
+import json
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TypeVar
 
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
 
-from ms_highway import demonstrations
+from ms_highway import commonroad, demonstrations
 from ms_highway.demonstrators import TEMPERATURE
+from ms_highway.evaluation import cross_validate, evaluate
+from ms_highway.irl import Model
+from ms_highway.learning import COMFORT_GIVEN, REAL, SIMULATED, learn
+from ms_highway.learnt import SHIPPED, LearntReward, load, save, shipped
+from ms_highway.prediction import HORIZONS, Others
+from ms_highway.recording import Recording
+from ms_highway.reward import COMFORT
 from ms_highway.routes import DENSITIES
 
 __all__ = ["add_irl"]
@@ -26,11 +39,40 @@ examples:
   ms-highway irl record --driver keyboard --episodes 10 --dataset ms-highway/me-v0 --density sparse"""
 
 
+FIT_HELP = """\
+Learn the weights of a reward by maximum entropy: the reward that makes it most likely that drivers did what they did,
+window after window of --horizon steps of 0.1 s (Levine and Koltun 2012). Half the least comfort weight is the floor of
+the curvature that a fit believes. --out gets weights, temperature, covariance, likelihoods and where all of it is from.
+The indicator of a collision has no gradient and is left out."""
+
+FIT_EXAMPLES = """\
+examples:
+  ms-highway irl fit --data minari:ms-highway/maxent-v0 --out theta.json
+  ms-highway irl fit --data us101 --learn headway closing_speed comfort_steering --out theta.json"""
+
+EVALUATE_HELP = """\
+Predict recorded drivers for up to 5 s, replanning at 10 Hz, and compare with where they went; beside constant velocity
+and highway-env's IDM, on the same stretches of road. With --folds instead of --theta, rewards are learnt from the other
+recordings, fold after fold. ADE, FDE and RMSE are in metres; a miss is more than 2 m off."""
+
+EVALUATE_EXAMPLES = """\
+examples:
+  ms-highway irl evaluate --theta us101 --data recordings --json
+  ms-highway irl evaluate --folds 4 --data recordings"""
+
+MINARI = "minari:"
+TABLE_WIDTH = 120  # characters
+
+Result = TypeVar("Result")
+
+
 def add_irl(commands: Any) -> None:
     """Add the command ``irl`` with its subcommands to a parser's subparsers."""
     irl = commands.add_parser("irl", help="record driving and learn rewards from it", description=IRL_HELP)
     subcommands = irl.add_subparsers(title="commands", required=True, metavar="COMMAND")
     _add_record(subcommands)
+    _add_fit(subcommands)
+    _add_evaluate(subcommands)
 
 
 def _add_record(commands: Any) -> None:
@@ -79,3 +121,142 @@ def _record(options: argparse.Namespace) -> None:
         for done in counts:
             progress.update(task, completed=done)
     print(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")
+
+
+def _add_fit(commands: Any) -> None:
+    fit = commands.add_parser(
+        "fit",
+        help="learn a reward",
+        description=FIT_HELP,
+        epilog=FIT_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_data(fit)
+    _add_model(fit)
+    fit.add_argument("--out", type=Path, required=True, metavar="FILE", help="a .json file for the learnt reward")
+    fit.set_defaults(run=_fit)
+
+
+def _add_data(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--data",
+        required=True,
+        metavar="DIR|minari:NAME",
+        help="a directory of CommonRoad scenarios (*.xml, *.xml.gz), or a Minari data set of `ms-highway irl record`",
+    )
+
+
+def _add_model(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--learn",
+        nargs="+",
+        metavar="WEIGHT",
+        help=f"names of the weights to learn (default: {', '.join(REAL.learnt)}; of those, from a Minari data set, "
+        f"{', '.join(SIMULATED.learnt)}); comfort weights that are not learnt are 0.1 and set the scale",
+    )
+    parser.add_argument("--horizon", type=int, default=5, help="length of windows and plans, in steps (default: 5)")
+
+
+def _add_evaluate(commands: Any) -> None:
+    parser = commands.add_parser(
+        "evaluate",
+        help="predict recorded drivers",
+        description=EVALUATE_HELP,
+        epilog=EVALUATE_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_data(parser)
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--theta", metavar="FILE", help=f"a learnt reward: a file, or one of {', '.join(SHIPPED)}")
+    which.add_argument("--folds", type=int, metavar="N", help="cross-validate by recording, in N folds")
+    _add_model(parser)
+    parser.add_argument(
+        "--others",
+        choices=typing.get_args(Others),
+        default="recorded",
+        help="what predicted drivers meet: the others where they were recorded to be at each step (default), or where "
+        "they would be had they kept their velocity from the start, so that nothing of the future is known",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.set_defaults(run=_evaluate)
+
+
+def _fit(options: argparse.Namespace) -> None:
+    recordings = _read(options.data)
+    learnt = _working(learn(recordings, _model(options, recordings), options.horizon, options.data))
+    assert isinstance(learnt, LearntReward)
+    if not learnt.converged:
+        raise ValueError(
+            f"the fit has not converged after {learnt.iterations} iterations, at {learnt.weights}; "
+            "learn fewer weights, or from more driving"
+        )
+    save(learnt, options.out)
+    grid = Table(box=SIMPLE, title=f"learnt from {learnt.windows} windows", title_justify="left")
+    for column in ("weight", "value", "90 % interval"):
+        grid.add_column(column, justify="left" if column == "weight" else "right")
+    for name, value in learnt.weights.items():
+        interval = "{:.3g}, {:.3g}".format(*learnt.interval(name)) if name in learnt.learnt else "given"
+        grid.add_row(name, f"{value:.4g}", interval)
+    grid.add_row("temperature", f"{learnt.temperature:.3g}", "")
+    Console().print(grid)
+    likely = learnt.log_likelihood
+    held_out = "" if likely["held_out"] is None else f", {likely['held_out']:.3f} on those held out"
+    print(f"log-likelihood per window: {likely['train']:.3f}{held_out}")
+    print(f"the learnt reward is in {options.out}")
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    learnt = _theta(options.theta) if options.theta else None
+    recordings = _read(options.data)
+    if learnt:
+        found = _working(evaluate(recordings, learnt, options.others))
+    else:
+        model = _model(options, recordings)
+        found = _working(cross_validate(recordings, model, options.horizon, options.folds, options.others))
+    if options.json:
+        print(json.dumps(found, indent=2))
+        return
+    title = f"{found['windows']} stretches of road of {found['tracks']} drivers"
+    grid = Table(box=SIMPLE, title=title, title_justify="left")
+    columns = [f"{kind} {horizon} s" for kind in ("FDE", "miss") for horizon in HORIZONS]
+    for column in ("predicted by", *columns, "log p"):
+        grid.add_column(column, justify="left" if column == "predicted by" else "right")
+    for name in ("model", "constant_velocity", "idm"):
+        row, horizons = found[name], [str(horizon) for horizon in HORIZONS]
+        distances = [f"{row['fde'][horizon]:.2f}" if horizon in row["fde"] else "" for horizon in horizons]
+        misses = [f"{row['miss'][horizon]:.0%}" if horizon in row["miss"] else "" for horizon in horizons]
+        grid.add_row(name.replace("_", " "), *distances, *misses, f"{row['log_likelihood']:.2f}")
+    Console(width=max(Console().width, TABLE_WIDTH)).print(grid)
+
+
+def _read(data: str) -> list[Recording]:
+    if data.startswith(MINARI):
+        return demonstrations.load(data.removeprefix(MINARI))
+    return commonroad.read_directory(Path(data))
+
+
+def _theta(name: str) -> LearntReward:
+    return shipped(name) if name in SHIPPED else load(Path(name))
+
+
+def _model(options: argparse.Namespace, recordings: list[Recording]) -> Model:
+    if options.horizon < 1:
+        raise ValueError(f"--horizon is {options.horizon}; a window has at least one step")
+    usual = REAL if recordings[0].measured else SIMULATED
+    if not options.learn:
+        return usual
+    given = {**dict.fromkeys(COMFORT, COMFORT_GIVEN), **usual.given}
+    return Model(tuple(options.learn), {name: value for name, value in given.items() if name not in options.learn})
+
+
+def _working(progress: Iterator[str | Result]) -> Result:
+    """Run what tells what it is doing, and its result at the end."""
+    columns = TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+        for message in progress:
+            if isinstance(message, str):
+                bar.update(task, description=message)
+            else:
+                result = message
+    return result

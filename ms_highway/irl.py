@@ -275,20 +275,30 @@ def fit(slopes: Slopes, model: Model, near: Fit | None = None) -> Fit:
             value, slope = loss(jnp.asarray(logarithms), data)
             return float(value), np.asarray(slope)
 
-        parameters = len(model.learnt) + 1
-        begin, curvature = (
-            (np.zeros(parameters), np.eye(parameters))
-            if near is None
-            else (near.logarithms, near.covariance * near.windows)
+        def slope(logarithms: np.ndarray) -> np.ndarray:
+            return numbers(logarithms)[1]
+
+        def bend(logarithms: np.ndarray) -> np.ndarray:
+            steps = DIFFERENCE * np.eye(len(logarithms))
+            rows = [slope(logarithms + step) - slope(logarithms - step) for step in steps]
+            return np.stack(rows) / (2 * DIFFERENCE)
+
+        begin = np.zeros(len(model.learnt) + 1) if near is None else near.logarithms
+        options = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
+        found = optimize.minimize(
+            lambda logarithms: numbers(logarithms)[0],
+            begin,
+            jac=slope,
+            hess=bend,
+            method="trust-exact",
+            options=options,
         )
-        found = optimize.minimize(numbers, begin, jac=True, method="BFGS", options={"hess_inv0": curvature})
         top = np.asarray(found.x)
-        value, slope = numbers(top)
+        value, last = numbers(top)
         if not (np.isfinite(top).all() and np.isfinite(value)):
             raise ValueError(f"the weights diverge: {model.weights(top)}; learn fewer of them, or from more driving")
-        steps = DIFFERENCE * np.eye(len(top))
-        hessian = np.stack([numbers(top + step)[1] - numbers(top - step)[1] for step in steps]) / (2 * DIFFERENCE)
+        hessian = bend(top)
         likely = float(jnp.mean(log_likelihoods(data, *split(jnp.asarray(top)), model.floor)))
     covariance = np.linalg.pinv(windows * (hessian + hessian.T) / 2, hermitian=True)
-    converged = bool(np.abs(slope).max() < TOLERANCE)
+    converged = bool(np.abs(last).max() < TOLERANCE)
     return Fit(model, top, covariance, converged, int(found.nit), windows, likely)

@@ -1,6 +1,6 @@
 """From recordings to a learnt reward: windows, a fit on all of them, and what it is worth on those held out."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -8,7 +8,7 @@ from importlib.metadata import version
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from ms_highway.dynamics import Motion, observe
 from ms_highway.game import constant_velocity, discomfort, move
@@ -16,20 +16,25 @@ from ms_highway.irl import BATCH, Fit, Model, Slopes, fit, log_likelihoods, slop
 from ms_highway.learnt import LearntReward
 from ms_highway.planner import climb
 from ms_highway.recording import Recording
-from ms_highway.reward import motion_reward
+from ms_highway.reward import COMFORT, motion_reward
+from ms_highway.scenario import COMMON_WEIGHTS
 from ms_highway.sums import total
-from ms_highway.windows import Window, Windows, at_window, cut, template
+from ms_highway.windows import Window, Windows, at_window, cut, regular, template
 
-__all__ = ["COMFORT_GIVEN", "REAL", "SIMULATED", "best_controls", "folds", "learn"]
+__all__ = ["REAL", "SIMULATED", "best_controls", "folds", "learn", "likelihoods"]
 
 COMFORT_GIVEN = 0.1
 """The comfort weight that sets the scale of all others; small against the published weights' curvature."""
 
 SIMULATED = Model(
-    ("speed", "lane_alignment", "collision_risk", "off_road"),
-    {"comfort_steering": COMFORT_GIVEN, "comfort_acceleration": COMFORT_GIVEN},
+    ("speed", "lane_alignment", "collision_risk"),
+    {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)},
 )
-"""What is learnt from simulated demonstrations: the weights that every driver of the paper has."""
+"""What is learnt from simulated demonstrations: the weights that every driver of the paper has.
+
+What leaving the road costs is given: those who stay on it tell nothing about it, and those who slide along its edge
+nothing that slopes could tell, see `ms_highway.windows.regular`.
+"""
 
 REAL = Model(
     (*SIMULATED.learnt, "headway", "closing_speed", "induced_braking", "comfort_steering"),
@@ -38,11 +43,10 @@ REAL = Model(
 """What is learnt from real drivers: also what traffic needs, and how uneasy steering is against accelerating."""
 
 
-def folds(groups: np.ndarray, number: int) -> Iterator[Bool[np.ndarray, "n"]]:
-    """Which of n items to hold out, fold after fold, so that every group is held out once, as a whole."""
+def folds(groups: Int[np.ndarray, "n"], number: int) -> list[Int[np.ndarray, "held"]]:
+    """Which groups to hold out, fold after fold, so that each is held out once."""
     names = np.unique(groups)
-    for chosen in np.array_split(names, min(number, len(names))):
-        yield np.isin(groups, chosen)
+    return np.array_split(names, min(number, len(names)))
 
 
 def learn(
@@ -65,16 +69,20 @@ def learn(
     """
     yield "cutting windows"
     windows = cut(recordings, horizon)
+    windows = windows.of(regular(windows))
+    if not len(windows):
+        raise ValueError(f"none of the windows of {source} can be learnt from: all are at the road's edge or at limits")
     yield f"differentiating {len(windows)} windows"
     slopes = slopes_of(windows, model.names)
     yield "fitting"
     found = fit(slopes, model)
     held_out = []
-    parts = list(folds(np.asarray(windows.group), validations))
-    for number, chosen in enumerate(parts if len(parts) > 1 else [], 1):
+    parts = folds(windows.group, validations)
+    for number, names in enumerate(parts if len(parts) > 1 else [], 1):
+        chosen = np.isin(windows.group, names)
         yield f"cross-validating, {number} of {len(parts)}"
         rest = fit(slopes.of(~chosen), model, found)
-        held_out.append(likelihoods(slopes.of(chosen), rest))
+        held_out.append(likelihoods(slopes.of(chosen), model, rest.weights, rest.temperature))
     yield "counting features"
     yield LearntReward(
         weights=found.weights,
@@ -102,15 +110,17 @@ def learn(
     )
 
 
-def likelihoods(slopes: Slopes, found: Fit) -> Float[np.ndarray, "n"]:
-    """Log p of every window under a fit."""
+def likelihoods(
+    slopes: Slopes, model: Model, weights: Mapping[str, float], temperature: float
+) -> Float[np.ndarray, "n"]:
+    """Log p of every window's scaled controls, see `ms_highway.irl.log_likelihoods`, in double precision."""
     with jax.enable_x64(True):
-        theta = jnp.array([found.weights[name] for name in found.model.names])
+        theta = jnp.array([weights[name] for name in model.names])
         data = Slopes(*map(jnp.asarray, slopes))
-        return np.asarray(log_likelihoods(data, theta, found.temperature, found.model.floor))
+        return np.asarray(log_likelihoods(data, theta, temperature, model.floor))
 
 
-def best_controls(windows: Windows, sharp_weights: dict[str, float]) -> Float[np.ndarray, "n K 2"]:
+def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float[np.ndarray, "n K 2"]:
     """The controls of a local optimum of a reward in every window, found from keeping the velocity.
 
     Args:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.files import replacing
+from ms_highway.irl import Model
 from ms_highway.reward import linear_reward
 
 __all__ = ["SHIPPED", "VERSION", "LearntReward", "load", "save", "shipped"]
@@ -74,6 +75,11 @@ class LearntReward:
     def sharp_weights(self) -> dict[str, float]:
         """The weights over the temperature: the reward in units of log-probability."""
         return {name: weight / self.temperature for name, weight in self.weights.items()}
+
+    @property
+    def model(self) -> Model:
+        """What was learnt and what was given."""
+        return Model(self.learnt, {name: value for name, value in self.weights.items() if name not in self.learnt})
 
     def interval(self, name: str, deviations: float = 1.645) -> Float[np.ndarray, "2"]:
         """The weight at so many standard deviations of its logarithm below and above; 1.645 span 90 %."""

@@ -4,7 +4,7 @@ A predicted driver starts where the recorded one was, with its recorded speed an
 for up to 5 s, at 10 Hz; it looks anew at the others before every step, as it would in an environment.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
@@ -16,8 +16,9 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
 from jaxtyping import Bool, Float
+from scipy import stats
 
-from ms_highway.dynamics import Array, step
+from ms_highway.dynamics import Array, recover_control, step
 from ms_highway.game import Game
 from ms_highway.human_models import Naive
 from ms_highway.neighbours import neighbours
@@ -25,9 +26,20 @@ from ms_highway.recording import Recording
 from ms_highway.reward import FEATURES
 from ms_highway.scenario import PAPER_DYNAMICS, driving_game
 from ms_highway.scene import Scene
-from ms_highway.windows import coasting, scene_of
+from ms_highway.windows import Windows, coasting, scene_of, template
 
-__all__ = ["HORIZONS", "Cases", "Others", "cases_of", "constant_velocity", "drive", "errors", "idm"]
+__all__ = [
+    "HORIZONS",
+    "Cases",
+    "Others",
+    "cases_of",
+    "constant_velocity",
+    "drive",
+    "errors",
+    "gaussian",
+    "idm",
+    "idm_controls",
+]
 
 Others: TypeAlias = Literal["recorded", "coasting"]
 """What the predicted driver meets: the others as they were recorded, or as they would go on from the start."""
@@ -64,6 +76,10 @@ class Cases:
 
     def __len__(self) -> int:
         return len(self.track)
+
+    def of(self, chosen: Bool[np.ndarray, "n"]) -> "Cases":
+        """Some of the cases."""
+        return jax.tree.map(lambda numbers: numbers[chosen], self)
 
 
 def cases_of(recordings: Sequence[Recording], others: Others = "recorded") -> Cases:
@@ -159,30 +175,60 @@ def constant_velocity(cases: Cases) -> Float[np.ndarray, "n 50 2"]:
 def idm(cases: Cases) -> Float[np.ndarray, "n 50 2"]:
     """Where highway-env's IDM vehicles get, with its parameters, in their lane, and wanting the speed they start with.
 
-    They meet the six neighbours of each step. Without lane changes they are predicted better than with highway-env's.
+    They meet the six neighbours of each step. With highway-env's lane changes they are predicted worse.
     """
+    single = (jax.tree.map(lambda numbers, case=case: numbers[case], cases) for case in range(len(cases)))
     return np.array(
-        [list(_idm(jax.tree.map(lambda numbers, case=case: numbers[case], cases))) for case in range(len(cases))]
-    )
+        [
+            list(_idm(case.scenes, case.speed_limit, case.recorded[0], zip(case.others, case.present, strict=True)))
+            for case in single
+        ]
+    )[..., :2]
 
 
-def _idm(case: Cases) -> Iterator[Float[np.ndarray, "2"]]:
-    network = RoadNetwork()
-    for y in np.unique(case.scenes.lanes):
-        ends = np.array([-1e4, y]), np.array([1e4, y])
-        network.add_lane(
-            "start", "end", StraightLane(*ends, width=case.scenes.lane_width, speed_limit=case.speed_limit)
-        )
+def _idm(
+    scene: Scene,
+    speed_limit: float,
+    start: Float[np.ndarray, "4"],
+    around: Iterable[tuple[Float[np.ndarray, "cars 4"], Bool[np.ndarray, "cars"]]],
+) -> Iterator[Float[np.ndarray, "4"]]:
+    """States of an IDM vehicle after each step, given the others, and which of them are there, before it."""
+    network, width = RoadNetwork(), float(scene.lane_width)
+    for y in np.unique(scene.lanes):
+        network.add_lane("start", "end", StraightLane([-1e4, y], [1e4, y], width=width, speed_limit=float(speed_limit)))
     road = Road(network, np_random=np.random.RandomState(0))
-    x, y, heading, speed = case.recorded[0]
+    x, y, heading, speed = np.asarray(start, dtype=float)
     driver = IDMVehicle(road, [x, y], heading, speed, enable_lane_change=False)
-    for others, present in zip(case.others, case.present, strict=True):
+    for others, present in around:
         now = np.array([*driver.position, driver.heading, driver.speed])
-        around = neighbours(now, others.astype(float), present, case.scenes.lane_width)
-        road.vehicles = [driver, *(Vehicle(road, state[:2], *state[2:]) for state in around)]
+        close = neighbours(now, np.asarray(others, dtype=float), present, width)
+        road.vehicles = [driver, *(Vehicle(road, state[:2], *state[2:]) for state in close)]
         driver.act()
         driver.step(PAPER_DYNAMICS.time_step)
-        yield driver.position.copy()
+        yield np.array([*driver.position, driver.heading, driver.speed])
+
+
+def idm_controls(windows: Windows) -> Float[np.ndarray, "n K 2"]:
+    """The controls of an IDM vehicle, see `idm`, in every window; its neighbours are where they are after each step."""
+    controls = []
+    for number in range(len(windows)):
+        window = jax.tree.map(lambda numbers, number=number: numbers[number], windows)
+        here = np.ones(len(window.others), dtype=bool)
+        around = ((states, here) for states in np.moveaxis(window.others, 1, 0))
+        states = np.array([window.start, *_idm(window.scenes, window.speed_limit, window.start, around)])
+        controls.append(recover_control(PAPER_DYNAMICS, states[:-1], states[1:]))
+    return np.array(controls)
+
+
+def gaussian(windows: Windows, expected: Float[np.ndarray, "n K 2"]) -> Float[np.ndarray, "n"]:
+    """Log p of every window's scaled controls, if they vary normally and independently around the expected ones.
+
+    The two standard deviations are the likeliest for these very windows, which is more than a learnt reward is given.
+    """
+    scale = np.asarray(template(windows, {}).planner.control_scale, dtype=float)
+    difference = (np.asarray(windows.controls) - expected) / scale
+    deviation = difference.std(axis=(0, 1), mean=0.0)
+    return stats.norm.logpdf(difference, scale=deviation).sum(axis=(1, 2))
 
 
 def errors(paths: Float[np.ndarray, "n 50 2"], cases: Cases) -> dict[str, dict[str, float]]:

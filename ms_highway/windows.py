@@ -15,7 +15,7 @@ from ms_highway.game import Game, move
 from ms_highway.neighbours import far_behind, places
 from ms_highway.recording import Recording
 from ms_highway.reward import FEATURES, motion_features
-from ms_highway.scenario import PAPER_DYNAMICS, PAPER_UNIT, driving_game
+from ms_highway.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT, driving_game
 from ms_highway.scene import Scene
 from ms_highway.tracks import track_of
 
@@ -28,10 +28,14 @@ __all__ = [
     "features_along",
     "features_at",
     "first_step",
+    "regular",
     "scene_of",
     "template",
     "unease",
 ]
+
+KINK = 0.05  # sine of the heading, within which noise may turn the car to either side
+SATURATED = 0.8  # of the limits of plans
 
 
 @jax.tree_util.register_dataclass
@@ -57,6 +61,10 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.start)
+
+    def of(self, chosen: Bool[np.ndarray, "n"]) -> "Windows":
+        """Some of the windows."""
+        return jax.tree.map(lambda numbers: numbers[chosen], self)
 
 
 Window: TypeAlias = Windows
@@ -143,6 +151,29 @@ def _around(
     cars, taken = places(driver, everyone[0], present, recording.lane_width)
     paths = np.moveaxis(everyone[1:, cars], 0, 1)
     return np.where(taken[:, None, None], paths, far_behind(driver))
+
+
+def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
+    """Where the slope of a reward at the driver's controls can tell what the driver is after.
+
+    It cannot where a control is at its limit, as what holds the driver back there is no reward; nor where the car is
+    off the road and points along it: there `off_road` has a kink, as another corner becomes the outermost, and whoever
+    slides along the edge stays at the kink whatever the weight is.
+    """
+    game = template(windows, {})
+    single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
+
+    @jax.jit
+    @jax.vmap
+    def outside(window: Window) -> tuple[jax.Array, jax.Array]:
+        path = move(game, window.start, window.controls / game.planner.control_scale)
+        phi = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
+        return phi[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
+
+    off_road, slant = map(np.asarray, outside(single))
+    at_kink = (off_road & (slant < KINK)).any(axis=1)
+    saturated = (np.abs(windows.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(axis=(1, 2))
+    return ~at_kink & ~saturated
 
 
 def template(windows: Windows, weights: Mapping[str, float]) -> Game:

@@ -1,0 +1,124 @@
+"""What a learnt reward is worth on recorded drivers, beside constant velocity and highway-env's IDM.
+
+An evaluation is a dictionary of plain numbers: for ``model``, ``constant_velocity`` and ``idm`` the `errors` of
+prediction by horizon and the mean ``log_likelihood`` of a window's scaled controls; the number of ``windows`` that were
+predicted, of ``tracks`` that they are from, and of ``likelihood_windows``; and what the predicted drivers met
+(``others``).
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.dynamics import keep_velocity
+from ms_highway.irl import Model, fit, slopes_of
+from ms_highway.learning import folds, likelihoods
+from ms_highway.learnt import LearntReward
+from ms_highway.prediction import (
+    Cases,
+    Others,
+    cases_of,
+    constant_velocity,
+    drive,
+    errors,
+    gaussian,
+    idm,
+    idm_controls,
+)
+from ms_highway.recording import Recording
+from ms_highway.scenario import PAPER_DYNAMICS
+from ms_highway.windows import Windows, cut, regular
+
+__all__ = ["cross_validate", "evaluate"]
+
+
+def evaluate(
+    recordings: Sequence[Recording], learnt: LearntReward, others: Others = "recorded"
+) -> Iterator[str | dict[str, Any]]:
+    """Evaluate a learnt reward on recordings.
+
+    Yields:
+        What is being done; at the end, the evaluation.
+
+    Raises:
+        ValueError: if no driver was seen for long enough.
+    """
+    yield "cutting windows"
+    cases, windows = cases_of(recordings, others), cut(recordings, learnt.horizon)
+    windows = windows.of(regular(windows))
+    yield f"driving {len(cases)} stretches of road"
+    paths = drive(cases, learnt.sharp_weights, learnt.horizon)
+    yield f"differentiating {len(windows)} windows"
+    slopes = slopes_of(windows, learnt.model.names)
+    likely = likelihoods(slopes, learnt.model, learnt.weights, learnt.temperature)
+    yield "driving IDM vehicles"
+    yield _beside(cases, paths, windows, likely, others)
+
+
+def cross_validate(
+    recordings: Sequence[Recording], model: Model, horizon: int, parts: int, others: Others = "recorded"
+) -> Iterator[str | dict[str, Any]]:
+    """Evaluate rewards that are learnt from the other groups of recordings, fold after fold.
+
+    Args:
+        recordings: all of them.
+        model: what to learn.
+        horizon: K, the length of windows and plans.
+        parts: the number of folds.
+        others: what the predicted drivers meet.
+
+    Yields:
+        What is being done; at the end, the evaluation, over all folds, with the weights of each (``folds``).
+
+    Raises:
+        ValueError: if there is one group only, or no driver was seen for long enough.
+    """
+    yield "cutting windows"
+    cases, windows = cases_of(recordings, others), cut(recordings, horizon)
+    windows = windows.of(regular(windows))
+    if len(np.unique(windows.group)) < 2 or parts < 2:
+        raise ValueError(
+            "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
+        )
+    yield f"differentiating {len(windows)} windows"
+    slopes = slopes_of(windows, model.names)
+    paths, likely, weights = np.empty((len(cases), 50, 2)), np.empty(len(windows)), []
+    found = None
+    for number, names in enumerate(folds(windows.group, parts), 1):
+        held, driven = np.isin(windows.group, names), np.isin(cases.group, names)
+        yield f"learning, fold {number} of {parts}"
+        found = fit(slopes.of(~held), model, found)
+        weights.append({"weights": found.weights, "temperature": found.temperature})
+        likely[held] = likelihoods(slopes.of(held), model, found.weights, found.temperature)
+        if driven.any():
+            yield f"driving, fold {number} of {parts}"
+            paths[driven] = drive(cases.of(driven), found.sharp_weights, horizon)
+    yield "driving IDM vehicles"
+    yield {**_beside(cases, paths, windows, likely, others), "folds": weights}
+
+
+def _beside(
+    cases: Cases,
+    paths: Float[np.ndarray, "n 50 2"],
+    windows: Windows,
+    likely: Float[np.ndarray, "windows"],
+    others: Others,
+) -> dict[str, Any]:
+    """The evaluation of predicted paths and likelihoods, beside those of constant velocity and IDM."""
+    kept = np.repeat(
+        keep_velocity(PAPER_DYNAMICS, np.asarray(windows.start))[:, None], windows.controls.shape[1], axis=1
+    )
+    rows = {
+        "model": (paths, likely),
+        "constant_velocity": (constant_velocity(cases), gaussian(windows, kept)),
+        "idm": (idm(cases), gaussian(windows, idm_controls(windows))),
+    }
+    return {
+        **{name: {**errors(path, cases), "log_likelihood": float(log.mean())} for name, (path, log) in rows.items()},
+        "windows": len(cases),
+        "tracks": len(np.unique(cases.track)),
+        "likelihood_windows": len(windows),
+        "others": others,
+    }
