@@ -7,19 +7,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ms_highway import commonroad, demonstrations
+from ms_highway import commonroad, demonstrations, irl_report
 from ms_highway.demonstrators import TEMPERATURE
 from ms_highway.evaluation import cross_validate, evaluate
+from ms_highway.files import replacing
 from ms_highway.irl import Model
 from ms_highway.learning import COMFORT_GIVEN, REAL, SIMULATED, learn
 from ms_highway.learnt import SHIPPED, LearntReward, load, save, shipped
-from ms_highway.prediction import HORIZONS, Others
+from ms_highway.prediction import HORIZONS, Cases, Others, cases_of, constant_velocity, drive, idm
 from ms_highway.recording import Recording
+from ms_highway.recovery import recover
 from ms_highway.reward import COMFORT
 from ms_highway.routes import DENSITIES
 
@@ -60,6 +65,29 @@ examples:
   ms-highway irl evaluate --theta us101 --data recordings --json
   ms-highway irl evaluate --folds 4 --data recordings"""
 
+RECOVER_HELP = """\
+Learn the weights of simulated drivers from more and more of their demonstrations, and compare them with the true ones
+and by what they are worth on the last --held-out demonstrations, which are never learnt from.
+
+Results go to --out: recovery.csv (a row per driver, number of demonstrations and weight), weights.png and
+likelihood.png."""
+
+RECOVER_EXAMPLES = """\
+examples:
+  ms-highway irl recover --data minari:ms-highway/maxent-v0 --out results/recovery
+  ms-highway irl recover --data minari:ms-highway/maxent-v0 minari:ms-highway/mpc-v0 --demonstrations 16 64 --out out"""
+
+REPORT_HELP = """\
+Draw what was learnt: errors.png (error against horizon, of the evaluation), paths.png (predicted and recorded paths of
+a few drivers of the recordings) and counts.png (feature counts, of the learnt reward), in the directory --out."""
+
+REPORT_EXAMPLES = """\
+example:
+  ms-highway irl evaluate --theta theta.json --data recordings --json > evaluation.json
+  ms-highway irl report --evaluation evaluation.json --theta theta.json --data recordings --out results/report"""
+
+DPI = 110
+
 MINARI = "minari:"
 TABLE_WIDTH = 120  # characters
 
@@ -73,6 +101,8 @@ def add_irl(commands: Any) -> None:
     _add_record(subcommands)
     _add_fit(subcommands)
     _add_evaluate(subcommands)
+    _add_recover(subcommands)
+    _add_report(subcommands)
 
 
 def _add_record(commands: Any) -> None:
@@ -260,3 +290,109 @@ def _working(progress: Iterator[str | Result]) -> Result:
             else:
                 result = message
     return result
+
+
+def _add_recover(commands: Any) -> None:
+    parser = commands.add_parser(
+        "recover",
+        help="recover known weights",
+        description=RECOVER_HELP,
+        epilog=RECOVER_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--data", nargs="+", required=True, metavar="minari:NAME", help="data sets of `ms-highway irl record`"
+    )
+    parser.add_argument(
+        "--demonstrations",
+        nargs="+",
+        type=int,
+        default=[4, 16, 64, 256],
+        metavar="N",
+        help="numbers of demonstrations to learn from (default: 4 16 64 256)",
+    )
+    parser.add_argument(
+        "--held-out", type=int, default=64, metavar="N", help="demonstrations to judge by, the last (default: 64)"
+    )
+    parser.add_argument("--horizon", type=int, default=5, help="length of windows and plans, in steps (default: 5)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory of results")
+    parser.set_defaults(run=_recover)
+
+
+def _recover(options: argparse.Namespace) -> None:
+    if options.horizon < 1:
+        raise ValueError(f"--horizon is {options.horizon}; a window has at least one step")
+    data = list(dict.fromkeys(options.data))
+    for name in data:
+        if not name.startswith(MINARI):
+            raise ValueError(f"--data is {name!r}; true weights are known of simulated drivers only, minari:NAME")
+    sets = {name.removeprefix(MINARI): demonstrations.load(name.removeprefix(MINARI)) for name in data}
+    tables = []
+    for name, recordings in sets.items():
+        found = _working(recover(recordings, options.demonstrations, SIMULATED, options.horizon, options.held_out))
+        assert isinstance(found, pd.DataFrame)
+        found.insert(0, "driver", name)
+        tables.append(found)
+    rows = pd.concat(tables, ignore_index=True)
+    with replacing(options.out / "recovery.csv") as path:
+        rows.to_csv(path, index=False)
+    figures = {"weights": irl_report.weights_figure(rows), "likelihood": irl_report.likelihood_figure(rows)}
+    _save_figures(figures, options.out)
+    Console(width=max(Console().width, TABLE_WIDTH)).print(irl_report.recovery_table(rows))
+    print(f"results are in {options.out}")
+
+
+def _add_report(commands: Any) -> None:
+    parser = commands.add_parser(
+        "report",
+        help="draw what was learnt",
+        description=REPORT_HELP,
+        epilog=REPORT_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--evaluation", type=Path, required=True, metavar="FILE", help="what `ms-highway irl evaluate --json` prints"
+    )
+    parser.add_argument(
+        "--theta", required=True, metavar="FILE", help=f"a learnt reward: a file, or one of {', '.join(SHIPPED)}"
+    )
+    _add_data(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory of results")
+    parser.set_defaults(run=_report)
+
+
+def _report(options: argparse.Namespace) -> None:
+    evaluation = irl_report.load_evaluation(options.evaluation)
+    learnt, recordings = _theta(options.theta), _read(options.data)
+    cases, titles, paths = _working(_drive_examples(recordings, learnt))
+    figures = {
+        "errors": irl_report.errors_figure(evaluation),
+        "paths": irl_report.paths_figure(cases, paths, titles),
+        "counts": irl_report.counts_figure(learnt),
+    }
+    _save_figures(figures, options.out)
+    Console(width=max(Console().width, TABLE_WIDTH)).print(irl_report.evaluation_table(evaluation))
+    print(f"figures are in {options.out}")
+
+
+def _drive_examples(
+    recordings: list[Recording], learnt: LearntReward
+) -> Iterator[str | tuple[Cases, list[str], dict[str, Any]]]:
+    """Examples of the recordings, what is special about each, and where all predictors get in them."""
+    yield "choosing examples"
+    cases = cases_of(recordings)
+    chosen = irl_report.examples(cases)
+    cases = cases.of(np.array(list(chosen.values())))
+    yield f"driving {len(cases)} examples"
+    paths = {
+        "model": drive(cases, learnt.sharp_weights, learnt.horizon),
+        "constant_velocity": constant_velocity(cases),
+        "idm": idm(cases),
+    }
+    yield cases, list(chosen), paths
+
+
+def _save_figures(figures: dict[str, Figure], directory: Path) -> None:
+    for name, figure in figures.items():
+        with replacing(directory / f"{name}.png") as path:
+            figure.savefig(path, dpi=DPI)

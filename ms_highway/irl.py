@@ -14,10 +14,10 @@ so that a reward is likely under which the driver was near an optimum (the first
 g and H are linear in theta: the features' derivatives are worked out once, and then a fit takes seconds.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -26,13 +26,14 @@ from jax.scipy.linalg import cho_solve
 from jaxtyping import Float
 from scipy import optimize
 
+from ms_highway.batches import in_batches
 from ms_highway.derivatives import slope_and_bend
 from ms_highway.dynamics import Array
-from ms_highway.game import move
+from ms_highway.game import Game, move
 from ms_highway.reward import COMFORT, FEATURES
 from ms_highway.windows import Window, Windows, features_at, template, unease
 
-__all__ = ["Fit", "Model", "Slopes", "fit", "floored", "log_likelihoods", "slopes_of"]
+__all__ = ["Fit", "Model", "Slopes", "fit", "floored", "log_likelihoods", "most_likely", "slopes_of"]
 
 PENALTIES = ("collision_risk", "collision", "off_road")
 """Features whose weights are negative; those of all others are positive."""
@@ -43,9 +44,9 @@ NO_GRADIENT = ("collision", "merged", "partner_merged")
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
 FLOOR = 0.5  # of the least comfort weight that is given: the least curvature of -R that is believed
 MANY = 600  # windows, of which half as many are fitted first
-BATCH = 256  # windows that are differentiated at once
 DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
 TOLERANCE = 1e-3  # of the slope of the objective per window, in a fit that has converged
+TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,6 @@ class Fit:
         covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior.
         converged: whether the optimiser reached the top.
         iterations: how many the optimiser took.
-        windows: how many were fitted.
         log_likelihood: mean over the windows.
     """
 
@@ -131,7 +131,6 @@ class Fit:
     covariance: Float[np.ndarray, "parameters parameters"]
     converged: bool
     iterations: int
-    windows: int
     log_likelihood: float
 
     @property
@@ -159,7 +158,18 @@ def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
     Raises:
         ValueError: if they are not finite somewhere.
     """
-    game = template(windows, {})
+    found = in_batches(partial(_slopes, template(windows, {}), names), windows)
+    slopes = Slopes(*(part.astype(np.float64) for part in found))
+    for part in slopes:
+        if not np.isfinite(part).all():
+            window = int(np.argwhere(~np.isfinite(part))[0][0])
+            start = windows.start[window]
+            raise ValueError(f"the features of window {window} have no finite derivatives; it starts at {start}")
+    return slopes
+
+
+@partial(jax.jit, static_argnums=1)
+def _slopes(game: Game, names: tuple[str, ...], windows: Windows) -> Slopes:
     places = np.array([(*FEATURES, *COMFORT).index(name) for name in names])
 
     def derivatives(window: Window) -> Slopes:
@@ -184,15 +194,7 @@ def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
         everything = Slopes(phi.sum(axis=0), gradients, hessians)
         return jax.tree.map(lambda paid, felt: jnp.concatenate([paid, felt])[places], everything, ease)
 
-    single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
-    batches = jax.jit(lambda windows: jax.lax.map(derivatives, windows, batch_size=min(BATCH, len(windows))))(single)
-    slopes = Slopes(*(np.asarray(part, dtype=np.float64) for part in batches))
-    for part in slopes:
-        if not np.isfinite(part).all():
-            window = int(np.argwhere(~np.isfinite(part))[0][0])
-            start = windows.start[window]
-            raise ValueError(f"the features of window {window} have no finite derivatives; it starts at {start}")
-    return slopes
+    return jax.vmap(derivatives)(windows)
 
 
 @jax.custom_jvp
@@ -241,10 +243,7 @@ def log_likelihoods(
 
 
 def fit(slopes: Slopes, model: Model, near: Fit | None = None) -> Fit:
-    """The most likely weights and temperature, under a weak prior, in double precision.
-
-    The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
-    deviation 4. Where the drivers tell nothing about a weight, the prior is what is left, and the covariance says so.
+    """The most likely weights and temperature, see `most_likely`.
 
     Args:
         slopes: of the features `Model.names`, in their order.
@@ -254,51 +253,67 @@ def fit(slopes: Slopes, model: Model, near: Fit | None = None) -> Fit:
     Raises:
         ValueError: if the weights diverge.
     """
-    if near is None and len(slopes.features) > MANY:
-        near = fit(slopes.of(np.arange(0, len(slopes.features), len(slopes.features) * 2 // MANY)), model)
+    windows = len(slopes.features)
+    if near is None and windows > MANY:
+        near = fit(slopes.of(np.arange(0, windows, windows * 2 // MANY)), model)
+    begin = None if near is None else near.logarithms
+    return most_likely(partial(log_likelihoods, floor=model.floor), slopes, model, begin)
+
+
+def most_likely(
+    likelihoods: Callable[[Any, Float[jax.Array, "names"], Float[jax.Array, ""]], Float[jax.Array, "n"]],
+    data: Any,
+    model: Model,
+    begin: Float[np.ndarray, "parameters"] | None = None,
+) -> Fit:
+    """The weights and the temperature that make data most likely, under a weak prior, in double precision.
+
+    The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
+    deviation 4. Where the data tell nothing about a weight, the prior is what is left, and the covariance says so.
+
+    Args:
+        likelihoods: log p of each of n data, of (data, theta in the order of `Model.names`, temperature).
+        data: a pytree of arrays.
+        model: what to learn.
+        begin: the logarithms to begin with.
+
+    Raises:
+        ValueError: if the weights diverge.
+    """
     with jax.enable_x64(True):
         given = jnp.array([float(value) for value in model.given.values()])
-        signs, windows = jnp.asarray(model.signs()), len(slopes.features)
-        data = Slopes(*map(jnp.asarray, slopes))
+        signs, data = jnp.asarray(model.signs()), jax.tree.map(jnp.asarray, data)
 
-        def split(logarithms: Float[jax.Array, "parameters"]) -> tuple[jax.Array, jax.Array]:
+        @jax.jit
+        def likely(logarithms: Float[jax.Array, "parameters"], data: Any) -> Float[jax.Array, "n"]:
             sizes = jnp.exp(logarithms)
-            return jnp.concatenate([signs * sizes[:-1], given]), sizes[-1]
+            return likelihoods(data, jnp.concatenate([signs * sizes[:-1], given]), sizes[-1])
 
         @jax.jit
         @jax.value_and_grad
-        def loss(logarithms: Float[jax.Array, "parameters"], data: Slopes) -> Float[jax.Array, ""]:
-            likely = jnp.sum(log_likelihoods(data, *split(logarithms), model.floor))
-            return (jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2) - likely) / windows
+        def loss(logarithms: Float[jax.Array, "parameters"], data: Any) -> Float[jax.Array, ""]:
+            each = likely(logarithms, data)
+            return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each)
 
-        def numbers(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
-            value, slope = loss(jnp.asarray(logarithms), data)
-            return float(value), np.asarray(slope)
+        def value(logarithms: np.ndarray) -> float:
+            return float(loss(jnp.asarray(logarithms), data)[0])
 
         def slope(logarithms: np.ndarray) -> np.ndarray:
-            return numbers(logarithms)[1]
+            return np.asarray(loss(jnp.asarray(logarithms), data)[1])
 
         def bend(logarithms: np.ndarray) -> np.ndarray:
             steps = DIFFERENCE * np.eye(len(logarithms))
             rows = [slope(logarithms + step) - slope(logarithms - step) for step in steps]
+            if not np.isfinite(rows).all():
+                weights = model.weights(logarithms)
+                raise ValueError(f"the weights diverge, at {weights}; learn fewer of them, or from more driving")
             return np.stack(rows) / (2 * DIFFERENCE)
 
-        begin = np.zeros(len(model.learnt) + 1) if near is None else near.logarithms
-        options = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
-        found = optimize.minimize(
-            lambda logarithms: numbers(logarithms)[0],
-            begin,
-            jac=slope,
-            hess=bend,
-            method="trust-exact",
-            options=options,
-        )
+        first = np.zeros(len(model.learnt) + 1) if begin is None else begin
+
+        found = optimize.minimize(value, first, jac=slope, hess=bend, method="trust-exact", options=TRUST_REGION)
         top = np.asarray(found.x)
-        value, last = numbers(top)
-        if not (np.isfinite(top).all() and np.isfinite(value)):
-            raise ValueError(f"the weights diverge: {model.weights(top)}; learn fewer of them, or from more driving")
-        hessian = bend(top)
-        likely = float(jnp.mean(log_likelihoods(data, *split(jnp.asarray(top)), model.floor)))
-    covariance = np.linalg.pinv(windows * (hessian + hessian.T) / 2, hermitian=True)
-    converged = bool(np.abs(last).max() < TOLERANCE)
-    return Fit(model, top, covariance, converged, int(found.nit), windows, likely)
+        hessian, converged = bend(top), bool(np.abs(slope(top)).max() < TOLERANCE)
+        each = np.asarray(likely(jnp.asarray(top), data))
+    covariance = np.linalg.pinv(len(each) * (hessian + hessian.T) / 2, hermitian=True)
+    return Fit(model, top, covariance, converged, int(found.nit), float(each.mean()))

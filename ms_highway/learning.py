@@ -10,9 +10,11 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
+from ms_highway.batches import in_batches
+from ms_highway.compiled import QUICKLY
 from ms_highway.dynamics import Motion, observe
-from ms_highway.game import constant_velocity, discomfort, move
-from ms_highway.irl import BATCH, Fit, Model, Slopes, fit, log_likelihoods, slopes_of
+from ms_highway.game import Game, constant_velocity, discomfort, move
+from ms_highway.irl import Fit, Model, Slopes, fit, log_likelihoods, slopes_of
 from ms_highway.learnt import LearntReward
 from ms_highway.planner import climb
 from ms_highway.recording import Recording
@@ -129,7 +131,11 @@ def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float
     """
     game = template(windows, sharp_weights)
     game = replace(game, planner=replace(game.planner, solver="newton"))
+    return in_batches(partial(_best_controls, game), windows)
 
+
+@partial(jax.jit, compiler_options=QUICKLY)
+def _best_controls(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
     def best(window: Window) -> Float[jax.Array, "K 2"]:
         here, others = at_window(game, window), observe(window.others)
         scaled = climb(
@@ -141,8 +147,21 @@ def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float
         )
         return scaled * here.planner.control_scale
 
-    single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
-    return np.asarray(jax.jit(lambda windows: jax.lax.map(best, windows, batch_size=min(BATCH, len(windows))))(single))
+    return jax.vmap(best)(windows)
+
+
+def curvatures(
+    windows: Windows, controls: Float[np.ndarray, "n K 2"], found: Fit
+) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
+    """Eigenvalues of -H / T under a fit at some controls, bounded from below as in the fit, and eigenvectors."""
+    slopes = slopes_of(replace(windows, controls=controls), found.model.names)
+    return _curvatures(slopes, found)
+
+
+def _curvatures(slopes: Slopes, found: Fit) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
+    theta = np.array([found.weights[name] for name in found.model.names])
+    values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, slopes.hessians) / found.temperature)
+    return np.maximum(values, found.model.floor / found.temperature), vectors
 
 
 def expected_features(windows: Windows, found: Fit) -> Float[np.ndarray, "names"]:
@@ -153,9 +172,6 @@ def expected_features(windows: Windows, found: Fit) -> Float[np.ndarray, "names"
     """
     best = replace(windows, controls=best_controls(windows, found.sharp_weights))
     slopes = slopes_of(best, found.model.names)
-    theta = np.array([found.weights[name] for name in found.model.names])
-    values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, slopes.hessians) / found.temperature)
-    spread = np.einsum(
-        "nde,ne,nfe->ndf", vectors, 1 / np.maximum(values, found.model.floor / found.temperature), vectors
-    )
+    values, vectors = _curvatures(slopes, found)
+    spread = np.einsum("nde,ne,nfe->ndf", vectors, 1 / values, vectors)
     return np.mean(slopes.features + np.einsum("nfde,nde->nf", slopes.hessians, spread) / 2, axis=0)

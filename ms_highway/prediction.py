@@ -6,6 +6,7 @@ for up to 5 s, at 10 Hz; it looks anew at the others before every step, as it wo
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import jax
@@ -18,10 +19,12 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float
 from scipy import stats
 
-from ms_highway.dynamics import Array, recover_control, step
+from ms_highway.batches import in_batches
+from ms_highway.compiled import QUICKLY
+from ms_highway.dynamics import recover_control, step
 from ms_highway.game import Game
 from ms_highway.human_models import Naive
-from ms_highway.neighbours import neighbours
+from ms_highway.neighbours import neighbours, places
 from ms_highway.recording import Recording
 from ms_highway.reward import FEATURES
 from ms_highway.scenario import PAPER_DYNAMICS, driving_game
@@ -48,7 +51,6 @@ HORIZONS = (1, 2, 3, 5)  # s
 STEPS = 50  # 0.1 s, of the longest
 APART = 10  # steps between the starts of two cases of a driver
 MISS = 2.0  # m
-BATCH = 128  # cases that are driven at once
 
 
 @jax.tree_util.register_dataclass
@@ -139,30 +141,27 @@ def drive(cases: Cases, weights: Mapping[str, float], horizon: int) -> Float[np.
     """
     scene = jax.tree.map(lambda numbers: numbers[0], cases.scenes)
     game = driving_game(scene, float(cases.speed_limit[0]), weights, FEATURES, solver="newton")
-    game = replace(game, planner=replace(game.planner, horizon=horizon))
-    single = jax.tree.map(_single, (cases.scenes, cases.speed_limit, cases.recorded[:, 0], cases.others))
-    return np.asarray(_drive(game, (*single, cases.present)))
+    game, start = replace(game, planner=replace(game.planner, horizon=horizon)), cases.recorded[:, 0]
+    return in_batches(partial(_drive, game), (cases.scenes, cases.speed_limit, start, cases.others, cases.present))
 
 
-def _single(numbers: Array) -> jax.Array:
-    return jnp.asarray(numbers, dtype=jnp.float32)
-
-
-@jax.jit
+@partial(jax.jit, compiler_options=QUICKLY)
 def _drive(game: Game, cases: tuple[Any, ...]) -> Float[jax.Array, "n 50 2"]:
-    def one(case: tuple[Any, ...]) -> Float[jax.Array, "50 2"]:
-        scene, limit, start, others, present = case
+    def one(
+        scene: Scene, limit: jax.Array, start: jax.Array, others: jax.Array, present: jax.Array
+    ) -> Float[jax.Array, "50 2"]:
         here = replace(game, scene=scene, robot=replace(game.robot, speed_limit=limit))
 
         def go(car: jax.Array, around: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            state = jnp.concatenate([car[None], neighbours(car, *around, scene.lane_width)])
+            close = neighbours(car, *around, jnp.asarray(scene.lane_width))
+            state = jnp.concatenate([car[None], close])
             plan = Naive().plan(here, state).robot
             moved = step(here.dynamics, car, plan[0] * here.planner.control_scale)
             return moved.at[3].max(0.0), moved[:2]
 
         return jax.lax.scan(go, start, (others, present))[1]
 
-    return jax.lax.map(one, cases, batch_size=BATCH)
+    return jax.vmap(one)(*cases)
 
 
 def constant_velocity(cases: Cases) -> Float[np.ndarray, "n 50 2"]:
@@ -201,8 +200,8 @@ def _idm(
     driver = IDMVehicle(road, [x, y], heading, speed, enable_lane_change=False)
     for others, present in around:
         now = np.array([*driver.position, driver.heading, driver.speed])
-        close = neighbours(now, np.asarray(others, dtype=float), present, width)
-        road.vehicles = [driver, *(Vehicle(road, state[:2], *state[2:]) for state in close)]
+        cars, taken = places(now, np.asarray(others, dtype=float), present, width)
+        road.vehicles = [driver, *(Vehicle(road, state[:2], *state[2:]) for state in others[cars[taken]])]
         driver.act()
         driver.step(PAPER_DYNAMICS.time_step)
         yield np.array([*driver.position, driver.heading, driver.speed])

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeAlias
 
 import jax
@@ -10,6 +11,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
+from ms_highway.batches import in_batches
 from ms_highway.dynamics import Motion, keep_velocity, observe
 from ms_highway.game import Game, move
 from ms_highway.neighbours import far_behind, places
@@ -160,20 +162,19 @@ def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
     off the road and points along it: there `off_road` has a kink, as another corner becomes the outermost, and whoever
     slides along the edge stays at the kink whatever the weight is.
     """
-    game = template(windows, {})
-    single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
-
-    @jax.jit
-    @jax.vmap
-    def outside(window: Window) -> tuple[jax.Array, jax.Array]:
-        path = move(game, window.start, window.controls / game.planner.control_scale)
-        phi = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
-        return phi[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
-
-    off_road, slant = map(np.asarray, outside(single))
+    off_road, slant = in_batches(partial(_edge, template(windows, {})), windows)
     at_kink = (off_road & (slant < KINK)).any(axis=1)
     saturated = (np.abs(windows.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(axis=(1, 2))
     return ~at_kink & ~saturated
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _edge(game: Game, window: Window) -> tuple[jax.Array, jax.Array]:
+    """Whether the driver is off the road, and the size of its heading's sine, after each step."""
+    path = move(game, window.start, window.controls / game.planner.control_scale)
+    phi = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
+    return phi[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
 
 
 def template(windows: Windows, weights: Mapping[str, float]) -> Game:

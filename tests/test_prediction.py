@@ -1,0 +1,120 @@
+"""Prediction of recorded drivers, by a learnt reward and beside it, on real driving where that is present."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ms_highway.cli import main
+from ms_highway.learnt import load, shipped
+from ms_highway.prediction import cases_of, constant_velocity, drive, errors, gaussian, idm, idm_controls
+from ms_highway.recording import Recording
+from ms_highway.windows import cut
+
+
+def following(gap: float, speed: float = 15.0, leader: float = 15.0, times: int = 61) -> Recording:
+    """A recording of a driver that keeps its velocity and of a leader, a gap between bumpers apart."""
+    time = 0.1 * np.arange(times)[:, None]
+    cars = [
+        np.column_stack([start + velocity * time, 0 * time + 3.4, 0 * time, 0 * time + velocity])
+        for start, velocity in ((0.0, speed), (gap + 5.0, leader))
+    ]
+    sizes, lanes = np.tile([5.0, 2.0], (2, 1)), np.array([0.0, 3.4, 6.8])
+    return Recording("a pair", "a pair", 0.1, np.stack(cars, axis=1), np.array([0]), sizes, lanes, 3.4, 29.0)
+
+
+def test_constant_velocity_predicts_whoever_keeps_it_without_error():
+    cases = cases_of([following(20.0)])
+    assert len(cases) == 6  # from every full second that a second follows
+    found = errors(constant_velocity(cases), cases)
+    for kind in ("fde", "ade", "rmse", "miss"):
+        assert list(found[kind]) == ["1", "2", "3", "5"]
+        np.testing.assert_allclose(list(found[kind].values()), 0.0, atol=1e-9)
+
+
+def test_errors_are_what_a_known_path_is_off():
+    cases = cases_of([following(20.0)])
+    off = constant_velocity(cases)
+    off[:, :, 0] += 3.0 * 0.1 * np.arange(1, 51)  # 3 m/s too fast
+    found = errors(off, cases)
+    assert found["fde"] == pytest.approx({"1": 3.0, "2": 6.0, "3": 9.0, "5": 15.0})
+    assert found["rmse"] == pytest.approx(found["fde"])
+    assert found["ade"]["1"] == pytest.approx(1.65)
+    assert found["miss"] == {"1": 1.0, "2": 1.0, "3": 1.0, "5": 1.0}
+
+
+def test_a_learnt_driver_brakes_behind_a_slow_leader_as_long_as_it_sees_it_slow():
+    recordings = [following(8.0, leader=9.0)]
+    weights = shipped("us101").sharp_weights
+    seen, unseen = (drive(cases_of(recordings, others), weights, 5)[0] for others in ("recorded", "coasting"))
+    leader = recordings[0].states[1:51, 1, 0]
+    assert (seen[:, 0] + 5.0 < leader).all()
+    np.testing.assert_allclose(seen, unseen, atol=1e-3)  # this leader does keep its velocity
+    alone = drive(cases_of([following(300.0)]), weights, 5)[0]
+    assert alone[-1, 0] - seen[-1, 0] > 10.0
+
+
+def test_highway_envs_idm_keeps_its_distance_and_its_lane():
+    cases = cases_of([following(4.0)])
+    path = idm(cases)[0]
+    assert path[-1, 0] < constant_velocity(cases)[0, -1, 0] - 5.0
+    np.testing.assert_allclose(path[:, 1], 3.4, atol=1e-6)
+    windows = cut([following(4.0)], 5)
+    assert idm_controls(windows)[0, 0, 1] < -2.0
+    assert (gaussian(windows, idm_controls(windows)) < gaussian(windows, windows.controls + 1e-3)).all()
+
+
+def test_a_driver_that_is_never_seen_for_a_second_cannot_be_predicted():
+    with pytest.raises(ValueError, match=r"seen for 1 s"):
+        cases_of([following(4.0, times=8)])
+
+
+def test_real_drivers_are_predicted_better_by_the_learnt_reward(us101):
+    cases = cases_of(us101[::5])
+    cases = cases.of(np.arange(len(cases)) % 6 == 0)
+    found = errors(drive(cases, shipped("us101").sharp_weights, 5), cases)
+    baseline = errors(constant_velocity(cases), cases)
+    for horizon in ("3", "5"):
+        assert found["fde"][horizon] < 0.9 * baseline["fde"][horizon]
+        assert found["miss"][horizon] < baseline["miss"][horizon]
+
+
+def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
+    data, theta = tmp_path / "two", tmp_path / "theta.json"
+    data.mkdir()
+    for path in sorted(us101_directory.glob("*.xml.gz"))[-2:]:
+        (data / path.name).symlink_to(path)
+    learn = ["--learn", "headway", "closing_speed", "comfort_steering"]
+    assert main(["irl", "fit", "--data", str(data), *learn, "--out", str(theta)]) == 0
+    assert load(theta).learnt == ("headway", "closing_speed", "comfort_steering")
+    assert load(theta).log_likelihood["held_out"] is not None
+    assert "closing_speed" in capsys.readouterr().out
+    assert main(["irl", "evaluate", "--theta", str(theta), "--data", str(data), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    for name in ("model", "constant_velocity", "idm"):
+        assert list(found[name]) == ["fde", "ade", "rmse", "miss", "log_likelihood"]
+        assert list(found[name]["fde"]) == ["1", "2", "3", "5"]
+    assert found["windows"] > found["tracks"] > 20
+    assert found["model"]["fde"]["5"] < found["constant_velocity"]["fde"]["5"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fit", "--data", "nowhere", "--out", "{out}"], "nowhere is not a directory"),
+        (["fit", "--data", "minari:ms-highway/none-v0", "--out", "{out}"], "there is no data set ms-highway/none-v0"),
+        (["fit", "--data", "{empty}", "--out", "{out}"], "holds no CommonRoad scenarios"),
+        (["evaluate", "--theta", "us102", "--data", "{empty}"], "us102 cannot be read as a learnt reward"),
+        (["evaluate", "--theta", "us101", "--data", "{empty}"], "holds no CommonRoad scenarios"),
+    ],
+)
+def test_bad_input_is_one_clear_message_and_nothing_is_written(arguments, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    (tmp_path / "empty").mkdir()
+    names = {"out": tmp_path / "theta.json", "empty": tmp_path / "empty"}
+    assert main(["irl", *(word.format(**names) for word in arguments)]) == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error
+    assert len(error.splitlines()) == 1
+    assert not Path(names["out"]).exists()
