@@ -17,7 +17,7 @@ from ms_highway.compiled import measure_costs
 from ms_highway.controller import Controller, FixedModel, ModelSwitching
 from ms_highway.derivatives import Influence
 from ms_highway.envs.actions import Autopilot, HumanModelAction
-from ms_highway.envs.configuration import merged
+from ms_highway.envs.configuration import human_weights, merged
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
 from ms_highway.envs.stage import evaluate, straight_road
@@ -73,6 +73,11 @@ class InteractionEnv(AbstractEnv):
     * ``ladder``: names of the human models to choose from, cheapest first.
     * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model.
     * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.scenario.build_game`.
+    * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
+      demonstrations; ``"published"``; weights by name, of `ms_highway.reward.FEATURES` and ``COMFORT``; None for what
+      belongs to the semantics (learned and published). What a human is after in the scenario beyond driving, such as
+      its lane, stays unless weights name it. A learnt reward has no weight of ``collision``, which would change
+      nothing: it is an indicator, and humans climb by gradients.
     * ``influence``: ``"damped"``, ``"exact"``, or None for what belongs to the semantics (damped and exact).
     * ``control_limit``: bounds (omega, acceleration) on plans; ``"unlimited"``; or None for what belongs to the
       semantics: `PHYSICAL_LIMIT` in paper semantics, unlimited in released semantics.
@@ -102,6 +107,7 @@ class InteractionEnv(AbstractEnv):
             "ladder": list(cls.scenario.ladder),
             "costs": "published",
             "semantics": "paper",
+            "human_reward": None,
             "influence": None,
             "control_limit": None,
             "solver": "gradient",
@@ -141,6 +147,7 @@ class InteractionEnv(AbstractEnv):
             influence,
             control_limit=None if isinstance(limit, str) else tuple(limit),
             solver=settings["solver"],
+            human_driving=human_weights(settings),
         )
         self.models = ladder(settings["ladder"])
         self.config = settings

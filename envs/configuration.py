@@ -14,9 +14,12 @@ from highway_env.envs.common.observation import (
 )
 
 from ms_highway.human_models import MODELS, ladder
+from ms_highway.learnt import shipped
+from ms_highway.reward import COMFORT, FEATURES
 from ms_highway.routes import DENSITIES
+from ms_highway.scenario import COMMON_WEIGHTS
 
-__all__ = ["changed", "controller_config", "merged"]
+__all__ = ["HUMAN_REWARDS", "changed", "controller_config", "human_weights", "merged"]
 
 CONTROLLER_KEYS = {"switching": {"type", "lambda"}, "fixed": {"type", "model"}}
 ACTIONS: dict[str, set[str]] = {
@@ -40,6 +43,10 @@ CHOICES = {
     "density": tuple(DENSITIES),
 }
 FREQUENCY = 10  # Hz
+WHOLE = ("human_reward",)  # mappings that are replaced, not merged: weights of two rewards do not belong together
+
+HUMAN_REWARDS = {"paper": "learned", "released": "published"}
+"""The human's reward that belongs to each semantics."""
 
 
 def controller_config(text: str) -> dict[str, Any]:
@@ -78,20 +85,35 @@ def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> di
     _check_controller(config["controller"])
     _check_costs(config["costs"], config["ladder"])
     _check_limit(config["control_limit"])
+    _check_human_reward(config["human_reward"])
     return config
+
+
+def human_weights(config: Mapping[str, Any]) -> Mapping[str, float]:
+    """What the human drives for, by name, under a configuration that `merged` has checked."""
+    choice = config["human_reward"]
+    if choice is None:
+        choice = HUMAN_REWARDS[config["semantics"]]
+    if choice == "learned":
+        return shipped("demonstrations").weights
+    return COMMON_WEIGHTS if choice == "published" else choice
 
 
 def changed(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
     """The defaults of any environment with the changes made, as far as all environments share them, checked.
 
-    A nested mapping changes only the keys that it names, unless its ``type`` differs: then it replaces the default.
+    A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
+    replaces the default.
 
     Raises:
         ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
     """
     changes = changes or {}
     _refuse_unknown("config", changes, defaults)
-    config = {key: _merged_value(defaults[key], changes.get(key, defaults[key])) for key in defaults}
+    config = {
+        key: changes[key] if key in changes and key in WHOLE else _merged_value(default, changes.get(key, default))
+        for key, default in defaults.items()
+    }
     for key in CHOICES.keys() & config.keys():
         if not _is_one_of(config[key], CHOICES[key]):
             raise ValueError(f"config[{key!r}] is {config[key]!r}; choose one of {', '.join(map(repr, CHOICES[key]))}")
@@ -197,3 +219,17 @@ def _check_limit(limit: Any) -> None:
             f"config['control_limit'] is {limit!r}; give None for the usual limits, 'unlimited', "
             "or two positive bounds, (omega, acceleration)"
         )
+
+
+def _check_human_reward(reward: Any) -> None:
+    if _is_one_of(reward, (None, *HUMAN_REWARDS.values())):
+        return
+    if not isinstance(reward, Mapping):
+        raise ValueError(
+            f"config['human_reward'] is {reward!r}; say 'learned', 'published', or give weights by name, such as "
+            "{'speed': 2, 'lane_alignment': 75}; weights that were learnt are in ms_highway.learnt.load(path).weights"
+        )
+    _refuse_unknown("config['human_reward']", reward, (*FEATURES, *COMFORT))
+    for name, weight in reward.items():
+        if not _is_number(weight):
+            raise ValueError(f"config['human_reward'][{name!r}] is {weight!r}; it must be a finite number")

@@ -52,7 +52,7 @@ def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, An
         ImportError: if the peer is wanted and CasADi is not there.
         RuntimeError: if the peer plans something else.
     """
-    env = make_environment(scenario, "naive")
+    env = make_environment(scenario, "naive", human_reward="published")  # which is what the peer knows
     env.reset(seed=0)
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)

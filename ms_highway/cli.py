@@ -20,7 +20,9 @@ from ms_highway.bench import bench
 from ms_highway.cli_irl import add_irl
 from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.envs import SCENARIOS, environment_id
+from ms_highway.envs.configuration import HUMAN_REWARDS
 from ms_highway.files import replacing
+from ms_highway.learnt import load
 from ms_highway.planner import Solver
 
 __all__ = ["main"]
@@ -183,6 +185,22 @@ def _add_semantics(parser: argparse.ArgumentParser) -> None:
         default="paper",
         help="paper: the paper's dynamics, damped theory of mind (default); released: exactly its released code",
     )
+    parser.add_argument(
+        "--human-reward",
+        metavar="REWARD",
+        help="what humans drive for: learned (from demonstrations; default in paper semantics), published (default in "
+        "released semantics), or a file that `ms-highway irl fit` wrote",
+    )
+
+
+def _human_reward(text: str | None) -> str | dict[str, float] | None:
+    """The choice of a human's reward; of a file, the weights."""
+    if text is None or text in HUMAN_REWARDS.values():
+        return text
+    try:
+        return load(Path(text)).weights
+    except ValueError as error:
+        raise ValueError(f"--human-reward is neither {' nor '.join(HUMAN_REWARDS.values())}: {error}") from error
 
 
 def _compare(options: argparse.Namespace) -> None:
@@ -192,7 +210,10 @@ def _compare(options: argparse.Namespace) -> None:
     chosen = list(dict.fromkeys(options.controllers or []))
     controllers = {name: chosen or experiment.paper_controllers(name) for name in scenarios}
     costs = _costs(options.costs)
-    comparison = experiment.Comparison(controllers, options.seeds, options.semantics, costs, options.solver)
+    human_reward = _human_reward(options.human_reward)
+    comparison = experiment.Comparison(
+        controllers, options.seeds, options.semantics, costs, options.solver, human_reward
+    )
     comparison.check()
     console = _console()
     columns = (
@@ -243,8 +264,11 @@ def _video(options: argparse.Namespace) -> None:
         raise ValueError(f"--seed is {options.seed}; it must not be negative")
     controller = options.controller or experiment.paper_controllers(options.scenario)[-1]
     video.check_format(options.out)
+    human_reward = _human_reward(options.human_reward)
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory; SDL need not look for a screen
-    pictures, rate = video.frames(options.scenario, controller, options.seed, options.semantics)
+    pictures, rate = video.frames(
+        options.scenario, controller, options.seed, semantics=options.semantics, human_reward=human_reward
+    )
     video.write(pictures, options.out, rate * options.speed)
     print(f"{options.out}: {len(pictures)} frames, {len(pictures) / rate / options.speed:.1f} s")
 

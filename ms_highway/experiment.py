@@ -16,7 +16,7 @@ import pandas as pd
 from ms_highway.compiled import measure_costs
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.configuration import controller_config, merged
+from ms_highway.envs.configuration import HUMAN_REWARDS, controller_config, merged
 from ms_highway.files import replacing
 from ms_highway.planner import Solver
 
@@ -31,6 +31,7 @@ __all__ = [
 ]
 
 STEPS_FILE, SETTINGS_FILE = "steps.csv", "settings.json"
+BEFORE = {"solver": "gradient", "human_reward": "published", "measured": {}}  # what there was no choice of at first
 KEYS = ["scenario", "controller", "seed"]
 COLUMNS = [
     *KEYS,
@@ -60,6 +61,8 @@ class Comparison:
         semantics: ``paper`` or ``released``.
         costs: T(M) in the decisions: ``published``, ``measured``, or seconds by model.
         solver: how the robot improves its plans, ``gradient`` or ``newton``, see `ms_highway.planner.climb`.
+        human_reward: what humans drive for: ``learned``, ``published``, weights by name, or None for what belongs to
+            the semantics.
     """
 
     controllers: dict[str, list[str]]
@@ -67,6 +70,7 @@ class Comparison:
     semantics: str = "paper"
     costs: Any = "published"
     solver: Solver = "gradient"
+    human_reward: str | dict[str, float] | None = None
 
     def episodes(self) -> Iterator[tuple[str, str, int]]:
         """Every (scenario, controller, seed)."""
@@ -79,7 +83,7 @@ class Comparison:
         """Look for mistakes before anything is run or written.
 
         Raises:
-            ValueError: for an unknown scenario, controller or solver, or impossible costs.
+            ValueError: for an unknown scenario, controller or solver, or impossible costs or weights.
         """
         for scenario, controllers in self.controllers.items():
             environment_id(scenario)
@@ -90,7 +94,8 @@ class Comparison:
 
     def common_config(self) -> dict[str, Any]:
         """The configuration that all environments have in common."""
-        return {"semantics": self.semantics, "solver": self.solver}
+        reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
+        return {"semantics": self.semantics, "solver": self.solver, "human_reward": reward}
 
 
 def paper_controllers(scenario: str) -> list[str]:
@@ -195,10 +200,10 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
 
 
 def _read_settings(file: Path) -> dict[str, Any]:
-    """What a directory's results were run with; before there was a choice, the solver was ``gradient``."""
+    """What a directory's results were run with, also where it was written before there was a choice."""
     try:
         settings = json.loads(file.read_text())
-        return {**settings, "solver": settings.get("solver", "gradient"), "measured": settings.get("measured", {})}
+        return settings | {key: value for key, value in BEFORE.items() if key not in settings}
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
 

@@ -114,12 +114,12 @@ def build_game(
         unit: how long one paper unit is in the game's lengths; 1 keeps the released code's numbers.
         solver: how plans are improved, see `ms_highway.planner.climb`.
         human_driving: weights by name that take the place of `COMMON_WEIGHTS` in the human's reward; what the human is
-            after in this scenario beyond driving stays.
+            after in this scenario beyond driving stays, unless it is named here.
     """
     human_weights = scenario.human_weights
     if human_driving is not None:
         aims = {name: weight for name, weight in human_weights.items() if name not in COMMON_WEIGHTS}
-        human_weights = {**human_driving, **aims}
+        human_weights = {**aims, **human_driving}
     scene = Scene(
         lanes=np.array(scenario.lanes) * unit,
         lane_width=LANE_WIDTH * unit,

@@ -15,11 +15,14 @@ from jaxtyping import Float
 from ms_highway.controller import Controller, ControlStep, FixedModel
 from ms_highway.dynamics import keep_velocity, step
 from ms_highway.human_models import Naive
+from ms_highway.learnt import shipped
+from ms_highway.planner import Solver
 from ms_highway.road_view import Route, look
 from ms_highway.scenario import COMMON_WEIGHTS, PAPER_DYNAMICS, PAPER_UNIT, SPEED_LIMIT, driving_game
 
 __all__ = [
     "BicycleVehicle",
+    "CommuterVehicle",
     "HumanVehicle",
     "PlanningVehicle",
     "RobotVehicle",
@@ -212,7 +215,8 @@ class HumanVehicle(PlanningVehicle):
     others only once they are in its lane or beside it.
 
     Attributes:
-        weights: of the reward that it drives for by itself, by feature.
+        weights: of the reward that it drives for by itself, by name.
+        solver: how it plans for them, see `ms_highway.planner.climb`; weights over a temperature need ``newton``.
         route: the roads that it follows by itself, None to follow whichever it is on.
         target_speed: a lower limit [m/s] than the lane's, None or 0 without one.
         enable_lane_change: what stock environments tell their drivers; to a human, only its reward says where to go.
@@ -220,6 +224,7 @@ class HumanVehicle(PlanningVehicle):
 
     COLOR = (60, 130, 220)
     weights: ClassVar[Mapping[str, float]] = COMMON_WEIGHTS
+    solver: ClassVar[Solver] = "gradient"
 
     def __init__(
         self,
@@ -248,10 +253,31 @@ class HumanVehicle(PlanningVehicle):
         """Plan as if the lane were straight, and add its bend to the plan's first control."""
         view = look(self, self.route)
         limit = view.speed_limit or SPEED_LIMIT * PAPER_UNIT
-        game = driving_game(view.scene, min(limit, self.target_speed or limit), self.weights)
+        game = driving_game(view.scene, min(limit, self.target_speed or limit), self.weights, solver=self.solver)
         if self._alone is None:
             self._alone = FixedModel(game, Naive())
         self._alone.game = game
         self.last_state = view.states
         self.last_step = self._alone.step(view.states)
         self.execute(self.last_step.control + np.array([view.curvature, 0.0]))
+
+
+def _commuting() -> dict[str, float]:
+    """Weights of `CommuterVehicle`."""
+    learnt = shipped("us101")
+    kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}
+    return {name: weight / learnt.temperature for name, weight in (learnt.weights | kept).items()}
+
+
+class CommuterVehicle(HumanVehicle):
+    """A human driver that goes with the traffic, like those who were recorded on US-101.
+
+    Speed, distances to others and comfort weigh what was learnt from them. What dense traffic on a straight highway
+    tells little about, how to leave a lane that ends and not to hit anything, weighs what it does in the paper: with
+    the learnt weights alone, humans run into standing cars, and into what stands at the end of a ramp. It is hardly
+    drawn to the speed limit: on an empty road it takes minutes to get there.
+    """
+
+    COLOR = (150, 90, 200)
+    weights = _commuting()
+    solver = "newton"

@@ -1,6 +1,7 @@
 """Videos of episodes."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -13,9 +14,9 @@ __all__ = ["check_format", "frames", "write"]
 FORMATS = (".mp4", ".gif")
 
 
-def frames(scenario: str, controller: str, seed: int, semantics: str) -> tuple[list[UInt8[np.ndarray, "h w 3"]], int]:
-    """All frames of an episode, and the frames per second of true speed."""
-    env = make_environment(scenario, controller, render=True, semantics=semantics)
+def frames(scenario: str, controller: str, seed: int, **config: Any) -> tuple[list[UInt8[np.ndarray, "h w 3"]], int]:
+    """All frames of an episode in a configured environment, and the frames per second of true speed."""
+    env = make_environment(scenario, controller, render=True, **config)
     pictures = [np.asarray(env.render()) for _ in episode(env, seed)]
     rate = env.metadata["render_fps"]
     env.close()

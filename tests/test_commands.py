@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import imageio.v3 as imageio
 import pandas as pd
@@ -12,6 +13,7 @@ import pytest
 from ms_highway.bench import bench
 from ms_highway.cli import main
 from ms_highway.experiment import COLUMNS
+from ms_highway.learnt import save, shipped
 
 COMPARE = ["compare", "stay_back", "--controllers", "naive", "switching:0.4", "--seeds", "2", "--out"]
 
@@ -112,6 +114,29 @@ def test_results_from_before_there_was_a_choice_of_solver_count_as_those_of_the_
     assert (tmp_path / "steps.csv").read_text() == (compared / "steps.csv").read_text()
 
 
+def test_compare_keeps_results_among_other_humans_apart(compared, tmp_path, capsys):
+    assert json.loads((compared / "settings.json").read_text())["human_reward"] == "learned"
+    assert "choose another directory" in failure(capsys, *COMPARE, str(compared), "--human-reward", "published")
+    learnt = tmp_path / "lazy.json"
+    save(replace(shipped("demonstrations"), weights=shipped("demonstrations").weights | {"speed": 0.5}), learnt)
+    arguments = ["compare", "merger", "--controllers", "turn", "--seeds", "1", "--human-reward", str(learnt), "--out"]
+    assert main([*arguments, str(tmp_path / "out")]) == 0
+    assert json.loads((tmp_path / "out" / "settings.json").read_text())["human_reward"]["speed"] == 0.5
+    assert main([*arguments, str(tmp_path / "out")]) == 0
+    capsys.readouterr()
+    assert "choose another directory" in failure(capsys, *arguments[:-3], "--out", str(tmp_path / "out"))
+
+
+def test_results_from_before_humans_had_a_choice_count_as_those_of_published_humans(compared, tmp_path, capsys):
+    settings = json.loads((compared / "settings.json").read_text())
+    del settings["human_reward"]
+    (tmp_path / "settings.json").write_text(json.dumps(settings))
+    (tmp_path / "steps.csv").write_text((compared / "steps.csv").read_text())
+    assert "choose another directory" in failure(capsys, *COMPARE, str(tmp_path))
+    assert main([*COMPARE, str(tmp_path), "--human-reward", "published"]) == 0
+    assert (tmp_path / "steps.csv").read_text() == (compared / "steps.csv").read_text()
+
+
 def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys):
     (tmp_path / "settings.json").write_text((compared / "settings.json").read_text())
     (tmp_path / "steps.csv").write_text("these are\nno, records\n")
@@ -129,6 +154,8 @@ def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys
         (["compare", "merger", "--seeds", "0"], "--seeds is 0"),
         (["compare", "merger", "--costs", "naive=cheap"], "--costs"),
         (["compare", "merger", "--costs", "naive=0.1"], "'turn'"),
+        (["compare", "merger", "--human-reward", "learnt"], "--human-reward is neither learned nor published"),
+        (["video", "merger", "--out", "film.mp4", "--human-reward", "nobody"], "nobody cannot be read"),
         (["video", "merger", "--out", "film.avi"], ".mp4 or .gif"),
         (["video", "merger", "--out", "film.mp4", "--speed", "0"], "--speed"),
         (["video", "merger", "--out", "film.mp4", "--speed", "nan"], "--speed"),

@@ -11,7 +11,9 @@ from gymnasium.vector import AsyncVectorEnv
 import ms_highway
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.base import Seconds
-from ms_highway.scenario import PAPER_UNIT
+from ms_highway.learnt import shipped
+from ms_highway.reward import COMFORT, FEATURES
+from ms_highway.scenario import COMMON_WEIGHTS, PAPER_UNIT
 
 ACTIONS = {
     "autopilot": {"type": "Autopilot"},
@@ -223,6 +225,16 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"costs": {"naive": 0.1}}, "None seconds for 'turn'"),
         ({"semantics": "real"}, "choose one of 'paper', 'released'"),
         ({"influence": "none"}, "'influence'"),
+        (
+            {"human_reward": "learnt"},
+            "'human_reward'.* is 'learnt'; say 'learned', 'published', or give weights by name",
+        ),
+        ({"human_reward": {"sped": 2.0}}, r"'sped' in config\['human_reward'\]; did you mean 'speed'"),
+        (
+            {"human_reward": {"speed": np.nan}},
+            r"config\['human_reward'\]\['speed'\] is nan; it must be a finite number",
+        ),
+        ({"human_reward": {"speed": "2"}}, r"\['speed'\] is '2'"),
         ({"policy_frequency": 5}, "must be 10"),
         ({"duration": -1}, "'duration'"),
         ({"control_limit": [1.0]}, "'control_limit'"),
@@ -273,6 +285,60 @@ def test_highway_envs_observations_have_finite_spaces_here(kind):
 def test_nested_configurations_merge_and_a_new_type_replaces():
     assert make("merger", controller={"lambda": 3}).unwrapped.config["controller"] == {"type": "switching", "lambda": 3}
     assert make("merger", controller=FIXED).unwrapped.config["controller"] == FIXED
+
+
+def weights_of(game):
+    """The human's reward by name, without zeros."""
+    values = zip((*game.human.names, *COMFORT), (*game.human.weights, *game.human.comfort), strict=True)
+    return {name: float(value) for name, value in values if value}
+
+
+@pytest.mark.parametrize(("semantics", "choice"), [("paper", "learned"), ("released", "published")])
+def test_humans_drive_for_what_belongs_to_the_semantics(scenario, semantics, choice):
+    driving = {"learned": shipped("demonstrations").weights, "published": COMMON_WEIGHTS}[choice]
+    aims = {name: weight for name, weight in SCENARIOS[scenario].human_weights.items() if name not in COMMON_WEIGHTS}
+    for config in ({"semantics": semantics}, {"semantics": semantics, "human_reward": choice}):
+        game = make(scenario, **config).unwrapped.game
+        assert weights_of(game) == pytest.approx(driving | aims)
+        robot = dict(zip(game.robot.names, game.robot.weights.tolist(), strict=True))
+        assert {name: weight for name, weight in robot.items() if weight} == SCENARIOS[scenario].robot_weights
+
+
+def test_weights_that_are_given_move_the_human_and_the_robots_models_of_it_alike():
+    hurried = {"speed": 40.0, "lane_alignment": 75.0, "gap": 0.0}
+    own, believed = [], []
+    for reward in ("published", hurried):
+        env = make("merger", controller={"type": "fixed", "model": "turn"}, human_reward=reward).unwrapped
+        env.reset(options={"initial_states": [[0, 0, 0, 20.0], [-30, -3.3, 0, 18.0], [-14, -3.3, 0, 20.0]]})
+        env.step(0)
+        own.append(env.human.last_step.control)
+        believed.append(env.robot.last_step.human[0])
+    assert weights_of(env.game) == {"speed": 40.0, "lane_alignment": 75.0, "target_lane": 1000.0}
+    np.testing.assert_allclose(own, believed, atol=1e-3)
+    assert abs(own[0][1] - own[1][1]) > 0.5
+
+
+def test_rewards_of_humans_are_replaced_whole():
+    env = make("merger", controller=FIXED, human_reward={"speed": 2.0, "off_road": -100.0}).unwrapped
+    env.reset(options={"config": {"human_reward": {"speed": 3.0}}})
+    assert env.config["human_reward"] == {"speed": 3.0}
+
+
+def test_other_weights_of_the_human_compile_nothing():
+    env = make("merger", controller={"type": "fixed", "model": "turn"}).unwrapped
+    env.reset(seed=0)
+    env.step(0)
+    for reward in ("published", {"speed": 1.0, "lane_alignment": 10.0, "comfort_acceleration": 0.3}):
+        env.reset(seed=0, options={"config": {"human_reward": reward}})
+        assert env.step(0)[4]["compile_seconds"] == 0.0
+
+
+def test_humans_can_drive_for_what_traffic_needs():
+    env = make("merger", controller=FIXED, human_reward=shipped("us101").weights).unwrapped
+    env.reset(seed=0)
+    info = env.step(0)[4]
+    assert info["status"] == info["human_status"] == "planned"
+    assert set(FEATURES) <= set(info["rewards"])
 
 
 def test_an_unknown_scenario_is_refused_by_name():

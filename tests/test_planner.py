@@ -75,7 +75,7 @@ def test_newton_passes_the_cones_of_stay_back_where_gradient_steps_collide():
     seeds = (0, 39, 94)
     collisions, rewards = {}, {}
     for solver in ("gradient", "newton"):
-        env = make_environment("stay_back", "turn", solver=solver)
+        env = make_environment("stay_back", "turn", solver=solver, human_reward="published")
         steps = [[(step["collision"], step["reward"]) for step in episode(env, seed)] for seed in seeds]
         collisions[solver], rewards[solver] = np.moveaxis(np.array(steps, dtype=float), -1, 0)
     assert collisions["gradient"].any()

@@ -62,9 +62,10 @@ def test_humans_drive_twenty_episodes_of_stock_environments_with_one_compilation
     assert plan_function(Naive(), layout)._cache_size() == 1
 
 
-def test_a_human_on_a_ramp_merges_before_it_ends():
+@pytest.mark.parametrize("kind", ["HumanVehicle", "CommuterVehicle"])
+def test_a_human_on_a_ramp_merges_before_it_ends(kind):
     for seed in range(3):
-        environment = humans_in("merge-v0", seed)
+        environment = humans_in("merge-v0", seed, other_vehicles_type=f"ms_highway.vehicle.{kind}")
         merging = environment.road.vehicles[-1]
         *_, _ = drive(environment, 25)
         assert merging.position[0] > 320.0  # where the ramp ends there is an obstacle, at 310 m

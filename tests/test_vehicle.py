@@ -16,7 +16,7 @@ from ms_highway.human_models import ladder
 from ms_highway.road_view import look
 from ms_highway.scenario import driving_game
 from ms_highway.switching import Switching
-from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RobotVehicle, ScriptedVehicle
+from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, RobotVehicle, ScriptedVehicle
 
 
 def straight_road(lanes=2):
@@ -103,6 +103,21 @@ def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
     assert human.speed == pytest.approx(20.0, abs=1.5)
     assert not human.crashed
     assert human.last_step.status == "planned"
+
+
+@pytest.mark.parametrize(("leader_speed", "gaps"), [(0.0, (2, 6)), (10.0, (4, 12)), (20.0, (10, 35))])
+def test_a_commuter_follows_at_the_distances_of_real_drivers_and_stops_behind_a_standing_car(leader_speed, gaps):
+    road = straight_road(lanes=1)
+    commuter = CommuterVehicle(road, [0.0, 0.0], speed=20.0)
+    leader = ScriptedVehicle(road, [35.0, 0.0], speed=leader_speed)
+    road.vehicles = [commuter, leader]
+    for _ in range(250):
+        road.act()
+        road.step(0.1)
+    assert not commuter.crashed
+    assert commuter.last_step.status == "planned"
+    assert commuter.speed == pytest.approx(leader_speed, abs=1.0)
+    assert gaps[0] < leader.position[0] - commuter.position[0] - commuter.LENGTH < gaps[1]
 
 
 def test_a_robot_drives_in_a_foreign_scene_with_its_own_game():
