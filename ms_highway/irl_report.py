@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
-from matplotlib.ticker import NullFormatter, NullLocator, PercentFormatter, StrMethodFormatter
+from matplotlib.ticker import LogFormatter, NullFormatter, NullLocator, PercentFormatter, StrMethodFormatter
 from rich.box import SIMPLE
 from rich.table import Table
 
@@ -117,6 +117,7 @@ def likelihood_figure(rows: pd.DataFrame) -> Figure:
         lower.plot(own["demonstrations"], 100 * own["regret"].clip(lower=RESOLUTION), "o-", color=NUMBERS[-1])
         lower.set_yscale("log")
         lower.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        lower.yaxis.set_minor_formatter(LogFormatter())  # which labels where there is no decade to label
         upper.set_title(str(driver))
         upper.margins(y=0.15)
         lower.margins(y=0.15)
@@ -298,7 +299,8 @@ def recovery_table(rows: pd.DataFrame) -> Table:
         title="learnt / true weights, (not identifiable)", box=SIMPLE, title_justify="left", title_style="bold"
     )
     grid.add_column("driver", no_wrap=True)
-    for column in ("demos", *weights, "temperature", "log p", "of the true", "regret"):
+    names = [name.replace("_", " ") for name in weights]
+    for column in ("demos", *names, "temperature", "log p", "of the true", "regret"):
         grid.add_column(column, justify="right")
     for (driver, number), some in rows.groupby(["driver", "demonstrations"], sort=False):
         first = some.iloc[0]

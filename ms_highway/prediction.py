@@ -51,6 +51,7 @@ HORIZONS = (1, 2, 3, 5)  # s
 STEPS = 50  # 0.1 s, of the longest
 APART = 10  # steps between the starts of two cases of a driver
 MISS = 2.0  # m
+LEAST_DEVIATION = 1e-6  # of scaled controls
 
 
 @jax.tree_util.register_dataclass
@@ -226,7 +227,7 @@ def gaussian(windows: Windows, expected: Float[np.ndarray, "n K 2"]) -> Float[np
     """
     scale = np.asarray(template(windows, {}).planner.control_scale, dtype=float)
     difference = (np.asarray(windows.controls) - expected) / scale
-    deviation = difference.std(axis=(0, 1), mean=0.0)
+    deviation = np.maximum(np.sqrt(np.mean(difference**2, axis=(0, 1))), LEAST_DEVIATION)
     return stats.norm.logpdf(difference, scale=deviation).sum(axis=(1, 2))
 
 

@@ -215,7 +215,7 @@ class HumanVehicle(PlanningVehicle):
     others only once they are in its lane or beside it.
 
     Attributes:
-        weights: of the reward that it drives for by itself, by name.
+        weights: of the reward that it drives for by itself, by name: those learnt from demonstrations.
         solver: how it plans for them, see `ms_highway.planner.climb`; weights over a temperature need ``newton``.
         route: the roads that it follows by itself, None to follow whichever it is on.
         target_speed: a lower limit [m/s] than the lane's, None or 0 without one.
@@ -223,7 +223,7 @@ class HumanVehicle(PlanningVehicle):
     """
 
     COLOR = (60, 130, 220)
-    weights: ClassVar[Mapping[str, float]] = COMMON_WEIGHTS
+    weights: ClassVar[Mapping[str, float]] = shipped("demonstrations").weights
     solver: ClassVar[Solver] = "gradient"
 
     def __init__(

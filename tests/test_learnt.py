@@ -21,7 +21,7 @@ def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
     simulated, real = (shipped(name) for name in SHIPPED)
     for learnt in (simulated, real):
         assert learnt.converged
-        assert learnt.log_likelihood["held_out"] == pytest.approx(learnt.log_likelihood["train"], abs=0.1)
+        assert 0 <= learnt.log_likelihood["train"] - learnt.log_likelihood["held_out"] < 0.5
     for name in simulated.learnt:
         assert 1 / 1.05 < simulated.weights[name] / COMMON_WEIGHTS[name] < 1.05
         low, high = simulated.interval(name)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from ms_highway.cli import main
 from ms_highway.learnt import load, shipped
@@ -62,7 +63,16 @@ def test_highway_envs_idm_keeps_its_distance_and_its_lane():
     np.testing.assert_allclose(path[:, 1], 3.4, atol=1e-6)
     windows = cut([following(4.0)], 5)
     assert idm_controls(windows)[0, 0, 1] < -2.0
-    assert (gaussian(windows, idm_controls(windows)) < gaussian(windows, windows.controls + 1e-3)).all()
+
+
+def test_normal_noise_is_as_likely_around_what_was_expected_as_its_distribution_says():
+    windows = cut([following(20.0)], 5)
+    noise = np.random.default_rng(0).normal(size=windows.controls.shape) * [0.001, 0.5]
+    expected, scale = np.asarray(windows.controls) - noise, np.array([0.05, 100 / 3])
+    deviation = np.sqrt(np.mean((noise / scale) ** 2, axis=(0, 1)))
+    likely = stats.norm.logpdf(noise / scale, scale=deviation).sum(axis=(1, 2))
+    np.testing.assert_allclose(gaussian(windows, expected), likely, rtol=1e-5)
+    assert gaussian(windows, expected).mean() > gaussian(windows, expected + [0.0, 2.0]).mean() + 5
 
 
 def test_a_driver_that_is_never_seen_for_a_second_cannot_be_predicted():
