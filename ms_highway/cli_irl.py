@@ -246,7 +246,14 @@ def _evaluate(options: argparse.Namespace) -> None:
     if options.json:
         print(json.dumps(found, indent=2))
         return
-    Console(width=max(Console().width, TABLE_WIDTH)).print(irl_report.evaluation_table(found))
+    _print(irl_report.evaluation_table(found), irl_report.situations_table(found))
+
+
+def _print(*tables: Table) -> None:
+    """To standard output, wide enough for the tables also where it is no terminal."""
+    console = Console(width=max(Console().width, TABLE_WIDTH))
+    for grid in tables:
+        console.print(grid)
 
 
 def _read(data: str) -> list[Recording]:
@@ -328,7 +335,7 @@ def _recover(options: argparse.Namespace) -> None:
         rows.to_csv(path, index=False)
     figures = {"weights": irl_report.weights_figure(rows), "likelihood": irl_report.likelihood_figure(rows)}
     _save_figures(figures, options.out)
-    Console(width=max(Console().width, TABLE_WIDTH)).print(irl_report.recovery_table(rows))
+    _print(irl_report.recovery_table(rows))
     print(f"results are in {options.out}")
 
 
@@ -361,7 +368,7 @@ def _report(options: argparse.Namespace) -> None:
         "counts": irl_report.counts_figure(learnt),
     }
     _save_figures(figures, options.out)
-    Console(width=max(Console().width, TABLE_WIDTH)).print(irl_report.evaluation_table(evaluation))
+    _print(irl_report.evaluation_table(evaluation), irl_report.situations_table(evaluation))
     print(f"figures are in {options.out}")
 
 

@@ -2,8 +2,8 @@
 
 An evaluation is a dictionary of plain numbers: for ``model``, ``constant_velocity`` and ``idm`` the `errors` of
 prediction by horizon and the mean ``log_likelihood`` of a window's scaled controls; the number of ``windows`` that were
-predicted, of ``tracks`` that they are from, and of ``likelihood_windows``; and what the predicted drivers met
-(``others``).
+predicted, of ``tracks`` that they are from, and of ``likelihood_windows``; errors by what drivers were doing
+(``situations``, see `ms_highway.situations`); and what the predicted drivers met (``others``).
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,6 +29,7 @@ from ms_highway.prediction import (
 )
 from ms_highway.recording import Recording
 from ms_highway.scenario import PAPER_DYNAMICS
+from ms_highway.situations import by_situation
 from ms_highway.windows import Windows, cut, regular
 
 __all__ = ["cross_validate", "evaluate"]
@@ -117,6 +118,7 @@ def _beside(
     }
     return {
         **{name: {**errors(path, cases), "log_likelihood": float(log.mean())} for name, (path, log) in rows.items()},
+        "situations": by_situation({name: path for name, (path, _) in rows.items()}, cases),
         "windows": len(cases),
         "tracks": len(np.unique(cases.track)),
         "likelihood_windows": len(windows),

@@ -28,6 +28,7 @@ __all__ = [
     "load_evaluation",
     "paths_figure",
     "recovery_table",
+    "situations_table",
     "weights_figure",
 ]
 
@@ -329,6 +330,17 @@ def evaluation_table(evaluation: Mapping[str, Any]) -> Table:
     return grid
 
 
+def situations_table(evaluation: Mapping[str, Any]) -> Table:
+    """Errors of prediction by what drivers were doing."""
+    grid = Table(title="mean error after 3 s [m]", box=SIMPLE, title_justify="left", title_style="bold")
+    grid.add_column("what drivers did", no_wrap=True)
+    for column in ("windows", *(label for label, *_ in PREDICTORS.values())):
+        grid.add_column(column, justify="right", no_wrap=True)
+    for situation, row in evaluation["situations"].items():
+        grid.add_row(situation, str(row["windows"]), *(f"{row[name]:.2f}" for name in PREDICTORS))
+    return grid
+
+
 def load_evaluation(path: Path) -> dict[str, Any]:
     """Read what ``ms-highway irl evaluate --json`` prints.
 
@@ -342,7 +354,7 @@ def load_evaluation(path: Path) -> dict[str, Any]:
     remedy = "write it anew with `ms-highway irl evaluate --json`"
     if not isinstance(evaluation, dict):
         raise ValueError(f"{path} is no evaluation; {remedy}")
-    missing = [name for name in ("windows", "tracks", *PREDICTORS) if name not in evaluation]
+    missing = [name for name in ("windows", "tracks", "situations", *PREDICTORS) if name not in evaluation]
     for name in PREDICTORS:
         row = evaluation.get(name)
         for kind in ("fde", "miss"):

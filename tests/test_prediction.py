@@ -11,6 +11,7 @@ from ms_highway.cli import main
 from ms_highway.learnt import load, shipped
 from ms_highway.prediction import cases_of, constant_velocity, drive, errors, gaussian, idm, idm_controls
 from ms_highway.recording import Recording
+from ms_highway.situations import by_situation, situations
 from ms_highway.windows import cut
 
 
@@ -72,7 +73,29 @@ def test_normal_noise_is_as_likely_around_what_was_expected_as_its_distribution_
     deviation = np.sqrt(np.mean((noise / scale) ** 2, axis=(0, 1)))
     likely = stats.norm.logpdf(noise / scale, scale=deviation).sum(axis=(1, 2))
     np.testing.assert_allclose(gaussian(windows, expected), likely, rtol=1e-5)
-    assert gaussian(windows, expected).mean() > gaussian(windows, expected + [0.0, 2.0]).mean() + 5
+    assert gaussian(windows, expected).mean() > gaussian(windows, expected + np.array([0.0, 2.0])).mean() + 5
+
+
+def test_situations_are_told_apart_by_what_drivers_did():
+    def which(recording: Recording) -> set[str]:
+        return {name for name, chosen in situations(cases_of([recording])).items() if chosen[0]}
+
+    assert which(following(20.0)) == {"following"}
+    assert which(following(60.0)) == {"no leader"}
+    assert which(following(20.0, speed=3.0, leader=3.0)) == {"slow"}
+    moving, time = following(20.0), 0.1 * np.arange(61)
+    moving.states[:, 0, 1] -= 1.2 * time
+    moving.states[:, 0, 3] -= 2.0 * time
+    assert which(moving) == {"lane change", "braking"}
+
+
+def test_errors_by_situation_count_what_is_in_it():
+    cases = cases_of([following(20.0), following(60.0)])
+    late = constant_velocity(cases) - [1.0, 0.0]
+    found = by_situation({"late": late, "exact": constant_velocity(cases)}, cases)
+    assert list(found) == ["no leader", "following"]
+    for row in found.values():
+        assert row == pytest.approx({"windows": 4, "late": 1.0, "exact": 0.0}, abs=1e-9)
 
 
 def test_a_driver_that_is_never_seen_for_a_second_cannot_be_predicted():
