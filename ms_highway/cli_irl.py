@@ -213,13 +213,9 @@ def _add_evaluate(commands: Any) -> None:
 
 def _fit(options: argparse.Namespace) -> None:
     recordings = _read(options.data)
-    learnt = _working(learn(recordings, _model(options, recordings), options.horizon, options.data))
+    source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
+    learnt = _working(learn(recordings, _model(options, recordings), options.horizon, source))
     assert isinstance(learnt, LearntReward)
-    if not learnt.converged:
-        raise ValueError(
-            f"the fit has not converged after {learnt.iterations} iterations, at {learnt.weights}; "
-            "learn fewer weights, or from more driving"
-        )
     save(learnt, options.out)
     grid = Table(box=SIMPLE, title=f"learnt from {learnt.windows} windows", title_justify="left")
     for column in ("weight", "value", "90 % interval"):

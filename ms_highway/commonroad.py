@@ -27,8 +27,8 @@ COMPRESSED = ".xml.gz"
 def read_directory(directory: Path) -> list[Recording]:
     """All CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
 
-    Every moving obstacle is a driver, except those that were seen once only. Files of one recording, such as
-    ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``, form a group and may show the same tracks: a track is among the
+    Every moving obstacle is a driver, except those seen once only or going against the road. Files of one recording, such
+    as ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``, form a group and may show the same tracks: a track is among the
     drivers of the first file that shows it, and still there, as a neighbour, in the others.
 
     Raises:
@@ -87,7 +87,8 @@ def _convert(scenario: Any, path: Path, counted: set[tuple]) -> Recording:
         heading = (place.heading - orientation + np.pi) % (2 * np.pi) - np.pi
         states[time, car] = np.stack([place.x, place.y, heading, speed], axis=-1)
         identity = (group, obstacle.obstacle_id, *position[0].round(2))
-        if len(track) > 1 and identity not in counted:
+        along_the_road = np.abs(np.median(heading)) < np.pi / 2
+        if len(track) > 1 and along_the_road and identity not in counted:
             drivers.append(car)
             counted.add(identity)
     return Recording(
@@ -109,12 +110,19 @@ def _samples(obstacle: Any, path: Path) -> Float[np.ndarray, "times 5"]:
     states += getattr(getattr(obstacle.prediction, "trajectory", None), "state_list", [])
     try:
         rows = [(state.time_step, *state.position, state.orientation, state.velocity) for state in states]
-        return np.array(rows, dtype=float).reshape(-1, 5)
+        samples = np.array(rows, dtype=float).reshape(-1, 5)
     except (AttributeError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path}: obstacle {obstacle.obstacle_id} lacks an exact time, position, orientation or velocity; "
             "only recorded driving can be read"
         ) from error
+    if not np.isfinite(samples).all():
+        sample = samples[~np.isfinite(samples).all(axis=1)][0]
+        raise ValueError(
+            f"{path}: obstacle {obstacle.obstacle_id} is not finite at time step {sample[0]:g}: {sample[1:]}; "
+            "mend the file or leave it out"
+        )
+    return samples
 
 
 def _size(shape: Any) -> tuple[float, float]:
@@ -133,6 +141,8 @@ def _road(network: Any, path: Path) -> tuple[LaneCoordinates, Float[np.ndarray, 
     lines = [np.concatenate([lanelet.center_vertices for lanelet in chain]) for chain in chains]
     # Any lane tells which of the others are parallel to it. A ramp, to which nothing is, shows itself.
     offsets = max((_offsets(along(line), lines) for line in lines), key=lambda offset: np.isfinite(offset).sum())
+    if not np.isfinite(offsets).any():
+        raise ValueError(f"{path} has no lane that is straight enough to measure driving along it")
     road = along(lines[int(np.nanargmin(offsets))])
     found = np.sort(_offsets(road, lines))
     found = found[np.isfinite(found)]

@@ -14,9 +14,10 @@ from jaxtyping import Float
 
 from ms_highway.dynamics import keep_velocity
 from ms_highway.irl import Model, fit, slopes_of
-from ms_highway.learning import folds, likelihoods
+from ms_highway.learning import converged, folds, likelihoods
 from ms_highway.learnt import LearntReward
 from ms_highway.prediction import (
+    STEPS,
     Cases,
     Others,
     cases_of,
@@ -30,7 +31,7 @@ from ms_highway.prediction import (
 from ms_highway.recording import Recording
 from ms_highway.scenario import PAPER_DYNAMICS
 from ms_highway.situations import by_situation
-from ms_highway.windows import Windows, cut, regular
+from ms_highway.windows import Windows, regular_windows
 
 __all__ = ["cross_validate", "evaluate"]
 
@@ -47,8 +48,7 @@ def evaluate(
         ValueError: if no driver was seen for long enough.
     """
     yield "cutting windows"
-    cases, windows = cases_of(recordings, others), cut(recordings, learnt.horizon)
-    windows = windows.of(regular(windows))
+    cases, windows = cases_of(recordings, others), regular_windows(recordings, learnt.horizon)
     yield f"driving {len(cases)} stretches of road"
     paths = drive(cases, learnt.sharp_weights, learnt.horizon)
     yield f"differentiating {len(windows)} windows"
@@ -74,27 +74,28 @@ def cross_validate(
         What is being done; at the end, the evaluation, over all folds, with the weights of each (``folds``).
 
     Raises:
-        ValueError: if there is one group only, or no driver was seen for long enough.
+        ValueError: if there is one group only, no driver was seen for long enough, or a fit does not converge.
     """
     yield "cutting windows"
-    cases, windows = cases_of(recordings, others), cut(recordings, horizon)
-    windows = windows.of(regular(windows))
+    cases, windows = cases_of(recordings, others), regular_windows(recordings, horizon)
     if len(np.unique(windows.group)) < 2 or parts < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
     yield f"differentiating {len(windows)} windows"
     slopes = slopes_of(windows, model.names)
-    paths, likely, weights = np.empty((len(cases), 50, 2)), np.empty(len(windows)), []
+    paths, likely, weights = np.empty((len(cases), STEPS, 2)), np.empty(len(windows)), []
+    held_out = folds(np.union1d(windows.group, cases.group), parts)
     found = None
-    for number, names in enumerate(folds(windows.group, parts), 1):
+    for number, names in enumerate(held_out, 1):
         held, driven = np.isin(windows.group, names), np.isin(cases.group, names)
-        yield f"learning, fold {number} of {parts}"
-        found = fit(slopes.of(~held), model, found)
+        yield f"learning, fold {number} of {len(held_out)}"
+        found = converged(fit(slopes.of(~held), model, found))
         weights.append({"weights": found.weights, "temperature": found.temperature})
-        likely[held] = likelihoods(slopes.of(held), model, found.weights, found.temperature)
+        if held.any():
+            likely[held] = likelihoods(slopes.of(held), model, found.weights, found.temperature)
         if driven.any():
-            yield f"driving, fold {number} of {parts}"
+            yield f"driving, fold {number} of {len(held_out)}"
             paths[driven] = drive(cases.of(driven), found.sharp_weights, horizon)
     yield "driving IDM vehicles"
     yield {**_beside(cases, paths, windows, likely, others), "folds": weights}

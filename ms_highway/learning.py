@@ -21,9 +21,20 @@ from ms_highway.recording import Recording
 from ms_highway.reward import COMFORT, motion_reward
 from ms_highway.scenario import COMMON_WEIGHTS
 from ms_highway.sums import total
-from ms_highway.windows import Window, Windows, at_window, cut, regular, template
+from ms_highway.windows import Window, Windows, at_window, regular_windows, template
 
-__all__ = ["REAL", "SIMULATED", "best_controls", "folds", "learn", "likelihoods"]
+__all__ = [
+    "COMFORT_GIVEN",
+    "REAL",
+    "SIMULATED",
+    "best_controls",
+    "converged",
+    "curvatures",
+    "expected_features",
+    "folds",
+    "learn",
+    "likelihoods",
+]
 
 COMFORT_GIVEN = 0.1
 """The comfort weight that sets the scale of all others; small against the published weights' curvature."""
@@ -39,7 +50,7 @@ nothing that slopes could tell, see `ms_highway.windows.regular`.
 """
 
 REAL = Model(
-    (*SIMULATED.learnt, "headway", "closing_speed", "induced_braking", "comfort_steering"),
+    (*SIMULATED.learnt, "direction", "headway", "closing_speed", "induced_braking", "comfort_steering"),
     {"comfort_acceleration": COMFORT_GIVEN},
 )
 """What is learnt from real drivers: also what traffic needs, and how uneasy steering is against accelerating."""
@@ -67,23 +78,20 @@ def learn(
         What is being done; at the end, the learnt reward.
 
     Raises:
-        ValueError: if there is nothing to learn from, or the weights diverge.
+        ValueError: if there is nothing to learn from, or the weights diverge or a fit does not converge.
     """
     yield "cutting windows"
-    windows = cut(recordings, horizon)
-    windows = windows.of(regular(windows))
-    if not len(windows):
-        raise ValueError(f"none of the windows of {source} can be learnt from: all are at the road's edge or at limits")
+    windows = regular_windows(recordings, horizon)
     yield f"differentiating {len(windows)} windows"
     slopes = slopes_of(windows, model.names)
     yield "fitting"
-    found = fit(slopes, model)
+    found = converged(fit(slopes, model))
     held_out = []
     parts = folds(windows.group, validations)
     for number, names in enumerate(parts if len(parts) > 1 else [], 1):
         chosen = np.isin(windows.group, names)
         yield f"cross-validating, {number} of {len(parts)}"
-        rest = fit(slopes.of(~chosen), model, found)
+        rest = converged(fit(slopes.of(~chosen), model, found))
         held_out.append(likelihoods(slopes.of(chosen), model, rest.weights, rest.temperature))
     yield "counting features"
     yield LearntReward(
@@ -105,11 +113,25 @@ def learn(
         },
         provenance={
             "data": source,
-            "groups": list(dict.fromkeys(recording.group for recording in recordings))[:64],
+            "groups": len({recording.group for recording in recordings}),
             "drivers": sum(len(recording.drivers) for recording in recordings),
             "versions": {package: version(package) for package in ("ms-highway", "jax", "numpy", "scipy")},
         },
     )
+
+
+def converged(found: Fit) -> Fit:
+    """The fit, if it has converged.
+
+    Raises:
+        ValueError: if it has not.
+    """
+    if not found.converged:
+        raise ValueError(
+            f"the fit has not converged after {found.iterations} iterations, at {found.weights}; "
+            "learn fewer weights, or from more driving"
+        )
+    return found
 
 
 def likelihoods(

@@ -16,7 +16,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import stats
 
 from ms_highway.batches import in_batches
@@ -33,6 +33,8 @@ from ms_highway.windows import Windows, coasting, scene_of, template
 
 __all__ = [
     "HORIZONS",
+    "MISS",
+    "STEPS",
     "Cases",
     "Others",
     "cases_of",
@@ -74,8 +76,8 @@ class Cases:
     recorded: Float[Any, "n 51 4"]
     others: Float[Any, "n 50 cars 4"]
     present: Bool[Any, "n 50 cars"]
-    track: Float[Any, "n"]
-    group: Float[Any, "n"]
+    track: Int[Any, "n"]
+    group: Int[Any, "n"]
 
     def __len__(self) -> int:
         return len(self.track)

@@ -19,7 +19,7 @@ from ms_highway.learning import SIMULATED, likelihoods
 from ms_highway.recording import Recording
 from ms_highway.reward import COMFORT, FEATURES
 from ms_highway.scenario import PAPER_DYNAMICS, driving_game
-from ms_highway.windows import Window, Windows, at_window, cut, features_along, regular, template
+from ms_highway.windows import Window, Windows, at_window, features_along, regular_windows, template
 
 __all__ = ["IDENTIFIABLE", "recover", "true_rewards"]
 
@@ -69,8 +69,7 @@ def recover(
     numbers = sorted(set(numbers))
     chosen = [*recordings[: numbers[-1]], *recordings[len(recordings) - held_out :]]
     yield f"cutting {len(chosen)} demonstrations into windows"
-    windows = cut([replace(recording, group=str(place)) for place, recording in enumerate(chosen)], horizon)
-    windows = windows.of(regular(windows))
+    windows = regular_windows([replace(item, group=str(place)) for place, item in enumerate(chosen)], horizon)
     judged = windows.of(windows.group >= numbers[-1])
     fitted = windows.group < numbers[0]
     if not fitted.any() or not len(judged):

@@ -44,7 +44,7 @@ PAPER_FEATURES = (
 )
 """Names of the paper's features, in the order of a weight vector."""
 
-TRAFFIC_FEATURES = ("headway", "closing_speed", "induced_braking")
+TRAFFIC_FEATURES = ("direction", "headway", "closing_speed", "induced_braking")
 
 FEATURES = (*PAPER_FEATURES, *TRAFFIC_FEATURES)
 """Names of all features: the paper's, and those that real traffic needs, whose weight is zero in the paper."""
@@ -139,7 +139,7 @@ def features(
     * target_lane: ``-(y - y_target)^2 / U^2``; gap: ``-(x - (x_leader - gap))^2 / U^2``;
     * merged: 1 if ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane;
     * partner_target_lane, partner_merged: the same of the partner;
-    * headway, closing_speed, induced_braking: see `_traffic`.
+    * direction, headway, closing_speed, induced_braking: see `_traffic`.
 
     ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient. Nor has ``collision_risk`` in
     where the points of the body are: derivatives are those in states, not in the shape of cars.
@@ -201,6 +201,7 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     With g the gap between bumpers in length units U, v the own speed, v_j the other's, and the attention
     ``w = exp(-g / 0.6) exp(-(dy / (lane width / 4))^2 / 2)``, which falls with the gap and beside the own lane:
 
+    * direction: ``cos(heading)``, along the road, which `lane_alignment` has a fixed share of;
     * headway: ``-sum w (g - (0.06 + v 1 s / U))^2`` over the cars ahead, their gap against two metres and a second;
     * closing_speed: ``-sum w ((v - v_j) / s)^2`` over the cars ahead, s the speed limit;
     * induced_braking: ``-sum w (max(v_j - v, 0)^2 / (2 U^2 max(g, 0.03)))^2`` over the cars behind: the braking [U/s^2]
@@ -215,6 +216,7 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     faster = jnp.maximum(others.speed * per_unit - speed, 0.0)
     braking = faster**2 / (2 * jnp.maximum(gap, SMALLEST_GAP))
     return [
+        own.cosine,
         -total(ahead * (gap - STANDSTILL_GAP - TIME_HEADWAY * speed) ** 2, axis=0),
         -total(ahead * ((own.speed - others.speed) / parameters.speed_limit) ** 2, axis=0),
         -total(behind * braking**2, axis=0),

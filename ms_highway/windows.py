@@ -31,6 +31,7 @@ __all__ = [
     "features_at",
     "first_step",
     "regular",
+    "regular_windows",
     "scene_of",
     "template",
     "unease",
@@ -153,6 +154,22 @@ def _around(
     cars, taken = places(driver, everyone[0], present, recording.lane_width)
     paths = np.moveaxis(everyone[1:, cars], 0, 1)
     return np.where(taken[:, None, None], paths, far_behind(driver))
+
+
+def regular_windows(recordings: Sequence[Recording], steps: int) -> Windows:
+    """The windows of recordings, see `cut`, that can be learnt from, see `regular`.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    windows = cut(recordings, steps)
+    windows = windows.of(regular(windows))
+    if not len(windows):
+        raise ValueError(
+            f"nothing can be learnt from the {len(recordings)} recordings: in all windows of {steps} steps, drivers "
+            "are at the limits of control or at the edge of the road"
+        )
+    return windows
 
 
 def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
