@@ -90,6 +90,7 @@ DPI = 110
 
 MINARI = "minari:"
 TABLE_WIDTH = 120  # characters
+HORIZON = 5  # steps, that of the paper's plans
 
 Result = TypeVar("Result")
 
@@ -184,7 +185,13 @@ def _add_model(parser: argparse.ArgumentParser) -> None:
         help=f"names of the weights to learn (default: {', '.join(REAL.learnt)}; of those, from a Minari data set, "
         f"{', '.join(SIMULATED.learnt)}); comfort weights that are not learnt are 0.1 and set the scale",
     )
-    parser.add_argument("--horizon", type=int, default=5, help="length of windows and plans, in steps (default: 5)")
+    _add_horizon(parser)
+
+
+def _add_horizon(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--horizon", type=int, metavar="K", help=f"length of windows and plans, in steps (default: {HORIZON})"
+    )
 
 
 def _add_evaluate(commands: Any) -> None:
@@ -212,9 +219,11 @@ def _add_evaluate(commands: Any) -> None:
 
 
 def _fit(options: argparse.Namespace) -> None:
+    if options.out.is_dir():
+        raise ValueError(f"--out is {options.out}, a directory; name a .json file")
     recordings = _read(options.data)
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
-    learnt = _working(learn(recordings, _model(options, recordings), options.horizon, source))
+    learnt = _working(learn(recordings, _model(options, recordings), _horizon(options), source))
     assert isinstance(learnt, LearntReward)
     save(learnt, options.out)
     grid = Table(box=SIMPLE, title=f"learnt from {learnt.windows} windows", title_justify="left")
@@ -232,17 +241,25 @@ def _fit(options: argparse.Namespace) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
+    if options.theta and (options.learn or options.horizon):
+        raise ValueError("--learn and --horizon are those of the learnt reward --theta; leave them out")
     learnt = _theta(options.theta) if options.theta else None
     recordings = _read(options.data)
     if learnt:
         found = _working(evaluate(recordings, learnt, options.others))
     else:
         model = _model(options, recordings)
-        found = _working(cross_validate(recordings, model, options.horizon, options.folds, options.others))
+        found = _working(cross_validate(recordings, model, _horizon(options), options.folds, options.others))
     if options.json:
         print(json.dumps(found, indent=2))
         return
     _print(irl_report.evaluation_table(found), irl_report.situations_table(found))
+
+
+def _check_directory(path: Path) -> None:
+    """Refuse a file where results shall go, before they are worked out."""
+    if path.exists() and not path.is_dir():
+        raise ValueError(f"--out is {path}, a file; name a directory")
 
 
 def _print(*tables: Table) -> None:
@@ -262,9 +279,14 @@ def _theta(name: str) -> LearntReward:
     return shipped(name) if name in SHIPPED else load(Path(name))
 
 
+def _horizon(options: argparse.Namespace) -> int:
+    steps = HORIZON if options.horizon is None else options.horizon
+    if steps < 1:
+        raise ValueError(f"--horizon is {steps}; a window has at least one step")
+    return steps
+
+
 def _model(options: argparse.Namespace, recordings: list[Recording]) -> Model:
-    if options.horizon < 1:
-        raise ValueError(f"--horizon is {options.horizon}; a window has at least one step")
     usual = REAL if recordings[0].measured else SIMULATED
     if not options.learn:
         return usual
@@ -307,29 +329,33 @@ def _add_recover(commands: Any) -> None:
     parser.add_argument(
         "--held-out", type=int, default=64, metavar="N", help="demonstrations to judge by, the last (default: 64)"
     )
-    parser.add_argument("--horizon", type=int, default=5, help="length of windows and plans, in steps (default: 5)")
+    _add_horizon(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory of results")
     parser.set_defaults(run=_recover)
 
 
 def _recover(options: argparse.Namespace) -> None:
-    if options.horizon < 1:
-        raise ValueError(f"--horizon is {options.horizon}; a window has at least one step")
+    _check_directory(options.out)
+    horizon = _horizon(options)
     data = list(dict.fromkeys(options.data))
     for name in data:
         if not name.startswith(MINARI):
             raise ValueError(f"--data is {name!r}; true weights are known of simulated drivers only, minari:NAME")
-    sets = {name.removeprefix(MINARI): demonstrations.load(name.removeprefix(MINARI)) for name in data}
+    names = [name.removeprefix(MINARI) for name in data]
+    for name in names:
+        if demonstrations.known_weights(name) is None:
+            raise ValueError(f"nobody knows what the person drove for who recorded {name}; choose another data set")
+    sets = {name: demonstrations.load(name) for name in names}
     tables = []
     for name, recordings in sets.items():
-        found = _working(recover(recordings, options.demonstrations, SIMULATED, options.horizon, options.held_out))
+        found = _working(recover(recordings, options.demonstrations, SIMULATED, horizon, options.held_out))
         assert isinstance(found, pd.DataFrame)
         found.insert(0, "driver", name)
         tables.append(found)
     rows = pd.concat(tables, ignore_index=True)
+    figures = {"weights": irl_report.weights_figure(rows), "likelihood": irl_report.likelihood_figure(rows)}
     with replacing(options.out / "recovery.csv") as path:
         rows.to_csv(path, index=False)
-    figures = {"weights": irl_report.weights_figure(rows), "likelihood": irl_report.likelihood_figure(rows)}
     _save_figures(figures, options.out)
     _print(irl_report.recovery_table(rows))
     print(f"results are in {options.out}")
@@ -355,6 +381,7 @@ def _add_report(commands: Any) -> None:
 
 
 def _report(options: argparse.Namespace) -> None:
+    _check_directory(options.out)
     evaluation = irl_report.load_evaluation(options.evaluation)
     learnt, recordings = _theta(options.theta), _read(options.data)
     cases, titles, paths = _working(_drive_examples(recordings, learnt))

@@ -27,9 +27,9 @@ COMPRESSED = ".xml.gz"
 def read_directory(directory: Path) -> list[Recording]:
     """All CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
 
-    Every moving obstacle is a driver, except those seen once only or going against the road. Files of one recording, such
-    as ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``, form a group and may show the same tracks: a track is among the
-    drivers of the first file that shows it, and still there, as a neighbour, in the others.
+    Every moving obstacle is a driver, except those that were seen once only or go against the road. Files of one
+    recording, such as ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``, form a group and may show the same tracks: a
+    track is among the drivers of the first file that shows it, and still there, as a neighbour, in the others.
 
     Raises:
         ValueError: if there is nothing to read, or a file is no scenario with lanes, drivers and the time step 0.1 s.

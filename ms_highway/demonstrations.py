@@ -24,7 +24,7 @@ from ms_highway.recording import Recording
 from ms_highway.routes import DENSITIES
 from ms_highway.scenario import COMMON_WEIGHTS, TIME_STEP
 
-__all__ = ["DRIVERS", "Driver", "actions", "load", "record"]
+__all__ = ["DRIVERS", "Driver", "actions", "known_weights", "load", "record"]
 
 Driver: TypeAlias = Literal["keyboard", "optimal", "maxent", "mpc"]
 
@@ -137,6 +137,20 @@ def load(dataset: str) -> list[Recording]:
             what is wrong and the remedy.
         ImportError: without the packages of the extra ``demonstrations``.
     """
+    stored, _ = _open(dataset)
+    if not len(stored):
+        raise ValueError(f"data set {dataset} is empty; record episodes with `ms-highway irl record`")
+    episodes = stored.iterate_episodes()  # opens the file once
+    return [_recording(f"data set {dataset}, episode {number}", episodes, stored) for number in range(len(stored))]
+
+
+def known_weights(dataset: str) -> dict[str, float] | None:
+    """What the driver of a data set drove for, by name; None of a person. Raises what `load` raises."""
+    return _open(dataset)[1]["weights"]
+
+
+def _open(dataset: str) -> tuple[Any, dict[str, Any]]:
+    """A data set of this version, as Minari has it, and how it was made."""
     minari, data = _minari(), _data_directory(dataset)
     if not data.is_dir():
         raise ValueError(f"there is no data set {dataset} in {data.parent}; record it with `ms-highway irl record`")
@@ -150,10 +164,7 @@ def load(dataset: str) -> list[Recording]:
     for key, name, expected in (("format", "version", FORMAT), ("time_step", "a time step of", TIME_STEP)):
         if provenance.get(key) != expected:
             raise ValueError(f"data set {dataset} has {name} {provenance.get(key)}, not {expected}; {AGAIN}")
-    if not len(stored):
-        raise ValueError(f"data set {dataset} is empty; record episodes with `ms-highway irl record`")
-    episodes = stored.iterate_episodes()  # opens the file once
-    return [_recording(f"data set {dataset}, episode {number}", episodes, stored) for number in range(len(stored))]
+    return stored, provenance
 
 
 def _minari() -> Any:

@@ -62,14 +62,23 @@ class LearntReward:
         Raises:
             ValueError: naming what is wrong with it.
         """
+        if not isinstance(self.weights, dict):
+            raise ValueError(f"the weights are {self.weights}; they must be given by name")
         linear_reward(self.weights, 1.0)
-        parameters = len(self.learnt) + 1
-        if np.shape(self.covariance) != (parameters, parameters) or not np.isfinite(self.covariance).all():
-            raise ValueError(f"the covariance is no finite array of shape {(parameters, parameters)}")
-        if not (np.isfinite(self.temperature) and self.temperature > 0):
-            raise ValueError(f"the temperature is {self.temperature}; it must be positive")
         if missing := sorted(set(self.learnt) - set(self.weights)):
             raise ValueError(f"there is no weight for {missing}")
+        if set(self.model.names) != set(self.weights):
+            raise ValueError(f"what was learnt and given, {self.model.names}, are not the weights")
+        covariance, parameters = np.array(self.covariance, dtype=float), len(self.learnt) + 1
+        finite = covariance.shape == (parameters, parameters) and np.isfinite(covariance).all()
+        if not finite or (np.diag(covariance) < 0).any():
+            raise ValueError(f"the covariance is no finite array of shape {(parameters, parameters)} with variances")
+        if isinstance(self.temperature, bool) or not (np.isfinite(self.temperature) and self.temperature > 0):
+            raise ValueError(f"the temperature is {self.temperature}; it must be positive")
+        if type(self.horizon) is not int or self.horizon < 1:
+            raise ValueError(f"the horizon is {self.horizon!r}; it must be a number of steps")
+        if set(self.feature_counts) != {"human", "model"}:
+            raise ValueError("the feature counts are not those of human and model")
 
     @property
     def sharp_weights(self) -> dict[str, float]:
@@ -126,5 +135,5 @@ def _checked(content: Any, place: str) -> LearntReward:
     fields = {name: value for name, value in content.items() if name != "version"}
     try:
         return LearntReward(**{**fields, "learnt": tuple(content["learnt"])})
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{place} is damaged: {error}; {ANEW}") from error

@@ -17,15 +17,16 @@ from ms_highway.irl import NO_GRADIENT, Model, Slopes, fit, floored, log_likelih
 from ms_highway.irl_sampled import fit_sampled
 from ms_highway.learning import SIMULATED, best_controls, expected_features
 from ms_highway.recording import Recording
+from ms_highway.recovery import recover
 from ms_highway.reward import COMFORT, FEATURES
-from ms_highway.windows import Windows, cut, features_along, regular, template
+from ms_highway.windows import Windows, cut, features_along, regular, regular_windows, template
 
 DENSITIES = ("sparse", "medium", "dense")
 
 
 @pytest.fixture(scope="module")
-def demonstrated() -> Windows:
-    """Windows of 30 episodes of the maximum-entropy driver, those that can be learnt from."""
+def demonstrations() -> list[Recording]:
+    """30 episodes of the maximum-entropy driver."""
     env, recordings = gym.make(DEMONSTRATION_ID), []
     for seed in range(30):
         env.reset(seed=seed, options={"config": {"density": DENSITIES[seed % 3]}})
@@ -37,8 +38,13 @@ def demonstrated() -> Windows:
             if truncated:
                 break
         recordings.append(recorded(np.where(world.present[:, None], states, np.nan), world.game.scene, f"seed {seed}"))
-    windows = cut(recordings, 5)
-    return windows.of(regular(windows))
+    return recordings
+
+
+@pytest.fixture(scope="module")
+def demonstrated(demonstrations) -> Windows:
+    """Those of their windows that can be learnt from."""
+    return regular_windows(demonstrations, 5)
 
 
 def recorded(states: np.ndarray, scene, name: str) -> Recording:
@@ -111,6 +117,20 @@ def test_weights_that_demonstrators_drove_for_are_recovered(demonstrated):
         assert model[name] == pytest.approx(human[name], rel=0.1), name
 
 
+def test_recovery_tells_how_far_off_weights_are_and_what_that_costs(demonstrations):
+    *_, rows = recover(demonstrations, [20, 4], held_out=8)
+    assert list(rows["demonstrations"].unique()) == [4, 20]
+    assert list(rows["weight"].unique()) == list(SIMULATED.learnt)
+    assert rows["identifiable"].all()
+    np.testing.assert_allclose(rows["log_ratio"], np.log(rows["learnt"] / rows["true"]))
+    many = rows[rows["demonstrations"] == 20]
+    assert (abs(many["log_ratio"]) < np.log(1.25)).all()
+    assert 0 <= many["regret"].iloc[0] < 0.01
+    assert (rows["log_likelihood"] < rows["log_likelihood_true"] + 0.1).all()
+    with pytest.raises(ValueError, match="takes 38: record more"):
+        next(recover(demonstrations, [30], held_out=8))
+
+
 def test_the_best_controls_of_a_window_earn_more_than_what_was_done(demonstrated):
     few = demonstrated.of(np.arange(len(demonstrated)) % 20 == 0)
     weights = {name: weight / TEMPERATURE for name, weight in DRIVER_WEIGHTS.items()}
@@ -170,6 +190,9 @@ def test_recordings_that_are_too_short_or_sampled_otherwise_are_refused(played):
         cut([short], 5)
     with pytest.raises(ValueError, match=r"a short one has a time step of 0\.2 s"):
         cut([replace(short, time_step=0.2)], 2)
+    aside = np.tile([[0.0, 40.0, 0.0, 20.0], [0.0, 0.0, 0.0, 20.0]], (9, 1, 1))
+    with pytest.raises(ValueError, match="nothing can be learnt from the 1 recordings"):
+        regular_windows([recorded(aside, scene, "off the road")], 5)
     with pytest.raises(ValueError, match="no lanes"):
         replace(short, lanes=np.empty(0))
     states = np.zeros((9, 2, 4))
