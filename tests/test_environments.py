@@ -333,6 +333,16 @@ def test_other_weights_of_the_human_compile_nothing():
         assert env.step(0)[4]["compile_seconds"] == 0.0
 
 
+def test_theory_of_mind_opens_the_gap_with_a_learnt_human_and_naive_does_not():
+    earned = {}
+    for model in ("naive", "tom"):
+        env = make("merger", controller={"type": "fixed", "model": model}, human_reward="learned")
+        env.reset(seed=0)
+        earned[model] = np.mean([env.step(0)[1] for _ in range(40)])
+    assert earned["naive"] == pytest.approx(1.5, abs=0.1)
+    assert earned["tom"] > 6.0
+
+
 def test_humans_can_drive_for_what_traffic_needs():
     env = make("merger", controller=FIXED, human_reward=shipped("us101").weights).unwrapped
     env.reset(seed=0)
