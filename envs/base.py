@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 from gymnasium import spaces
-from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ActionType, action_factory
 from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
@@ -20,8 +19,8 @@ from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.configuration import human_weights, merged
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
-from ms_highway.envs.stage import evaluate, straight_road
-from ms_highway.game import Game, swap_roles
+from ms_highway.envs.stage import StageEnv, straight_road
+from ms_highway.game import swap_roles
 from ms_highway.human_models import HumanModel, Naive, ladder
 from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, PHYSICAL_LIMIT, Scenario, build_game, draw_starts
 from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
@@ -62,7 +61,7 @@ class Cone(Obstacle):
     LENGTH, WIDTH = (size * PAPER_UNIT for size in CONE_SIZE)  # m
 
 
-class InteractionEnv(AbstractEnv):
+class InteractionEnv(StageEnv):
     """A robot among human drivers, on the stage of a `Scenario`.
 
     Configuration, beside highway-env's own:
@@ -90,12 +89,9 @@ class InteractionEnv(AbstractEnv):
     """
 
     scenario: ClassVar[Scenario]
-    config: dict[str, Any]
-    metadata: dict[str, Any]
     action_space: spaces.Space | None
     viewer: InteractionViewer | None
     models: tuple[HumanModel, ...]
-    game: Game
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -123,11 +119,8 @@ class InteractionEnv(AbstractEnv):
         }
 
     def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
-        self.metadata = dict(type(self).metadata)  # highway-env would write the frame rate into the class's own
         self._initial_states: Float[np.ndarray, "cars 4"] | None = None
         self._costs: Float[np.ndarray, "rungs"] | None = None
-        self._terms: dict[str, float] = {}
-        self.collision = False
         self.history: list[dict[str, Any]] = []
         super().__init__(config, render_mode)
 
@@ -261,11 +254,6 @@ class InteractionEnv(AbstractEnv):
         return self._costs
 
     @property
-    def episode_steps(self) -> int:
-        """Length of an episode that nothing ends early."""
-        return round(self.config["duration"] * self.config["policy_frequency"])
-
-    @property
     def robot(self) -> RobotVehicle:
         """Car 0."""
         return self.road.vehicles[0]
@@ -287,17 +275,11 @@ class InteractionEnv(AbstractEnv):
         return super().render()
 
     def _simulate(self, action: Any = None) -> None:
-        """Let all cars plan and move, then evaluate the robot's new state."""
-        for car in self.road.vehicles:
-            car.hit = False
+        """Let all cars plan and move, evaluate the robot's new state, and let the agent pay for the model it chose."""
         super()._simulate(action)
-        states = self.car_states.astype(np.float32)
-        phi, terms = np.asarray(evaluate(self.game.scene, self.game.robot, states)).tolist()
-        self._terms = dict(zip(self.game.robot.names, terms, strict=True))
         if isinstance(self.action_type, HumanModelAction):
             seconds = self.costs(self.car_states)[int(action)]
             self._terms["computation"] = -float(self.action_type.price * seconds)
-        self.collision = bool(phi[self.game.robot.names.index("collision")])
         self.history.append(self._record())
 
     def _record(self) -> dict[str, Any]:
@@ -312,17 +294,8 @@ class InteractionEnv(AbstractEnv):
             "collision": self.collision,
         }
 
-    def _reward(self, action: Any) -> float:
-        return sum(self._terms.values())
-
-    def _rewards(self, action: Any) -> dict[str, float]:
-        return dict(self._terms)
-
     def _is_terminated(self) -> bool:
         return bool(self.config["terminate_on_collision"] and self.collision)
-
-    def _is_truncated(self) -> bool:
-        return self.steps >= self.episode_steps
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
         """What happened in the last step; after a reset only the robot's speed and what collisions do."""

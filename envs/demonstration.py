@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ContinuousAction
 from highway_env.road.road import Road
 from jaxtyping import Bool, Float
@@ -14,7 +13,7 @@ from jaxtyping import Bool, Float
 from ms_highway.envs.configuration import changed
 from ms_highway.envs.graphics import Viewer
 from ms_highway.envs.observations import CarTracks
-from ms_highway.envs.stage import evaluate, straight_road
+from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game import Game
 from ms_highway.routes import DENSITIES, draw_routes
 from ms_highway.scenario import CAR_SIZE, COMMON_WEIGHTS, LANE_WIDTH, PAPER_UNIT, SPEED_LIMIT, TIME_STEP, driving_game
@@ -58,7 +57,7 @@ def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
     return driving_game(scene, SPEED_LIMIT * PAPER_UNIT, weights)
 
 
-class DemonstrationEnv(AbstractEnv):
+class DemonstrationEnv(StageEnv):
     """A car to drive along a road of three lanes, among cars on routes that nothing changes.
 
     Configuration, beside highway-env's own:
@@ -78,8 +77,6 @@ class DemonstrationEnv(AbstractEnv):
             episode for as long as a plan looks ahead.
     """
 
-    config: dict[str, Any]
-    metadata: dict[str, Any]
     action_space: spaces.Space | None
     viewer: Viewer | None
     routes: Float[np.ndarray, "others times 4"]
@@ -101,10 +98,7 @@ class DemonstrationEnv(AbstractEnv):
         }
 
     def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
-        self.metadata = dict(type(self).metadata)  # highway-env would write the frame rate into the class's own
         self.game = demonstration_game()
-        self._terms: dict[str, float] = {}
-        self.collision = False
         super().__init__(config, render_mode)
 
     def configure(self, config: dict[str, Any] | None) -> None:
@@ -182,11 +176,6 @@ class DemonstrationEnv(AbstractEnv):
         return np.array([0.0, y, random.normal(scale=HEADING_SPREAD), random.normal(speed, SPEED_SPREAD)])
 
     @property
-    def episode_steps(self) -> int:
-        """Length of an episode."""
-        return round(self.config["duration"] * self.config["policy_frequency"])
-
-    @property
     def present(self) -> Bool[np.ndarray, "cars"]:
         """Which of the cars are there, the driver first."""
         return np.arange(1 + OTHERS) < len(self.road.vehicles)
@@ -212,27 +201,8 @@ class DemonstrationEnv(AbstractEnv):
             self.viewer = Viewer(self)
         return super().render()
 
-    def _simulate(self, action: Any = None) -> None:
-        """Let all cars move, then evaluate the driver's new state."""
-        for car in self.road.vehicles:
-            car.hit = False
-        super()._simulate(action)
-        states = self.car_states.astype(np.float32)
-        phi, terms = np.asarray(evaluate(self.game.scene, self.game.robot, states)).tolist()
-        self._terms = dict(zip(self.game.robot.names, terms, strict=True))
-        self.collision = bool(phi[self.game.robot.names.index("collision")])
-
-    def _reward(self, action: Any) -> float:
-        return sum(self._terms.values())
-
-    def _rewards(self, action: Any) -> dict[str, float]:
-        return dict(self._terms)
-
     def _is_terminated(self) -> bool:
         return False
-
-    def _is_truncated(self) -> bool:
-        return self.steps >= self.episode_steps
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
         """What happened in the last step; after a reset only the driver's speed and what collisions do."""

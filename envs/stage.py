@@ -1,7 +1,11 @@
-"""What the environments share: the road that is drawn, and a driver's reward by feature."""
+"""What the environments share: the road that is drawn, and car 0's reward by feature."""
+
+from abc import abstractmethod
+from typing import Any
 
 import jax
 import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import RoadNetwork
 from jax import numpy as jnp
@@ -11,7 +15,7 @@ from ms_highway.game import Game
 from ms_highway.reward import Reward, features
 from ms_highway.scene import Scene
 
-__all__ = ["evaluate", "straight_road"]
+__all__ = ["StageEnv", "evaluate", "straight_road"]
 
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
 
@@ -36,3 +40,53 @@ def straight_road(game: Game) -> RoadNetwork:
         lane = StraightLane(*ends, width=float(scene.lane_width), line_types=[left, right], speed_limit=limit)
         network.add_lane("start", "end", lane)
     return network
+
+
+class StageEnv(AbstractEnv):
+    """An environment of a fixed duration, whose reward is that of car 0 after the step, feature by feature.
+
+    Cars are not solid: a collision only costs reward, as in the paper.
+
+    Attributes:
+        game: whose reward.
+        collision: whether car 0 has collided in the last step.
+    """
+
+    config: dict[str, Any]
+    metadata: dict[str, Any]
+    game: Game
+
+    def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
+        self.metadata = dict(type(self).metadata)  # highway-env would write the frame rate into the class's own
+        self._terms: dict[str, float] = {}
+        self.collision = False
+        super().__init__(config, render_mode)
+
+    @property
+    @abstractmethod
+    def car_states(self) -> Float[np.ndarray, "cars 4"]:
+        """``(x, y, heading, speed)`` of all cars in SI units."""
+
+    @property
+    def episode_steps(self) -> int:
+        """Length of an episode that nothing ends early."""
+        return round(self.config["duration"] * self.config["policy_frequency"])
+
+    def _simulate(self, action: Any = None) -> None:
+        """Let all cars act and move, then evaluate the new state of car 0."""
+        for car in self.road.vehicles:
+            car.hit = False
+        super()._simulate(action)
+        states, names = self.car_states.astype(np.float32), self.game.robot.names
+        phi, terms = np.asarray(evaluate(self.game.scene, self.game.robot, states)).tolist()
+        self._terms = dict(zip(names, terms, strict=True))
+        self.collision = bool(phi[names.index("collision")])
+
+    def _reward(self, action: Any) -> float:
+        return sum(self._terms.values())
+
+    def _rewards(self, action: Any) -> dict[str, float]:
+        return dict(self._terms)
+
+    def _is_truncated(self) -> bool:
+        return self.steps >= self.episode_steps

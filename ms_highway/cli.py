@@ -7,18 +7,20 @@ import os
 import sys
 import typing
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ms_highway import experiment, report, validation, video
 from ms_highway.bench import bench
 from ms_highway.cli_irl import add_irl
 from ms_highway.compiled import keep_compilations, low_latency
+from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.configuration import HUMAN_REWARDS
 from ms_highway.files import replacing
@@ -26,8 +28,6 @@ from ms_highway.learnt import load
 from ms_highway.planner import Solver
 
 __all__ = ["main"]
-
-TABLE_WIDTH = 120  # characters
 
 COMPARE_HELP = """\
 Run the same seeded episodes with several controllers and compare reward and computation.
@@ -96,15 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
-    def command(name: str, summary: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
-        return commands.add_parser(
-            name,
-            help=summary,
-            description=description,
-            epilog=epilog,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-
+    command = partial(add_command, commands)
     compare = command("compare", "compare controllers over many episodes", COMPARE_HELP, COMPARE_EXAMPLES)
     compare.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: all)")
     compare.add_argument(
@@ -215,37 +207,19 @@ def _compare(options: argparse.Namespace) -> None:
         controllers, options.seeds, options.semantics, costs, options.solver, human_reward
     )
     comparison.check()
-    console = _console()
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
     counts = experiment.run(comparison, options.out)
-    already = next(counts)
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("episodes", total=len(list(comparison.episodes())), completed=already)
-        for done in counts:
-            progress.update(task, completed=done)
+    count_episodes(counts, next(counts), len(list(comparison.episodes())))
     records = experiment.read(comparison, options.out)
     summaries = report.summary(records)
     with replacing(options.out / "summary.csv") as path:
         summaries.to_csv(path, index=False)
     for scenario in scenarios:
-        console.print(report.table(summaries, scenario))
+        print_tables(report.table(summaries, scenario))
         figures = {"bars": report.bars(summaries, scenario), "timeline": report.timeline(records, scenario)}
         for name, figure in figures.items():
             with replacing(options.out / f"{scenario}_{name}.png") as path:
                 figure.savefig(path, dpi=110)
-    console.print(f"results are in {options.out}")
-
-
-def _console() -> Console:
-    """Standard output, wide enough for the tables also where it is no terminal."""
-    console = Console()
-    return Console(width=max(console.width, TABLE_WIDTH))
+    print(f"results are in {options.out}")
 
 
 def _costs(text: str) -> str | dict[str, float]:
@@ -297,7 +271,7 @@ def _bench(options: argparse.Namespace) -> None:
                 compiling = [f"{result['compile_s'][kind]:.1f}" for kind in ("cold", "cached")]
                 rest = [*against, *decision, f"{result['step_us']:.0f}", *compiling]
                 grid.add_row(scenario, model, f"{ours['p50']:.0f}", f"{ours['p99']:.0f}", *rest)
-    _console().print(grid)
+    print_tables(grid)
     if options.json:
         with replacing(options.json) as path:
             path.write_text(json.dumps(results, indent=2) + "\n")
@@ -318,4 +292,4 @@ def _validate(options: argparse.Namespace) -> None:
         ]
         decisions = errors.get("decisions")
         grid.add_row(name, *cells, f"{decisions['agree']} of {decisions['all']}" if decisions else "")
-    _console().print(grid)
+    print_tables(grid)

@@ -5,17 +5,16 @@ import json
 import typing
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from rich.box import SIMPLE
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from ms_highway import commonroad, demonstrations, irl_report
+from ms_highway.console import add_command, count_episodes, print_tables, work
 from ms_highway.demonstrators import TEMPERATURE
 from ms_highway.evaluation import cross_validate, evaluate
 from ms_highway.files import replacing
@@ -89,10 +88,7 @@ example:
 DPI = 110
 
 MINARI = "minari:"
-TABLE_WIDTH = 120  # characters
 HORIZON = 5  # steps, that of the paper's plans
-
-Result = TypeVar("Result")
 
 
 def add_irl(commands: Any) -> None:
@@ -107,13 +103,7 @@ def add_irl(commands: Any) -> None:
 
 
 def _add_record(commands: Any) -> None:
-    record = commands.add_parser(
-        "record",
-        help="record demonstrations",
-        description=RECORD_HELP,
-        epilog=RECORD_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    record = add_command(commands, "record", "record demonstrations", RECORD_HELP, RECORD_EXAMPLES)
     drivers = "; ".join(f"{name}: {meaning}" for name, meaning in demonstrations.DRIVERS.items())
     record.add_argument("--driver", choices=list(demonstrations.DRIVERS), required=True, help=drivers)
     record.add_argument("--episodes", type=int, required=True, metavar="N", help="episodes the data set shall have")
@@ -139,29 +129,13 @@ def _record(options: argparse.Namespace) -> None:
     counts = demonstrations.record(
         options.driver, options.episodes, options.dataset, options.density, options.seed, options.temperature
     )
-    already = done = next(counts)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("episodes", total=max(options.episodes, already), completed=already)
-        for done in counts:
-            progress.update(task, completed=done)
+    already = next(counts)
+    done = count_episodes(counts, already, options.episodes)
     print(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")
 
 
 def _add_fit(commands: Any) -> None:
-    fit = commands.add_parser(
-        "fit",
-        help="learn a reward",
-        description=FIT_HELP,
-        epilog=FIT_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    fit = add_command(commands, "fit", "learn a reward", FIT_HELP, FIT_EXAMPLES)
     _add_data(fit)
     _add_model(fit)
     fit.add_argument("--out", type=Path, required=True, metavar="FILE", help="a .json file for the learnt reward")
@@ -195,13 +169,7 @@ def _add_horizon(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_evaluate(commands: Any) -> None:
-    parser = commands.add_parser(
-        "evaluate",
-        help="predict recorded drivers",
-        description=EVALUATE_HELP,
-        epilog=EVALUATE_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = add_command(commands, "evaluate", "predict recorded drivers", EVALUATE_HELP, EVALUATE_EXAMPLES)
     _add_data(parser)
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--theta", metavar="FILE", help=f"a learnt reward: a file, or one of {', '.join(SHIPPED)}")
@@ -223,7 +191,7 @@ def _fit(options: argparse.Namespace) -> None:
         raise ValueError(f"--out is {options.out}, a directory; name a .json file")
     recordings = _read(options.data)
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
-    learnt = _working(learn(recordings, _model(options, recordings), _horizon(options), source))
+    learnt = work(learn(recordings, _model(options, recordings), _horizon(options), source))
     assert isinstance(learnt, LearntReward)
     save(learnt, options.out)
     grid = Table(box=SIMPLE, title=f"learnt from {learnt.windows} windows", title_justify="left")
@@ -233,7 +201,7 @@ def _fit(options: argparse.Namespace) -> None:
         interval = "{:.3g}, {:.3g}".format(*learnt.interval(name)) if name in learnt.learnt else "given"
         grid.add_row(name, f"{value:.4g}", interval)
     grid.add_row("temperature", f"{learnt.temperature:.3g}", "")
-    Console().print(grid)
+    print_tables(grid)
     likely = learnt.log_likelihood
     held_out = "" if likely["held_out"] is None else f", {likely['held_out']:.3f} on those held out"
     print(f"log-likelihood per window: {likely['train']:.3f}{held_out}")
@@ -246,27 +214,20 @@ def _evaluate(options: argparse.Namespace) -> None:
     learnt = _theta(options.theta) if options.theta else None
     recordings = _read(options.data)
     if learnt:
-        found = _working(evaluate(recordings, learnt, options.others))
+        found = work(evaluate(recordings, learnt, options.others))
     else:
         model = _model(options, recordings)
-        found = _working(cross_validate(recordings, model, _horizon(options), options.folds, options.others))
+        found = work(cross_validate(recordings, model, _horizon(options), options.folds, options.others))
     if options.json:
         print(json.dumps(found, indent=2))
         return
-    _print(irl_report.evaluation_table(found), irl_report.situations_table(found))
+    print_tables(irl_report.evaluation_table(found), irl_report.situations_table(found))
 
 
 def _check_directory(path: Path) -> None:
     """Refuse a file where results shall go, before they are worked out."""
     if path.exists() and not path.is_dir():
         raise ValueError(f"--out is {path}, a file; name a directory")
-
-
-def _print(*tables: Table) -> None:
-    """To standard output, wide enough for the tables also where it is no terminal."""
-    console = Console(width=max(Console().width, TABLE_WIDTH))
-    for grid in tables:
-        console.print(grid)
 
 
 def _read(data: str) -> list[Recording]:
@@ -294,27 +255,8 @@ def _model(options: argparse.Namespace, recordings: list[Recording]) -> Model:
     return Model(tuple(options.learn), {name: value for name, value in given.items() if name not in options.learn})
 
 
-def _working(progress: Iterator[str | Result]) -> Result:
-    """Run what tells what it is doing, and its result at the end."""
-    columns = TextColumn("{task.description}"), TimeElapsedColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading", total=None)
-        for message in progress:
-            if isinstance(message, str):
-                bar.update(task, description=message)
-            else:
-                result = message
-    return result
-
-
 def _add_recover(commands: Any) -> None:
-    parser = commands.add_parser(
-        "recover",
-        help="recover known weights",
-        description=RECOVER_HELP,
-        epilog=RECOVER_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = add_command(commands, "recover", "recover known weights", RECOVER_HELP, RECOVER_EXAMPLES)
     parser.add_argument(
         "--data", nargs="+", required=True, metavar="minari:NAME", help="data sets of `ms-highway irl record`"
     )
@@ -348,7 +290,7 @@ def _recover(options: argparse.Namespace) -> None:
     sets = {name: demonstrations.load(name) for name in names}
     tables = []
     for name, recordings in sets.items():
-        found = _working(recover(recordings, options.demonstrations, SIMULATED, horizon, options.held_out))
+        found = work(recover(recordings, options.demonstrations, SIMULATED, horizon, options.held_out))
         assert isinstance(found, pd.DataFrame)
         found.insert(0, "driver", name)
         tables.append(found)
@@ -357,18 +299,12 @@ def _recover(options: argparse.Namespace) -> None:
     with replacing(options.out / "recovery.csv") as path:
         rows.to_csv(path, index=False)
     _save_figures(figures, options.out)
-    _print(irl_report.recovery_table(rows))
+    print_tables(irl_report.recovery_table(rows))
     print(f"results are in {options.out}")
 
 
 def _add_report(commands: Any) -> None:
-    parser = commands.add_parser(
-        "report",
-        help="draw what was learnt",
-        description=REPORT_HELP,
-        epilog=REPORT_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = add_command(commands, "report", "draw what was learnt", REPORT_HELP, REPORT_EXAMPLES)
     parser.add_argument(
         "--evaluation", type=Path, required=True, metavar="FILE", help="what `ms-highway irl evaluate --json` prints"
     )
@@ -384,14 +320,14 @@ def _report(options: argparse.Namespace) -> None:
     _check_directory(options.out)
     evaluation = irl_report.load_evaluation(options.evaluation)
     learnt, recordings = _theta(options.theta), _read(options.data)
-    cases, titles, paths = _working(_drive_examples(recordings, learnt))
+    cases, titles, paths = work(_drive_examples(recordings, learnt))
     figures = {
         "errors": irl_report.errors_figure(evaluation),
         "paths": irl_report.paths_figure(cases, paths, titles),
         "counts": irl_report.counts_figure(learnt),
     }
     _save_figures(figures, options.out)
-    _print(irl_report.evaluation_table(evaluation), irl_report.situations_table(evaluation))
+    print_tables(irl_report.evaluation_table(evaluation), irl_report.situations_table(evaluation))
     print(f"figures are in {options.out}")
 
 

@@ -120,7 +120,8 @@ class Fit:
     Attributes:
         model: what was learnt and what was given.
         logarithms: of the learnt weights' sizes and, at the end, of the temperature T.
-        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior.
+        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior. It takes
+            windows for independent; of real drivers, whose windows are alike, it tells too narrow intervals.
         converged: whether the optimiser reached the top.
         iterations: how many the optimiser took.
         log_likelihood: mean over the windows.

@@ -1,0 +1,65 @@
+"""What the commands share: how they are declared, what they print, and how they show that they are at work."""
+
+import argparse
+from collections.abc import Iterable, Iterator
+from typing import Any, TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+__all__ = ["add_command", "count_episodes", "print_tables", "work"]
+
+TABLE_WIDTH = 120  # characters
+
+Result = TypeVar("Result")
+
+
+def add_command(commands: Any, name: str, summary: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
+    """A new command among a parser's subparsers, whose description and epilog are printed as they are."""
+    return commands.add_parser(
+        name,
+        help=summary,
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def print_tables(*tables: Table) -> None:
+    """Print to standard output, wide enough also where it is no terminal."""
+    console = Console(width=max(Console().width, TABLE_WIDTH))
+    for table in tables:
+        console.print(table)
+
+
+def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
+    """Show a bar of episodes on standard error while they are counted.
+
+    Args:
+        counts: how many there are, each time that one more is done.
+        already: how many there were before.
+        total: how many there will be.
+
+    Returns:
+        How many there are in the end.
+    """
+    done, columns = already, (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as progress:
+        task = progress.add_task("episodes", total=max(total, already), completed=already)
+        for done in counts:
+            progress.update(task, completed=done)
+    return done
+
+
+def work(progress: Iterator[str | Result]) -> Result:
+    """Show on standard error what a computation says that it is doing, until it yields its result."""
+    columns = TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+        for message in progress:
+            if isinstance(message, str):
+                bar.update(task, description=message)
+            else:
+                return message
+    raise RuntimeError("a computation ended without a result")
