@@ -34,6 +34,8 @@ def compilations(controller):
 
 
 def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later(played):
+    plan_function.cache_clear()  # what other tests have compiled, with other settings of JAX, does not count
+    decide_function.cache_clear()
     game, state = played("merger")
     controller = ModelSwitching(game, Switching(np.array([0.09, 0.17, 0.37]), 0.0, ladder(("naive", "turn", "tom"))))
     controller.step(np.asarray(state))
