@@ -18,7 +18,7 @@ from ms_highway.console import add_command, count_episodes, print_tables, work
 from ms_highway.demonstrators import TEMPERATURE
 from ms_highway.evaluation import cross_validate, evaluate
 from ms_highway.files import replacing
-from ms_highway.irl import Model
+from ms_highway.irl_model import Model
 from ms_highway.learning import COMFORT_GIVEN, REAL, SIMULATED, learn
 from ms_highway.learnt import SHIPPED, LearntReward, load, save, shipped
 from ms_highway.prediction import Cases, Others, cases_of, constant_velocity, drive, idm

@@ -4,6 +4,7 @@ Drivers plan a window of as many steps as the game's planner looks ahead, execut
 window earns R_H, the sum of the reward over its steps less the discomfort of its controls, see `driven_reward`.
 """
 
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import jax
@@ -13,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from ms_highway.derivatives import Path, damped_inverse, eigenpairs, expand
 from ms_highway.dynamics import Motion, observe
-from ms_highway.game import Game, constant_velocity, driven_reward, move
+from ms_highway.game import Game, constant_velocity, discomfort, driven_reward, move
 from ms_highway.planner import project
 from ms_highway.reward import motion_reward
 from ms_highway.scenario import COMMON_WEIGHTS
@@ -91,9 +92,8 @@ def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
     def improve(search: Search) -> Search:
         count, controls, _ = search
         # The chain rule spares most of what XLA would have to compile for the Hessian of everything at once.
-        expansion = expand(lambda controls: move(game, car, controls), along, controls)
-        gradient = expansion.gradient.reshape(controls.shape) - game.robot.comfort * (controls - kept)
-        hessian = expansion.hessian - jnp.diag(jnp.tile(game.robot.comfort, len(controls)))
+        expansion = expand(partial(move, game, car), along, controls, partial(discomfort, game, car))
+        gradient, hessian = expansion.gradient.reshape(controls.shape), expansion.hessian
         step = (damped_inverse(hessian, FLOOR) @ gradient.ravel()).reshape(controls.shape)
         candidates = project(game.planner, controls + SHARES[:, None, None] * step)
         rewards = jax.vmap(lambda controls: driven_reward(game, car, controls, others))(candidates)
@@ -102,8 +102,7 @@ def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
         chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
         return count + 1, chosen, Optimum(controls, gradient, hessian)
 
-    kept = constant_velocity(game, car)
-    start = project(game.planner, kept)
+    start = project(game.planner, constant_velocity(game, car))
     unknown = Optimum(start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size)))
     return jax.lax.while_loop(climbing, improve, (0, start, unknown))[-1]
 

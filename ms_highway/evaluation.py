@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.dynamics import keep_velocity
-from ms_highway.irl import Model, fit, slopes_of
+from ms_highway.irl import fit, slopes_of
+from ms_highway.irl_model import Model
 from ms_highway.learning import converged, folds, likelihoods
 from ms_highway.learnt import LearntReward
 from ms_highway.prediction import (

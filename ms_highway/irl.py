@@ -14,7 +14,7 @@ so that a reward is likely under which the driver was near an optimum (the first
 g and H are linear in theta: the features' derivatives are worked out once, and then a fit takes seconds.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -30,69 +30,17 @@ from ms_highway.batches import in_batches
 from ms_highway.derivatives import slope_and_bend
 from ms_highway.dynamics import Array
 from ms_highway.game import Game, move
+from ms_highway.irl_model import Model
 from ms_highway.reward import COMFORT, FEATURES
 from ms_highway.windows import Window, Windows, features_at, template, unease
 
-__all__ = ["Fit", "Model", "Slopes", "fit", "floored", "log_likelihoods", "most_likely", "slopes_of"]
-
-PENALTIES = ("collision_risk", "collision", "off_road")
-"""Features whose weights are negative; those of all others are positive."""
-
-NO_GRADIENT = ("collision", "merged", "partner_merged")
-"""Indicators: a driver's slopes tell nothing about their weights."""
+__all__ = ["Fit", "Slopes", "fit", "floored", "log_likelihoods", "most_likely", "slopes_of"]
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
-FLOOR = 0.5  # of the least comfort weight that is given: the least curvature of -R that is believed
 MANY = 600  # windows, of which half as many are fitted first
 DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
 TOLERANCE = 1e-3  # of the slope of the objective per window, in a fit that has converged
 TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
-
-
-@dataclass(frozen=True)
-class Model:
-    """What is to be learnt, and what is given.
-
-    Attributes:
-        learnt: names of the weights to learn, of `FEATURES` and `COMFORT`.
-        given: weights that are fixed, by name; comfort's set the scale of all others.
-
-    Raises:
-        ValueError: for unknown names, an indicator, a weight both learnt and given, or none for comfort.
-    """
-
-    learnt: tuple[str, ...]
-    given: Mapping[str, float]
-
-    def __post_init__(self) -> None:
-        known = [name for name in (*FEATURES, *COMFORT) if name not in NO_GRADIENT]
-        for name in self.names:
-            if name not in known:
-                raise ValueError(f"{name!r} cannot be learnt; the weights to learn are {', '.join(known)}")
-        twice = sorted(set(self.learnt) & set(self.given))
-        if twice or len(set(self.learnt)) < len(self.learnt):
-            raise ValueError(f"weights {twice or list(self.learnt)} are named twice")
-        if not any(self.given.get(name, 0.0) > 0 for name in COMFORT):
-            raise ValueError(f"one of {', '.join(COMFORT)} must be given: it sets the scale of all weights")
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All names: the learnt ones, then the given ones."""
-        return (*self.learnt, *self.given)
-
-    @property
-    def floor(self) -> float:
-        """The least curvature of -R in any direction that a fit believes."""
-        return FLOOR * min(value for name, value in self.given.items() if name in COMFORT and value > 0)
-
-    def signs(self) -> Float[np.ndarray, "learnt"]:
-        """Signs of the learnt weights, which are fixed."""
-        return np.array([-1.0 if name in PENALTIES else 1.0 for name in self.learnt])
-
-    def weights(self, logarithms: Float[np.ndarray, "parameters"]) -> dict[str, float]:
-        """All weights by name, from the logarithms of the learnt ones' sizes and, at the end, of the temperature."""
-        learnt = (self.signs() * np.exp(logarithms[:-1])).tolist()
-        return {**dict(zip(self.learnt, learnt, strict=True)), **self.given}
 
 
 class Slopes(NamedTuple):

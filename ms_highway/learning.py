@@ -14,7 +14,8 @@ from ms_highway.batches import in_batches
 from ms_highway.compiled import QUICKLY
 from ms_highway.dynamics import Motion, observe
 from ms_highway.game import Game, constant_velocity, discomfort, move
-from ms_highway.irl import Fit, Model, Slopes, fit, log_likelihoods, slopes_of
+from ms_highway.irl import Fit, Slopes, fit, log_likelihoods, slopes_of
+from ms_highway.irl_model import Model
 from ms_highway.learnt import LearntReward
 from ms_highway.planner import climb
 from ms_highway.recording import Recording

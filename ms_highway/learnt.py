@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.files import replacing
-from ms_highway.irl import Model
+from ms_highway.irl_model import Model
 from ms_highway.reward import linear_reward
 
 __all__ = ["SHIPPED", "VERSION", "LearntReward", "load", "save", "shipped"]

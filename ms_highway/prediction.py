@@ -25,7 +25,7 @@ from ms_highway.dynamics import recover_control, step
 from ms_highway.game import Game
 from ms_highway.human_models import Naive
 from ms_highway.neighbours import neighbours, places
-from ms_highway.recording import Recording
+from ms_highway.recording import Recording, number_groups
 from ms_highway.reward import FEATURES
 from ms_highway.scenario import PAPER_DYNAMICS, driving_game
 from ms_highway.scene import Scene
@@ -99,7 +99,7 @@ def cases_of(recordings: Sequence[Recording], others: Others = "recorded") -> Ca
     Raises:
         ValueError: if no driver was seen for as long as the shortest horizon.
     """
-    groups = {name: number for number, name in enumerate(dict.fromkeys(item.group for item in recordings))}
+    groups = number_groups(recordings)
     most_lanes = max((len(item.lanes) for item in recordings), default=0)
     most_cars = max((item.states.shape[1] for item in recordings), default=1) - 1
     rows, track = [], 0

@@ -4,12 +4,14 @@ Lane coordinates straighten the road: x runs along it, y to the right of its lef
 measured against its direction, so that recorded roads look like the straight roads of `ms_highway.scene`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-__all__ = ["Recording"]
+__all__ = ["Recording", "number_groups"]
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,12 @@ class Recording:
                 lost = first + int(seen[first:last].argmin())
                 raise ValueError(f"{self.name}: car {car} at step {lost} is not finite: {self.states[lost, car]}")
 
-    @property
+    @cached_property
     def seen(self) -> Bool[np.ndarray, "times cars"]:
         """Where a car was seen."""
         return np.isfinite(self.states).all(axis=-1)
+
+
+def number_groups(recordings: Sequence[Recording]) -> dict[str, int]:
+    """A number for every group of recordings, by its name, in the order of their appearance."""
+    return {name: number for number, name in enumerate(dict.fromkeys(item.group for item in recordings))}

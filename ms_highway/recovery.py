@@ -14,7 +14,8 @@ from scipy import optimize
 from ms_highway.demonstrators import DRIVER_WEIGHTS, optimal
 from ms_highway.dynamics import keep_velocity, observe
 from ms_highway.game import Game
-from ms_highway.irl import Fit, Model, Slopes, fit, log_likelihoods, slopes_of
+from ms_highway.irl import Fit, Slopes, fit, log_likelihoods, slopes_of
+from ms_highway.irl_model import Model
 from ms_highway.learning import SIMULATED, likelihoods
 from ms_highway.recording import Recording
 from ms_highway.reward import COMFORT, FEATURES

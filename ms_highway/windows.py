@@ -15,7 +15,7 @@ from ms_highway.batches import in_batches
 from ms_highway.dynamics import Motion, keep_velocity, observe
 from ms_highway.game import Game, move
 from ms_highway.neighbours import far_behind, places
-from ms_highway.recording import Recording
+from ms_highway.recording import Recording, number_groups
 from ms_highway.reward import FEATURES, motion_features
 from ms_highway.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT, driving_game
 from ms_highway.scene import Scene
@@ -102,7 +102,7 @@ def cut(recordings: Sequence[Recording], steps: int) -> Windows:
     Raises:
         ValueError: if there is none, or a recording's time step is not that of the planners.
     """
-    groups = {name: number for number, name in enumerate(dict.fromkeys(item.group for item in recordings))}
+    groups = number_groups(recordings)
     lanes = max((len(item.lanes) for item in recordings), default=1)
     rows = []
     for recording in recordings:

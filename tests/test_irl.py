@@ -13,7 +13,8 @@ from scipy import stats
 from ms_highway.demonstrations import actions
 from ms_highway.demonstrators import DRIVER_WEIGHTS, TEMPERATURE
 from ms_highway.envs import DEMONSTRATION_ID
-from ms_highway.irl import NO_GRADIENT, Model, Slopes, fit, floored, log_likelihoods, most_likely, slopes_of
+from ms_highway.irl import Slopes, fit, floored, log_likelihoods, most_likely, slopes_of
+from ms_highway.irl_model import NO_GRADIENT, Model
 from ms_highway.irl_sampled import fit_sampled
 from ms_highway.learning import SIMULATED, best_controls, expected_features
 from ms_highway.recording import Recording

@@ -10,7 +10,7 @@ from scipy import stats
 
 from ms_highway.cli import main
 from ms_highway.evaluation import cross_validate
-from ms_highway.irl import Model
+from ms_highway.irl_model import Model
 from ms_highway.learnt import load, shipped
 from ms_highway.prediction import cases_of, constant_velocity, drive, errors, gaussian, idm, idm_controls
 from ms_highway.recording import Recording

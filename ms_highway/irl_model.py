@@ -1,0 +1,65 @@
+"""Which weights of a reward are learnt, and which are given."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.reward import COMFORT, FEATURES
+
+__all__ = ["NO_GRADIENT", "PENALTIES", "Model"]
+
+PENALTIES = ("collision_risk", "collision", "off_road")
+"""Features whose weights are negative; those of all others are positive."""
+
+NO_GRADIENT = ("collision", "merged", "partner_merged")
+"""Indicators: a driver's slopes tell nothing about their weights."""
+
+FLOOR = 0.5  # of the least comfort weight that is given: the least curvature of -R that is believed
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is to be learnt, and what is given.
+
+    Attributes:
+        learnt: names of the weights to learn, of `FEATURES` and `COMFORT`.
+        given: weights that are fixed, by name; comfort's set the scale of all others.
+
+    Raises:
+        ValueError: for unknown names, an indicator, a weight both learnt and given, or none for comfort.
+    """
+
+    learnt: tuple[str, ...]
+    given: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        known = [name for name in (*FEATURES, *COMFORT) if name not in NO_GRADIENT]
+        for name in self.names:
+            if name not in known:
+                raise ValueError(f"{name!r} cannot be learnt; the weights to learn are {', '.join(known)}")
+        twice = sorted(set(self.learnt) & set(self.given))
+        if twice or len(set(self.learnt)) < len(self.learnt):
+            raise ValueError(f"weights {twice or list(self.learnt)} are named twice")
+        if not any(self.given.get(name, 0.0) > 0 for name in COMFORT):
+            raise ValueError(f"one of {', '.join(COMFORT)} must be given: it sets the scale of all weights")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names: the learnt ones, then the given ones."""
+        return (*self.learnt, *self.given)
+
+    @property
+    def floor(self) -> float:
+        """The least curvature of -R in any direction that a fit believes."""
+        return FLOOR * min(value for name, value in self.given.items() if name in COMFORT and value > 0)
+
+    def signs(self) -> Float[np.ndarray, "learnt"]:
+        """Signs of the learnt weights, which are fixed."""
+        return np.array([-1.0 if name in PENALTIES else 1.0 for name in self.learnt])
+
+    def weights(self, logarithms: Float[np.ndarray, "parameters"]) -> dict[str, float]:
+        """All weights by name, from the logarithms of the learnt ones' sizes and, at the end, of the temperature."""
+        learnt = (self.signs() * np.exp(logarithms[:-1])).tolist()
+        return {**dict(zip(self.learnt, learnt, strict=True)), **self.given}
