@@ -1,5 +1,6 @@
 """The environment that the three scenarios share: a road, a human, a robot, and who drives it."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -13,7 +14,7 @@ from highway_env.vehicle.objects import Obstacle
 from jaxtyping import Float
 
 from ms_highway.compiled import measure_costs
-from ms_highway.controller import Controller, FixedModel, ModelSwitching
+from ms_highway.controller import Controller, FixedModel, ModelSwitching, ScheduledModels
 from ms_highway.derivatives import Influence
 from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.configuration import human_weights, merged
@@ -21,7 +22,7 @@ from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
 from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game import swap_roles
-from ms_highway.human_models import HumanModel, Naive, ladder
+from ms_highway.human_models import MODELS, HumanModel, Naive, ladder
 from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, PHYSICAL_LIMIT, Scenario, build_game, draw_starts
 from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
@@ -68,7 +69,8 @@ class InteractionEnv(StageEnv):
 
     * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
       "lambda": 0.1}``: the agent chooses the human model; ``{"type": "ContinuousAction"}``: the agent drives.
-    * ``controller``: ``{"type": "switching", "lambda": 0.1}`` or ``{"type": "fixed", "model": "tom"}``.
+    * ``controller``: ``{"type": "switching", "lambda": 0.1}``, ``{"type": "fixed", "model": "tom"}``, or ``{"type":
+      "schedule", "models": ["tom", "tom", "naive"]}``, a model per step of which the last goes on.
     * ``ladder``: names of the human models to choose from, cheapest first.
     * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model.
     * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.scenario.build_game`.
@@ -120,7 +122,7 @@ class InteractionEnv(StageEnv):
 
     def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
         self._initial_states: Float[np.ndarray, "cars 4"] | None = None
-        self._costs: Float[np.ndarray, "rungs"] | None = None
+        self._costs: Mapping[str, float] | None = None
         self.history: list[dict[str, Any]] = []
         super().__init__(config, render_mode)
 
@@ -232,26 +234,28 @@ class InteractionEnv(StageEnv):
 
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:
         settings, warm_start = self.config["controller"], self.config["warm_start"]
+        costs = self.costs(states)  # to be measured now, if at all, and not within a step
         if isinstance(self.action_type, HumanModelAction):
-            self.costs(states)  # to be measured now, if at all, and not within a step
             return FixedModel(self.game, self.models[0], self.models, warm_start)
         if settings["type"] == "fixed":
-            return FixedModel(self.game, ladder([settings["model"]])[0], warm_start=warm_start)
-        switching = Switching(self.costs(states), settings["lambda"], self.models)
+            return FixedModel(self.game, MODELS[settings["model"]], warm_start=warm_start)
+        if settings["type"] == "schedule":
+            return ScheduledModels(self.game, [MODELS[name] for name in settings["models"]], warm_start)
+        switching = Switching(costs, settings["lambda"], self.models)
         if self.config["semantics"] == "released":
             switching = replace(switching, trust_tolerance=RELEASED_TRUST_TOLERANCE)
         return ModelSwitching(self.game, switching, warm_start)
 
     def costs(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "rungs"]:
         """T(M) of every model on the ladder [s]; where to be measured, once after each change of configuration."""
+        names = [model.name for model in self.models]
         if self._costs is None:
             costs = self.config["costs"]
             if costs == "measured":
-                self._costs = measure_costs(self.game, self.models, states)
+                self._costs = dict(zip(names, measure_costs(self.game, self.models, states).tolist(), strict=True))
             else:
-                table = PUBLISHED_COSTS if costs == "published" else costs
-                self._costs = np.array([table[model.name] for model in self.models])
-        return self._costs
+                self._costs = PUBLISHED_COSTS if costs == "published" else costs
+        return np.array([self._costs[name] for name in names])
 
     @property
     def robot(self) -> RobotVehicle:
@@ -315,4 +319,6 @@ class InteractionEnv(StageEnv):
                 "decision_seconds": Seconds(step.decision_seconds),
                 "compile_seconds": Seconds(step.compile_seconds),
             }
+            if self._costs and step.model in self._costs:
+                info["counted_seconds"] = float(self._costs[step.model])  # T(M)
         return info

@@ -18,10 +18,11 @@ from ms_highway.learnt import shipped
 from ms_highway.reward import COMFORT, FEATURES
 from ms_highway.routes import DENSITIES
 from ms_highway.scenario import COMMON_WEIGHTS
+from ms_highway.switching import PUBLISHED_COSTS
 
 __all__ = ["HUMAN_REWARDS", "changed", "controller_config", "human_weights", "merged"]
 
-CONTROLLER_KEYS = {"switching": {"type", "lambda"}, "fixed": {"type", "model"}}
+CONTROLLER_KEYS = {"switching": {"type", "lambda"}, "fixed": {"type", "model"}, "schedule": {"type", "models"}}
 ACTIONS: dict[str, set[str]] = {
     "Autopilot": set(),
     "HumanModelAction": {"lambda"},
@@ -50,23 +51,42 @@ HUMAN_REWARDS = {"paper": "learned", "released": "published"}
 
 
 def controller_config(text: str) -> dict[str, Any]:
-    """The configuration that a controller's short name stands for: ``naive``, ``tom``, ``switching:0.1``.
+    """The configuration that a controller's short name stands for.
+
+    These are the human models, such as ``tom``; ``switching:0.1`` with a lambda; and ``schedule:tom=6,naive``, tom for
+    six steps and then naive.
 
     Raises:
         ValueError: if it stands for none.
     """
-    name, _, price = text.partition(":")
+    name, _, rest = text.partition(":")
+    config: dict[str, Any]
     if name == "switching":
         try:
-            config = {"type": "switching", "lambda": float(price)}
+            config = {"type": "switching", "lambda": float(rest)}
         except ValueError:
             raise ValueError(f"controller {text!r} needs its lambda as a number, such as switching:0.1") from None
-    elif name in MODELS and not price:
+    elif name == "schedule":
+        config = {"type": "schedule", "models": _schedule(text, rest)}
+    elif name in MODELS and not rest:
         config = {"type": "fixed", "model": name}
     else:
-        raise ValueError(f"unknown controller {text!r}; the controllers are {', '.join(MODELS)} and switching:LAMBDA")
+        known = f"{', '.join(MODELS)}, switching:LAMBDA and schedule:MODEL=STEPS,...,MODEL"
+        raise ValueError(f"unknown controller {text!r}; the controllers are {known}")
     _check_controller(config)
     return config
+
+
+def _schedule(text: str, parts: str) -> list[str]:
+    """The models of a schedule's short name, one per step; the last one stands once and goes on."""
+    *first, last = parts.split(",")
+    models: list[str] = []
+    for part in first:
+        name, _, steps = part.partition("=")
+        if not steps.isdecimal():
+            raise ValueError(f"controller {text!r} does not say for how many steps; say it like schedule:tom=6,naive")
+        models += [name] * int(steps)
+    return [*models, last]
 
 
 def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -175,6 +195,10 @@ def _check_controller(config: Any) -> None:
     _refuse_unknown(place, config, CONTROLLER_KEYS[config["type"]])
     if config["type"] == "switching":
         _check_price(place, config)
+    elif config["type"] == "schedule":
+        models = config.get("models")
+        if not isinstance(models, (list, tuple)) or not models or not all(_is_one_of(name, MODELS) for name in models):
+            raise ValueError(f"{place}['models'] is {models!r}; give a list of human models, of {', '.join(MODELS)}")
     elif not _is_one_of(config.get("model"), MODELS):
         raise ValueError(f"{place}['model'] is {config.get('model')!r}; the human models are {', '.join(MODELS)}")
 
@@ -199,7 +223,12 @@ def _check_observation(config: Mapping[str, Any]) -> None:
 
 
 def _check_costs(costs: Any, names: Iterable[str]) -> None:
-    if _is_one_of(costs, ("published", "measured")):
+    if _is_one_of(costs, ("measured",)):
+        return
+    if _is_one_of(costs, ("published",)):
+        for name in names:
+            if name not in PUBLISHED_COSTS:
+                raise ValueError(f"config['costs']: no seconds of {name!r} were published; say 'measured' or give them")
         return
     remedy = "say 'published', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
     if not isinstance(costs, Mapping):

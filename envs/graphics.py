@@ -12,12 +12,14 @@ from highway_env.vehicle.graphics import VehicleGraphics
 from jaxtyping import Float
 
 from ms_highway.dynamics import step
+from ms_highway.human_models import MODELS
 
-__all__ = ["MODEL_COLORS", "MODEL_MEANINGS", "InteractionViewer", "Viewer", "check_display"]
+__all__ = ["MODEL_COLORS", "MODEL_MEANINGS", "InteractionViewer", "Viewer", "check_display", "model_color"]
 
 Color = tuple[int, int, int]
 
 MODEL_COLORS: dict[str, Color] = {"naive": (112, 178, 214), "turn": (240, 180, 50), "tom": (214, 68, 140)}
+OTHER_COLORS = ((120, 170, 90), (150, 110, 200), (160, 120, 90))
 MODEL_MEANINGS = {
     "naive": "the human keeps its velocity",
     "turn": "the human minds only itself",
@@ -28,6 +30,14 @@ GROUND, ASPHALT = (205, 218, 195), (96, 100, 106)
 PANEL_HEIGHT = 150  # px
 MARGIN = 16  # px
 TEXT_WIDTH = 400  # px, left part of the panel
+
+
+def model_color(name: str | None) -> Color:
+    """The colour of a human model; grey without a model. Those that were registered get theirs in their order."""
+    if name in MODEL_COLORS:
+        return MODEL_COLORS[name]
+    registered = [known for known in MODELS if known not in MODEL_COLORS]
+    return OTHER_COLORS[registered.index(name) % len(OTHER_COLORS)] if name in registered else FAINT
 
 
 class Viewer(EnvViewer):
@@ -104,7 +114,7 @@ class InteractionViewer(Viewer):
         robot, surface = self.env.robot, self.sim_surface
         if robot.last_step is None:
             return
-        color = MODEL_COLORS.get(robot.last_step.model, FAINT)
+        color = model_color(robot.last_step.model)
         planned = [surface.vec2pix(point) for point in self._path(robot.last_state[0], robot.last_step.plan)]
         predicted = [surface.vec2pix(point) for point in self._path(robot.last_state[1], robot.last_step.human)]
         pygame.draw.lines(surface, PAPER, False, planned, 8)
@@ -144,7 +154,7 @@ class InteractionViewer(Viewer):
             self._text("the agent drives", 40, INK, (MARGIN, top))
         else:
             chip = pygame.Rect(MARGIN, top, 108, 36)
-            pygame.draw.rect(self.sim_surface, MODEL_COLORS.get(model, FAINT), chip, border_radius=8)
+            pygame.draw.rect(self.sim_surface, model_color(model), chip, border_radius=8)
             name = _font(40).render(model, True, PAPER)
             self.sim_surface.blit(name, name.get_rect(center=chip.center))
             self._text(MODEL_MEANINGS.get(model, ""), 18, INK, (chip.right + 8, top + 12))
@@ -182,7 +192,7 @@ class InteractionViewer(Viewer):
             height = max(3, round(box.height * record["planning_seconds"] / longest))
             left = round(box.left + place * width)
             bar = (left, box.bottom - height, max(1, round(width) - 2), height)
-            pygame.draw.rect(self.sim_surface, MODEL_COLORS.get(record["model"], FAINT), bar)
+            pygame.draw.rect(self.sim_surface, model_color(record["model"]), bar)
         self._text(f"{1e3 * longest:.1f} ms", 18, FAINT, (box.right - 48, box.top - 16))
 
     def _curve(self, box: pygame.Rect) -> None:

@@ -29,7 +29,7 @@ from ms_highway.game import Game
 from ms_highway.human_models import HumanModel
 from ms_highway.switching import Switching, first_memory
 
-__all__ = ["ControlStep", "Controller", "FixedModel", "ModelSwitching", "Status"]
+__all__ = ["ControlStep", "Controller", "FixedModel", "ModelSwitching", "ScheduledModels", "Status"]
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking"]
 """How a control came about: from this step's plan; or, where that was not finite, from what is left of the last good
@@ -172,6 +172,42 @@ class FixedModel:
         planned = _record(self.game, self.model, plan, state, self._last)
         self._last = replace(planned, planning_seconds=seconds, compile_seconds=compiling)
         return self._last
+
+
+class ScheduledModels:
+    """Plans with human models in an order that was fixed beforehand, whatever happens.
+
+    Args:
+        game: what is played; car 0 is driven.
+        models: one per step of the episode; the last one goes on.
+        warm_start: whether plans start from the last one rather than from zero controls.
+
+    Raises:
+        ValueError: without a model.
+    """
+
+    def __init__(self, game: Game, models: Sequence[HumanModel], warm_start: bool = False) -> None:
+        if not models:
+            raise ValueError("a schedule needs one human model at least")
+        self.models = tuple(models)
+        self._driver = FixedModel(game, self.models[0], tuple(dict.fromkeys(self.models)), warm_start)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start the schedule again."""
+        self._driver.reset()
+        self._steps = 0
+
+    def step(self, state: Float[np.ndarray, "cars 4"]) -> ControlStep:
+        """Control for the coming step, by the model whose turn it is.
+
+        Raises:
+            ValueError: if the state is not a finite array [cars, 4] of two cars or more.
+        """
+        self._driver.model = self.models[min(self._steps, len(self.models) - 1)]
+        planned = self._driver.step(state)
+        self._steps += 1
+        return planned
 
 
 class ModelSwitching:

@@ -18,11 +18,12 @@ from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import HUMAN_REWARDS, controller_config, merged
 from ms_highway.files import replacing
+from ms_highway.human_models import MODELS
 from ms_highway.planner import Solver
 
 __all__ = [
-    "COLUMNS",
     "Comparison",
+    "columns",
     "episode",
     "make_environment",
     "paper_controllers",
@@ -31,24 +32,29 @@ __all__ = [
 ]
 
 STEPS_FILE, SETTINGS_FILE = "steps.csv", "settings.json"
-BEFORE = {"solver": "gradient", "human_reward": "published", "measured": {}}  # what there was no choice of at first
 KEYS = ["scenario", "controller", "seed"]
-COLUMNS = [
-    *KEYS,
-    "step",
-    "model",
-    "reward",
-    "collision",
-    "planning_seconds",
-    "decision_seconds",
-    "compile_seconds",
-    "status",
-    "gain_naive",
-    "gain_turn",
-    "gain_tom",
-    *(f"{car}_{number}" for car in ("robot", "human") for number in ("x", "y", "heading", "speed")),
-]
-"""Columns of a record of steps: states in SI units after the step, gains empty where none was estimated."""
+
+
+def columns() -> list[str]:
+    """Columns of a record of steps.
+
+    ``counted_seconds`` is T(M), what decisions count for the step's plan; a gain, of which every known human model has
+    one, is empty where none was estimated; states are in SI units after the step.
+    """
+    return [
+        *KEYS,
+        "step",
+        "model",
+        "reward",
+        "collision",
+        "planning_seconds",
+        "counted_seconds",
+        "decision_seconds",
+        "compile_seconds",
+        "status",
+        *(f"gain_{name}" for name in MODELS),
+        *(f"{car}_{number}" for car in ("robot", "human") for number in ("x", "y", "heading", "speed")),
+    ]
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,7 @@ class Comparison:
         solver: how the robot improves its plans, ``gradient`` or ``newton``, see `ms_highway.planner.climb`.
         human_reward: what humans drive for: ``learned``, ``published``, weights by name, or None for what belongs to
             the semantics.
+        ladder: names of the human models that switching chooses from; without it, the scenario's own.
     """
 
     controllers: dict[str, list[str]]
@@ -71,6 +78,7 @@ class Comparison:
     costs: Any = "published"
     solver: Solver = "gradient"
     human_reward: str | dict[str, float] | None = None
+    ladder: list[str] | None = None
 
     def episodes(self) -> Iterator[tuple[str, str, int]]:
         """Every (scenario, controller, seed)."""
@@ -95,7 +103,8 @@ class Comparison:
     def common_config(self) -> dict[str, Any]:
         """The configuration that all environments have in common."""
         reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
-        return {"semantics": self.semantics, "solver": self.solver, "human_reward": reward}
+        config = {"semantics": self.semantics, "solver": self.solver, "human_reward": reward}
+        return config if self.ladder is None else {**config, "ladder": list(self.ladder)}
 
 
 def paper_controllers(scenario: str) -> list[str]:
@@ -126,15 +135,15 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
 
 
 def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
-    """Run one episode with the robot's own controller; yields a record per step, the columns from ``step`` on."""
+    """Run one episode with the robot's own controller; yields a record per step, `columns` from ``step`` on."""
     env.reset(seed=seed)
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)
-    done, step = False, 0
+    done, step, wanted = False, 0, columns()
     while not done:
         _, reward, terminated, truncated, info = env.step(0)
         done = terminated or truncated
-        record = {key: info[key] for key in COLUMNS if key in info} | {"step": step, "reward": reward}
+        record = {key: info[key] for key in wanted if key in info} | {"step": step, "reward": reward}
         record |= {f"gain_{name}": gain for name, gain in info["gains"].items()}
         for car, state in zip(("robot", "human"), inner.car_states, strict=False):
             record |= {
@@ -164,7 +173,7 @@ def run(comparison: Comparison, directory: Path) -> Iterator[int]:
             env = make_environment(scenario, controller, costs=costs[scenario], **comparison.common_config())
             for seed in missing:
                 text = io.StringIO()
-                writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+                writer = csv.DictWriter(text, columns(), lineterminator="\n")
                 for record in episode(env, seed):
                     writer.writerow({"scenario": scenario, "controller": controller, "seed": seed, **record})
                 file.write(text.getvalue())
@@ -185,7 +194,7 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     steps, settings_file = directory / STEPS_FILE, directory / SETTINGS_FILE
     settings = {**comparison.common_config(), "costs": comparison.costs}
     known = _read_settings(settings_file) if steps.exists() else {**settings, "measured": {}}
-    if {key: known.get(key) for key in settings} != settings:
+    if known != {**settings, "measured": known.get("measured")}:
         raise ValueError(f"{directory} holds results of {known}, not of {settings}; choose another directory")
     done = _whole_episodes(steps) if steps.exists() else set()
     if comparison.costs == "measured":
@@ -195,16 +204,15 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
         path.write_text(json.dumps(known, indent=2) + "\n")
     if not steps.exists():
         with replacing(steps) as path:
-            path.write_text(",".join(COLUMNS) + "\n")
+            path.write_text(",".join(columns()) + "\n")
     return done, {scenario: known["measured"].get(scenario, comparison.costs) for scenario in comparison.controllers}
 
 
 def _read_settings(file: Path) -> dict[str, Any]:
-    """What a directory's results were run with, also where it was written before there was a choice."""
+    """What a directory's results were run with."""
     try:
-        settings = json.loads(file.read_text())
-        return settings | {key: value for key, value in BEFORE.items() if key not in settings}
-    except (OSError, ValueError, TypeError, AttributeError) as error:
+        return dict(json.loads(file.read_text()))
+    except (OSError, ValueError, TypeError) as error:
         raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
 
 
@@ -226,8 +234,8 @@ def _whole_episodes(steps: Path) -> set[tuple[str, str, int]]:
     whole_lines = text[: text.rfind("\n") + 1]
     try:
         records = pd.read_csv(io.StringIO(whole_lines))
-        if list(records) != COLUMNS:
-            raise ValueError(f"its columns are not {', '.join(COLUMNS)}")
+        if list(records) != columns():
+            raise ValueError(f"its columns are not {', '.join(columns())}")
         lengths = {name: SCENARIOS[name].steps for name in records["scenario"].unique()}
     except (ValueError, KeyError) as error:
         raise ValueError(f"{steps} cannot be read ({error}); move it away or choose another directory") from error

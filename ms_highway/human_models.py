@@ -16,7 +16,18 @@ from ms_highway.derivatives import expand, response
 from ms_highway.game import Game, constant_velocity, discomfort, move, path_reward, swap
 from ms_highway.planner import ascend, climb
 
-__all__ = ["MODELS", "HumanModel", "JointPlan", "Naive", "TheoryOfMind", "Turn", "cold_start", "ladder"]
+__all__ = [
+    "MODELS",
+    "PAPER_MODELS",
+    "HumanModel",
+    "JointPlan",
+    "Naive",
+    "TheoryOfMind",
+    "Turn",
+    "cold_start",
+    "ladder",
+    "register",
+]
 
 State = Float[jax.Array, "cars 4"]
 Controls = Float[jax.Array, "steps 2"]
@@ -143,6 +154,36 @@ def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | 
 
 MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), Turn(), TheoryOfMind())}
 """The known models by name, cheapest first."""
+
+PAPER_MODELS = tuple(MODELS)
+"""Names of the paper's models, cheapest first."""
+
+
+def register(model: HumanModel, before: str | None = None) -> None:
+    """Make a model of one's own known by its name, to configurations and commands of this process.
+
+    Registered again, a model takes the place of the one that had its name.
+
+    Args:
+        model: hashable, and with all that a `HumanModel` has.
+        before: name of the next dearer model on ladders; without it, the new model is dearer than all others.
+
+    Raises:
+        ValueError: if the name is one of the paper's models, is no name, or ``before`` names no other model; if the
+            model lacks something.
+    """
+    lacks = [part for part in ("name", "responds", "predict", "plan") if not hasattr(model, part)]
+    if lacks:
+        raise ValueError(f"{model!r} lacks {', '.join(lacks)}; see ms_highway.human_models.HumanModel")
+    if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in PAPER_MODELS:
+        raise ValueError(f"a model cannot be called {model.name!r}; choose one word other than {', '.join(PAPER_MODELS)}")
+    others = {name: other for name, other in MODELS.items() if name != model.name}
+    if before is not None and before not in others:
+        raise ValueError(f"unknown human model {before!r} to come before; the models are {', '.join(others)}")
+    place = len(others) if before is None else list(others).index(before)
+    known = list(others.items())
+    MODELS.clear()  # and not replaced: others hold it
+    MODELS.update([*known[:place], (model.name, model), *known[place:]])
 
 
 def ladder(names: tuple[str, ...] | list[str]) -> tuple[HumanModel, ...]:

@@ -13,9 +13,10 @@ from rich.box import SIMPLE
 from rich.table import Table
 from scipy import stats
 
-from ms_highway.envs.graphics import MODEL_COLORS
+from ms_highway.envs.graphics import model_color
+from ms_highway.human_models import MODELS
 
-__all__ = ["CONFIDENCE", "bars", "summary", "table", "timeline"]
+__all__ = ["CONFIDENCE", "bars", "color_of", "summary", "table", "timeline"]
 
 CONFIDENCE = 0.9
 SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
@@ -25,7 +26,8 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     """One row per scenario and controller, in the order of the records.
 
     Columns: ``episodes``; ``reward`` per step with ``reward_low`` and ``reward_high``, the 90 % interval of the mean
-    over episodes (Student's t), and ``reward_std`` over episodes; ``planning_ms`` and ``decision_ms`` per step;
+    over episodes (Student's t), and ``reward_std`` over episodes; ``planning_ms`` and ``decision_ms`` per step as
+    measured; ``counted_ms`` per step, planning at the seconds T(M) that decisions count, empty where one is not known;
     ``share_MODEL`` of steps; ``collision_episodes``, in which the robot collided at least once.
     """
     rows = []
@@ -46,8 +48,9 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
                 "reward_high": high,
                 "reward_std": rewards.std(),
                 "planning_ms": 1e3 * steps["planning_seconds"].mean(),
+                "counted_ms": 1e3 * steps["counted_seconds"].mean(skipna=False),
                 "decision_ms": 1e3 * steps["decision_seconds"].mean(),
-                **{f"share_{model}": (steps["model"] == model).mean() for model in MODEL_COLORS},
+                **{f"share_{model}": (steps["model"] == model).mean() for model in MODELS},
                 "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
             }
         )
@@ -56,7 +59,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
 
 def table(summaries: pd.DataFrame, scenario: str) -> Table:
     """The summary of one scenario, to be printed."""
-    models = list(MODEL_COLORS)
+    models = [name for name in MODELS if f"share_{name}" in summaries]
     grid = Table(title=scenario, box=SIMPLE, title_justify="left", title_style="bold")
     grid.add_column("controller", no_wrap=True)
     columns = [
@@ -142,11 +145,11 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
 
 
 def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
-    models = list(MODEL_COLORS)
+    models = list(MODELS)
     grid = steps.pivot(index="seed", columns="step", values="model").map(
         lambda model: models.index(model) if model in models else np.nan
     )
-    colormap = ListedColormap([_hex(MODEL_COLORS[model]) for model in models])
+    colormap = ListedColormap([color_of(model) for model in models])
     axes.imshow(
         grid.to_numpy(dtype=float),
         aspect="auto",
@@ -158,7 +161,7 @@ def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
     axes.set_title(name, loc="left", fontsize="medium")
     axes.set_ylabel("episode")
     axes.legend(
-        handles=[Patch(color=_hex(MODEL_COLORS[model]), label=model) for model in models],
+        handles=[Patch(color=color_of(model), label=model) for model in models if model in set(steps["model"])],
         loc="center left",
         bbox_to_anchor=(1, 0.5),
         frameon=False,
@@ -168,8 +171,9 @@ def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
 def _colors(controllers: Sequence[str]) -> list[str]:
     """A model's own colour for a fixed model, greys for switching."""
     greys = iter(SWITCHING_COLORS * len(controllers))
-    return [_hex(MODEL_COLORS[name]) if name in MODEL_COLORS else next(greys) for name in controllers]
+    return [color_of(name) if name in MODELS else next(greys) for name in controllers]
 
 
-def _hex(color: tuple[int, int, int]) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*color)
+def color_of(model: str) -> str:
+    """The colour of a human model in figures, as it is in videos."""
+    return "#{:02x}{:02x}{:02x}".format(*model_color(model))

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from ms_highway.compiled import pack, plan_function
 from ms_highway.envs import SCENARIOS
 from ms_highway.game import Game, swap_roles
-from ms_highway.human_models import MODELS, HumanModel, Naive, cold_start, ladder
+from ms_highway.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, cold_start, ladder
 from ms_highway.reward import reward
 from ms_highway.scenario import build_game
 from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching, decide, first_memory
@@ -61,7 +61,7 @@ def validate_file(file: Path) -> dict[str, Any]:
     planned = np.full(episodes["robot_controls"].shape, np.nan)
     for index in np.unique(episodes["models"]):
         chosen = episodes["models"] == index
-        planned[chosen] = _first_controls(list(MODELS.values())[index], game, states[chosen])
+        planned[chosen] = _first_controls(MODELS[PAPER_MODELS[index]], game, states[chosen])
     swapped = jnp.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2)
     human = _first_controls(Naive(), swap_roles(game), swapped.reshape(-1, *states.shape[2:])).reshape(
         *swapped.shape[:2], 2
@@ -85,10 +85,10 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
         ValueError: if the name, the arrays or their shapes are not those of a reference file.
     """
     scenario, _, kind = file.stem.partition("__")
-    if scenario not in SCENARIOS or not re.fullmatch(rf"{'|'.join(MODELS)}|{SWITCHING}\d+(\.\d+)?", kind):
+    if scenario not in SCENARIOS or not re.fullmatch(rf"{'|'.join(PAPER_MODELS)}|{SWITCHING}\d+(\.\d+)?", kind):
         raise ValueError(
             f"{file}: the name should be SCENARIO__KIND.npz with a scenario of {', '.join(SCENARIOS)} "
-            f"and a kind of {', '.join(MODELS)} or {SWITCHING}NUMBER"
+            f"and a kind of {', '.join(PAPER_MODELS)} or {SWITCHING}NUMBER"
         )
     try:
         with np.load(file, allow_pickle=False) as archive:
@@ -111,8 +111,8 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
         if not np.isfinite(episodes[name]).all():
             raise ValueError(f"{file}: {name} is not finite")
     rungs = episodes["ladder"]
-    if rungs.ndim != 1 or not np.isin(rungs, range(len(MODELS))).all() or not np.isin(episodes["models"], rungs).all():
-        raise ValueError(f"{file}: ladder {rungs.tolist()} or models are no places in {', '.join(MODELS)}")
+    if rungs.ndim != 1 or not np.isin(rungs, range(len(PAPER_MODELS))).all() or not np.isin(episodes["models"], rungs).all():
+        raise ValueError(f"{file}: ladder {rungs.tolist()} or models are no places in {', '.join(PAPER_MODELS)}")
     return scenario, episodes
 
 
@@ -124,7 +124,7 @@ def _first_controls(model: HumanModel, game: Game, states: Float[jax.Array, "n c
 
 def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> dict[str, int]:
     """Choices that agree with the logged ones, each taken from the logged step before it."""
-    names = list(MODELS)
+    names = PAPER_MODELS
     rungs = ladder([names[index] for index in episodes["ladder"]])
     costs = np.array([PUBLISHED_COSTS[model.name] for model in rungs])
     switching = jax.tree.map(jnp.asarray, Switching(costs, price, rungs, trust_tolerance=RELEASED_TRUST_TOLERANCE))

@@ -12,7 +12,7 @@ import pytest
 
 from ms_highway.bench import bench
 from ms_highway.cli import main
-from ms_highway.experiment import COLUMNS
+from ms_highway.experiment import columns
 from ms_highway.learnt import save, shipped
 
 COMPARE = ["compare", "stay_back", "--controllers", "naive", "switching:0.4", "--seeds", "2", "--out"]
@@ -41,7 +41,7 @@ def compared(tmp_path_factory):
 
 def test_compare_writes_a_row_per_step_a_summary_and_figures(compared):
     records = pd.read_csv(compared / "steps.csv")
-    assert list(records) == COLUMNS
+    assert list(records) == columns()
     assert len(records) == 2 * 2 * 35
     summary = pd.read_csv(compared / "summary.csv").set_index("controller")
     means = records.groupby("controller")["reward"].mean()
@@ -104,16 +104,6 @@ def test_compare_plans_with_the_solver_that_is_asked_for_and_keeps_its_results_a
     assert (abs(untimed(tmp_path)["reward"].to_numpy() - plain["reward"].to_numpy()) > 1e-3).any()
 
 
-def test_results_from_before_there_was_a_choice_of_solver_count_as_those_of_the_gradient(compared, tmp_path, capsys):
-    settings = json.loads((compared / "settings.json").read_text())
-    del settings["solver"]
-    (tmp_path / "settings.json").write_text(json.dumps(settings))
-    (tmp_path / "steps.csv").write_text((compared / "steps.csv").read_text())
-    assert "choose another directory" in failure(capsys, *COMPARE, str(tmp_path), "--solver", "newton")
-    assert main([*COMPARE, str(tmp_path)]) == 0
-    assert (tmp_path / "steps.csv").read_text() == (compared / "steps.csv").read_text()
-
-
 def test_compare_keeps_results_among_other_humans_apart(compared, tmp_path, capsys):
     assert json.loads((compared / "settings.json").read_text())["human_reward"] == "learned"
     assert "choose another directory" in failure(capsys, *COMPARE, str(compared), "--human-reward", "published")
@@ -125,16 +115,6 @@ def test_compare_keeps_results_among_other_humans_apart(compared, tmp_path, caps
     assert main([*arguments, str(tmp_path / "out")]) == 0
     capsys.readouterr()
     assert "choose another directory" in failure(capsys, *arguments[:-3], "--out", str(tmp_path / "out"))
-
-
-def test_results_from_before_humans_had_a_choice_count_as_those_of_published_humans(compared, tmp_path, capsys):
-    settings = json.loads((compared / "settings.json").read_text())
-    del settings["human_reward"]
-    (tmp_path / "settings.json").write_text(json.dumps(settings))
-    (tmp_path / "steps.csv").write_text((compared / "steps.csv").read_text())
-    assert "choose another directory" in failure(capsys, *COMPARE, str(tmp_path))
-    assert main([*COMPARE, str(tmp_path), "--human-reward", "published"]) == 0
-    assert (tmp_path / "steps.csv").read_text() == (compared / "steps.csv").read_text()
 
 
 def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys):

@@ -1,0 +1,140 @@
+"""One episode: what switching decided at every step, and what the road looked like when it changed its mind."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from jaxtyping import UInt8
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from ms_highway.envs.graphics import PANEL_HEIGHT
+from ms_highway.human_models import MODELS
+from ms_highway.report import color_of
+
+__all__ = ["decisions", "one_episode", "storyboard", "switches"]
+
+FRAMES_IN_A_ROW = 2
+
+
+def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int) -> pd.DataFrame:
+    """The records of one episode, in order of its steps.
+
+    Raises:
+        ValueError: if there are none.
+    """
+    chosen = (records["scenario"] == scenario) & (records["controller"] == controller) & (records["seed"] == seed)
+    if not chosen.any():
+        raise ValueError(f"there is no episode of {controller!r} in {scenario!r} with seed {seed} in these records")
+    return records[chosen].sort_values("step")
+
+
+def switches(episode: pd.DataFrame) -> list[int]:
+    """The first step of an episode, and those that were planned with another model than the step before."""
+    models = episode["model"].to_numpy()
+    return [0, *(np.flatnonzero(models[1:] != models[:-1]) + 1).tolist()]
+
+
+def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None = None) -> Figure:
+    """What was decided in an episode, and what it was worth; a column per episode.
+
+    Above, the estimated net gains of switching to each model, on which Algorithm 1 decides: one above zero is taken.
+    They are drawn at the step that is planned next, and squeezed beyond 1 in size. Below, the reward per step, on a
+    strip of the models in use.
+
+    Args:
+        episodes: of switching controllers, see `one_episode`.
+        reference: an episode from the same start, whose reward is drawn beside.
+    """
+    figure = Figure(figsize=(6.2 * len(episodes), 5.6), layout="constrained")
+    panels = figure.subplots(2, len(episodes), sharex=True, sharey="row", squeeze=False, height_ratios=[1.2, 1])
+    for (upper, lower), episode in zip(panels.T, episodes, strict=True):
+        first = episode.iloc[0]
+        upper.set_title(f"{first['scenario']}, {first['controller']}, seed {first['seed']}", fontsize="medium")
+        _gains(upper, episode)
+        _rewards(lower, episode, reference)
+    panels[0, 0].set_ylabel("estimated net gain")
+    panels[1, 0].set_ylabel("reward per step")
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=color_of(name), marker="o", linewidth=0, label=f"gain of switching to {name}")
+        for name in MODELS
+        if any(episode[f"gain_{name}"].notna().any() for episode in episodes)
+    ]
+    used = set().union(*(episode["model"] for episode in episodes))
+    handles += [Patch(color=color_of(name), alpha=0.35, label=f"{name} in use") for name in MODELS if name in used]
+    if reference is not None:
+        label = f"reward of {reference['controller'].iloc[0]}"
+        handles.append(Line2D([], [], color="black", linestyle=":", label=label))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def _gains(axes: Axes, episode: pd.DataFrame) -> None:
+    axes.set_yscale("symlog", linthresh=1.0)
+    axes.axhline(0, color="black", linewidth=0.8)
+    for name in MODELS:
+        gains = episode[f"gain_{name}"]
+        axes.plot(episode["step"], gains, "o", color=color_of(name), markersize=4)
+        axes.plot(episode["step"], gains, color=color_of(name), linewidth=0.8, alpha=0.5)
+    _strip(axes, episode)
+
+
+def _rewards(axes: Axes, episode: pd.DataFrame, reference: pd.DataFrame | None) -> None:
+    axes.plot(episode["step"], episode["reward"], color="black", linewidth=1.5)
+    if reference is not None:
+        axes.plot(reference["step"], reference["reward"], ":", color="black")
+    mean = episode["reward"].mean()
+    axes.set_title(f"mean reward {mean:.2f}", loc="right", fontsize="small")
+    axes.set_xlabel("step (0.1 s)")
+    _strip(axes, episode)
+
+
+def _strip(axes: Axes, episode: pd.DataFrame) -> None:
+    """The background of each step in the colour of its model."""
+    for step, model in zip(episode["step"], episode["model"], strict=True):
+        axes.axvspan(step - 0.5, step + 0.5, color=color_of(model), alpha=0.25, linewidth=0, zorder=0)
+    axes.set_xlim(-0.5, len(episode) - 0.5)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def storyboard(episode: pd.DataFrame, pictures: Sequence[UInt8[np.ndarray, "h w 3"]], most: int = 6) -> Figure:
+    """Time along an episode, with the road at the steps at which the model changed.
+
+    Args:
+        episode: see `one_episode`.
+        pictures: the frames of the same episode, see `ms_highway.video.frames`; their panels are cut off.
+        most: how many steps are shown at most; where there are more `switches`, those that lasted longest.
+    """
+    starts = switches(episode)
+    lengths = np.diff([*starts, len(episode)])
+    shown = sorted(np.array(starts)[np.argsort(-lengths, kind="stable")[:most]].tolist())
+    rows = -(-len(shown) // FRAMES_IN_A_ROW)
+    figure = Figure(figsize=(12, 1.9 + 1.5 * rows), layout="constrained")
+    upper, lower = figure.subfigures(2, 1, height_ratios=[1.5 * rows, 1.9])
+    panels = np.atleast_1d(upper.subplots(rows, FRAMES_IN_A_ROW, squeeze=False)).ravel()
+    for number, axes in enumerate(panels):
+        axes.axis("off")
+        if number < len(shown):
+            step = shown[number]
+            picture, record = pictures[step], episode.iloc[step]
+            axes.imshow(picture[: picture.shape[0] - PANEL_HEIGHT])
+            axes.set_title(
+                f"{number + 1}: step {step}, {record['model']}",
+                loc="left",
+                fontsize="medium",
+                color=color_of(record["model"]),
+            )
+    axes = lower.subplots()
+    milliseconds = 1e3 * (episode["planning_seconds"] + episode["decision_seconds"])
+    axes.bar(episode["step"], milliseconds, width=0.9, color=[color_of(model) for model in episode["model"]])
+    for number, step in enumerate(shown):
+        axes.annotate(
+            f"{number + 1}", (step, 0), xytext=(0, -24), textcoords="offset points", ha="center", weight="bold"
+        )
+    axes.set(xlabel="step (0.1 s)", ylabel="planning +\ndeciding [ms]", xlim=(-0.5, len(episode) - 0.5))
+    axes.spines[["top", "right"]].set_visible(False)
+    first = episode.iloc[0]
+    figure.suptitle(f"{first['scenario']}, {first['controller']}, seed {first['seed']}")
+    return figure

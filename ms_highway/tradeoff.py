@@ -1,0 +1,142 @@
+"""Reward against computation: what controllers earn for what they think."""
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from ms_highway.human_models import MODELS
+from ms_highway.report import color_of
+
+__all__ = ["best_schedules", "curve", "shares"]
+
+SWITCHING, SCHEDULE = "switching:", "schedule:"
+SWITCHING_COLOR, SCHEDULE_COLOR = "#1b1f27", "#8a93a5"
+
+
+def shares(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
+    """What controllers earn and think, as shares of what the dearest fixed model of the comparison does.
+
+    Args:
+        summaries: of `ms_highway.report.summary`.
+        scenario: its name.
+
+    Returns:
+        By controller, ``reward`` and ``computation``: the reward per step, and the planning counted at T(M), over
+        those of the reference, which ``attrs["reference"]`` names. Where the reference earns nothing or less, its
+        shares of reward mean nothing and are empty.
+
+    Raises:
+        ValueError: if no fixed model with a counted time was compared.
+    """
+    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
+    fixed = rows[rows.index.isin(list(MODELS))].dropna(subset=["counted_ms"])
+    if fixed.empty:
+        raise ValueError(f"no fixed model was compared in {scenario!r}; add {', '.join(MODELS)} to its controllers")
+    name = fixed["counted_ms"].idxmax()
+    reward, computation = fixed.loc[name, "reward"], fixed.loc[name, "counted_ms"]
+    result = pd.DataFrame(
+        {
+            "reward": rows["reward"] / (reward if reward > 0 else float("nan")),
+            "computation": rows["counted_ms"] / computation,
+        }
+    )
+    result.attrs["reference"] = name
+    return result
+
+
+def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "counted_ms") -> pd.DataFrame:
+    """The rows of those fixed models and schedules that no other one beats with the same or less computation.
+
+    They are a yardstick for controllers that decide online: what could be had with an order of models that was fixed
+    beforehand.
+
+    Args:
+        summaries: of `ms_highway.report.summary`.
+        scenario: its name.
+        computation: the column that measures it.
+    """
+    rows = summaries[summaries["scenario"] == scenario]
+    ordered = [row in MODELS or row.startswith(SCHEDULE) for row in rows["controller"]]
+    known = rows[ordered].dropna(subset=[computation]).sort_values([computation, "reward"], ascending=[True, False])
+    return known[known["reward"] > known["reward"].cummax().shift(fill_value=float("-inf"))]
+
+
+def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
+    """Reward against computation of every controller; whiskers are the 90 % intervals.
+
+    On the left, planning is counted at the seconds T(M) that decisions count; on the right, planning and deciding are
+    as measured on this machine. Switching is joined in the order of lambda; the dashed line joins `best_schedules`.
+    """
+    rows = summaries[summaries["scenario"] == scenario]
+    rows = rows.assign(measured_ms=rows["planning_ms"] + rows["decision_ms"])
+    figure = Figure(figsize=(12, 4.8), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    for axes, computation in ((left, "counted_ms"), (right, "measured_ms")):
+        _draw(axes, rows, best_schedules(rows, scenario, computation), computation)
+    left.set(xlabel="planning per step, counted at T(M) [ms]", ylabel="reward per step")
+    right.set(xlabel="planning + deciding per step, measured [ms]")
+    _share_axes(left, summaries, scenario)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+    figure.suptitle(f"{scenario}: reward against computation, {rows['episodes'].iloc[0]} episodes per controller")
+    return figure
+
+
+def _share_axes(axes: Axes, summaries: pd.DataFrame, scenario: str) -> None:
+    """A second scale of computation, in shares of the dearest fixed model's."""
+    try:
+        share = shares(summaries, scenario)
+    except ValueError:
+        return
+    name = share.attrs["reference"]
+    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
+    whole = rows.loc[name, "counted_ms"]
+    top = axes.secondary_xaxis("top", functions=(lambda ms: ms / whole, lambda part: part * whole))
+    top.xaxis.set_major_formatter(PercentFormatter(1.0))
+    top.set_xlabel(f"share of {name}'s planning")
+
+
+def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) -> None:
+    """All controllers over one measure of computation."""
+    style = {"capsize": 3, "markersize": 6, "linewidth": 1.2}
+    schedules = rows[rows["controller"].str.startswith(SCHEDULE)]
+    if len(schedules):
+        axes.plot(schedules[computation], schedules["reward"], ".", color=SCHEDULE_COLOR, markersize=5)
+        axes.plot(best[computation], best["reward"], "--", color=SCHEDULE_COLOR, label="best fixed schedules")
+    switching = rows[rows["controller"].str.startswith(SWITCHING)]
+    switching = switching.assign(price=switching["controller"].str.removeprefix(SWITCHING).astype(float))
+    switching = switching.sort_values("price")
+    if len(switching):
+        axes.errorbar(
+            switching[computation], switching["reward"], _errors(switching), fmt="o-", color=SWITCHING_COLOR, **style,
+            label="switching, by lambda",
+        )  # fmt: skip
+    for row in switching.itertuples():
+        axes.annotate(
+            f"{row.price:g}",
+            (getattr(row, computation), row.reward),
+            xytext=(5, -11),
+            textcoords="offset points",
+            fontsize="x-small",
+        )
+    for name in MODELS:
+        one = rows[rows["controller"] == name]
+        if len(one):
+            axes.errorbar(
+                one[computation],
+                one["reward"],
+                _errors(one),
+                fmt="s",
+                color=color_of(name),
+                **style | {"markersize": 9},
+                label=name,
+            )
+    axes.set_xlim(left=0)
+    axes.grid(color="#eeeeee")
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _errors(rows: pd.DataFrame) -> list[pd.Series]:
+    """Lengths of the whiskers, none for a single episode."""
+    return [(rows["reward"] - rows["reward_low"]).fillna(0), (rows["reward_high"] - rows["reward"]).fillna(0)]
