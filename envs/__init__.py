@@ -16,11 +16,13 @@ from ms_highway.scenario import Scenario
 __all__ = [
     "DEMONSTRATION_ID",
     "ENVIRONMENTS",
+    "PAPER_SCENARIOS",
     "SCENARIOS",
     "DemonstrationEnv",
     "GiveWayEnv",
     "MergerEnv",
     "StayBackEnv",
+    "add_scenario",
     "environment_id",
 ]
 
@@ -31,6 +33,9 @@ ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
 
 SCENARIOS: dict[str, Scenario] = {name: environment.scenario for name, environment in ENVIRONMENTS.items()}
 """The scenarios by name."""
+
+PAPER_SCENARIOS = tuple(SCENARIOS)
+"""Names of the paper's scenarios."""
 
 DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
 """The Gymnasium id of the `DemonstrationEnv`, with the prefix that lets spawned workers find it."""
@@ -47,8 +52,33 @@ def environment_id(scenario: str) -> str:
     return f"ms_highway:ms-highway/{scenario.replace('_', '-')}-v0"
 
 
+def add_scenario(environment: type[InteractionEnv]) -> str:
+    """Make a scenario of one's own known by its name, to Gymnasium, comparisons and videos of this process.
+
+    Added again, a scenario takes the place of the one that had its name.
+
+    Args:
+        environment: its class, with a `Scenario` whose name is one word in lower case.
+
+    Returns:
+        The Gymnasium id.
+
+    Raises:
+        ValueError: if the name is one of the paper's, or no such word.
+    """
+    name = environment.scenario.name
+    if name in PAPER_SCENARIOS or not (name.isidentifier() and name.islower()):
+        taken = ", ".join(PAPER_SCENARIOS)
+        raise ValueError(f"a scenario cannot be called {name!r}; choose one word in lower case other than {taken}")
+    ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
+    bare_id = environment_id(name).removeprefix("ms_highway:")
+    registry.pop(bare_id, None)
+    register(bare_id, entry_point=environment)
+    return environment_id(name)
+
+
 def _register() -> None:
-    """Register every id once, however often this runs."""
+    """Register every id once, however often this runs; by name, for workers that are spawned."""
     classes = {environment_id(name): environment for name, environment in ENVIRONMENTS.items()}
     for identity, environment in {**classes, DEMONSTRATION_ID: DemonstrationEnv}.items():
         bare_id = identity.removeprefix("ms_highway:")

@@ -153,7 +153,7 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
         step += 1
 
 
-def run(comparison: Comparison, directory: Path) -> Iterator[int]:
+def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
     """Run the episodes that ``directory`` lacks and write each to its ``steps.csv`` when it ends.
 
     Yields how many episodes are there: first what an earlier run has left, then after every episode.
@@ -161,6 +161,7 @@ def run(comparison: Comparison, directory: Path) -> Iterator[int]:
     Raises:
         ValueError: if the directory holds results of other settings, or records that cannot be read.
     """
+    directory = Path(directory)
     done, costs = _take_up(comparison, directory)
     wanted = list(comparison.episodes())
     count = sum(key in done for key in wanted)
@@ -248,7 +249,7 @@ def _whole_episodes(steps: Path) -> set[tuple[str, str, int]]:
     return done
 
 
-def read(comparison: Comparison, directory: Path) -> pd.DataFrame:
+def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
     """The records of a comparison that `run` has finished in a directory, in the comparison's order."""
-    records = pd.read_csv(directory / STEPS_FILE).set_index(KEYS)
+    records = pd.read_csv(Path(directory) / STEPS_FILE).set_index(KEYS)
     return pd.concat([records.loc[[key]] for key in comparison.episodes()]).reset_index()

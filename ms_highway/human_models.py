@@ -176,7 +176,9 @@ def register(model: HumanModel, before: str | None = None) -> None:
     if lacks:
         raise ValueError(f"{model!r} lacks {', '.join(lacks)}; see ms_highway.human_models.HumanModel")
     if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in PAPER_MODELS:
-        raise ValueError(f"a model cannot be called {model.name!r}; choose one word other than {', '.join(PAPER_MODELS)}")
+        raise ValueError(
+            f"a model cannot be called {model.name!r}; choose one word other than {', '.join(PAPER_MODELS)}"
+        )
     others = {name: other for name, other in MODELS.items() if name != model.name}
     if before is not None and before not in others:
         raise ValueError(f"unknown human model {before!r} to come before; the models are {', '.join(others)}")

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import NullLocator, StrMethodFormatter
 
 from ms_highway.envs.graphics import PANEL_HEIGHT
 from ms_highway.human_models import MODELS
@@ -16,7 +17,9 @@ from ms_highway.report import color_of
 
 __all__ = ["decisions", "one_episode", "storyboard", "switches"]
 
-FRAMES_IN_A_ROW = 2
+FRAMES_IN_A_ROW = 3
+CROP = 0.15, 0.75  # of a frame's width, where the cars are
+LINEAR = 0.01  # gain up to which the scale is linear
 
 
 def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int) -> pd.DataFrame:
@@ -41,8 +44,8 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
     """What was decided in an episode, and what it was worth; a column per episode.
 
     Above, the estimated net gains of switching to each model, on which Algorithm 1 decides: one above zero is taken.
-    They are drawn at the step that is planned next, and squeezed beyond 1 in size. Below, the reward per step, on a
-    strip of the models in use.
+    They are drawn at the step that is planned next; the scale is linear up to 0.01 and logarithmic beyond. Below, the
+    reward per step, on a strip of the models in use.
 
     Args:
         episodes: of switching controllers, see `one_episode`.
@@ -72,7 +75,10 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
 
 
 def _gains(axes: Axes, episode: pd.DataFrame) -> None:
-    axes.set_yscale("symlog", linthresh=1.0)
+    axes.set_yscale("symlog", linthresh=LINEAR, linscale=0.7)
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.grid(axis="y", color="white", linewidth=0.8)
     axes.axhline(0, color="black", linewidth=0.8)
     for name in MODELS:
         gains = episode[f"gain_{name}"]
@@ -105,21 +111,24 @@ def storyboard(episode: pd.DataFrame, pictures: Sequence[UInt8[np.ndarray, "h w 
     Args:
         episode: see `one_episode`.
         pictures: the frames of the same episode, see `ms_highway.video.frames`; their panels are cut off.
-        most: how many steps are shown at most; where there are more `switches`, those that lasted longest.
+        most: how many steps are shown at most; where there are more `switches`, the first two, and of the others those
+            after which the model stayed longest.
     """
     starts = switches(episode)
     lengths = np.diff([*starts, len(episode)])
+    lengths[:2] = len(episode)
     shown = sorted(np.array(starts)[np.argsort(-lengths, kind="stable")[:most]].tolist())
     rows = -(-len(shown) // FRAMES_IN_A_ROW)
-    figure = Figure(figsize=(12, 1.9 + 1.5 * rows), layout="constrained")
-    upper, lower = figure.subfigures(2, 1, height_ratios=[1.5 * rows, 1.9])
+    figure = Figure(figsize=(12, 1.9 + 1.6 * rows), layout="constrained")
+    upper, lower = figure.subfigures(2, 1, height_ratios=[1.6 * rows, 1.9])
     panels = np.atleast_1d(upper.subplots(rows, FRAMES_IN_A_ROW, squeeze=False)).ravel()
     for number, axes in enumerate(panels):
         axes.axis("off")
         if number < len(shown):
             step = shown[number]
             picture, record = pictures[step], episode.iloc[step]
-            axes.imshow(picture[: picture.shape[0] - PANEL_HEIGHT])
+            height, width, _ = picture.shape
+            axes.imshow(picture[: height - PANEL_HEIGHT, round(CROP[0] * width) : round(CROP[1] * width)])
             axes.set_title(
                 f"{number + 1}: step {step}, {record['model']}",
                 loc="left",
@@ -130,9 +139,7 @@ def storyboard(episode: pd.DataFrame, pictures: Sequence[UInt8[np.ndarray, "h w 
     milliseconds = 1e3 * (episode["planning_seconds"] + episode["decision_seconds"])
     axes.bar(episode["step"], milliseconds, width=0.9, color=[color_of(model) for model in episode["model"]])
     for number, step in enumerate(shown):
-        axes.annotate(
-            f"{number + 1}", (step, 0), xytext=(0, -24), textcoords="offset points", ha="center", weight="bold"
-        )
+        axes.text(step, 1.04, f"{number + 1}", transform=axes.get_xaxis_transform(), ha="center", weight="bold")
     axes.set(xlabel="step (0.1 s)", ylabel="planning +\ndeciding [ms]", xlim=(-0.5, len(episode) - 0.5))
     axes.spines[["top", "right"]].set_visible(False)
     first = episode.iloc[0]

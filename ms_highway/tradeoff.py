@@ -12,6 +12,7 @@ __all__ = ["best_schedules", "curve", "shares"]
 
 SWITCHING, SCHEDULE = "switching:", "schedule:"
 SWITCHING_COLOR, SCHEDULE_COLOR = "#1b1f27", "#8a93a5"
+LABEL = 0.08, 0.05  # width and height of a label, as shares of the axes
 
 
 def shares(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
@@ -111,14 +112,8 @@ def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) 
             switching[computation], switching["reward"], _errors(switching), fmt="o-", color=SWITCHING_COLOR, **style,
             label="switching, by lambda",
         )  # fmt: skip
-    for row in switching.itertuples():
-        axes.annotate(
-            f"{row.price:g}",
-            (getattr(row, computation), row.reward),
-            xytext=(5, -11),
-            textcoords="offset points",
-            fontsize="x-small",
-        )
+    for price, place in _apart(switching, rows, computation):
+        axes.annotate(f"{price:g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
     for name in MODELS:
         one = rows[rows["controller"] == name]
         if len(one):
@@ -135,6 +130,17 @@ def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) 
     axes.grid(color="#eeeeee")
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def _apart(switching: pd.DataFrame, rows: pd.DataFrame, computation: str) -> list[tuple[float, tuple[float, float]]]:
+    """Those lambdas, with their points, whose labels would not cover each other."""
+    width = rows[computation].max()
+    height = rows["reward_high"].fillna(rows["reward"]).max() - rows["reward_low"].fillna(rows["reward"]).min()
+    chosen: list[tuple[float, tuple[float, float]]] = []
+    for price, x, y in zip(switching["price"], switching[computation], switching["reward"], strict=True):
+        if all(abs(x - u) > LABEL[0] * width or abs(y - v) > LABEL[1] * height for _, (u, v) in chosen):
+            chosen.append((price, (x, y)))
+    return chosen
 
 
 def _errors(rows: pd.DataFrame) -> list[pd.Series]:

@@ -111,7 +111,11 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
         if not np.isfinite(episodes[name]).all():
             raise ValueError(f"{file}: {name} is not finite")
     rungs = episodes["ladder"]
-    if rungs.ndim != 1 or not np.isin(rungs, range(len(PAPER_MODELS))).all() or not np.isin(episodes["models"], rungs).all():
+    if (
+        rungs.ndim != 1
+        or not np.isin(rungs, range(len(PAPER_MODELS))).all()
+        or not np.isin(episodes["models"], rungs).all()
+    ):
         raise ValueError(f"{file}: ladder {rungs.tolist()} or models are no places in {', '.join(PAPER_MODELS)}")
     return scenario, episodes
 

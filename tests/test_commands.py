@@ -131,6 +131,8 @@ def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys
         (["compare", "merger", "--controllers", "oracle"], "unknown controller 'oracle'"),
         (["compare", "merger", "--controllers", "switching"], "switching:0.1"),
         (["compare", "merger", "--controllers", "switching:-1"], "not negative"),
+        (["compare", "merger", "--controllers", "schedule:tom,naive"], "say it like schedule:tom=6,naive"),
+        (["compare", "merger", "--controllers", "schedule:oracle"], "['oracle']; give a list of human models"),
         (["compare", "merger", "--seeds", "0"], "--seeds is 0"),
         (["compare", "merger", "--costs", "naive=cheap"], "--costs"),
         (["compare", "merger", "--costs", "naive=0.1"], "'turn'"),

@@ -1,6 +1,7 @@
 """The environments as a Gymnasium user meets them."""
 
 import warnings
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -9,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv
 
 import ms_highway
-from ms_highway.envs import SCENARIOS, environment_id
+from ms_highway.envs import SCENARIOS, MergerEnv, add_scenario, environment_id
 from ms_highway.envs.base import Seconds
 from ms_highway.learnt import shipped
 from ms_highway.reward import COMFORT, FEATURES
@@ -218,6 +219,8 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"controller": {"type": "switching", "lambda": -1}}, r"\['lambda'\] is -1"),
         ({"controller": {"lamda": 1}}, "did you mean 'lambda'"),
         ({"controller": {"type": "fixed"}}, "'model'"),
+        ({"controller": {"type": "schedule", "models": []}}, r"\['models'\] is \[\]; give a list of human models"),
+        ({"controller": {"type": "schedule", "models": ["tom", "oracle"]}}, "'oracle'.*of naive, turn, tom"),
         ({"controller": "tom"}, "'type' must be one of"),
         ({"ladder": ["tom", "naive"]}, "cheapest first"),
         ({"ladder": []}, "impossible ladder"),
@@ -254,6 +257,14 @@ def test_frame_rates_do_not_leak_between_environments():
 def test_a_wrong_configuration_is_refused_with_the_remedy(config, message):
     with pytest.raises(ValueError, match=message):
         make("merger", **config)
+
+
+@pytest.mark.parametrize("name", ["merger", "Zipper", "two words"])
+def test_a_scenario_of_ones_own_needs_a_name_of_its_own(name):
+    environment = type("Environment", (MergerEnv,), {"scenario": replace(MergerEnv.scenario, name=name)})
+    with pytest.raises(ValueError, match=f"cannot be called '{name}'; choose one word in lower case"):
+        add_scenario(environment)
+    assert list(SCENARIOS) == ["stay_back", "merger", "give_way"]
 
 
 def test_a_refused_change_leaves_the_configuration_as_it_was():

@@ -1,0 +1,64 @@
+"""Reward against computation, from summaries."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ms_highway.tradeoff import best_schedules, curve, shares
+
+ROWS = [
+    ("naive", 1.0, 90.0),
+    ("tom", 6.0, 370.0),
+    ("switching:0.1", 4.8, 185.0),
+    ("switching:0.01", 5.4, 296.0),
+    ("schedule:tom=4,naive", 3.0, 118.0),
+    ("schedule:tom=6,naive", 5.7, 132.0),
+    ("schedule:tom=2,turn", 2.0, 160.0),
+]
+
+
+@pytest.fixture
+def summaries():
+    table = pd.DataFrame(ROWS, columns=["controller", "reward", "counted_ms"])
+    return table.assign(
+        scenario="merger",
+        episodes=30,
+        reward_low=table["reward"] - 0.1,
+        reward_high=table["reward"] + 0.1,
+        planning_ms=table["counted_ms"] / 100,
+        decision_ms=table["controller"].str.startswith("switching") * 0.1,
+    )
+
+
+def test_shares_are_those_of_the_dearest_fixed_model(summaries):
+    share = shares(summaries, "merger")
+    assert share.attrs["reference"] == "tom"
+    assert share.loc["switching:0.1"].tolist() == pytest.approx([0.8, 0.5])
+    assert share.loc["tom"].tolist() == [1, 1]
+
+
+def test_shares_of_a_reward_below_zero_are_left_empty(summaries):
+    summaries.loc[summaries["controller"] == "tom", "reward"] = -1.0
+    share = shares(summaries, "merger")
+    assert share["reward"].isna().all()
+    assert share.loc["switching:0.1", "computation"] == 0.5
+
+
+def test_shares_need_a_fixed_model(summaries):
+    with pytest.raises(ValueError, match="no fixed model was compared in 'merger'; add naive, turn, tom"):
+        shares(summaries[summaries["controller"].str.startswith("switching")], "merger")
+
+
+def test_the_best_schedules_are_those_that_nothing_fixed_beats_with_less(summaries):
+    best = best_schedules(summaries, "merger")
+    assert best["controller"].tolist() == ["naive", "schedule:tom=4,naive", "schedule:tom=6,naive", "tom"]
+
+
+def test_the_curve_shows_every_controller_over_counted_and_over_measured_time(summaries):
+    figure = curve(summaries, "merger")
+    counted, measured = figure.axes
+    points = np.concatenate([line.get_xydata() for line in counted.lines])
+    for _, reward, milliseconds in ROWS:
+        assert (np.abs(points - [milliseconds, reward]).max(axis=1) < 1e-9).any()
+    assert measured.get_xlim()[1] < 5
+    assert {text.get_text() for text in counted.texts} == {"0.1", "0.01"}
