@@ -73,7 +73,7 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
     ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
     bare_id = environment_id(name).removeprefix("ms_highway:")
     registry.pop(bare_id, None)
-    register(bare_id, entry_point=environment)
+    register(bare_id, entry_point=lambda **options: environment(**options))
     return environment_id(name)
 
 

@@ -120,9 +120,9 @@ def storyboard(episode: pd.DataFrame, pictures: Sequence[UInt8[np.ndarray, "h w 
     shown = sorted(np.array(starts)[np.argsort(-lengths, kind="stable")[:most]].tolist())
     rows = -(-len(shown) // FRAMES_IN_A_ROW)
     figure = Figure(figsize=(12, 1.9 + 1.6 * rows), layout="constrained")
-    upper, lower = figure.subfigures(2, 1, height_ratios=[1.6 * rows, 1.9])
-    panels = np.atleast_1d(upper.subplots(rows, FRAMES_IN_A_ROW, squeeze=False)).ravel()
-    for number, axes in enumerate(panels):
+    halves = figure.subfigures(2, 1, squeeze=False, height_ratios=[1.6 * rows, 1.9])
+    upper, lower = halves[0, 0], halves[1, 0]
+    for number, axes in enumerate(upper.subplots(rows, FRAMES_IN_A_ROW, squeeze=False).ravel()):
         axes.axis("off")
         if number < len(shown):
             step = shown[number]

@@ -99,7 +99,6 @@ def _share_axes(axes: Axes, summaries: pd.DataFrame, scenario: str) -> None:
 
 def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) -> None:
     """All controllers over one measure of computation."""
-    style = {"capsize": 3, "markersize": 6, "linewidth": 1.2}
     schedules = rows[rows["controller"].str.startswith(SCHEDULE)]
     if len(schedules):
         axes.plot(schedules[computation], schedules["reward"], ".", color=SCHEDULE_COLOR, markersize=5)
@@ -108,24 +107,13 @@ def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) 
     switching = switching.assign(price=switching["controller"].str.removeprefix(SWITCHING).astype(float))
     switching = switching.sort_values("price")
     if len(switching):
-        axes.errorbar(
-            switching[computation], switching["reward"], _errors(switching), fmt="o-", color=SWITCHING_COLOR, **style,
-            label="switching, by lambda",
-        )  # fmt: skip
+        _points(axes, switching, computation, "o-", SWITCHING_COLOR, "switching, by lambda")
     for price, place in _apart(switching, rows, computation):
         axes.annotate(f"{price:g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
     for name in MODELS:
         one = rows[rows["controller"] == name]
         if len(one):
-            axes.errorbar(
-                one[computation],
-                one["reward"],
-                _errors(one),
-                fmt="s",
-                color=color_of(name),
-                **style | {"markersize": 9},
-                label=name,
-            )
+            _points(axes, one, computation, "s", color_of(name), name)
     axes.set_xlim(left=0)
     axes.grid(color="#eeeeee")
     axes.set_axisbelow(True)
@@ -143,6 +131,10 @@ def _apart(switching: pd.DataFrame, rows: pd.DataFrame, computation: str) -> lis
     return chosen
 
 
-def _errors(rows: pd.DataFrame) -> list[pd.Series]:
-    """Lengths of the whiskers, none for a single episode."""
-    return [(rows["reward"] - rows["reward_low"]).fillna(0), (rows["reward_high"] - rows["reward"]).fillna(0)]
+def _points(axes: Axes, rows: pd.DataFrame, computation: str, form: str, color: str, label: str) -> None:
+    """Controllers with the intervals of their rewards; a single episode has none."""
+    below, above = rows["reward"] - rows["reward_low"], rows["reward_high"] - rows["reward"]
+    errors = [below.fillna(0), above.fillna(0)]
+    axes.errorbar(
+        rows[computation], rows["reward"], errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2
+    )
