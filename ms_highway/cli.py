@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import math
 import os
 import sys
 import typing
@@ -16,15 +15,15 @@ from rich.console import Console
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from ms_highway import experiment, report, validation, video
+from ms_highway import experiment, report, validation
 from ms_highway.bench import bench
 from ms_highway.cli_irl import add_irl
+from ms_highway.cli_options import add_semantics, human_reward
+from ms_highway.cli_video import add_video
 from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
-from ms_highway.envs.configuration import HUMAN_REWARDS
 from ms_highway.files import replacing
-from ms_highway.learnt import load
 from ms_highway.planner import Solver
 
 __all__ = ["main"]
@@ -50,10 +49,6 @@ examples:
   ms-highway compare merger --controllers naive tom switching:0.1 --seeds 10 --out results/merger
   ms-highway compare give_way --semantics released --costs measured
   ms-highway compare stay_back --controllers naive turn --solver newton --seeds 100 --out results/newton"""
-
-VIDEO_HELP = """\
-Film one episode from above: the road, the robot's plan, the human path that it counts on, and a panel with the model
-in use, planning time and reward. Plays at true speed."""
 
 VALIDATE_HELP = """\
 Replay logged episodes of the paper's released code: plan from every logged state and compare controls, rewards, human
@@ -108,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument(
         "--seeds", type=int, default=30, help="episodes per controller, seeded 0, 1, ... (default: 30)"
     )
-    _add_semantics(compare)
+    add_semantics(compare)
     compare.add_argument(
         "--solver",
         choices=typing.get_args(Solver),
@@ -127,23 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     compare.set_defaults(run=_compare)
 
-    film = command(
-        "video",
-        "film an episode",
-        VIDEO_HELP,
-        "example:\n  ms-highway video merger --controller switching:0.1 --seed 0 --out merger.mp4",
-    )
-    film.add_argument("scenario", metavar="SCENARIO", help=", ".join(SCENARIOS))
-    film.add_argument(
-        "--controller",
-        metavar="CONTROLLER",
-        help="naive, turn, tom or switching:LAMBDA (default: switching with the paper's conservative lambda)",
-    )
-    film.add_argument("--seed", type=int, default=0, help="seed of the episode (default: 0)")
-    _add_semantics(film)
-    film.add_argument("--speed", type=float, default=1.0, help="1 is true speed (default), 0.5 slow motion")
-    film.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4 or .gif file")
-    film.set_defaults(run=_video)
+    add_video(commands)
 
     measure = command(
         "bench",
@@ -170,31 +149,6 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_semantics(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--semantics",
-        choices=["paper", "released"],
-        default="paper",
-        help="paper: the paper's dynamics, damped theory of mind (default); released: exactly its released code",
-    )
-    parser.add_argument(
-        "--human-reward",
-        metavar="REWARD",
-        help="what humans drive for: learned (from demonstrations; default in paper semantics), published (default in "
-        "released semantics), or a file that `ms-highway irl fit` wrote",
-    )
-
-
-def _human_reward(text: str | None) -> str | dict[str, float] | None:
-    """The choice of a human's reward; of a file, the weights."""
-    if text is None or text in HUMAN_REWARDS.values():
-        return text
-    try:
-        return load(Path(text)).weights
-    except ValueError as error:
-        raise ValueError(f"--human-reward is neither {' nor '.join(HUMAN_REWARDS.values())}: {error}") from error
-
-
 def _compare(options: argparse.Namespace) -> None:
     if options.seeds < 1:
         raise ValueError(f"--seeds is {options.seeds}; there must be at least one episode")
@@ -202,9 +156,8 @@ def _compare(options: argparse.Namespace) -> None:
     chosen = list(dict.fromkeys(options.controllers or []))
     controllers = {name: chosen or experiment.paper_controllers(name) for name in scenarios}
     costs = _costs(options.costs)
-    human_reward = _human_reward(options.human_reward)
     comparison = experiment.Comparison(
-        controllers, options.seeds, options.semantics, costs, options.solver, human_reward
+        controllers, options.seeds, options.semantics, costs, options.solver, human_reward(options.human_reward)
     )
     comparison.check()
     counts = experiment.run(comparison, options.out)
@@ -229,22 +182,6 @@ def _costs(text: str) -> str | dict[str, float]:
         return {name: float(value) for name, _, value in (part.partition("=") for part in text.split(","))}
     except ValueError:
         raise ValueError(f"--costs is {text!r}; give seconds by model like naive=0.1,turn=0.2,tom=0.5") from None
-
-
-def _video(options: argparse.Namespace) -> None:
-    if not 0 < options.speed < math.inf:
-        raise ValueError(f"--speed is {options.speed}; it must be positive")
-    if options.seed < 0:
-        raise ValueError(f"--seed is {options.seed}; it must not be negative")
-    controller = options.controller or experiment.paper_controllers(options.scenario)[-1]
-    video.check_format(options.out)
-    human_reward = _human_reward(options.human_reward)
-    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory; SDL need not look for a screen
-    pictures, rate = video.frames(
-        options.scenario, controller, options.seed, semantics=options.semantics, human_reward=human_reward
-    )
-    video.write(pictures, options.out, rate * options.speed)
-    print(f"{options.out}: {len(pictures)} frames, {len(pictures) / rate / options.speed:.1f} s")
 
 
 def _bench(options: argparse.Namespace) -> None:
