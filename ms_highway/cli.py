@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import shlex
 import sys
 import typing
 from collections.abc import Sequence
@@ -19,12 +20,14 @@ from ms_highway import experiment, report, validation
 from ms_highway.bench import bench
 from ms_highway.cli_irl import add_irl
 from ms_highway.cli_options import add_semantics, human_reward
+from ms_highway.cli_report import add_report
 from ms_highway.cli_video import add_video
 from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.files import replacing
 from ms_highway.planner import Solver
+from ms_highway.provenance import add_run, read_runs, this_run
 
 __all__ = ["main"]
 
@@ -36,7 +39,8 @@ every step and pays LAMBDA reward for a second of planning. Without scenarios an
 runs: all three scenarios, each with its ladder and the paper's two lambdas.
 
 Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
-SCENARIO_bars.png and SCENARIO_timeline.png. Stopped and started again with the same --out, it goes on where it was."""
+SCENARIO_bars.png and SCENARIO_timeline.png; settings.json and provenance.json say what they were made with. Stopped and
+started again with the same --out, it goes on where it was. `ms-highway report` makes a page of them."""
 
 BENCH_HELP = """\
 Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for every
@@ -57,7 +61,9 @@ controls and switching decisions with the logs. Errors are quantiles over all st
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if all went well, 2 with one line on standard error if the input was at fault."""
-    options = _parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(given)
+    options.command_line = shlex.join(["ms-highway", *given])
     low_latency()
     try:
         if not (options.no_compilation_cache or os.environ.get("JAX_COMPILATION_CACHE_DIR")):
@@ -123,6 +129,7 @@ def _parser() -> argparse.ArgumentParser:
     compare.set_defaults(run=_compare)
 
     add_video(commands)
+    add_report(commands)
 
     measure = command(
         "bench",
@@ -160,16 +167,19 @@ def _compare(options: argparse.Namespace) -> None:
         controllers, options.seeds, options.semantics, costs, options.solver, human_reward(options.human_reward)
     )
     comparison.check()
-    counts = experiment.run(comparison, options.out)
-    count_episodes(counts, next(counts), len(list(comparison.episodes())))
+    read_runs(options.out)  # refuses what cannot be read before anything is run
+    counts, wanted = experiment.run(comparison, options.out), len(list(comparison.episodes()))
+    already = next(counts)
+    if already < wanted:
+        add_run(options.out, this_run(options.command_line))
+    count_episodes(counts, already, wanted)
     records = experiment.read(comparison, options.out)
     summaries = report.summary(records)
     with replacing(options.out / "summary.csv") as path:
         summaries.to_csv(path, index=False)
     for scenario in scenarios:
         print_tables(report.table(summaries, scenario))
-        figures = {"bars": report.bars(summaries, scenario), "timeline": report.timeline(records, scenario)}
-        for name, figure in figures.items():
+        for name, figure in report.figures(records, summaries, scenario).items():
             with replacing(options.out / f"{scenario}_{name}.png") as path:
                 figure.savefig(path, dpi=110)
     print(f"results are in {options.out}")

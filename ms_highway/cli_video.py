@@ -2,13 +2,12 @@
 
 import argparse
 import math
-import os
 from pathlib import Path
 from typing import Any
 
 from ms_highway import video
 from ms_highway.cli_options import add_semantics, human_reward
-from ms_highway.console import add_command
+from ms_highway.console import add_command, draw_unseen
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.configuration import controller_config
 from ms_highway.experiment import paper_controllers
@@ -61,7 +60,7 @@ def _video(options: argparse.Namespace) -> None:
     for controller in controllers:
         controller_config(controller)
     config = {"semantics": options.semantics, "human_reward": human_reward(options.human_reward)}
-    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory; SDL need not look for a screen
+    draw_unseen()
     films = [video.film(options.scenario, controller, options.seed, **config) for controller in controllers]
     pictures = side_by_side(films) if options.against else films[0].pictures
     if options.width is not None:

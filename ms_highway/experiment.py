@@ -22,11 +22,14 @@ from ms_highway.planner import Solver
 
 __all__ = [
     "COLUMNS",
+    "SETTINGS_FILE",
+    "STEPS_FILE",
     "Comparison",
     "episode",
     "make_environment",
     "paper_controllers",
     "read",
+    "read_settings",
     "run",
 ]
 
@@ -184,7 +187,7 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     """
     steps, settings_file = directory / STEPS_FILE, directory / SETTINGS_FILE
     settings = {**comparison.common_config(), "costs": comparison.costs}
-    known = _read_settings(settings_file) if steps.exists() else {**settings, "measured": {}}
+    known = read_settings(settings_file) if steps.exists() else {**settings, "measured": {}}
     if {key: known.get(key) for key in settings} != settings:
         raise ValueError(f"{directory} holds results of {known}, not of {settings}; choose another directory")
     done = _whole_episodes(steps) if steps.exists() else set()
@@ -199,8 +202,12 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     return done, {scenario: known["measured"].get(scenario, comparison.costs) for scenario in comparison.controllers}
 
 
-def _read_settings(file: Path) -> dict[str, Any]:
-    """What a directory's results were run with, also where it was written before there was a choice."""
+def read_settings(file: Path) -> dict[str, Any]:
+    """What a directory's results were run with, also where it was written before there was a choice.
+
+    Raises:
+        ValueError: if the file cannot be read.
+    """
     try:
         settings = json.loads(file.read_text())
         return settings | {key: value for key, value in BEFORE.items() if key not in settings}

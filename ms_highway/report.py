@@ -15,9 +15,17 @@ from scipy import stats
 
 from ms_highway.envs.graphics import MODEL_COLORS
 
-__all__ = ["CONFIDENCE", "bars", "summary", "table", "timeline"]
+__all__ = ["CAPTIONS", "CONFIDENCE", "bars", "cells", "figures", "summary", "table", "timeline"]
 
 CONFIDENCE = 0.9
+CAPTIONS = {
+    "bars": "Reward and time per step of each controller. Whiskers are the 90 % intervals of the mean over episodes; "
+    "hatched is the time of deciding about the model.",
+    "timeline": "Computation along the episode, as the mean over episodes. Below, which model was in use at every step "
+    "of every episode of the controllers that switch.",
+}
+"""What the figures of `figures` show."""
+
 SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
 
 
@@ -54,32 +62,39 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
+    """The summary of one scenario as people read it: a row per controller, and texts under the columns' headings."""
+    rows = [
+        {
+            "controller": row["controller"],
+            "reward/step": f"{row['reward']:.2f}",
+            "90 % interval": f"{row['reward_low']:.2f}, {row['reward_high']:.2f}"
+            if row["episodes"] > 1
+            else "one episode",
+            "plan ms": f"{row['planning_ms']:.2f}",
+            "decide ms": f"{row['decision_ms']:.2f}",
+            **{f"{name} %": f"{100 * row[f'share_{name}']:.0f}" for name in MODEL_COLORS},
+            "collisions": f"{row['collision_episodes']} of {row['episodes']}",
+        }
+        for row in summaries[summaries["scenario"] == scenario].to_dict("records")
+    ]
+    return pd.DataFrame(rows)
+
+
 def table(summaries: pd.DataFrame, scenario: str) -> Table:
     """The summary of one scenario, to be printed."""
-    models = list(MODEL_COLORS)
+    texts = cells(summaries, scenario)
     grid = Table(title=scenario, box=SIMPLE, title_justify="left", title_style="bold")
-    grid.add_column("controller", no_wrap=True)
-    columns = [
-        "reward/step",
-        "90 % interval",
-        "plan ms",
-        "decide ms",
-        *(f"{name} %" for name in models),
-        "collisions",
-    ]
-    for column in columns:
-        grid.add_column(column, justify="right", no_wrap=True)
-    for row in summaries[summaries["scenario"] == scenario].to_dict("records"):
-        grid.add_row(
-            row["controller"],
-            f"{row['reward']:.2f}",
-            f"{row['reward_low']:.2f}, {row['reward_high']:.2f}" if row["episodes"] > 1 else "one episode",
-            f"{row['planning_ms']:.2f}",
-            f"{row['decision_ms']:.2f}",
-            *(f"{100 * row[f'share_{name}']:.0f}" for name in models),
-            f"{row['collision_episodes']} of {row['episodes']}",
-        )
+    for column in texts:
+        grid.add_column(column, justify="left" if column == "controller" else "right", no_wrap=True)
+    for row in texts.itertuples(index=False):
+        grid.add_row(*row)
     return grid
+
+
+def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Figure]:
+    """All figures of a scenario, by the names that `CAPTIONS` explains."""
+    return {"bars": bars(summaries, scenario), "timeline": timeline(records, scenario)}
 
 
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
