@@ -90,7 +90,6 @@ def render(results: Results, sections: list[Section]) -> str:
     )
     return environment.get_template("report.html.jinja").render(
         sections=sections,
-        controllers=list(dict.fromkeys(results.summaries["controller"])),
         episodes=sorted(set(results.summaries["episodes"])),
         models=MODEL_MEANINGS,
         semantics=SEMANTICS.get(results.settings["semantics"], results.settings["semantics"]),

@@ -73,7 +73,7 @@ def _read_records(file: Path) -> pd.DataFrame:
     try:
         records = pd.read_csv(file)
     except (OSError, ValueError) as error:
-        raise ValueError(f"{file} cannot be read ({error}); {REMEDY}") from error
+        raise ValueError(f"{file} cannot be read ({str(error).strip()}); {REMEDY}") from error
     missing = sorted(NEEDED - set(records))
     if missing:
         raise ValueError(f"{file} has no column {', '.join(missing)}; {REMEDY}")

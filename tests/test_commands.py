@@ -186,7 +186,9 @@ def test_a_video_plays_at_true_speed(suffix, tmp_path, capsys):
 IRL_COMMANDS = [["irl", name] for name in ("record", "fit", "evaluate", "recover", "report")]
 
 
-@pytest.mark.parametrize("command", [[], ["compare"], ["video"], ["bench"], ["validate"], ["irl"], *IRL_COMMANDS])
+@pytest.mark.parametrize(
+    "command", [[], ["compare"], ["video"], ["report"], ["bench"], ["validate"], ["irl"], *IRL_COMMANDS]
+)
 def test_help_teaches_the_command(command):
     run = subprocess.run(
         [sys.executable, "-m", "ms_highway", *command, "--help"], capture_output=True, text=True, check=True
