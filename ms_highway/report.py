@@ -116,7 +116,9 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
         edgecolor="black",
         hatch="///",
     )
+    right.use_sticky_edges = False  # else the foot of a last bar without height ends the axes
     right.margins(y=0.3)  # room for the legend
+    right.set_ylim(bottom=0)
     right.set(title="computation", ylabel="mean time per step [ms]")
     right.legend(
         handles=[Patch(color="grey", label="planning"), Patch(fc="white", ec="black", hatch="///", label="deciding")]

@@ -14,6 +14,7 @@ import pytest
 
 from ms_highway.cli import main
 from ms_highway.page import worth_seeing
+from ms_highway.report import bars
 from ms_highway.results import read_results
 
 CONTROLLERS = ["naive", "switching:0.4"]
@@ -227,6 +228,14 @@ def test_the_best_fixed_model_is_shown_beside_the_most_conservative_switching():
     assert worth_seeing(summaries, "merger") == ["tom", "switching:0.1"]
     assert worth_seeing(summaries[summaries["reward"] < 3], "merger") == ["naive", "turn"]
     assert worth_seeing(summaries[summaries["reward"] == 5], "merger") == ["tom"]
+
+
+def test_the_bar_of_a_dear_model_that_decides_nothing_leaves_room_for_the_legend(compared):
+    summaries = read_results(compared).summaries
+    summaries.loc[summaries["controller"] == "naive", "planning_ms"] = 10.0
+    _, right = bars(summaries, "stay_back").axes
+    assert right.get_ylim()[0] == 0
+    assert right.get_ylim()[1] >= 12
 
 
 def without_column(directory):
