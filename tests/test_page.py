@@ -16,6 +16,7 @@ from ms_highway.cli import main
 from ms_highway.page import worth_seeing
 from ms_highway.report import bars
 from ms_highway.results import read_results
+from ms_highway.video import film
 
 CONTROLLERS = ["naive", "switching:0.4"]
 COMPARE = ["compare", "stay_back", "--controllers", *CONTROLLERS, "--out"]
@@ -107,6 +108,14 @@ def test_the_page_holds_tables_figures_and_a_video_of_both_controllers(html, com
     assert frames.shape == (35, 816, 960, 3)
     poster = imageio.imread(content(film["poster"], "image/png"))
     assert np.abs(poster.astype(int) - frames[14]).mean() < 4
+
+
+def test_what_is_filmed_for_the_page_is_the_episode_that_was_recorded(compared):
+    results = read_results(compared)
+    filmed = film("stay_back", "switching:0.4", 1, **results.config("stay_back")).records
+    recorded = results.records.query("controller == 'switching:0.4' and seed == 1")
+    np.testing.assert_allclose([record["reward"] for record in filmed], recorded["reward"])
+    assert [record["model"] for record in filmed] == list(recorded["model"])
 
 
 def test_the_page_refers_to_nothing_outside_itself(html):
