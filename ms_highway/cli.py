@@ -25,6 +25,7 @@ from ms_highway.cli_video import add_video
 from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
+from ms_highway.figures import figures
 from ms_highway.files import replacing
 from ms_highway.planner import Solver
 from ms_highway.provenance import add_run, read_runs, this_run
@@ -179,7 +180,7 @@ def _compare(options: argparse.Namespace) -> None:
         summaries.to_csv(path, index=False)
     for scenario in scenarios:
         print_tables(report.table(summaries, scenario))
-        for name, figure in report.figures(records, summaries, scenario).items():
+        for name, figure in figures(records, summaries, scenario).items():
             with replacing(options.out / f"{scenario}_{name}.png") as path:
                 figure.savefig(path, dpi=110)
     print(f"results are in {options.out}")

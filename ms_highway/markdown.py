@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-from ms_highway.envs.graphics import MODEL_COLORS
 from ms_highway.published import PUBLISHED
 from ms_highway.results import Results
 
@@ -26,17 +25,18 @@ def markdown_table(results: Sequence[Results]) -> str:
         raise ValueError("a directory is named twice; name each once")
     first, names = results[0].summaries.to_dict("records"), _names(results)
     found = [{(row["scenario"], row["controller"]): row for row in r.summaries.to_dict("records")} for r in results]
+    models = [name.removeprefix("share_") for name in results[0].summaries if name.startswith("share_")]
     headings = ["scenario", "controller"]
     for name in names:
         headings += [f"reward per step (90 % interval){name}", f"episodes with a collision{name}"]
-    headings += ["planning ms", "deciding ms", " / ".join(MODEL_COLORS) + " %", "published"]
+    headings += ["planning ms", "deciding ms", " / ".join(models) + " %", "published"]
     lines = [headings, ["---"] * len(headings)]
     for row in first:
         key = row["scenario"], row["controller"]
         cells = list(key)
         for rows in found:
             cells += _outcome(rows[key]) if key in rows else ["", ""]
-        shares = " / ".join(f"{100 * row[f'share_{model}']:.0f}" for model in MODEL_COLORS)
+        shares = " / ".join(f"{100 * row[f'share_{model}']:.0f}" for model in models)
         published = f"{PUBLISHED[key].reward:.2f}" if key in PUBLISHED else ""
         lines.append([*cells, f"{row['planning_ms']:.2f}", f"{row['decision_ms']:.2f}", shares, published])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
@@ -53,7 +53,7 @@ def _names(results: Sequence[Results]) -> list[str]:
         return [""]
     told: list[list[str]] = [[] for _ in results]
     for key in DISTINGUISHING:
-        values = [result.settings[key] for result in results]
+        values = [result.settings.get(key) for result in results]
         if any(value != values[0] for value in values):
             for name, value in zip(told, values, strict=True):
                 name.append(f"{value if isinstance(value, str) else 'given'} {key.replace('_', ' ')}")

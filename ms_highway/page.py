@@ -14,11 +14,12 @@ from PIL import Image
 from ms_highway import report, video
 from ms_highway.envs.configuration import controller_config
 from ms_highway.envs.graphics import MODEL_MEANINGS
+from ms_highway.figures import CAPTIONS, figures
 from ms_highway.published import PUBLISHED
 from ms_highway.results import Results
 from ms_highway.side_by_side import side_by_side
 
-__all__ = ["Section", "draw", "render", "worth_seeing"]
+__all__ = ["Section", "Shown", "draw", "render", "worth_seeing"]
 
 DPI = 160
 POSTER = 0.4  # of the video, from which the picture is taken that stands for it
@@ -73,13 +74,13 @@ def draw(results: Results, videos: bool = True) -> Iterator[str | list[Section]]
     sections = []
     for scenario in results.scenarios:
         yield f"drawing {scenario}"
-        drawn = report.figures(results.records, results.summaries, scenario)
-        figures = {name: Shown(_png(figure), report.CAPTIONS.get(name, name)) for name, figure in drawn.items()}
+        drawn = figures(results.records, results.summaries, scenario)
+        shown = {name: Shown(_png(figure), CAPTIONS.get(name, name)) for name, figure in drawn.items()}
         films = []
         if videos:
             yield f"filming {scenario}"
             films.append(_film(results, scenario))
-        sections.append(Section(scenario, _cells(results.summaries, scenario), figures, films))
+        sections.append(Section(scenario, _cells(results.summaries, scenario), shown, films))
     yield sections
 
 

@@ -15,17 +15,9 @@ from scipy import stats
 
 from ms_highway.envs.graphics import MODEL_COLORS
 
-__all__ = ["CAPTIONS", "CONFIDENCE", "bars", "cells", "figures", "summary", "table", "timeline"]
+__all__ = ["CONFIDENCE", "bars", "cells", "summary", "table", "timeline"]
 
 CONFIDENCE = 0.9
-CAPTIONS = {
-    "bars": "Reward and time per step of each controller. Whiskers are the 90 % intervals of the mean over episodes; "
-    "hatched is the time of deciding about the model.",
-    "timeline": "Computation along the episode, as the mean over episodes. Below, which model was in use at every step "
-    "of every episode of the controllers that switch.",
-}
-"""What the figures of `figures` show."""
-
 SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
 
 
@@ -90,11 +82,6 @@ def table(summaries: pd.DataFrame, scenario: str) -> Table:
     for row in texts.itertuples(index=False):
         grid.add_row(*row)
     return grid
-
-
-def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Figure]:
-    """All figures of a scenario, by the names that `CAPTIONS` explains."""
-    return {"bars": bars(summaries, scenario), "timeline": timeline(records, scenario)}
 
 
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:

@@ -47,7 +47,7 @@ class Results:
     def config(self, scenario: str) -> dict[str, Any]:
         """The configuration that a scenario's environment had, but for the controller."""
         common = {key: value for key, value in self.settings.items() if key not in ("costs", "measured")}
-        return {**common, "costs": self.settings["measured"].get(scenario, self.settings["costs"])}
+        return {**common, "costs": self.settings.get("measured", {}).get(scenario, self.settings["costs"])}
 
 
 def read_results(directory: Path) -> Results:
@@ -63,7 +63,7 @@ def read_results(directory: Path) -> Results:
             raise ValueError(f"{directory} has no {name}; {REMEDY}")
     settings = read_settings(directory / SETTINGS_FILE)
     missing = {"semantics", "costs"} - settings.keys()
-    if missing or not isinstance(settings["measured"], dict):
+    if missing or not isinstance(settings.get("measured", {}), dict):
         raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
     records = _read_records(directory / STEPS_FILE)
     return Results(directory, records, report.summary(records), settings, read_runs(directory))
