@@ -14,7 +14,19 @@ from jaxtyping import Float
 from ms_highway.dynamics import step
 from ms_highway.human_models import MODELS
 
-__all__ = ["MODEL_COLORS", "MODEL_MEANINGS", "InteractionViewer", "Viewer", "check_display", "model_color"]
+__all__ = [
+    "FAINT",
+    "INK",
+    "MARGIN",
+    "MODEL_COLORS",
+    "MODEL_MEANINGS",
+    "PAPER",
+    "InteractionViewer",
+    "Viewer",
+    "check_display",
+    "font",
+    "model_color",
+]
 
 Color = tuple[int, int, int]
 
@@ -98,7 +110,7 @@ class InteractionViewer(Viewer):
         reach = float(np.ptp(scene.lanes) + scene.lane_width) / 2
         x, _ = surface.vec2pix(car.position)
         _, y = surface.pos2pix(0, self.window_position()[1] + side * reach)
-        label = _font(22).render(name, True, INK)
+        label = font(22).render(name, True, INK)
         surface.blit(label, label.get_rect(center=(x, y + 14 * side)))
 
     def _cone(self, cone: Any) -> None:
@@ -155,7 +167,7 @@ class InteractionViewer(Viewer):
         else:
             chip = pygame.Rect(MARGIN, top, 108, 36)
             pygame.draw.rect(self.sim_surface, model_color(model), chip, border_radius=8)
-            name = _font(40).render(model, True, PAPER)
+            name = font(40).render(model, True, PAPER)
             self.sim_surface.blit(name, name.get_rect(center=chip.center))
             self._text(MODEL_MEANINGS.get(model, ""), 18, INK, (chip.right + 8, top + 12))
         lines = [f"step {len(self.env.history)}    reward {record['reward']:+.2f}"]
@@ -214,7 +226,7 @@ class InteractionViewer(Viewer):
         )
 
     def _text(self, text: str, size: int, color: Color, place: tuple[int, int]) -> None:
-        self.sim_surface.blit(_font(size).render(text, True, color), place)
+        self.sim_surface.blit(font(size).render(text, True, color), place)
 
 
 def check_display() -> None:
@@ -233,7 +245,7 @@ def check_display() -> None:
         raise OSError("there is no display for a person to drive at; use a desktop, or let a program drive")
 
 
-def _font(size: int) -> pygame.font.Font:
+def font(size: int) -> pygame.font.Font:
     """Pygame's own font; asked for anew each time, since closing any of highway-env's viewers ends the font module."""
     pygame.font.init()
     return pygame.font.Font(None, size)

@@ -1,9 +1,10 @@
 """The command ``ms-highway``."""
 
 import argparse
+import importlib
 import json
-import math
 import os
+import shlex
 import sys
 import typing
 from collections.abc import Sequence
@@ -16,28 +17,34 @@ from rich.console import Console
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from ms_highway import experiment, report, validation, video
+from ms_highway import experiment, report, validation
 from ms_highway.bench import bench
 from ms_highway.cli_irl import add_irl
+from ms_highway.cli_options import add_semantics, human_reward
+from ms_highway.cli_report import add_report
+from ms_highway.cli_video import add_video
 from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
-from ms_highway.envs.configuration import HUMAN_REWARDS
+from ms_highway.figures import figures
 from ms_highway.files import replacing
-from ms_highway.learnt import load
 from ms_highway.planner import Solver
+from ms_highway.provenance import add_run, read_runs, this_run
 
 __all__ = ["main"]
 
 COMPARE_HELP = """\
 Run the same seeded episodes with several controllers and compare reward and computation.
 
-A controller is a human model that plans every step (naive, turn, tom) or switching:LAMBDA, which chooses the model at
-every step and pays LAMBDA reward for a second of planning. Without scenarios and controllers, the paper's comparison
+A controller is a human model that plans every step (naive, turn, tom); or switching:LAMBDA, which chooses the model at
+every step and pays LAMBDA reward for a second of planning; or schedule:MODEL=STEPS,...,MODEL, an order that is fixed
+beforehand, such as schedule:tom=6,naive. Without scenarios and controllers, the paper's comparison
 runs: all three scenarios, each with its ladder and the paper's two lambdas.
 
 Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
-SCENARIO_bars.png and SCENARIO_timeline.png. Stopped and started again with the same --out, it goes on where it was."""
+SCENARIO_bars.png, SCENARIO_timeline.png and SCENARIO_curve.png; settings.json and provenance.json say what they were
+made with. Stopped and started again with the same --out, it goes on where it was. `ms-highway report` makes a page of
+them."""
 
 BENCH_HELP = """\
 Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for every
@@ -48,12 +55,10 @@ COMPARE_EXAMPLES = """\
 examples:
   ms-highway compare
   ms-highway compare merger --controllers naive tom switching:0.1 --seeds 10 --out results/merger
-  ms-highway compare give_way --semantics released --costs measured
+  ms-highway compare merger --controllers tom switching:{0.01,0.1} schedule:tom={4,6,8},naive --out results/curve
+  ms-highway compare merger --ladder naive tom --controllers switching:0.1 --out results/two_rungs
+  ms-highway compare give_way --semantics released --costs measured --out results/measured
   ms-highway compare stay_back --controllers naive turn --solver newton --seeds 100 --out results/newton"""
-
-VIDEO_HELP = """\
-Film one episode from above: the road, the robot's plan, the human path that it counts on, and a panel with the model
-in use, planning time and reward. Plays at true speed."""
 
 VALIDATE_HELP = """\
 Replay logged episodes of the paper's released code: plan from every logged state and compare controls, rewards, human
@@ -62,11 +67,14 @@ controls and switching decisions with the logs. Errors are quantiles over all st
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if all went well, 2 with one line on standard error if the input was at fault."""
-    options = _parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(given)
+    options.command_line = shlex.join(["ms-highway", *given])
     low_latency()
     try:
         if not (options.no_compilation_cache or os.environ.get("JAX_COMPILATION_CACHE_DIR")):
             _keep_compilations()
+        _import(options.modules)
         options.run(options)
     except (ValueError, OSError, ImportError) as error:
         print(f"ms-highway: {error}", file=sys.stderr)
@@ -75,6 +83,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("ms-highway: stopped", file=sys.stderr)
         return 130
     return 0
+
+
+def _import(modules: Sequence[str]) -> None:
+    """Import what a user has added."""
+    if modules:
+        sys.path.insert(0, os.getcwd())
+    for name in modules:
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            raise ImportError(f"--import {name}: {error}") from error
 
 
 def _keep_compilations() -> None:
@@ -94,6 +113,15 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="do not keep compiled planners in the user's cache directory, nor use those kept there",
     )
+    parser.add_argument(
+        "--import",
+        dest="modules",
+        action="append",
+        default=[],
+        metavar="MODULE",
+        help="a Python module, also of the current directory, to be imported first: one that adds scenarios "
+        "(ms_highway.envs.add_scenario) or human models (ms_highway.human_models.register)",
+    )
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     command = partial(add_command, commands)
@@ -103,12 +131,15 @@ def _parser() -> argparse.ArgumentParser:
         "--controllers",
         nargs="+",
         metavar="CONTROLLER",
-        help="naive, turn, tom, switching:LAMBDA (default: the paper's)",
+        help="naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL (default: the paper's)",
     )
     compare.add_argument(
         "--seeds", type=int, default=30, help="episodes per controller, seeded 0, 1, ... (default: 30)"
     )
-    _add_semantics(compare)
+    compare.add_argument(
+        "--ladder", nargs="+", metavar="MODEL", help="models to switch among, cheapest first (default: the scenario's)"
+    )
+    add_semantics(compare)
     compare.add_argument(
         "--solver",
         choices=typing.get_args(Solver),
@@ -127,23 +158,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     compare.set_defaults(run=_compare)
 
-    film = command(
-        "video",
-        "film an episode",
-        VIDEO_HELP,
-        "example:\n  ms-highway video merger --controller switching:0.1 --seed 0 --out merger.mp4",
-    )
-    film.add_argument("scenario", metavar="SCENARIO", help=", ".join(SCENARIOS))
-    film.add_argument(
-        "--controller",
-        metavar="CONTROLLER",
-        help="naive, turn, tom or switching:LAMBDA (default: switching with the paper's conservative lambda)",
-    )
-    film.add_argument("--seed", type=int, default=0, help="seed of the episode (default: 0)")
-    _add_semantics(film)
-    film.add_argument("--speed", type=float, default=1.0, help="1 is true speed (default), 0.5 slow motion")
-    film.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4 or .gif file")
-    film.set_defaults(run=_video)
+    add_video(commands)
+    add_report(commands)
 
     measure = command(
         "bench",
@@ -170,31 +186,6 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_semantics(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--semantics",
-        choices=["paper", "released"],
-        default="paper",
-        help="paper: the paper's dynamics, damped theory of mind (default); released: exactly its released code",
-    )
-    parser.add_argument(
-        "--human-reward",
-        metavar="REWARD",
-        help="what humans drive for: learned (from demonstrations; default in paper semantics), published (default in "
-        "released semantics), or a file that `ms-highway irl fit` wrote",
-    )
-
-
-def _human_reward(text: str | None) -> str | dict[str, float] | None:
-    """The choice of a human's reward; of a file, the weights."""
-    if text is None or text in HUMAN_REWARDS.values():
-        return text
-    try:
-        return load(Path(text)).weights
-    except ValueError as error:
-        raise ValueError(f"--human-reward is neither {' nor '.join(HUMAN_REWARDS.values())}: {error}") from error
-
-
 def _compare(options: argparse.Namespace) -> None:
     if options.seeds < 1:
         raise ValueError(f"--seeds is {options.seeds}; there must be at least one episode")
@@ -202,21 +193,29 @@ def _compare(options: argparse.Namespace) -> None:
     chosen = list(dict.fromkeys(options.controllers or []))
     controllers = {name: chosen or experiment.paper_controllers(name) for name in scenarios}
     costs = _costs(options.costs)
-    human_reward = _human_reward(options.human_reward)
     comparison = experiment.Comparison(
-        controllers, options.seeds, options.semantics, costs, options.solver, human_reward
+        controllers,
+        options.seeds,
+        options.semantics,
+        costs,
+        options.solver,
+        human_reward(options.human_reward),
+        options.ladder,
     )
     comparison.check()
-    counts = experiment.run(comparison, options.out)
-    count_episodes(counts, next(counts), len(list(comparison.episodes())))
+    read_runs(options.out)  # refuses what cannot be read before anything is run
+    counts, wanted = experiment.run(comparison, options.out), len(list(comparison.episodes()))
+    already = next(counts)
+    if already < wanted:
+        add_run(options.out, this_run(options.command_line))
+    count_episodes(counts, already, wanted)
     records = experiment.read(comparison, options.out)
     summaries = report.summary(records)
     with replacing(options.out / "summary.csv") as path:
         summaries.to_csv(path, index=False)
     for scenario in scenarios:
         print_tables(report.table(summaries, scenario))
-        figures = {"bars": report.bars(summaries, scenario), "timeline": report.timeline(records, scenario)}
-        for name, figure in figures.items():
+        for name, figure in figures(records, summaries, scenario).items():
             with replacing(options.out / f"{scenario}_{name}.png") as path:
                 figure.savefig(path, dpi=110)
     print(f"results are in {options.out}")
@@ -229,22 +228,6 @@ def _costs(text: str) -> str | dict[str, float]:
         return {name: float(value) for name, _, value in (part.partition("=") for part in text.split(","))}
     except ValueError:
         raise ValueError(f"--costs is {text!r}; give seconds by model like naive=0.1,turn=0.2,tom=0.5") from None
-
-
-def _video(options: argparse.Namespace) -> None:
-    if not 0 < options.speed < math.inf:
-        raise ValueError(f"--speed is {options.speed}; it must be positive")
-    if options.seed < 0:
-        raise ValueError(f"--seed is {options.seed}; it must not be negative")
-    controller = options.controller or experiment.paper_controllers(options.scenario)[-1]
-    video.check_format(options.out)
-    human_reward = _human_reward(options.human_reward)
-    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory; SDL need not look for a screen
-    pictures, rate = video.frames(
-        options.scenario, controller, options.seed, semantics=options.semantics, human_reward=human_reward
-    )
-    video.write(pictures, options.out, rate * options.speed)
-    print(f"{options.out}: {len(pictures)} frames, {len(pictures) / rate / options.speed:.1f} s")
 
 
 def _bench(options: argparse.Namespace) -> None:

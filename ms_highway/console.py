@@ -1,6 +1,7 @@
 """What the commands share: how they are declared, what they print, and how they show that they are at work."""
 
 import argparse
+import os
 from collections.abc import Iterable, Iterator
 from typing import Any, TypeVar
 
@@ -8,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-__all__ = ["add_command", "count_episodes", "print_tables", "work"]
+__all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "work"]
 
 TABLE_WIDTH = 120  # characters
 
@@ -24,6 +25,11 @@ def add_command(commands: Any, name: str, summary: str, description: str, epilog
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+
+
+def draw_unseen() -> None:
+    """Let SDL look for no screen, as pictures are drawn in memory, unless the environment asks for a video driver."""
+    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 
 
 def print_tables(*tables: Table) -> None:

@@ -22,12 +22,15 @@ from ms_highway.human_models import MODELS
 from ms_highway.planner import Solver
 
 __all__ = [
+    "SETTINGS_FILE",
+    "STEPS_FILE",
     "Comparison",
     "columns",
     "episode",
     "make_environment",
     "paper_controllers",
     "read",
+    "read_settings",
     "run",
 ]
 
@@ -194,7 +197,7 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     """
     steps, settings_file = directory / STEPS_FILE, directory / SETTINGS_FILE
     settings = {**comparison.common_config(), "costs": comparison.costs}
-    known = _read_settings(settings_file) if steps.exists() else {**settings, "measured": {}}
+    known = read_settings(settings_file) if steps.exists() else {**settings, "measured": {}}
     if known != {**settings, "measured": known.get("measured")}:
         raise ValueError(f"{directory} holds results of {known}, not of {settings}; choose another directory")
     done = _whole_episodes(steps) if steps.exists() else set()
@@ -209,8 +212,12 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     return done, {scenario: known["measured"].get(scenario, comparison.costs) for scenario in comparison.controllers}
 
 
-def _read_settings(file: Path) -> dict[str, Any]:
-    """What a directory's results were run with."""
+def read_settings(file: Path) -> dict[str, Any]:
+    """What a directory's results were run with.
+
+    Raises:
+        ValueError: if the file cannot be read.
+    """
     try:
         return dict(json.loads(file.read_text()))
     except (OSError, ValueError, TypeError) as error:

@@ -16,7 +16,7 @@ from scipy import stats
 from ms_highway.envs.graphics import model_color
 from ms_highway.human_models import MODELS
 
-__all__ = ["CONFIDENCE", "bars", "color_of", "summary", "table", "timeline"]
+__all__ = ["CONFIDENCE", "bars", "cells", "color_of", "summary", "table", "timeline"]
 
 CONFIDENCE = 0.9
 SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
@@ -57,31 +57,37 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
+    """The summary of one scenario as people read it: a row per controller, and texts under the columns' headings.
+
+    Planning is told twice: as decisions count it, at T(M), and as it was measured.
+    """
+    rows = [
+        {
+            "controller": row["controller"],
+            "reward/step": f"{row['reward']:.2f}",
+            "90 % interval": f"{row['reward_low']:.2f}, {row['reward_high']:.2f}"
+            if row["episodes"] > 1
+            else "one episode",
+            "counted ms": "" if np.isnan(row["counted_ms"]) else f"{row['counted_ms']:.0f}",
+            "plan ms": f"{row['planning_ms']:.2f}",
+            "decide ms": f"{row['decision_ms']:.2f}",
+            **{f"{name} %": f"{100 * row[f'share_{name}']:.0f}" for name in MODELS if f"share_{name}" in summaries},
+            "collisions": f"{row['collision_episodes']} of {row['episodes']}",
+        }
+        for row in summaries[summaries["scenario"] == scenario].to_dict("records")
+    ]
+    return pd.DataFrame(rows)
+
+
 def table(summaries: pd.DataFrame, scenario: str) -> Table:
     """The summary of one scenario, to be printed."""
-    models = [name for name in MODELS if f"share_{name}" in summaries]
+    texts = cells(summaries, scenario)
     grid = Table(title=scenario, box=SIMPLE, title_justify="left", title_style="bold")
-    grid.add_column("controller", no_wrap=True)
-    columns = [
-        "reward/step",
-        "90 % interval",
-        "plan ms",
-        "decide ms",
-        *(f"{name} %" for name in models),
-        "collisions",
-    ]
-    for column in columns:
-        grid.add_column(column, justify="right", no_wrap=True)
-    for row in summaries[summaries["scenario"] == scenario].to_dict("records"):
-        grid.add_row(
-            row["controller"],
-            f"{row['reward']:.2f}",
-            f"{row['reward_low']:.2f}, {row['reward_high']:.2f}" if row["episodes"] > 1 else "one episode",
-            f"{row['planning_ms']:.2f}",
-            f"{row['decision_ms']:.2f}",
-            *(f"{100 * row[f'share_{name}']:.0f}" for name in models),
-            f"{row['collision_episodes']} of {row['episodes']}",
-        )
+    for column in texts:
+        grid.add_column(column, justify="left" if column == "controller" else "right", no_wrap=True)
+    for row in texts.itertuples(index=False):
+        grid.add_row(*row)
     return grid
 
 
@@ -104,7 +110,9 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
         edgecolor="black",
         hatch="///",
     )
+    right.use_sticky_edges = False  # else the foot of a last bar without height ends the axes
     right.margins(y=0.3)  # room for the legend
+    right.set_ylim(bottom=0)
     right.set(title="computation", ylabel="mean time per step [ms]")
     right.legend(
         handles=[Patch(color="grey", label="planning"), Patch(fc="white", ec="black", hatch="///", label="deciding")]

@@ -110,7 +110,7 @@ def storyboard(episode: pd.DataFrame, pictures: Sequence[UInt8[np.ndarray, "h w 
 
     Args:
         episode: see `one_episode`.
-        pictures: the frames of the same episode, see `ms_highway.video.frames`; their panels are cut off.
+        pictures: the frames of the same episode, see `ms_highway.video.film`; their panels are cut off.
         most: how many steps are shown at most; where there are more `switches`, the first two, and of the others those
             after which the model stayed longest.
     """

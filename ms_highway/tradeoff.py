@@ -71,7 +71,7 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     """
     rows = summaries[summaries["scenario"] == scenario]
     rows = rows.assign(measured_ms=rows["planning_ms"] + rows["decision_ms"])
-    figure = Figure(figsize=(12, 4.8), layout="constrained")
+    figure = Figure(figsize=(10, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, computation in ((left, "counted_ms"), (right, "measured_ms")):
         _draw(axes, rows, best_schedules(rows, scenario, computation), computation)

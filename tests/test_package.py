@@ -10,7 +10,8 @@ ROOT = Path(__file__).parents[1]
 USE = """
 import gymnasium as gym, ms_highway, pathlib
 assert "site-packages" in ms_highway.__file__, ms_highway.__file__
-assert (pathlib.Path(ms_highway.__file__).parent / "py.typed").exists()
+for name in ("py.typed", "data/report.html.jinja"):
+    assert (pathlib.Path(ms_highway.__file__).parent / name).exists(), name
 for name in ("stay-back", "merger", "give-way"):
     env = gym.make(f"ms-highway/{name}-v0", config={"controller": {"type": "fixed", "model": "naive"}})
     env.reset(seed=0)

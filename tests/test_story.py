@@ -9,7 +9,7 @@ import pytest
 from ms_highway.experiment import Comparison, read, run
 from ms_highway.human_models import MODELS, TheoryOfMind, register
 from ms_highway.story import decisions, one_episode, storyboard, switches
-from ms_highway.video import frames
+from ms_highway.video import film
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +39,7 @@ def test_decisions_are_drawn_at_the_steps_and_in_the_models_that_were_recorded(r
 
 def test_a_storyboard_shows_the_road_at_the_first_switches(records):
     episode = one_episode(records, "merger", "switching:0.01", 0)
-    pictures, _ = frames("merger", "switching:0.01", 0)
-    figure = storyboard(episode, pictures, most=3)
+    figure = storyboard(episode, film("merger", "switching:0.01", 0).pictures, most=3)
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles[:2] == ["1: step 0, naive", f"2: step {switches(episode)[1]}, tom"]
     assert len([axes for axes in figure.axes if axes.images]) == 3

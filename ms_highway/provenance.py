@@ -1,0 +1,87 @@
+"""What made a directory of results: the command, the versions, the machine and the time of every run."""
+
+import json
+import os
+import platform
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from ms_highway.files import replacing
+
+__all__ = ["PROVENANCE_FILE", "add_run", "read_runs", "this_run"]
+
+PROVENANCE_FILE = "provenance.json"
+PACKAGES = ("ms-highway", "jax", "jaxlib", "highway-env", "gymnasium", "numpy")
+KEYS = {"command": str, "time": str, "versions": dict, "machine": dict}
+
+
+def this_run(command: str) -> dict[str, Any]:
+    """What is known of this process.
+
+    Args:
+        command: the line that started it.
+
+    Returns:
+        ``command``; ``time``, UTC in ISO 8601; ``versions`` of Python and of the packages that results depend on;
+        ``machine``: ``processor``, ``cores`` that the process may use, and ``platform``.
+    """
+    return {
+        "command": command,
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+        "machine": {"processor": _processor(), "cores": _cores(), "platform": platform.platform()},
+    }
+
+
+def read_runs(directory: Path) -> list[dict[str, Any]]:
+    """What made a directory's results, the first run first; empty where nothing is recorded.
+
+    Raises:
+        ValueError: if the record cannot be read.
+    """
+    file = directory / PROVENANCE_FILE
+    if not file.exists():
+        return []
+    try:
+        runs = json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{file} cannot be read ({error}); move it away or choose another directory") from error
+    if not isinstance(runs, list) or not all(_is_run(run) for run in runs):
+        raise ValueError(f"{file} is no list of runs; move it away or choose another directory")
+    return runs
+
+
+def add_run(directory: Path, run: dict[str, Any]) -> None:
+    """Record one more run in a directory, after those that it has.
+
+    Raises:
+        ValueError: if those cannot be read.
+    """
+    runs = [*read_runs(directory), run]
+    with replacing(directory / PROVENANCE_FILE) as path:
+        path.write_text(json.dumps(runs, indent=2) + "\n")
+
+
+def _is_run(run: Any) -> bool:
+    return isinstance(run, dict) and all(isinstance(run.get(key), kind) for key, kind in KEYS.items())
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _processor() -> str:
+    """The processor's name, which Python tells on some systems only."""
+    information = Path("/proc/cpuinfo")
+    lines = information.read_text().splitlines() if information.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

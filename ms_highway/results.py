@@ -1,0 +1,92 @@
+"""A directory of results of ``ms-highway compare``, read and checked."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ms_highway import report
+from ms_highway.envs import SCENARIOS
+from ms_highway.experiment import SETTINGS_FILE, STEPS_FILE, read_settings
+from ms_highway.provenance import read_runs
+
+__all__ = ["Results", "read_results"]
+
+TEXTS, NUMBERS = (
+    ("scenario", "controller", "model"),
+    ("seed", "step", "reward", "planning_seconds", "decision_seconds"),
+)
+NEEDED = {*TEXTS, *NUMBERS, "collision"}  # never empty
+REMEDY = "name a directory that `ms-highway compare` wrote"
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a comparison has found.
+
+    Attributes:
+        directory: where it lies.
+        records: a row per step.
+        summaries: a row per scenario and controller, see `ms_highway.report.summary`.
+        settings: what the environments had in common, and T(M), see `ms_highway.experiment.read_settings`.
+        runs: what made it, see `ms_highway.provenance.this_run`; empty if that is not known.
+    """
+
+    directory: Path
+    records: pd.DataFrame
+    summaries: pd.DataFrame
+    settings: dict[str, Any]
+    runs: list[dict[str, Any]]
+
+    @property
+    def scenarios(self) -> list[str]:
+        """Names of the scenarios, in the order of the records."""
+        return list(dict.fromkeys(self.summaries["scenario"]))
+
+    def config(self, scenario: str) -> dict[str, Any]:
+        """The configuration that a scenario's environment had, but for the controller."""
+        common = {key: value for key, value in self.settings.items() if key not in ("costs", "measured")}
+        return {**common, "costs": self.settings.get("measured", {}).get(scenario, self.settings["costs"])}
+
+
+def read_results(directory: Path) -> Results:
+    """Read a directory of results.
+
+    Raises:
+        ValueError: if there is none, it lacks a file, or a file cannot be read or was left unfinished.
+    """
+    if not directory.is_dir():
+        raise ValueError(f"there is no directory {directory}; {REMEDY}")
+    for name in (STEPS_FILE, SETTINGS_FILE):
+        if not (directory / name).is_file():
+            raise ValueError(f"{directory} has no {name}; {REMEDY}")
+    settings = read_settings(directory / SETTINGS_FILE)
+    missing = {"semantics", "costs"} - settings.keys()
+    if missing or not isinstance(settings.get("measured", {}), dict):
+        raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
+    records = _read_records(directory / STEPS_FILE)
+    return Results(directory, records, report.summary(records), settings, read_runs(directory))
+
+
+def _read_records(file: Path) -> pd.DataFrame:
+    try:
+        records = pd.read_csv(file)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{file} cannot be read ({str(error).strip()}); {REMEDY}") from error
+    missing = sorted({*NEEDED, "counted_seconds"} - set(records))
+    if missing:
+        raise ValueError(f"{file} has no column {', '.join(missing)}; {REMEDY}")
+    if records.empty:
+        raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
+    for name in NUMBERS:
+        if not pd.api.types.is_numeric_dtype(records[name]):
+            raise ValueError(f"{file} has texts where numbers belong, in column {name}; {REMEDY}")
+    for scenario in records["scenario"].unique():
+        if scenario not in SCENARIOS:
+            raise ValueError(f"{file} holds scenario {scenario!r}; the scenarios are {', '.join(SCENARIOS)}")
+    lengths = records.dropna(subset=list(NEEDED)).groupby(["scenario", "controller", "seed"]).size()
+    whole = [length == SCENARIOS[scenario].steps for (scenario, *_), length in lengths.items()]
+    if not all(whole) or lengths.sum() != len(records):
+        raise ValueError(f"{file} holds an unfinished episode; run the same `ms-highway compare` again, which goes on")
+    return records
