@@ -4,9 +4,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ms_highway.report import bars, timeline
-from ms_highway.tradeoff import curve
+from ms_highway.story import decisions, one_episode
+from ms_highway.tradeoff import SWITCHING, curve, shares
 
 __all__ = ["CAPTIONS", "figures"]
+
+EPISODES = 2  # whose decisions are drawn
 
 CAPTIONS = {
     "bars": "Reward and time per step of each controller. Whiskers are the 90 % intervals of the mean over episodes; "
@@ -15,14 +18,31 @@ CAPTIONS = {
     "of every episode of the controllers that switch.",
     "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
     "and deciding as measured. Switching is labelled by lambda; a dashed line joins the best fixed orders of models.",
+    "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model, before the step "
+    "that it is drawn at; one above zero is taken. Below, the reward. The background is the model in use.",
 }
 """What the figures of `figures` show."""
 
 
 def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Figure]:
     """All figures of a scenario, by the names that `CAPTIONS` explains."""
-    return {
+    drawn = {
         "bars": bars(summaries, scenario),
         "timeline": timeline(records, scenario),
         "curve": curve(summaries, scenario),
     }
+    deciding = [name for name in _controllers(summaries, scenario) if name.startswith(SWITCHING)][:EPISODES]
+    if not deciding:
+        return drawn
+    seed = int(records.loc[records["scenario"] == scenario, "seed"].min())
+    try:
+        dearest = shares(summaries, scenario).attrs["reference"]
+        reference = one_episode(records, scenario, dearest, seed)
+    except ValueError:  # no fixed model was compared, or not in this episode
+        reference = None
+    episodes = [one_episode(records, scenario, name, seed) for name in deciding]
+    return {**drawn, "decisions": decisions(episodes, reference)}
+
+
+def _controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
+    return list(summaries.loc[summaries["scenario"] == scenario, "controller"])

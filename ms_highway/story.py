@@ -51,7 +51,7 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
         episodes: of switching controllers, see `one_episode`.
         reference: an episode from the same start, whose reward is drawn beside.
     """
-    figure = Figure(figsize=(6.2 * len(episodes), 5.6), layout="constrained")
+    figure = Figure(figsize=(10, 5), layout="constrained")
     panels = figure.subplots(2, len(episodes), sharex=True, sharey="row", squeeze=False, height_ratios=[1.2, 1])
     for (upper, lower), episode in zip(panels.T, episodes, strict=True):
         first = episode.iloc[0]

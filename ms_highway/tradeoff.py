@@ -8,7 +8,7 @@ from matplotlib.ticker import PercentFormatter
 from ms_highway.human_models import MODELS
 from ms_highway.report import color_of
 
-__all__ = ["best_schedules", "curve", "shares"]
+__all__ = ["SWITCHING", "best_schedules", "curve", "shares"]
 
 SWITCHING, SCHEDULE = "switching:", "schedule:"
 SWITCHING_COLOR, SCHEDULE_COLOR = "#1b1f27", "#8a93a5"

@@ -158,6 +158,7 @@ def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(arguments, messa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("suffix", ["mp4", "gif"])
 def test_a_video_plays_at_true_speed(suffix, tmp_path, capsys):
     film = tmp_path / "films" / f"stay_back.{suffix}"
     assert main(["video", "stay_back", "--controller", "naive", "--seed", "1", "--out", str(film)]) == 0
@@ -165,6 +166,29 @@ def test_a_video_plays_at_true_speed(suffix, tmp_path, capsys):
     seconds = imageio.immeta(film, plugin="pyav")["duration"]
     assert seconds == pytest.approx(3.5, abs=0.11)
     assert [path.name for path in film.parent.iterdir()] == [film.name]
+
+
+MODULE = """
+from dataclasses import replace
+from ms_highway.envs import StayBackEnv, add_scenario
+
+class EmptyEnv(StayBackEnv):
+    scenario = replace(StayBackEnv.scenario, name="empty", cones=())
+
+add_scenario(EmptyEnv)
+"""
+
+
+def test_a_command_knows_the_scenarios_of_a_module_that_it_imports(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "my_scenarios.py").write_text(MODULE)
+    arguments = ["compare", "empty", "--controllers", "naive", "--seeds", "1", "--out", "results"]
+    try:
+        assert main(["--import", "my_scenarios", *arguments]) == 0
+    finally:
+        del ENVIRONMENTS["empty"], SCENARIOS["empty"]
+    assert pd.read_csv("results/summary.csv")["reward"].item() > 2  # nothing stands in the way
 
 
 IRL_COMMANDS = [["irl", name] for name in ("record", "fit", "evaluate", "recover", "report")]

@@ -101,7 +101,7 @@ def test_the_page_holds_tables_figures_and_a_video_of_both_controllers(html, com
     for image in page.all("img"):
         assert imageio.imread(content(image["src"], "image/png")).std() > 10
         assert len(image["alt"]) > 40
-    assert len(page.all("img")) == 3
+    assert len(page.all("img")) == 4
     (film,) = page.all("video")
     assert "naive above, switching:0.4 below" in film["aria-label"]
     frames = imageio.imread(content(film["src"], "video/mp4"), plugin="pyav", extension=".mp4")
@@ -150,7 +150,7 @@ def test_a_browser_shows_every_picture_and_the_video_without_loading_anything(ht
         check=True,
     )
     seen = json.loads(run.stdout.partition("<title>seen ")[2].partition("</title>")[0])
-    assert seen == {"images": [1600] * 3, "films": [[960, 3.5]], "fits": True, "loaded": []}
+    assert seen == {"images": [1600] * 4, "films": [[960, 3.5]], "fits": True, "loaded": []}
     assert "CONSOLE" not in run.stderr
 
 
@@ -159,7 +159,7 @@ def test_without_videos_the_page_is_small_and_goes_where_it_is_told(compared, tm
     assert main(["report", str(compared), "--no-videos", "--out", str(out)]) == 0
     page = Page(out.read_text())
     assert not page.all("video")
-    assert len(page.all("img")) == 3
+    assert len(page.all("img")) == 4
     assert [path.name for path in out.parent.iterdir()] == [out.name]
 
 
