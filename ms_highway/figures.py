@@ -18,8 +18,8 @@ CAPTIONS = {
     "of every episode of the controllers that switch.",
     "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
     "and deciding as measured. Switching is labelled by lambda; a dashed line joins the best fixed orders of models.",
-    "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model, before the step "
-    "that it is drawn at; one above zero is taken. Below, the reward. The background is the model in use.",
+    "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model, before the "
+    "step that it is drawn at; one above zero is taken. Below, the reward. The background is the model in use.",
 }
 """What the figures of `figures` show."""
 
