@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from rich.box import SIMPLE
 from rich.table import Table
 
-from ms_highway.envs.graphics import MODEL_COLORS, MODEL_MEANINGS
+from ms_highway.envs.graphics import CONE, FAINT, MODEL_COLORS, MODEL_MEANINGS
 from ms_highway.foresight import Foresight
 from ms_highway.road_figure import car_outline, draw_road
 from ms_highway.scene import Scene
@@ -36,9 +36,8 @@ def foresight_figure(foresights: Sequence[Foresight], scene: Scene) -> Figure:
         scene: where.
     """
     lanes, width = np.unique(np.asarray(scene.lanes, dtype=float)), float(scene.lane_width)
-    size = np.asarray(scene.car_size, dtype=float)
     everyone = [_alongside(one, states) for one in foresights for states in (one.expected, one.actual)]
-    reach = size[0] / 2 + BEFORE
+    reach = float(np.asarray(scene.car_size)[0]) / 2 + BEFORE
     near = np.concatenate([states[:, :2, 0].ravel() for states in everyone])
     stretch = float(near.min() - reach), float(near.max() + reach)
     across = np.ptp(lanes) + 2 * width
@@ -47,7 +46,7 @@ def foresight_figure(foresights: Sequence[Foresight], scene: Scene) -> Figure:
     panels = np.atleast_1d(figure.subplots(1, len(foresights), sharey=True))
     for axes, one in zip(panels, foresights, strict=True):
         draw_road(axes, lanes, width, stretch)
-        _draw(axes, one, size)
+        _draw(axes, one, scene)
         axes.set_title(f"{one.model}: {MODEL_MEANINGS.get(one.model, '')}", loc="left", fontsize="medium")
     panels[0].set_ylabel("to the right [m]")
     speed = foresights[0].actual[0, 1, 3]
@@ -92,10 +91,14 @@ def _alongside(one: Foresight, states: Float[np.ndarray, "times cars 4"]) -> Flo
     return states - gone[:, None, None] * [1.0, 0.0, 0.0, 0.0]
 
 
-def _draw(axes: Axes, one: Foresight, size: Float[np.ndarray, "2"]) -> None:
+def _draw(axes: Axes, one: Foresight, scene: Scene) -> None:
     """One model's panel."""
-    color = _color(one.model)
+    color, size = _paint(MODEL_COLORS.get(one.model, FAINT)), np.asarray(scene.car_size, dtype=float)
     expected, actual = _alongside(one, one.expected), _alongside(one, one.actual)
+    for place in np.asarray(scene.obstacles, dtype=float):
+        still = np.tile([*place, 0.0, 0.0], (len(actual), 1, 1))
+        cone = _alongside(one, still)[-1, 0]
+        axes.add_patch(car_outline(cone, np.asarray(scene.obstacle_size), facecolor=_paint(CONE), zorder=2))
     for car in actual[-1, 2:]:
         axes.add_patch(car_outline(car, size, facecolor="#d9dce2", edgecolor=OTHERS, zorder=2))
     for car in actual[0, :2]:
@@ -127,6 +130,6 @@ def _key() -> list[Any]:
     ]
 
 
-def _color(model: str) -> Any:
-    """A model's colour, as Matplotlib takes it."""
-    return tuple(channel / 255 for channel in MODEL_COLORS.get(model, (125, 130, 140)))
+def _paint(color: tuple[int, int, int]) -> Any:
+    """A colour of the environments' pictures, as Matplotlib takes it."""
+    return tuple(channel / 255 for channel in color)

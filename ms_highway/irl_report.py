@@ -25,6 +25,7 @@ __all__ = [
     "errors_figure",
     "evaluation_table",
     "examples",
+    "learnt_table",
     "likelihood_figure",
     "load_evaluation",
     "paths_figure",
@@ -279,6 +280,24 @@ def counts_figure(learnt: LearntReward) -> Figure:
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside upper center", ncols=2, frameon=False)
     return figure
+
+
+def learnt_table(learnt: LearntReward, true: Mapping[str, float] | None = None) -> Table:
+    """A learnt reward, with the 90 % intervals of its weights.
+
+    Args:
+        learnt: the reward.
+        true: the weights that the drivers had, by name, for a column of their own where they are known.
+    """
+    grid = Table(box=SIMPLE, title=f"learnt from {learnt.windows} windows", title_justify="left")
+    grid.add_column("weight", no_wrap=True)
+    for column in ("value", "90 % interval", *(["true"] if true else [])):
+        grid.add_column(column, justify="right", no_wrap=True)
+    for name, value in learnt.weights.items():
+        interval = "{:.3g}, {:.3g}".format(*learnt.interval(name)) if name in learnt.learnt else "given"
+        grid.add_row(name, f"{value:.4g}", interval, *([f"{true[name]:g}" if name in true else ""] if true else []))
+    grid.add_row("temperature", f"{learnt.temperature:.3g}", "")
+    return grid
 
 
 def recovery_table(rows: pd.DataFrame) -> Table:
