@@ -109,8 +109,8 @@ def _draw(axes: Axes, one: Foresight, scene: Scene) -> None:
     )
     axes.add_patch(car_outline(actual[-1, 0], size, facecolor="#dcefe1", edgecolor=color, linewidth=2, zorder=3))
     axes.plot(*actual[:, 0, :2].T, "o-", color=color, linewidth=2, markersize=4, zorder=5)
-    axes.plot(*actual[:, 1, :2].T, "D-", color=HUMAN, linewidth=1, markersize=4, zorder=5)
-    axes.plot(*expected[:, 1, :2].T, "o", color=color, markersize=5, markeredgecolor="white", zorder=6)
+    axes.plot(*actual[:, 1, :2].T, "D-", color=HUMAN, linewidth=1, markersize=3, zorder=5)
+    axes.plot(*expected[:, 1, :2].T, "o", color=color, markersize=4.5, markeredgecolor="white", zorder=6)
     for name, (x, y, heading, _) in zip(("robot", "human"), actual[-1], strict=False):
         back = 0.45 * size[0]
         place = x - back * np.cos(heading), y - back * np.sin(heading)
