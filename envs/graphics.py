@@ -15,12 +15,12 @@ from ms_highway.dynamics import step
 from ms_highway.human_models import MODELS
 
 __all__ = [
-    "FAINT",
     "INK",
     "MARGIN",
     "MODEL_COLORS",
     "MODEL_MEANINGS",
     "PAPER",
+    "Color",
     "InteractionViewer",
     "Viewer",
     "check_display",
@@ -153,8 +153,9 @@ class InteractionViewer(Viewer):
             return
         self._now(history[-1], top + 12)
         chart = pygame.Rect(TEXT_WIDTH, top + 24, width - TEXT_WIDTH - MARGIN, 46)
-        self._chart("planning time per step, coloured by model", chart)
-        self._bars(chart)
+        if any(record["model"] for record in history):
+            self._chart("planning time per step, coloured by model", chart)
+            self._bars(chart)
         chart = chart.move(0, 70)
         self._chart("reward per step", chart)
         self._curve(chart)

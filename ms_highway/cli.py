@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.command_line = shlex.join(["ms-highway", *given])
     low_latency()
     try:
-        if not (options.no_compilation_cache or os.environ.get("JAX_COMPILATION_CACHE_DIR")):
+        if not options.no_compilation_cache:
             _keep_compilations()
         _import(options.modules)
         options.run(options)

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from rich.box import SIMPLE
-from rich.table import Table
 
 from ms_highway import commonroad, demonstrations, irl_report
 from ms_highway.console import add_command, count_episodes, print_tables, work
@@ -21,7 +19,7 @@ from ms_highway.files import replacing
 from ms_highway.irl_model import Model
 from ms_highway.learning import COMFORT_GIVEN, REAL, SIMULATED, learn
 from ms_highway.learnt import SHIPPED, LearntReward, load, save, shipped
-from ms_highway.prediction import Cases, Others, cases_of, constant_velocity, drive, idm
+from ms_highway.prediction import Cases, Others, cases_of, predictions
 from ms_highway.recording import Recording
 from ms_highway.recovery import recover
 from ms_highway.reward import COMFORT
@@ -194,14 +192,7 @@ def _fit(options: argparse.Namespace) -> None:
     learnt = work(learn(recordings, _model(options, recordings), _horizon(options), source))
     assert isinstance(learnt, LearntReward)
     save(learnt, options.out)
-    grid = Table(box=SIMPLE, title=f"learnt from {learnt.windows} windows", title_justify="left")
-    for column in ("weight", "value", "90 % interval"):
-        grid.add_column(column, justify="left" if column == "weight" else "right")
-    for name, value in learnt.weights.items():
-        interval = "{:.3g}, {:.3g}".format(*learnt.interval(name)) if name in learnt.learnt else "given"
-        grid.add_row(name, f"{value:.4g}", interval)
-    grid.add_row("temperature", f"{learnt.temperature:.3g}", "")
-    print_tables(grid)
+    print_tables(irl_report.learnt_table(learnt))
     likely = learnt.log_likelihood
     held_out = "" if likely["held_out"] is None else f", {likely['held_out']:.3f} on those held out"
     print(f"log-likelihood per window: {likely['train']:.3f}{held_out}")
@@ -340,12 +331,7 @@ def _drive_examples(
     chosen = irl_report.examples(cases)
     cases = cases.of(np.array(list(chosen.values())))
     yield f"driving {len(cases)} examples"
-    paths = {
-        "model": drive(cases, learnt.sharp_weights, learnt.horizon),
-        "constant_velocity": constant_velocity(cases),
-        "idm": idm(cases),
-    }
-    yield cases, list(chosen), paths
+    yield cases, list(chosen), predictions(cases, learnt.sharp_weights, learnt.horizon)
 
 
 def _save_figures(figures: dict[str, Figure], directory: Path) -> None:

@@ -24,12 +24,16 @@ DISTINCT_LANES = 1.0  # m; chains of lanelets that are closer are one lane
 COMPRESSED = ".xml.gz"
 
 
-def read_directory(directory: Path) -> list[Recording]:
-    """All CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
+def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
+    """The CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
 
     Every moving obstacle is a driver, except those that were seen once only or go against the road. Files of one
     recording, such as ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``, form a group and may show the same tracks: a
     track is among the drivers of the first file that shows it, and still there, as a neighbour, in the others.
+
+    Args:
+        directory: where.
+        first: how many files to read; all without.
 
     Raises:
         ValueError: if there is nothing to read, or a file is no scenario with lanes, drivers and the time step 0.1 s.
@@ -41,7 +45,7 @@ def read_directory(directory: Path) -> list[Recording]:
     if not paths:
         raise ValueError(f"{directory} holds no CommonRoad scenarios, files *.xml or *.xml.gz")
     counted: set[tuple] = set()
-    return [_convert(_open(path), path, counted) for path in paths]
+    return [_convert(_open(path), path, counted) for path in paths[:first]]
 
 
 def _open(path: Path) -> Any:

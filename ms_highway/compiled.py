@@ -248,10 +248,12 @@ def keep_compilations(directory: Path | None = None) -> Path:
     """Keep compiled functions in a directory of the user's, for later runs; returns it.
 
     Args:
-        directory: where; ``ms_highway`` in the user's cache directory without.
+        directory: where; without, what the environment variable ``JAX_COMPILATION_CACHE_DIR`` names, or else
+            ``ms_highway/compiled`` in the user's cache directory.
     """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    directory = directory or home / "ms_highway" / "compiled"
+    chosen, cache = os.environ.get("JAX_COMPILATION_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")
+    home = Path(cache) if cache else Path.home() / ".cache"
+    directory = directory or (Path(chosen) if chosen else home / "ms_highway" / "compiled")
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)

@@ -11,19 +11,21 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patches import Patch
 from matplotlib.ticker import LogFormatter, NullFormatter, NullLocator, PercentFormatter, StrMethodFormatter
 from rich.box import SIMPLE
 from rich.table import Table
 
 from ms_highway.learnt import LearntReward
 from ms_highway.prediction import HORIZONS, MISS, STEPS, Cases, constant_velocity
+from ms_highway.road_figure import car_outline, draw_road
 
 __all__ = [
     "counts_figure",
     "errors_figure",
     "evaluation_table",
     "examples",
+    "learnt_table",
     "likelihood_figure",
     "load_evaluation",
     "paths_figure",
@@ -211,36 +213,23 @@ def _map(
     lanes, width = np.unique(cases.scenes.lanes[number]), float(np.asarray(cases.scenes.lane_width)[number])
     car, track = np.asarray(cases.scenes.car_size[number]), np.asarray(cases.recorded)[number]
     origin, (low, high) = track[0, 0], stretch
-    axes.axhspan(lanes[0] - width / 2, lanes[-1] + width / 2, color="#f1f2f4", zorder=0)
-    for edge in (lanes[0] - width / 2, lanes[-1] + width / 2):
-        axes.axhline(edge, color="#555b66", linewidth=1.2, zorder=1)
-    for edge in (lanes[1:] + lanes[:-1]) / 2:
-        axes.axhline(edge, color="#b4b9c2", linewidth=0.8, linestyle=(0, (8, 8)), zorder=1)
+    draw_road(axes, lanes, width, stretch)
     for other in np.flatnonzero(cases.present[number, 0]):
         there = cases.others[number, cases.present[number, :, other], other]
         if low - 5 < there[0, 0] - origin < high + 5:
             axes.plot(there[:, 0] - origin, there[:, 1], color="#c4c9d1", linewidth=1, zorder=2)
-            axes.add_patch(_body(there[0] - [origin, 0, 0, 0], car, facecolor="#d9dce2", edgecolor="#8a93a5", zorder=3))
+            axes.add_patch(
+                car_outline(there[0] - [origin, 0, 0, 0], car, facecolor="#d9dce2", edgecolor="#8a93a5", zorder=3)
+            )
     axes.add_patch(
-        _body(track[0] - [origin, 0, 0, 0], car, facecolor="#ffffff", edgecolor=RECORDED, linewidth=1.4, zorder=3)
+        car_outline(track[0] - [origin, 0, 0, 0], car, facecolor="#ffffff", edgecolor=RECORDED, linewidth=1.4, zorder=3)
     )
     drawn = {"recorded": track[1:, :2], **paths}
     for order, (name, path) in enumerate(drawn.items()):
         color, marker = PREDICTORS[name][1:] if name in PREDICTORS else (RECORDED, "D")
         line = np.concatenate([track[:1, :2], path]) - [origin, 0.0]
         axes.plot(*line.T, color=color, linewidth=1.3, marker=marker, markersize=4, markevery=10, zorder=4 + order)
-    axes.set(xlim=(low, high), ylim=(lanes[-1] + width, lanes[0] - width), ylabel="to the\nright [m]")
-    axes.set_aspect("equal", adjustable="box")
-    axes.set_yticks(lanes, [f"{round(y, 1) + 0.0:.1f}" for y in lanes], fontsize="x-small")
-
-
-def _body(state: Float[np.ndarray, "4"], size: Float[np.ndarray, "2"], **style: Any) -> Polygon:
-    """A car's outline."""
-    x, y, heading, _ = map(float, state)
-    ahead = np.array([np.cos(heading), np.sin(heading)]) * size[0] / 2
-    right = np.array([-np.sin(heading), np.cos(heading)]) * size[1] / 2
-    corners = [ahead + right, ahead - right, -ahead - right, -ahead + right]
-    return Polygon(np.array([x, y]) + np.array(corners), closed=True, **style)
+    axes.set_ylabel("to the\nright [m]")
 
 
 def errors_figure(evaluation: Mapping[str, Any]) -> Figure:
@@ -293,6 +282,24 @@ def counts_figure(learnt: LearntReward) -> Figure:
     return figure
 
 
+def learnt_table(learnt: LearntReward, true: Mapping[str, float] | None = None) -> Table:
+    """A learnt reward, with the 90 % intervals of its weights.
+
+    Args:
+        learnt: the reward.
+        true: the weights that the drivers had, by name, for a column of their own where they are known.
+    """
+    grid = Table(box=SIMPLE, title=f"learnt from {learnt.windows} windows", title_justify="left")
+    grid.add_column("weight", no_wrap=True)
+    for column in ("value", "90 % interval", *(["true"] if true else [])):
+        grid.add_column(column, justify="right", no_wrap=True)
+    for name, value in learnt.weights.items():
+        interval = "{:.3g}, {:.3g}".format(*learnt.interval(name)) if name in learnt.learnt else "given"
+        grid.add_row(name, f"{value:.4g}", interval, *([f"{true[name]:g}" if name in true else ""] if true else []))
+    grid.add_row("temperature", f"{learnt.temperature:.3g}", "")
+    return grid
+
+
 def recovery_table(rows: pd.DataFrame) -> Table:
     """Learnt over true weights, and what they are worth on held-out demonstrations; brackets: not identifiable."""
     weights = list(dict.fromkeys(rows["weight"]))
@@ -332,7 +339,7 @@ def evaluation_table(evaluation: Mapping[str, Any]) -> Table:
 
 def situations_table(evaluation: Mapping[str, Any]) -> Table:
     """Errors of prediction by what drivers were doing."""
-    grid = Table(title="mean error after 3 s [m]", box=SIMPLE, title_justify="left", title_style="bold")
+    grid = Table(title="mean error after 3 s, m", box=SIMPLE, title_justify="left", title_style="bold")
     grid.add_column("what drivers did", no_wrap=True)
     for column in ("windows", *(label for label, *_ in PREDICTORS.values())):
         grid.add_column(column, justify="right", no_wrap=True)

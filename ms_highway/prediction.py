@@ -44,6 +44,7 @@ __all__ = [
     "gaussian",
     "idm",
     "idm_controls",
+    "predictions",
 ]
 
 Others: TypeAlias = Literal["recorded", "coasting"]
@@ -186,6 +187,12 @@ def idm(cases: Cases) -> Float[np.ndarray, "n 50 2"]:
             for case in single
         ]
     )[..., :2]
+
+
+def predictions(cases: Cases, weights: Mapping[str, float], horizon: int) -> dict[str, Float[np.ndarray, "n 50 2"]]:
+    """Where all predictors get: ``model``, see `drive` also for the arguments, ``constant_velocity`` and ``idm``."""
+    paths = {"model": drive(cases, weights, horizon), "constant_velocity": constant_velocity(cases)}
+    return {**paths, "idm": idm(cases)}
 
 
 def _idm(

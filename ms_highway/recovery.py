@@ -11,6 +11,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 from scipy import optimize
 
+from ms_highway.compiled import QUICKLY
 from ms_highway.demonstrators import DRIVER_WEIGHTS, optimal
 from ms_highway.dynamics import keep_velocity, observe
 from ms_highway.game import Game
@@ -121,7 +122,7 @@ def _planning(windows: Windows) -> Callable[[Mapping[str, float]], Float[np.ndar
     ahead = windows.start[:, :1] * [1.0, 0.0, 0.0, 0.0]  # in coordinates that begin at the driver, as for them
     near = replace(windows, start=windows.start - ahead, others=windows.others - ahead[:, None, None])
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=QUICKLY)
     def plan(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
         def best(window: Window) -> Float[jax.Array, "K 2"]:
             here = at_window(game, window)

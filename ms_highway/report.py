@@ -13,10 +13,10 @@ from rich.box import SIMPLE
 from rich.table import Table
 from scipy import stats
 
-from ms_highway.envs.graphics import model_color
+from ms_highway.colors import color_of
 from ms_highway.human_models import MODELS
 
-__all__ = ["CONFIDENCE", "bars", "cells", "color_of", "summary", "table", "timeline"]
+__all__ = ["CONFIDENCE", "bars", "cells", "summary", "table", "timeline"]
 
 CONFIDENCE = 0.9
 SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
@@ -180,8 +180,3 @@ def _colors(controllers: Sequence[str]) -> list[str]:
     """A model's own colour for a fixed model, greys for switching."""
     greys = iter(SWITCHING_COLORS * len(controllers))
     return [color_of(name) if name in MODELS else next(greys) for name in controllers]
-
-
-def color_of(model: str) -> str:
-    """The colour of a human model in figures, as it is in videos."""
-    return "#{:02x}{:02x}{:02x}".format(*model_color(model))

@@ -11,9 +11,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator, StrMethodFormatter
 
+from ms_highway.colors import color_of
 from ms_highway.envs.graphics import PANEL_HEIGHT
 from ms_highway.human_models import MODELS
-from ms_highway.report import color_of
 
 __all__ = ["decisions", "one_episode", "storyboard", "switches"]
 

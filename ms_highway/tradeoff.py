@@ -5,8 +5,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+from ms_highway.colors import color_of
 from ms_highway.human_models import MODELS
-from ms_highway.report import color_of
 
 __all__ = ["SWITCHING", "best_schedules", "curve", "shares"]
 

@@ -229,6 +229,15 @@ def constant_velocity_errors(recordings: list[Recording], seconds: int) -> list[
     return errors
 
 
+def test_the_first_files_are_read_where_that_is_asked_for(tmp_path: Path) -> None:
+    for name in ("b", "a", "c"):
+        (tmp_path / f"{name}.xml").write_text(scenario())
+    (tmp_path / "c.xml").write_text("never looked at")
+    assert len(read_directory(tmp_path, 2)) == 2
+    with pytest.raises(ValueError, match=r"c\.xml is no CommonRoad scenario"):
+        read_directory(tmp_path, 3)
+
+
 def test_a_us101_file_under_another_name_adds_no_drivers(us101_directory: Path, tmp_path: Path) -> None:
     source = us101_directory / "USA_US101-29_1_T-1.xml.gz"
     for name in ("first.xml.gz", "second.xml.gz"):

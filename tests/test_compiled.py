@@ -3,12 +3,13 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.compiled import decide_function, in_one_kernel, observation, pack, packed_memory
+from ms_highway.compiled import decide_function, in_one_kernel, keep_compilations, observation, pack, packed_memory
 from ms_highway.dynamics import keep_velocity, step
 from ms_highway.human_models import MODELS, ladder
 from ms_highway.reward import reward
@@ -107,3 +108,17 @@ def test_a_compiled_decision_is_the_decision_about_what_was_observed(played):
         *remembered, up, down = np.asarray(decide_function(layout)(observed, numbers))
         np.testing.assert_array_equal(remembered, packed_memory(Memory(*expected.memory)))
         np.testing.assert_allclose([up, down], [expected.gain_up, expected.gain_down], rtol=1e-2, atol=1e-3)
+
+
+def test_compilations_are_kept_where_the_environment_says(tmp_path, monkeypatch):
+    names = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
+    before = {name: getattr(jax.config, name) for name in names}
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    try:
+        assert keep_compilations() == Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
+        monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+        assert keep_compilations() == tmp_path / "cache" / "ms_highway" / "compiled"
+        assert keep_compilations(tmp_path / "own") == tmp_path / "own"
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
 import pytest
 
 from ms_highway.cli import main
 from ms_highway.compiled import low_latency
-from ms_highway.envs.graphics import CONE, MODEL_COLORS
+from ms_highway.envs.graphics import CONE, MODEL_COLORS, PANEL_HEIGHT, PAPER, TEXT_WIDTH
 from ms_highway.experiment import make_environment
 from ms_highway.side_by_side import HEADING_HEIGHT, side_by_side
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
@@ -50,6 +51,14 @@ def test_a_frame_shows_cars_plan_and_model_in_their_colours(driver, monkeypatch)
         assert pixels(frame, color) > 500
     assert pixels(frame, MODEL_COLORS["turn"]) > 2000
     assert pixels(frame, MODEL_COLORS["tom"]) == 0
+
+
+def test_no_planning_time_is_charted_where_an_agent_drives():
+    env = gym.make("ms-highway/merger-v0", render_mode="rgb_array", config={"action": {"type": "ContinuousAction"}})
+    env.reset(seed=0)
+    env.step([0.0, 0.0])
+    chart = env.render()[-PANEL_HEIGHT:-90, TEXT_WIDTH:]
+    assert (chart == PAPER).all()
 
 
 def test_cones_stand_on_the_road_of_stay_back():
