@@ -21,7 +21,17 @@ __all__ = [
     "GiveWayEnv",
     "MergerEnv",
     "StayBackEnv",
+    "actions",
+    "base",
+    "configuration",
+    "demonstration",
     "environment_id",
+    "give_way",
+    "graphics",
+    "merger",
+    "observations",
+    "stage",
+    "stay_back",
 ]
 
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {

@@ -184,8 +184,8 @@ def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
     """Where the slope of a reward at the driver's controls can tell what the driver is after.
 
     It cannot where a control is at its limit, as what holds the driver back there is no reward; nor where the car is
-    off the road and points along it: there `off_road` has a kink, as another corner becomes the outermost, and whoever
-    slides along the edge stays at the kink whatever the weight is.
+    off the road and points along it: there ``off_road`` has a kink, as another corner becomes the outermost, and
+    whoever slides along the edge stays at the kink whatever the weight is.
     """
     off_road, slant = in_batches(partial(_edge, template(windows, {})), windows)
     at_kink = (off_road & (slant < KINK)).any(axis=1)
