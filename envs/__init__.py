@@ -22,8 +22,18 @@ __all__ = [
     "GiveWayEnv",
     "MergerEnv",
     "StayBackEnv",
+    "actions",
     "add_scenario",
+    "base",
+    "configuration",
+    "demonstration",
     "environment_id",
+    "give_way",
+    "graphics",
+    "merger",
+    "observations",
+    "stage",
+    "stay_back",
 ]
 
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {

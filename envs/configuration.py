@@ -90,7 +90,7 @@ def _schedule(text: str, parts: str) -> list[str]:
 
 
 def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The configuration of an `InteractionEnv`: the defaults with the changes made, checked.
+    """The configuration of an `ms_highway.envs.base.InteractionEnv`: the defaults with the changes made, checked.
 
     Raises:
         ValueError: naming the key, the value and the remedy, for anything unknown or impossible.

@@ -66,7 +66,7 @@ class Viewer(EnvViewer):
 
 
 class InteractionViewer(Viewer):
-    """Draws an `InteractionEnv` on a surface of ``screen_width`` x ``screen_height``."""
+    """Draws an `ms_highway.envs.base.InteractionEnv` on a surface of ``screen_width`` x ``screen_height``."""
 
     def window_position(self) -> Float[np.ndarray, "2"]:
         """The view follows the robot along the road and keeps the road in place."""

@@ -8,7 +8,7 @@ import numpy as np
 
 __all__ = ["BATCH", "in_batches"]
 
-BATCH = 128  # items; more are hardly faster, and fewer are computed in vain
+BATCH = 32  # items; more are hardly faster, and fewer are computed in vain
 
 
 def in_batches(function: Callable[[Any], Any], items: Any) -> Any:

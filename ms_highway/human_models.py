@@ -70,9 +70,11 @@ class Naive:
     responds: ClassVar[bool] = False
 
     def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+        """The controls that keep the human's speed and heading."""
         return constant_velocity(game, state[1])
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+        """The robot's best controls against that prediction."""
         return _plan_against(game, state, self.predict(game, state), start)
 
 
@@ -84,9 +86,11 @@ class Turn:
     responds: ClassVar[bool] = False
 
     def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+        """The human's plan against a robot that keeps its velocity."""
         return Naive().plan(*swap(game, state), start and JointPlan(start.human, start.robot)).robot
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+        """The robot's best controls against that prediction."""
         return _plan_against(game, state, self.predict(game, state, start), start)
 
 
@@ -104,9 +108,11 @@ class TheoryOfMind:
     responds: ClassVar[bool] = True
 
     def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+        """The human's side of the joint plan."""
         return self.plan(game, state, start).human
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+        """The robot's and the human's controls after their joint ascent."""
         mirrored, mirrored_state = swap(game, state)
 
         def direction(plan: JointPlan) -> JointPlan:

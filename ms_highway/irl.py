@@ -17,7 +17,7 @@ g and H are linear in theta: the features' derivatives are worked out once, and 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -27,6 +27,7 @@ from jaxtyping import Float
 from scipy import optimize
 
 from ms_highway.batches import in_batches
+from ms_highway.compiled import QUICKLY
 from ms_highway.derivatives import slope_and_bend
 from ms_highway.dynamics import Array
 from ms_highway.game import Game, move
@@ -107,8 +108,12 @@ def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
     Raises:
         ValueError: if they are not finite somewhere.
     """
-    found = in_batches(partial(_slopes, template(windows, {}), names), windows)
-    slopes = Slopes(*(part.astype(np.float64) for part in found))
+    game, places = template(windows, {}), np.array([(*FEATURES, *COMFORT).index(name) for name in names])
+
+    def named(batch: Windows) -> Slopes:
+        return Slopes(*(np.asarray(part)[:, places] for part in _slopes(game, batch)))
+
+    slopes = Slopes(*(part.astype(np.float64) for part in in_batches(named, windows)))
     for part in slopes:
         if not np.isfinite(part).all():
             window = int(np.argwhere(~np.isfinite(part))[0][0])
@@ -117,9 +122,9 @@ def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
     return slopes
 
 
-@partial(jax.jit, static_argnums=1)
-def _slopes(game: Game, names: tuple[str, ...], windows: Windows) -> Slopes:
-    places = np.array([(*FEATURES, *COMFORT).index(name) for name in names])
+@partial(jax.jit, compiler_options=QUICKLY)
+def _slopes(game: Game, windows: Windows) -> Slopes:
+    """The derivatives of `FEATURES` and `COMFORT`: one compilation serves whatever is to be learnt."""
 
     def derivatives(window: Window) -> Slopes:
         def path(controls: Float[jax.Array, "d"]) -> Float[jax.Array, "fields K"]:
@@ -141,7 +146,7 @@ def _slopes(game: Game, names: tuple[str, ...], windows: Windows) -> Slopes:
         kinds = jnp.broadcast_to(of_kind, (2, *uneasy.shape)).reshape(2, -1)
         ease = Slopes(-jnp.sum(uneasy**2, axis=0) / 2, -(of_kind * uneasy).reshape(2, -1), -jax.vmap(jnp.diag)(kinds))
         everything = Slopes(phi.sum(axis=0), gradients, hessians)
-        return jax.tree.map(lambda paid, felt: jnp.concatenate([paid, felt])[places], everything, ease)
+        return jax.tree.map(lambda paid, felt: jnp.concatenate([paid, felt]), everything, ease)
 
     return jax.vmap(derivatives)(windows)
 
@@ -173,6 +178,7 @@ def _floored_jvp(
     return (vectors * jnp.maximum(values, floor)) @ vectors.T, back
 
 
+@jax.jit
 def log_likelihoods(
     slopes: Slopes, theta: Float[Array, "names"], temperature: float | Float[Array, ""], floor: float
 ) -> Float[jax.Array, "n"]:
@@ -206,11 +212,23 @@ def fit(slopes: Slopes, model: Model, near: Fit | None = None) -> Fit:
     if near is None and windows > MANY:
         near = fit(slopes.of(np.arange(0, windows, windows * 2 // MANY)), model)
     begin = None if near is None else near.logarithms
-    return most_likely(partial(log_likelihoods, floor=model.floor), slopes, model, begin)
+    return most_likely(_above_floor, (slopes, model.floor), model, begin)
+
+
+def _above_floor(
+    data: tuple[Slopes, jax.Array], theta: Float[jax.Array, "names"], temperature: Float[jax.Array, ""]
+) -> Float[jax.Array, "n"]:
+    """`log_likelihoods` of slopes and a floor."""
+    slopes, floor = data
+    return log_likelihoods(slopes, theta, temperature, floor)
+
+
+Likelihoods: TypeAlias = Callable[[Any, Float[jax.Array, "names"], Float[jax.Array, ""]], Float[jax.Array, "n"]]
+"""Log p of each of n data, of (data, theta, temperature)."""
 
 
 def most_likely(
-    likelihoods: Callable[[Any, Float[jax.Array, "names"], Float[jax.Array, ""]], Float[jax.Array, "n"]],
+    likelihoods: Likelihoods,
     data: Any,
     model: Model,
     begin: Float[np.ndarray, "parameters"] | None = None,
@@ -221,7 +239,8 @@ def most_likely(
     deviation 4. Where the data tell nothing about a weight, the prior is what is left, and the covariance says so.
 
     Args:
-        likelihoods: log p of each of n data, of (data, theta in the order of `Model.names`, temperature).
+        likelihoods: log p of each of n data, of (data, theta in the order of `Model.names`, temperature); a function of
+            a module, so that it is compiled once for data of the same shapes.
         data: a pytree of arrays.
         model: what to learn.
         begin: the logarithms to begin with.
@@ -233,22 +252,14 @@ def most_likely(
         given = jnp.array([float(value) for value in model.given.values()])
         signs, data = jnp.asarray(model.signs()), jax.tree.map(jnp.asarray, data)
 
-        @jax.jit
-        def likely(logarithms: Float[jax.Array, "parameters"], data: Any) -> Float[jax.Array, "n"]:
-            sizes = jnp.exp(logarithms)
-            return likelihoods(data, jnp.concatenate([signs * sizes[:-1], given]), sizes[-1])
-
-        @jax.jit
-        @jax.value_and_grad
-        def loss(logarithms: Float[jax.Array, "parameters"], data: Any) -> Float[jax.Array, ""]:
-            each = likely(logarithms, data)
-            return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each)
+        def loss(logarithms: np.ndarray) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+            return _loss(likelihoods, jnp.asarray(logarithms), data, signs, given)
 
         def value(logarithms: np.ndarray) -> float:
-            return float(loss(jnp.asarray(logarithms), data)[0])
+            return float(loss(logarithms)[0][0])
 
         def slope(logarithms: np.ndarray) -> np.ndarray:
-            return np.asarray(loss(jnp.asarray(logarithms), data)[1])
+            return np.asarray(loss(logarithms)[1])
 
         def bend(logarithms: np.ndarray) -> np.ndarray:
             steps = DIFFERENCE * np.eye(len(logarithms))
@@ -263,6 +274,21 @@ def most_likely(
         found = optimize.minimize(value, first, jac=slope, hess=bend, method="trust-exact", options=TRUST_REGION)
         top = np.asarray(found.x)
         hessian, converged = bend(top), bool(np.abs(slope(top)).max() < TOLERANCE)
-        each = np.asarray(likely(jnp.asarray(top), data))
+        each = np.asarray(loss(top)[0][1])
     covariance = np.linalg.pinv(len(each) * (hessian + hessian.T) / 2, hermitian=True)
     return Fit(model, top, covariance, converged, int(found.nit), float(each.mean()))
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=QUICKLY)
+@partial(jax.value_and_grad, argnums=1, has_aux=True)
+def _loss(
+    likelihoods: Likelihoods,
+    logarithms: Float[jax.Array, "parameters"],
+    data: Any,
+    signs: Float[jax.Array, "learnt"],
+    given: Float[jax.Array, "given"],
+) -> tuple[Float[jax.Array, ""], Float[jax.Array, "n"]]:
+    """Minus the mean log p under the prior, and log p of each of the data."""
+    sizes = jnp.exp(logarithms)
+    each = likelihoods(data, jnp.concatenate([signs * sizes[:-1], given]), sizes[-1])
+    return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each), each

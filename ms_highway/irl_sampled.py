@@ -15,6 +15,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.batches import in_batches
+from ms_highway.compiled import QUICKLY
 from ms_highway.dynamics import Array
 from ms_highway.game import Game
 from ms_highway.irl import Fit, most_likely
@@ -66,7 +67,7 @@ def draw_candidates(windows: Windows, found: Fit, number: int, seed: int = 0) ->
     return Candidates(phi[:, 0], phi[:, 1:], log_density)
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=QUICKLY)
 def _features(game: Game, items: tuple[Windows, Float[jax.Array, "n M d"]]) -> Float[jax.Array, "n M features"]:
     def along(window: Window, controls: Float[jax.Array, "M d"]) -> Float[jax.Array, "M features"]:
         return jax.vmap(lambda u: features_along(game, window, u.reshape(-1, 2)))(controls)

@@ -29,7 +29,7 @@ from ms_highway.recording import Recording, number_groups
 from ms_highway.reward import FEATURES
 from ms_highway.scenario import PAPER_DYNAMICS, driving_game
 from ms_highway.scene import Scene
-from ms_highway.windows import Windows, coasting, scene_of, template
+from ms_highway.windows import Windows, coasting, most_lanes, scene_of, template
 
 __all__ = [
     "HORIZONS",
@@ -53,6 +53,7 @@ Others: TypeAlias = Literal["recorded", "coasting"]
 HORIZONS = (1, 2, 3, 5)  # s
 STEPS = 50  # 0.1 s, of the longest
 APART = 10  # steps between the starts of two cases of a driver
+CARS = 64  # others that cases have place for at least: one compilation serves most recordings
 MISS = 2.0  # m
 LEAST_DEVIATION = 1e-6  # of scaled controls
 
@@ -101,14 +102,14 @@ def cases_of(recordings: Sequence[Recording], others: Others = "recorded") -> Ca
         ValueError: if no driver was seen for as long as the shortest horizon.
     """
     groups = number_groups(recordings)
-    most_lanes = max((len(item.lanes) for item in recordings), default=0)
-    most_cars = max((item.states.shape[1] for item in recordings), default=1) - 1
+    lanes = most_lanes(recordings)
+    most_cars = max((CARS, *(item.states.shape[1] - 1 for item in recordings)))
     rows, track = [], 0
     for recording in recordings:
         times = STEPS + 1
         everyone = np.pad(recording.states, ((0, times), (0, 0), (0, 0)), constant_values=np.nan)
         for driver in map(int, recording.drivers):
-            scene = scene_of(recording, driver, most_lanes)
+            scene = scene_of(recording, driver, lanes)
             seen = np.flatnonzero(recording.seen[:, driver])
             for start in range(seen[0], seen[-1] - 10 * HORIZONS[0] + 1, APART):
                 stretch = everyone[start : start + times]

@@ -15,7 +15,7 @@ from ms_highway.compiled import QUICKLY
 from ms_highway.demonstrators import DRIVER_WEIGHTS, optimal
 from ms_highway.dynamics import keep_velocity, observe
 from ms_highway.game import Game
-from ms_highway.irl import Fit, Slopes, fit, log_likelihoods, slopes_of
+from ms_highway.irl import Fit, Slopes, fit, slopes_of
 from ms_highway.irl_model import Model
 from ms_highway.learning import SIMULATED, likelihoods
 from ms_highway.recording import Recording
@@ -109,7 +109,7 @@ def true_rewards(windows: Windows) -> Callable[[Float[np.ndarray, "n K 2"]], Flo
     theta = jnp.array([DRIVER_WEIGHTS.get(name, 0.0) for name in (*FEATURES, *COMFORT)])
     single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=QUICKLY)
     @jax.vmap
     def rewards(window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, ""]:
         return theta @ features_along(game, window, controls / game.planner.control_scale)
@@ -174,11 +174,8 @@ def _weights(found: Fit) -> Iterator[dict[str, object]]:
 
 def _best_likelihood(slopes: Slopes, model: Model) -> float:
     """Mean log-likelihood of the true weights, at the temperature at which it is highest."""
-    with jax.enable_x64(True):
-        theta = jnp.array([float(DRIVER_WEIGHTS[name]) for name in model.names])
-        data = Slopes(*map(jnp.asarray, slopes))
-        mean = jax.jit(lambda logarithm: log_likelihoods(data, theta, jnp.exp(logarithm), model.floor).mean())
-        found = optimize.minimize_scalar(
-            lambda logarithm: -float(mean(logarithm)), TEMPERATURES, method="bounded", bounds=TEMPERATURES
-        )
-    return -float(found.fun)
+
+    def loss(logarithm: float) -> float:
+        return -float(likelihoods(slopes, model, DRIVER_WEIGHTS, np.exp(logarithm)).mean())
+
+    return -float(optimize.minimize_scalar(loss, method="bounded", bounds=TEMPERATURES).fun)

@@ -201,7 +201,7 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     With g the gap between bumpers in length units U, v the own speed, v_j the other's, and the attention
     ``w = exp(-g / 0.6) exp(-(dy / (lane width / 4))^2 / 2)``, which falls with the gap and beside the own lane:
 
-    * direction: ``cos(heading)``, along the road, which `lane_alignment` has a fixed share of;
+    * direction: ``cos(heading)``, along the road, which ``lane_alignment`` has a fixed share of;
     * headway: ``-sum w (g - (0.06 + v 1 s / U))^2`` over the cars ahead, their gap against two metres and a second;
     * closing_speed: ``-sum w ((v - v_j) / s)^2`` over the cars ahead, s the speed limit;
     * induced_braking: ``-sum w (max(v_j - v, 0)^2 / (2 U^2 max(g, 0.03)))^2`` over the cars behind: the braking [U/s^2]

@@ -1,6 +1,5 @@
 """What recorded drivers were doing, to see where predictions of them fail."""
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -26,9 +25,10 @@ def situations(cases: Cases) -> dict[str, Bool[np.ndarray, "n"]]:
     recorded = np.asarray(cases.recorded)
     start, later = recorded[:, 0], recorded[:, 10 * HORIZON]
     change = (later[:, 3] - start[:, 3]) / HORIZON
-    cars, taken = jax.vmap(places)(start, cases.others[:, 0], cases.present[:, 0], cases.scenes.lane_width)
-    leader = np.take_along_axis(np.asarray(cases.others)[:, 0], np.asarray(cars)[:, :1, None], axis=1)[:, 0]
-    led = np.asarray(taken)[:, 0] & (leader[:, 0] - start[:, 0] < LEADER)
+    others, present, width = map(np.asarray, (cases.others[:, 0], cases.present[:, 0], cases.scenes.lane_width))
+    cars, taken = places(start, others, present, width)
+    leader = np.take_along_axis(others, cars[:, :1, None], axis=1)[:, 0]
+    led = taken[:, 0] & (leader[:, 0] - start[:, 0] < LEADER)
     found = {
         "lane change": np.abs(later[:, 1] - start[:, 1]) > LANE_CHANGE,
         "braking": change < -HARD,

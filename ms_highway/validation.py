@@ -9,21 +9,22 @@ and ``ladder`` [rungs].
 import re
 import zipfile
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from ms_highway.compiled import pack, plan_function
+from ms_highway.compiled import QUICKLY, pack, plan_function
 from ms_highway.envs import SCENARIOS
 from ms_highway.game import Game, swap_roles
 from ms_highway.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, cold_start, ladder
 from ms_highway.reward import reward
 from ms_highway.scenario import build_game
-from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching, decide, first_memory
+from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Memory, Switching, decide, first_memory
 
 __all__ = ["read_episodes", "validate", "validate_file"]
 
@@ -57,16 +58,16 @@ def validate_file(file: Path) -> dict[str, Any]:
     """
     scenario, episodes = read_episodes(file)
     game = build_game(SCENARIOS[scenario], "released", "exact", unit=1.0)
-    states = jnp.asarray(episodes["states"], dtype=jnp.float32)
+    states = episodes["states"].astype(np.float32)
     planned = np.full(episodes["robot_controls"].shape, np.nan)
     for index in np.unique(episodes["models"]):
         chosen = episodes["models"] == index
         planned[chosen] = _first_controls(MODELS[PAPER_MODELS[index]], game, states[chosen])
-    swapped = jnp.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2)
+    swapped = np.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2)
     human = _first_controls(Naive(), swap_roles(game), swapped.reshape(-1, *states.shape[2:])).reshape(
         *swapped.shape[:2], 2
     )
-    rewards = reward(game.scene, game.robot, states[:, 1:])
+    rewards = _rewards(game.scene, game.robot, states[:, 1:])
     report: dict[str, Any] = {
         "action_error": _quantiles(np.abs(planned - episodes["robot_controls"]).max(axis=-1)),
         "reward_error": _quantiles(np.abs(np.asarray(rewards) - episodes["rewards"][:, :-1])),
@@ -120,7 +121,10 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
     return scenario, episodes
 
 
-def _first_controls(model: HumanModel, game: Game, states: Float[jax.Array, "n cars 4"]) -> Float[np.ndarray, "n 2"]:
+_rewards = jax.jit(reward, compiler_options=QUICKLY)
+
+
+def _first_controls(model: HumanModel, game: Game, states: Float[np.ndarray, "n cars 4"]) -> Float[np.ndarray, "n 2"]:
     numbers, layout = pack(game)
     plan, start = plan_function(model, layout), jnp.stack(cold_start(game))
     return np.array([np.asarray(plan(numbers, state, start))[0, 0] for state in states])
@@ -136,13 +140,30 @@ def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> 
     logged = np.vectorize(place.__getitem__)(episodes["models"])
     arrays = [episodes[name].astype(np.float32) for name in ("states", "robot_controls", "human_controls", "rewards")]
     agree = 0
-    for run, (states, robot, human, rewards) in zip(logged, zip(*arrays, strict=True), strict=True):
-        memory = first_memory(switching)
-        for step in range(len(run) - 1):
-            memory = memory._replace(rung=jnp.int32(run[step]))
-            memory = decide(switching, game, memory, states[step], robot[step], human[step], rewards[step]).memory
-            agree += int(memory.rung) == run[step + 1]
-    return {"agree": int(agree), "all": int(logged[:, 1:].size)}
+    for run, *happened in zip(logged, *arrays, strict=True):
+        before = [numbers[: len(run) - 1] for numbers in (run.astype(np.int32), *happened)]
+        agree += int(np.sum(np.asarray(_choices(switching, game, *before)) == run[1:]))
+    return {"agree": agree, "all": int(logged[:, 1:].size)}
+
+
+@partial(jax.jit, compiler_options=QUICKLY)
+def _choices(
+    switching: Switching,
+    game: Game,
+    rungs: Int[jax.Array, "steps"],
+    states: Float[jax.Array, "steps cars 4"],
+    robot: Float[jax.Array, "steps 2"],
+    human: Float[jax.Array, "steps 2"],
+    rewards: Float[jax.Array, "steps"],
+) -> Int[jax.Array, "steps"]:
+    """The rung that is chosen after each step, each of which was driven with the logged one."""
+
+    def choose(memory: Memory, step: tuple[jax.Array, ...]) -> tuple[Memory, jax.Array]:
+        rung, *happened = step
+        memory = decide(switching, game, memory._replace(rung=rung), *happened).memory
+        return memory, memory.rung
+
+    return jax.lax.scan(choose, first_memory(switching), (rungs, states, robot, human, rewards))[1]
 
 
 def _quantiles(errors: Float[np.ndarray, "*shape"]) -> dict[str, float]:

@@ -211,7 +211,7 @@ class HumanVehicle(PlanningVehicle):
     In the scenarios of this package it is told its game by `drive_with`. On any other highway-env road it drives by
     itself, for ``weights`` among its neighbours, so that it can be the ``other_vehicles_type`` of a stock environment.
     It looks at the road anew whenever it acts, in the coordinates of its lane (see `ms_highway.road_view`); then
-    `last_state` and `last_step` are in these coordinates too. It knows no right of way: where roads cross, it sees
+    ``last_state`` and ``last_step`` are in these coordinates too. It knows no right of way: where roads cross, it sees
     others only once they are in its lane or beside it.
 
     Attributes:

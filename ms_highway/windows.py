@@ -12,6 +12,7 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.batches import in_batches
+from ms_highway.compiled import QUICKLY
 from ms_highway.dynamics import Motion, keep_velocity, observe
 from ms_highway.game import Game, move
 from ms_highway.neighbours import far_behind, places
@@ -30,6 +31,7 @@ __all__ = [
     "features_along",
     "features_at",
     "first_step",
+    "most_lanes",
     "regular",
     "regular_windows",
     "scene_of",
@@ -39,6 +41,7 @@ __all__ = [
 
 KINK = 0.05  # sine of the heading, within which noise may turn the car to either side
 SATURATED = 0.8  # of the limits of plans
+LANES = 6  # that scenes have at least: one compilation serves most roads
 
 
 @jax.tree_util.register_dataclass
@@ -92,6 +95,11 @@ def scene_of(recording: Recording, driver: int, lanes: int) -> Scene:
     )
 
 
+def most_lanes(recordings: Sequence[Recording]) -> int:
+    """The number to pad lanes to, see `scene_of`."""
+    return max((LANES, *(len(item.lanes) for item in recordings)))
+
+
 def cut(recordings: Sequence[Recording], steps: int) -> Windows:
     """All windows of the drivers' tracks, one after the other, without overlap.
 
@@ -103,7 +111,7 @@ def cut(recordings: Sequence[Recording], steps: int) -> Windows:
         ValueError: if there is none, or a recording's time step is not that of the planners.
     """
     groups = number_groups(recordings)
-    lanes = max((len(item.lanes) for item in recordings), default=1)
+    lanes = most_lanes(recordings)
     rows = []
     for recording in recordings:
         everyone = coasting(recording.states, recording.time_step)
@@ -176,8 +184,8 @@ def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
     """Where the slope of a reward at the driver's controls can tell what the driver is after.
 
     It cannot where a control is at its limit, as what holds the driver back there is no reward; nor where the car is
-    off the road and points along it: there `off_road` has a kink, as another corner becomes the outermost, and whoever
-    slides along the edge stays at the kink whatever the weight is.
+    off the road and points along it: there ``off_road`` has a kink, as another corner becomes the outermost, and
+    whoever slides along the edge stays at the kink whatever the weight is.
     """
     off_road, slant = in_batches(partial(_edge, template(windows, {})), windows)
     at_kink = (off_road & (slant < KINK)).any(axis=1)
@@ -185,7 +193,7 @@ def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
     return ~at_kink & ~saturated
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=QUICKLY)
 @partial(jax.vmap, in_axes=(None, 0))
 def _edge(game: Game, window: Window) -> tuple[jax.Array, jax.Array]:
     """Whether the driver is off the road, and the size of its heading's sine, after each step."""

@@ -20,8 +20,10 @@ from ms_highway.scenario import build_game, draw_starts
 def shared_compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Commands and spawned workers that tests start find what has been compiled already."""
     cache = str(tmp_path_factory.mktemp("compilation_cache"))
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = cache
-    jax.config.update("jax_compilation_cache_dir", cache)
+    settings = {"jax_compilation_cache_dir": cache, "jax_persistent_cache_min_compile_time_secs": 0.1}
+    for name, value in settings.items():
+        os.environ[name.upper()] = str(value)
+        jax.config.update(name, value)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,6 @@
 """Learning a reward: derivatives, likelihoods, and weights that are known because demonstrators drove for them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import gymnasium as gym
@@ -10,6 +10,7 @@ import pytest
 from jax import numpy as jnp
 from scipy import stats
 
+from ms_highway.compiled import QUICKLY
 from ms_highway.demonstrations import actions
 from ms_highway.demonstrators import DRIVER_WEIGHTS, TEMPERATURE
 from ms_highway.envs import DEMONSTRATION_ID
@@ -54,6 +55,11 @@ def recorded(states: np.ndarray, scene, name: str) -> Recording:
     return Recording(name, name, 0.1, states, np.array([0]), sizes, lanes, width, 20.0, measured=False)
 
 
+def quickly(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
+    """The function of many at once, compiled."""
+    return jax.jit(jax.vmap(function), compiler_options=QUICKLY)
+
+
 def symmetric(seed: int, eigenvalues: Sequence[float]) -> np.ndarray:
     vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(len(eigenvalues),) * 2))[0]
     return (vectors * eigenvalues) @ vectors.T
@@ -82,10 +88,10 @@ def test_slopes_of_features_are_those_of_automatic_differentiation(demonstrated)
         return features_along(game, window, controls.reshape(-1, 2))[places]
 
     controls = (single.controls / game.planner.control_scale).reshape(len(few), -1)
-    np.testing.assert_allclose(slopes.features, jax.jit(jax.vmap(along))(single, controls), rtol=1e-5, atol=1e-6)
-    first = jax.jit(jax.vmap(jax.jacrev(along, argnums=1)))(single, controls)
+    np.testing.assert_allclose(slopes.features, quickly(along)(single, controls), rtol=1e-5, atol=1e-6)
+    first = quickly(jax.jacrev(along, argnums=1))(single, controls)
     np.testing.assert_allclose(slopes.gradients, first, rtol=1e-4, atol=1e-5 * np.abs(first).max())
-    second = jax.jit(jax.vmap(jax.jacfwd(jax.jacfwd(along, argnums=1), argnums=1)))(single, controls)
+    second = quickly(jax.jacfwd(jax.jacfwd(along, argnums=1), argnums=1))(single, controls)
     np.testing.assert_allclose(slopes.hessians, second, rtol=1e-3, atol=1e-5 * np.abs(second).max())
 
 
