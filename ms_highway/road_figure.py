@@ -38,7 +38,7 @@ def car_outline(state: Float[np.ndarray, "4"], size: Float[np.ndarray, "2"], **s
     Args:
         state: ``(x, y, heading, speed)`` in metres, radians and metres per second.
         size: length and width [m].
-        style: of the polygon, see `matplotlib.patches.Polygon`.
+        style: of the polygon, see ``matplotlib.patches.Polygon``.
     """
     x, y, heading, _ = map(float, state)
     ahead = np.array([np.cos(heading), np.sin(heading)]) * size[0] / 2
