@@ -3,12 +3,14 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
+from ms_highway.experiment import paper_controllers
 from ms_highway.report import bars, timeline
 from ms_highway.story import decisions, one_episode
 from ms_highway.tradeoff import SWITCHING, curve, shares
 
 __all__ = ["CAPTIONS", "figures"]
 
+MOST = 8  # controllers beside each other
 EPISODES = 2  # whose decisions are drawn
 
 CAPTIONS = {
@@ -25,13 +27,20 @@ CAPTIONS = {
 
 
 def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Figure]:
-    """All figures of a scenario, by the names that `CAPTIONS` explains."""
+    """All figures of a scenario, by the names that `CAPTIONS` explains.
+
+    Of more than 8 controllers, bars, timeline and decisions show those that the paper compares, or the first 8.
+    """
+    controllers = list(summaries.loc[summaries["scenario"] == scenario, "controller"])
+    if len(controllers) > MOST:
+        paper = paper_controllers(scenario)
+        controllers = [name for name in controllers if name in paper] or controllers[:MOST]
     drawn = {
-        "bars": bars(summaries, scenario),
-        "timeline": timeline(records, scenario),
+        "bars": bars(summaries[summaries["controller"].isin(controllers)], scenario),
+        "timeline": timeline(records[records["controller"].isin(controllers)], scenario),
         "curve": curve(summaries, scenario),
     }
-    deciding = [name for name in _controllers(summaries, scenario) if name.startswith(SWITCHING)][:EPISODES]
+    deciding = [name for name in controllers if name.startswith(SWITCHING)][:EPISODES]
     if not deciding:
         return drawn
     seed = int(records.loc[records["scenario"] == scenario, "seed"].min())
@@ -42,7 +51,3 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
         reference = None
     episodes = [one_episode(records, scenario, name, seed) for name in deciding]
     return {**drawn, "decisions": decisions(episodes, reference)}
-
-
-def _controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
-    return list(summaries.loc[summaries["scenario"] == scenario, "controller"])

@@ -1,6 +1,7 @@
 """Tables and figures from records of steps."""
 
 from collections.abc import Sequence
+from textwrap import wrap
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from rich.box import SIMPLE
+from rich.console import JustifyMethod
 from rich.table import Table
 from scipy import stats
 
@@ -19,6 +21,8 @@ from ms_highway.human_models import MODELS
 __all__ = ["CONFIDENCE", "bars", "cells", "summary", "table", "timeline"]
 
 CONFIDENCE = 0.9
+LEGEND_COLUMNS = 5
+HEADING_WIDTH = 11  # characters, at which headings of narrow columns go on in another line
 SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
 
 
@@ -62,6 +66,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
     Planning is told twice: as decisions count it, at T(M), and as it was measured.
     """
+    models = [name for name in MODELS if f"share_{name}" in summaries]
     rows = [
         {
             "controller": row["controller"],
@@ -72,7 +77,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
             "counted ms": "" if np.isnan(row["counted_ms"]) else f"{row['counted_ms']:.0f}",
             "plan ms": f"{row['planning_ms']:.2f}",
             "decide ms": f"{row['decision_ms']:.2f}",
-            **{f"{name} %": f"{100 * row[f'share_{name}']:.0f}" for name in MODELS if f"share_{name}" in summaries},
+            f"{' / '.join(models)} %": " / ".join(f"{100 * row[f'share_{name}']:.0f}" for name in models),
             "collisions": f"{row['collision_episodes']} of {row['episodes']}",
         }
         for row in summaries[summaries["scenario"] == scenario].to_dict("records")
@@ -85,7 +90,9 @@ def table(summaries: pd.DataFrame, scenario: str) -> Table:
     texts = cells(summaries, scenario)
     grid = Table(title=scenario, box=SIMPLE, title_justify="left", title_style="bold")
     for column in texts:
-        grid.add_column(column, justify="left" if column == "controller" else "right", no_wrap=True)
+        justify: JustifyMethod = "left" if column == "controller" else "right"
+        heading = wrap(column, max(HEADING_WIDTH, int(texts[column].str.len().max())))
+        grid.add_column("\n".join(heading), justify=justify, no_wrap=True)
     for row in texts.itertuples(index=False):
         grid.add_row(*row)
     return grid
@@ -145,7 +152,9 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     axes[0].yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes[0].yaxis.set_minor_formatter(NullFormatter())
-    axes[0].legend(ncols=len(controllers), loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False)
+    axes[0].legend(
+        ncols=min(len(controllers), LEGEND_COLUMNS), loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False
+    )
     for name, panel in zip(switching, axes[1:], strict=True):
         _models_in_use(panel, rows[rows["controller"] == name], name)
     axes[-1].set_xlabel("step (0.1 s)")
