@@ -21,7 +21,7 @@ TEXT = (ROOT / "README.md").read_text()
 FENCES = [(token.info, token.content) for token in MarkdownIt().parse(TEXT) if token.type == "fence"]
 EXAMPLES = [content for language, content in FENCES if language == "python"]
 COMMANDS = [
-    shlex.split(line)[1:]
+    shlex.split(line.partition(" > ")[0])[1:]
     for language, content in FENCES
     if language == "sh"
     for line in content.replace("\\\n", " ").splitlines()
