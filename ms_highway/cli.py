@@ -6,9 +6,7 @@ import json
 import os
 import shlex
 import sys
-import typing
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,48 +15,23 @@ from rich.console import Console
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from ms_highway import experiment, report, validation
+from ms_highway import validation
 from ms_highway.bench import bench
+from ms_highway.cli_compare import add_compare
 from ms_highway.cli_irl import add_irl
-from ms_highway.cli_options import add_semantics, human_reward
 from ms_highway.cli_report import add_report
 from ms_highway.cli_video import add_video
 from ms_highway.compiled import keep_compilations, low_latency
-from ms_highway.console import add_command, count_episodes, print_tables
+from ms_highway.console import add_command, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
-from ms_highway.figures import figures
 from ms_highway.files import replacing
-from ms_highway.planner import Solver
-from ms_highway.provenance import add_run, read_runs, this_run
 
-__all__ = ["main"]
-
-COMPARE_HELP = """\
-Run the same seeded episodes with several controllers and compare reward and computation.
-
-A controller is a human model that plans every step (naive, turn, tom); or switching:LAMBDA, which chooses the model at
-every step and pays LAMBDA reward for a second of planning; or schedule:MODEL=STEPS,...,MODEL, an order that is fixed
-beforehand, such as schedule:tom=6,naive. Without scenarios and controllers, the paper's comparison
-runs: all three scenarios, each with its ladder and the paper's two lambdas.
-
-Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
-SCENARIO_bars.png, SCENARIO_timeline.png and SCENARIO_curve.png; settings.json and provenance.json say what they were
-made with. Stopped and started again with the same --out, it goes on where it was. `ms-highway report` makes a page of
-them."""
+__all__ = ["build_parser", "main"]
 
 BENCH_HELP = """\
 Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for every
 scenario and human model. With --peer casadi, the same plans are also written in CasADi, compiled to C, checked to give
 the same controls, and measured in the same run (needs the extra "bench" and gcc)."""
-
-COMPARE_EXAMPLES = """\
-examples:
-  ms-highway compare
-  ms-highway compare merger --controllers naive tom switching:0.1 --seeds 10 --out results/merger
-  ms-highway compare merger --controllers tom switching:{0.01,0.1} schedule:tom={4,6,8},naive --out results/curve
-  ms-highway compare merger --ladder naive tom --controllers switching:0.1 --out results/two_rungs
-  ms-highway compare give_way --semantics released --costs measured --out results/measured
-  ms-highway compare stay_back --controllers naive turn --solver newton --seeds 100 --out results/newton"""
 
 VALIDATE_HELP = """\
 Replay logged episodes of the paper's released code: plan from every logged state and compare controls, rewards, human
@@ -68,7 +41,7 @@ controls and switching decisions with the logs. Errors are quantiles over all st
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if all went well, 2 with one line on standard error if the input was at fault."""
     given = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(given)
+    options = build_parser().parse_args(given)
     options.command_line = shlex.join(["ms-highway", *given])
     low_latency()
     try:
@@ -104,7 +77,8 @@ def _keep_compilations() -> None:
         print(f"ms-highway: compiled planners are not kept: {error}", file=sys.stderr)
 
 
-def _parser() -> argparse.ArgumentParser:
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands; what it parses has the command to run in ``run``."""
     parser = argparse.ArgumentParser(
         prog="ms-highway", description="Robot cars that choose how hard to think about human drivers."
     )
@@ -124,44 +98,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
-    command = partial(add_command, commands)
-    compare = command("compare", "compare controllers over many episodes", COMPARE_HELP, COMPARE_EXAMPLES)
-    compare.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: all)")
-    compare.add_argument(
-        "--controllers",
-        nargs="+",
-        metavar="CONTROLLER",
-        help="naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL (default: the paper's)",
-    )
-    compare.add_argument(
-        "--seeds", type=int, default=30, help="episodes per controller, seeded 0, 1, ... (default: 30)"
-    )
-    compare.add_argument(
-        "--ladder", nargs="+", metavar="MODEL", help="models to switch among, cheapest first (default: the scenario's)"
-    )
-    add_semantics(compare)
-    compare.add_argument(
-        "--solver",
-        choices=typing.get_args(Solver),
-        default="gradient",
-        help="how the robot improves its plans under naive and turn: gradient, the paper's 20 steps (default), or "
-        "newton, second-order steps with a line search; tom always takes gradient steps",
-    )
-    compare.add_argument(
-        "--costs",
-        default="published",
-        help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), measured on this "
-        "machine, or given like naive=0.1,turn=0.2,tom=0.5",
-    )
-    compare.add_argument(
-        "--out", type=Path, default=Path("results/compare"), help="directory of results (default: results/compare)"
-    )
-    compare.set_defaults(run=_compare)
-
+    add_compare(commands)
     add_video(commands)
     add_report(commands)
 
-    measure = command(
+    measure = add_command(
+        commands,
         "bench",
         "measure planning time",
         BENCH_HELP,
@@ -172,7 +114,8 @@ def _parser() -> argparse.ArgumentParser:
     measure.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
     measure.set_defaults(run=_bench)
 
-    check = command(
+    check = add_command(
+        commands,
         "validate",
         "replay reference episodes",
         VALIDATE_HELP,
@@ -184,50 +127,6 @@ def _parser() -> argparse.ArgumentParser:
 
     add_irl(commands)
     return parser
-
-
-def _compare(options: argparse.Namespace) -> None:
-    if options.seeds < 1:
-        raise ValueError(f"--seeds is {options.seeds}; there must be at least one episode")
-    scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
-    chosen = list(dict.fromkeys(options.controllers or []))
-    controllers = {name: chosen or experiment.paper_controllers(name) for name in scenarios}
-    costs = _costs(options.costs)
-    comparison = experiment.Comparison(
-        controllers,
-        options.seeds,
-        options.semantics,
-        costs,
-        options.solver,
-        human_reward(options.human_reward),
-        options.ladder,
-    )
-    comparison.check()
-    read_runs(options.out)  # refuses what cannot be read before anything is run
-    counts, wanted = experiment.run(comparison, options.out), len(list(comparison.episodes()))
-    already = next(counts)
-    if already < wanted:
-        add_run(options.out, this_run(options.command_line))
-    count_episodes(counts, already, wanted)
-    records = experiment.read(comparison, options.out)
-    summaries = report.summary(records)
-    with replacing(options.out / "summary.csv") as path:
-        summaries.to_csv(path, index=False)
-    for scenario in scenarios:
-        print_tables(report.table(summaries, scenario))
-        for name, figure in figures(records, summaries, scenario).items():
-            with replacing(options.out / f"{scenario}_{name}.png") as path:
-                figure.savefig(path, dpi=110)
-    print(f"results are in {options.out}")
-
-
-def _costs(text: str) -> str | dict[str, float]:
-    if "=" not in text:
-        return text
-    try:
-        return {name: float(value) for name, _, value in (part.partition("=") for part in text.split(","))}
-    except ValueError:
-        raise ValueError(f"--costs is {text!r}; give seconds by model like naive=0.1,turn=0.2,tom=0.5") from None
 
 
 def _bench(options: argparse.Namespace) -> None:

@@ -9,6 +9,7 @@ from ms_highway.files import replacing
 from ms_highway.markdown import markdown_table
 from ms_highway.page import draw, render
 from ms_highway.results import read_results
+from ms_highway.video import check_format
 
 __all__ = ["add_report"]
 
@@ -36,7 +37,7 @@ def add_report(commands: Any) -> None:
         "--videos",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help='film the best fixed model beside the most conservative switching (default); needs the extra "video"',
+        help='film the best fixed model beside switching (default); needs the extra "video"',
     )
     parser.add_argument("--markdown", action="store_true", help="print a table in Markdown instead of writing a page")
     parser.set_defaults(run=_report)
@@ -55,6 +56,11 @@ def _report(options: argparse.Namespace) -> None:
     if out.suffix != ".html" or out.is_dir():
         raise ValueError(f"--out is {out}; name an .html file")
     results = read_results(directory)
+    if options.videos:
+        try:
+            check_format(Path("film.mp4"))
+        except ImportError as error:
+            raise ImportError(f"{error}, or add --no-videos") from error
     draw_unseen()
     page = render(results, work(draw(results, options.videos)))
     with replacing(out) as path:

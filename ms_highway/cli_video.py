@@ -35,7 +35,8 @@ def add_video(commands: Any) -> None:
     parser.add_argument(
         "--controller",
         metavar="CONTROLLER",
-        help="naive, turn, tom or switching:LAMBDA (default: switching with the paper's conservative lambda)",
+        help="naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL (default: switching with the paper's "
+        "conservative lambda)",
     )
     parser.add_argument("--against", metavar="CONTROLLER", help="a second controller, filmed from the same start")
     parser.add_argument("--seed", type=int, default=0, help="seed of the episode (default: 0)")

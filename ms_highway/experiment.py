@@ -244,9 +244,13 @@ def _whole_episodes(steps: Path) -> set[tuple[str, str, int]]:
         records = pd.read_csv(io.StringIO(whole_lines))
         if list(records) != columns():
             raise ValueError(f"its columns are not {', '.join(columns())}")
-        lengths = {name: SCENARIOS[name].steps for name in records["scenario"].unique()}
-    except (ValueError, KeyError) as error:
-        raise ValueError(f"{steps} cannot be read ({error}); move it away or choose another directory") from error
+        unknown = set(records["scenario"]) - set(SCENARIOS)
+        if unknown:
+            raise ValueError(f"it holds unknown scenarios, {', '.join(map(str, unknown))}")
+    except ValueError as error:
+        remedy = "choose another directory, or --import the modules that its scenarios and models are from"
+        raise ValueError(f"{steps} cannot be gone on with ({error}); {remedy}") from error
+    lengths = {name: SCENARIOS[name].steps for name in records["scenario"].unique()}
     done = {key for key, length in records.groupby(KEYS).size().items() if length == lengths[key[0]]}
     whole = [tuple(key) in done for key in records[KEYS].itertuples(index=False)]
     if whole_lines != text or not all(whole):
@@ -258,5 +262,8 @@ def _whole_episodes(steps: Path) -> set[tuple[str, str, int]]:
 
 def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
     """The records of a comparison that `run` has finished in a directory, in the comparison's order."""
-    records = pd.read_csv(Path(directory) / STEPS_FILE).set_index(KEYS)
-    return pd.concat([records.loc[[key]] for key in comparison.episodes()]).reset_index()
+    records = pd.read_csv(Path(directory) / STEPS_FILE)
+    places = {key: place for place, key in enumerate(comparison.episodes())}
+    order = [places.get(key, -1) for key in records[KEYS].itertuples(index=False, name=None)]
+    chosen = records.assign(order=order).query("order >= 0").sort_values(["order", "step"])
+    return chosen.drop(columns="order").reset_index(drop=True)

@@ -6,12 +6,12 @@ from matplotlib.figure import Figure
 from ms_highway.experiment import paper_controllers
 from ms_highway.report import bars, timeline
 from ms_highway.story import decisions, one_episode
-from ms_highway.tradeoff import SWITCHING, curve, shares
+from ms_highway.tradeoff import curve, reference
 
 __all__ = ["CAPTIONS", "figures"]
 
-MOST = 8  # controllers beside each other
-EPISODES = 2  # whose decisions are drawn
+MOST_CONTROLLERS = 8  # in bars and timelines
+EPISODES_BESIDE = 2  # whose decisions are drawn
 
 CAPTIONS = {
     "bars": "Reward and time per step of each controller. Whiskers are the 90 % intervals of the mean over episodes; "
@@ -19,7 +19,8 @@ CAPTIONS = {
     "timeline": "Computation along the episode, as the mean over episodes. Below, which model was in use at every step "
     "of every episode of the controllers that switch.",
     "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
-    "and deciding as measured. Switching is labelled by lambda; a dashed line joins the best fixed orders of models.",
+    "and deciding as measured. Whiskers are the 90 % intervals. Switching is labelled by lambda; a dashed line joins "
+    "the best of the models and schedules that were fixed beforehand, chosen by these very episodes.",
     "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model, before the "
     "step that it is drawn at; one above zero is taken. Below, the reward. The background is the model in use.",
 }
@@ -31,23 +32,27 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
 
     Of more than 8 controllers, bars, timeline and decisions show those that the paper compares, or the first 8.
     """
-    controllers = list(summaries.loc[summaries["scenario"] == scenario, "controller"])
-    if len(controllers) > MOST:
-        paper = paper_controllers(scenario)
-        controllers = [name for name in controllers if name in paper] or controllers[:MOST]
+    rows = summaries[summaries["scenario"] == scenario]
+    if len(rows) > MOST_CONTROLLERS:
+        paper = rows["controller"].isin(paper_controllers(scenario))
+        rows = rows[paper] if paper.any() else rows[:MOST_CONTROLLERS]
+    few = records[records["controller"].isin(rows["controller"])]
     drawn = {
-        "bars": bars(summaries[summaries["controller"].isin(controllers)], scenario),
-        "timeline": timeline(records[records["controller"].isin(controllers)], scenario),
+        "bars": bars(rows, scenario),
+        "timeline": timeline(few, scenario),
         "curve": curve(summaries, scenario),
     }
-    deciding = [name for name in controllers if name.startswith(SWITCHING)][:EPISODES]
-    if not deciding:
-        return drawn
-    seed = int(records.loc[records["scenario"] == scenario, "seed"].min())
-    try:
-        dearest = shares(summaries, scenario).attrs["reference"]
-        reference = one_episode(records, scenario, dearest, seed)
-    except ValueError:  # no fixed model was compared, or not in this episode
-        reference = None
-    episodes = [one_episode(records, scenario, name, seed) for name in deciding]
-    return {**drawn, "decisions": decisions(episodes, reference)}
+    return {**drawn, **_decisions(records, rows, reference(summaries, scenario), scenario)}
+
+
+def _decisions(records: pd.DataFrame, rows: pd.DataFrame, dearest: str | None, scenario: str) -> dict[str, Figure]:
+    """Decisions in the first episode that the switching controllers have in common; nothing without such."""
+    switching = list(rows.loc[rows["kind"] == "switching", "controller"])[:EPISODES_BESIDE]
+    names = switching if dearest is None else [*switching, dearest]
+    own = records[records["scenario"] == scenario].groupby("controller")["seed"]
+    seeds = set.intersection(*(set(own.get_group(name)) for name in names)) if switching else set()
+    if not seeds:
+        return {}
+    episodes = {name: one_episode(records, scenario, name, min(seeds)) for name in names}
+    beside = None if dearest is None else episodes[dearest]
+    return {"decisions": decisions([episodes[name] for name in switching], beside)}

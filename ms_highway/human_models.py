@@ -168,19 +168,21 @@ PAPER_MODELS = tuple(MODELS)
 def register(model: HumanModel, before: str | None = None) -> None:
     """Make a model of one's own known by its name, to configurations and commands of this process.
 
-    Registered again, a model takes the place of the one that had its name.
-
     Args:
-        model: hashable, and with all that a `HumanModel` has.
+        model: hashable, and with all that a `HumanModel` has; it replaces the one that had its name.
         before: name of the next dearer model on ladders; without it, the new model is dearer than all others.
 
     Raises:
         ValueError: if the name is one of the paper's models, is no name, or ``before`` names no other model; if the
-            model lacks something.
+            model lacks something, or is not hashable.
     """
     lacks = [part for part in ("name", "responds", "predict", "plan") if not hasattr(model, part)]
     if lacks:
         raise ValueError(f"{model!r} lacks {', '.join(lacks)}; see ms_highway.human_models.HumanModel")
+    try:
+        hash(model)
+    except TypeError as error:
+        raise ValueError(f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass") from None
     if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in PAPER_MODELS:
         raise ValueError(
             f"a model cannot be called {model.name!r}; choose one word other than {', '.join(PAPER_MODELS)}"

@@ -1,13 +1,14 @@
 """A comparison as a table in Markdown, of one directory of results or of several beside each other."""
 
 from collections.abc import Sequence
-from typing import Any
 
 from ms_highway.published import PUBLISHED
+from ms_highway.report import cells
 from ms_highway.results import Results
 
 __all__ = ["markdown_table"]
 
+OUTCOME = "reward/step", "90 % interval", "collisions"
 DISTINGUISHING = ("semantics", "human_reward", "solver", "costs")
 
 
@@ -23,28 +24,33 @@ def markdown_table(results: Sequence[Results]) -> str:
     """
     if len({result.directory.resolve() for result in results}) < len(results):
         raise ValueError("a directory is named twice; name each once")
-    first, names = results[0].summaries.to_dict("records"), _names(results)
-    found = [{(row["scenario"], row["controller"]): row for row in r.summaries.to_dict("records")} for r in results]
-    models = [name.removeprefix("share_") for name in results[0].summaries if name.startswith("share_")]
+    found = [_by_controller(result) for result in results]
     headings = ["scenario", "controller"]
-    for name in names:
+    for name in _names(results):
         headings += [f"reward per step (90 % interval){name}", f"episodes with a collision{name}"]
-    headings += ["planning ms", "deciding ms", " / ".join(models) + " %", "published"]
-    lines = [headings, ["---"] * len(headings)]
-    for row in first:
-        key = row["scenario"], row["controller"]
-        cells = list(key)
-        for rows in found:
-            cells += _outcome(rows[key]) if key in rows else ["", ""]
-        shares = " / ".join(f"{100 * row[f'share_{model}']:.0f}" for model in models)
+    rest = [name for name in next(iter(found[0].values())) if name not in (*OUTCOME, "controller", "counted ms")]
+    lines = [[*headings, *rest, "published"], ["---"] * (len(headings) + len(rest) + 1)]
+    for key, row in found[0].items():
+        outcomes = [text for rows in found for text in _outcome(rows.get(key))]
         published = f"{PUBLISHED[key].reward:.2f}" if key in PUBLISHED else ""
-        lines.append([*cells, f"{row['planning_ms']:.2f}", f"{row['decision_ms']:.2f}", shares, published])
+        lines.append([*key, *outcomes, *(row[name] for name in rest), published])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def _outcome(row: dict[str, Any]) -> list[str]:
-    interval = f" ({row['reward_low']:.2f}, {row['reward_high']:.2f})" if row["episodes"] > 1 else ""
-    return [f"{row['reward']:.2f}{interval}", f"{row['collision_episodes']} of {row['episodes']}"]
+def _by_controller(result: Results) -> dict[tuple[str, str], dict[str, str]]:
+    """The texts of a comparison's cells by scenario and controller."""
+    return {
+        (scenario, row["controller"]): row
+        for scenario in result.scenarios
+        for row in cells(result.summaries, scenario).to_dict("records")
+    }
+
+
+def _outcome(row: dict[str, str] | None) -> list[str]:
+    if row is None:
+        return ["", ""]
+    reward, interval, collisions = (row[name] for name in OUTCOME)
+    return [f"{reward} ({interval})", collisions]
 
 
 def _names(results: Sequence[Results]) -> list[str]:

@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from ms_highway import report, video
-from ms_highway.envs.configuration import controller_config
 from ms_highway.envs.graphics import MODEL_MEANINGS
+from ms_highway.experiment import paper_controllers
 from ms_highway.figures import CAPTIONS, figures
+from ms_highway.human_models import MODELS
 from ms_highway.published import PUBLISHED
 from ms_highway.results import Results
 from ms_highway.side_by_side import side_by_side
@@ -25,7 +26,7 @@ DPI = 160
 POSTER = 0.4  # of the video, from which the picture is taken that stands for it
 SEMANTICS = {
     "paper": "the paper's dynamics and a damped theory of mind",
-    "released": "exactly what the paper's released code does",
+    "released": "the dynamics and the theory of mind of the paper's released code",
 }
 
 
@@ -51,17 +52,15 @@ class Section:
 def worth_seeing(summaries: pd.DataFrame, scenario: str) -> list[str]:
     """The two controllers of a scenario that say most beside each other.
 
-    The fixed model of the highest mean reward and the most conservative switching, that of the smallest lambda; where
-    either is missing, the first two; the only one where there is one.
+    The fixed model of the highest mean reward, and switching, at the paper's conservative lambda or else at the
+    smallest; where either is missing, the first two; the only one where there is one.
     """
     rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    drivers = {name: controller_config(name) for name in rows.index}
-    fixed = [name for name, driver in drivers.items() if driver["type"] == "fixed"]
-    switching = [name for name, driver in drivers.items() if driver["type"] == "switching"]
-    if not fixed or not switching:
+    fixed, switching = (rows[rows["kind"] == kind] for kind in ("fixed", "switching"))
+    if fixed.empty or switching.empty:
         return list(rows.index[:2])
-    best = max(fixed, key=lambda name: rows.loc[name, "reward"])
-    return [best, min(switching, key=lambda name: drivers[name]["lambda"])]
+    usual = paper_controllers(scenario)[-1]
+    return [str(fixed["reward"].idxmax()), usual if usual in switching.index else str(switching["price"].idxmin())]
 
 
 def draw(results: Results, videos: bool = True) -> Iterator[str | list[Section]]:
@@ -86,13 +85,16 @@ def draw(results: Results, videos: bool = True) -> Iterator[str | list[Section]]
 
 def render(results: Results, sections: list[Section]) -> str:
     """The page, as HTML."""
+    shares = results.summaries.filter(like="share_").max()
+    shown = set(shares[shares > 0].index)
     environment = Environment(
         loader=PackageLoader("ms_highway", "data"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     return environment.get_template("report.html.jinja").render(
         sections=sections,
         episodes=sorted(set(results.summaries["episodes"])),
-        models=MODEL_MEANINGS,
+        models={name: MODEL_MEANINGS.get(name, "a model of one's own") for name in MODELS if f"share_{name}" in shown},
+        kinds=set(results.summaries["kind"]),
         semantics=SEMANTICS.get(results.settings["semantics"], results.settings["semantics"]),
         settings={name: _text(value) for name, value in results.settings.items() if value not in ({}, None)},
         runs=[{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in results.runs],
@@ -100,12 +102,14 @@ def render(results: Results, sections: list[Section]) -> str:
 
 
 def _cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """The table's texts with the paper's rewards beside ours, where it published any."""
+    """The table's texts with what the paper published beside ours, where it did."""
     cells = report.cells(summaries, scenario)
     published = [PUBLISHED.get((scenario, name)) for name in cells["controller"]]
     if any(published):
-        texts = [f"{numbers.reward:.2f}" if numbers else "" for numbers in published]
-        cells.insert(list(cells).index("90 % interval") + 1, "published", texts)
+        rewards = [f"{numbers.reward:.2f}" if numbers else "" for numbers in published]
+        times = [f"{1e3 * numbers.seconds:.0f}" if numbers else "" for numbers in published]
+        cells.insert(list(cells).index("90 % interval") + 1, "published reward", rewards)
+        cells.insert(list(cells).index("decide ms") + 1, "published ms", times)
     return cells
 
 

@@ -17,6 +17,11 @@ class Published:
     planning_seconds: float
     decision_seconds: float = 0.0
 
+    @property
+    def seconds(self) -> float:
+        """Planning and deciding together."""
+        return self.planning_seconds + self.decision_seconds
+
 
 PUBLISHED: dict[tuple[str, str], Published] = {
     ("stay_back", "naive"): Published(-7.73, 0.105),

@@ -16,9 +16,10 @@ from rich.table import Table
 from scipy import stats
 
 from ms_highway.colors import color_of
+from ms_highway.envs.configuration import controller_config
 from ms_highway.human_models import MODELS
 
-__all__ = ["CONFIDENCE", "bars", "cells", "summary", "table", "timeline"]
+__all__ = ["CONFIDENCE", "bars", "cells", "episodes_told", "summary", "table", "timeline"]
 
 CONFIDENCE = 0.9
 LEGEND_COLUMNS = 5
@@ -29,14 +30,18 @@ SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
 def summary(records: pd.DataFrame) -> pd.DataFrame:
     """One row per scenario and controller, in the order of the records.
 
-    Columns: ``episodes``; ``reward`` per step with ``reward_low`` and ``reward_high``, the 90 % interval of the mean
-    over episodes (Student's t), and ``reward_std`` over episodes; ``planning_ms`` and ``decision_ms`` per step as
-    measured; ``counted_ms`` per step, planning at the seconds T(M) that decisions count, empty where one is not known;
-    ``share_MODEL`` of steps; ``collision_episodes``, in which the robot collided at least once.
+    Columns: ``kind``, the type of the controller, and ``price``, its lambda; ``episodes``; ``reward`` per step with
+    ``reward_low`` and ``reward_high``, the 90 % interval of the mean over episodes (Student's t), and ``reward_std``
+    over episodes; ``planning_ms`` and ``decision_ms`` per step as measured; ``counted_ms`` per step, planning at the
+    seconds T(M) that decisions count, empty where one is not known; ``share_MODEL`` of steps; ``collision_episodes``,
+    in which the robot collided at least once.
+
+    Raises:
+        ValueError: for an unknown controller.
     """
     rows = []
     for (scenario, controller), steps in records.groupby(["scenario", "controller"], sort=False):
-        rewards = steps.groupby("seed")["reward"].mean()
+        driver, rewards = controller_config(controller), steps.groupby("seed")["reward"].mean()
         low, high = (
             stats.t.interval(CONFIDENCE, len(rewards) - 1, rewards.mean(), stats.sem(rewards))
             if len(rewards) > 1
@@ -46,6 +51,8 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
             {
                 "scenario": scenario,
                 "controller": controller,
+                "kind": driver["type"],
+                "price": driver.get("lambda", np.nan),
                 "episodes": len(rewards),
                 "reward": rewards.mean(),
                 "reward_low": low,
@@ -98,6 +105,12 @@ def table(summaries: pd.DataFrame, scenario: str) -> Table:
     return grid
 
 
+def episodes_told(rows: pd.DataFrame) -> str:
+    """How many episodes the rows of a summary stand for, as titles tell it."""
+    least, most = rows["episodes"].min(), rows["episodes"].max()
+    return f"{most if least == most else f'{least} to {most}'} episodes per controller"
+
+
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     """Reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
     rows = summaries[summaries["scenario"] == scenario]
@@ -127,7 +140,7 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     for axes in (left, right):
         axes.tick_params(axis="x", rotation=20)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(f"{scenario}: {rows['episodes'].iloc[0]} episodes per controller")
+    figure.suptitle(f"{scenario}: {episodes_told(rows)}")
     return figure
 
 
@@ -139,7 +152,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     """
     rows = records[records["scenario"] == scenario]
     controllers = list(dict.fromkeys(rows["controller"]))
-    switching = [name for name in controllers if name.startswith("switching")]
+    switching = [name for name in controllers if controller_config(name)["type"] == "switching"]
     figure = Figure(figsize=(10, 4 + 1.6 * len(switching)), layout="constrained")
     heights = [2.5] + [1] * len(switching)
     axes = np.atleast_1d(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))

@@ -9,6 +9,7 @@ import pandas as pd
 from ms_highway import report
 from ms_highway.envs import SCENARIOS
 from ms_highway.experiment import SETTINGS_FILE, STEPS_FILE, read_settings
+from ms_highway.human_models import MODELS
 from ms_highway.provenance import read_runs
 
 __all__ = ["Results", "read_results"]
@@ -18,6 +19,8 @@ TEXTS, NUMBERS = (
     ("seed", "step", "reward", "planning_seconds", "decision_seconds"),
 )
 NEEDED = {*TEXTS, *NUMBERS, "collision"}  # never empty
+MAY_LACK = "counted_seconds"  # numbers, where they are
+UNKNOWN = "if it is of your own, --import the module that adds it"
 REMEDY = "name a directory that `ms-highway compare` wrote"
 
 
@@ -66,7 +69,11 @@ def read_results(directory: Path) -> Results:
     if missing or not isinstance(settings.get("measured", {}), dict):
         raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
     records = _read_records(directory / STEPS_FILE)
-    return Results(directory, records, report.summary(records), settings, read_runs(directory))
+    try:
+        summaries = report.summary(records)
+    except ValueError as error:
+        raise ValueError(f"{directory / STEPS_FILE}: {error}; {UNKNOWN}") from error
+    return Results(directory, records, summaries, settings, read_runs(directory))
 
 
 def _read_records(file: Path) -> pd.DataFrame:
@@ -74,17 +81,18 @@ def _read_records(file: Path) -> pd.DataFrame:
         records = pd.read_csv(file)
     except (OSError, ValueError) as error:
         raise ValueError(f"{file} cannot be read ({str(error).strip()}); {REMEDY}") from error
-    missing = sorted({*NEEDED, "counted_seconds"} - set(records))
+    missing = sorted({*NEEDED, MAY_LACK} - set(records))
     if missing:
         raise ValueError(f"{file} has no column {', '.join(missing)}; {REMEDY}")
     if records.empty:
         raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
-    for name in NUMBERS:
+    for name in (*NUMBERS, MAY_LACK, *(column for column in records if column.startswith("gain_"))):
         if not pd.api.types.is_numeric_dtype(records[name]):
             raise ValueError(f"{file} has texts where numbers belong, in column {name}; {REMEDY}")
-    for scenario in records["scenario"].unique():
-        if scenario not in SCENARIOS:
-            raise ValueError(f"{file} holds scenario {scenario!r}; the scenarios are {', '.join(SCENARIOS)}")
+    for column, known in (("scenario", SCENARIOS), ("model", MODELS)):
+        for name in records[column].dropna().unique():
+            if name not in known:
+                raise ValueError(f"{file} holds {column} {name!r}, not one of {', '.join(known)}; {UNKNOWN}")
     lengths = records.dropna(subset=list(NEEDED)).groupby(["scenario", "controller", "seed"]).size()
     whole = [length == SCENARIOS[scenario].steps for (scenario, *_), length in lengths.items()]
     if not all(whole) or lengths.sum() != len(records):

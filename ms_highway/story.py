@@ -63,7 +63,7 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=color_of(name), marker="o", linewidth=0, label=f"gain of switching to {name}")
         for name in MODELS
-        if any(episode[f"gain_{name}"].notna().any() for episode in episodes)
+        if any(_gains_of(episode, name).notna().any() for episode in episodes)
     ]
     used = set().union(*(episode["model"] for episode in episodes))
     handles += [Patch(color=color_of(name), alpha=0.35, label=f"{name} in use") for name in MODELS if name in used]
@@ -81,10 +81,15 @@ def _gains(axes: Axes, episode: pd.DataFrame) -> None:
     axes.grid(axis="y", color="white", linewidth=0.8)
     axes.axhline(0, color="black", linewidth=0.8)
     for name in MODELS:
-        gains = episode[f"gain_{name}"]
+        gains = _gains_of(episode, name)
         axes.plot(episode["step"], gains, "o", color=color_of(name), markersize=4)
         axes.plot(episode["step"], gains, color=color_of(name), linewidth=0.8, alpha=0.5)
     _strip(axes, episode)
+
+
+def _gains_of(episode: pd.DataFrame, model: str) -> pd.Series:
+    """Estimated gains of switching to a model; none where it was not known yet."""
+    return episode.get(f"gain_{model}", pd.Series(np.nan, episode.index))
 
 
 def _rewards(axes: Axes, episode: pd.DataFrame, reference: pd.DataFrame | None) -> None:

@@ -7,16 +7,22 @@ from matplotlib.ticker import PercentFormatter
 
 from ms_highway.colors import color_of
 from ms_highway.human_models import MODELS
+from ms_highway.report import episodes_told
 
-__all__ = ["SWITCHING", "best_schedules", "curve", "shares"]
+__all__ = ["best_schedules", "curve", "reference", "shares"]
 
-SWITCHING, SCHEDULE = "switching:", "schedule:"
 SWITCHING_COLOR, SCHEDULE_COLOR = "#1b1f27", "#8a93a5"
 LABEL = 0.08, 0.05  # width and height of a label, as shares of the axes
 
 
+def reference(summaries: pd.DataFrame, scenario: str) -> str | None:
+    """The dearest of the fixed models that were compared, by what their plans count; None without any."""
+    fixed = summaries[(summaries["scenario"] == scenario) & (summaries["kind"] == "fixed")].dropna(subset="counted_ms")
+    return None if fixed.empty else str(fixed.set_index("controller")["counted_ms"].idxmax())
+
+
 def shares(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """What controllers earn and think, as shares of what the dearest fixed model of the comparison does.
+    """What controllers earn and think, as shares of what the `reference` does.
 
     Args:
         summaries: of `ms_highway.report.summary`.
@@ -24,26 +30,17 @@ def shares(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
     Returns:
         By controller, ``reward`` and ``computation``: the reward per step, and the planning counted at T(M), over
-        those of the reference, which ``attrs["reference"]`` names. Where the reference earns nothing or less, its
-        shares of reward mean nothing and are empty.
+        those of the reference. Where the reference earns nothing or less, shares of reward mean nothing and are empty.
 
     Raises:
         ValueError: if no fixed model with a counted time was compared.
     """
-    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    fixed = rows[rows.index.isin(list(MODELS))].dropna(subset=["counted_ms"])
-    if fixed.empty:
+    name, rows = reference(summaries, scenario), summaries[summaries["scenario"] == scenario].set_index("controller")
+    if name is None:
         raise ValueError(f"no fixed model was compared in {scenario!r}; add {', '.join(MODELS)} to its controllers")
-    name = fixed["counted_ms"].idxmax()
-    reward, computation = fixed.loc[name, "reward"], fixed.loc[name, "counted_ms"]
-    result = pd.DataFrame(
-        {
-            "reward": rows["reward"] / (reward if reward > 0 else float("nan")),
-            "computation": rows["counted_ms"] / computation,
-        }
-    )
-    result.attrs["reference"] = name
-    return result
+    reward, computation = rows.loc[name, "reward"], rows.loc[name, "counted_ms"]
+    earned = rows["reward"] / (reward if reward > 0 else float("nan"))
+    return pd.DataFrame({"reward": earned, "computation": rows["counted_ms"] / computation})
 
 
 def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "counted_ms") -> pd.DataFrame:
@@ -58,13 +55,16 @@ def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "c
         computation: the column that measures it.
     """
     rows = summaries[summaries["scenario"] == scenario]
-    ordered = [row in MODELS or row.startswith(SCHEDULE) for row in rows["controller"]]
-    known = rows[ordered].dropna(subset=[computation]).sort_values([computation, "reward"], ascending=[True, False])
+    known = (
+        rows[rows["kind"].isin(["fixed", "schedule"])]
+        .dropna(subset=[computation])
+        .sort_values([computation, "reward"], ascending=[True, False])
+    )
     return known[known["reward"] > known["reward"].cummax().shift(fill_value=float("-inf"))]
 
 
 def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
-    """Reward against computation of every controller; whiskers are the 90 % intervals.
+    """Reward against computation of every controller; whiskers are the 90 % intervals, left out of schedules.
 
     On the left, planning is counted at the seconds T(M) that decisions count; on the right, planning and deciding are
     as measured on this machine. Switching is joined in the order of lambda; the dashed line joins `best_schedules`.
@@ -79,17 +79,15 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     right.set(xlabel="planning + deciding per step, measured [ms]")
     _share_axes(left, summaries, scenario)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
-    figure.suptitle(f"{scenario}: reward against computation, {rows['episodes'].iloc[0]} episodes per controller")
+    figure.suptitle(f"{scenario}: reward against computation, {episodes_told(rows)}")
     return figure
 
 
 def _share_axes(axes: Axes, summaries: pd.DataFrame, scenario: str) -> None:
     """A second scale of computation, in shares of the dearest fixed model's."""
-    try:
-        share = shares(summaries, scenario)
-    except ValueError:
+    name = reference(summaries, scenario)
+    if name is None:
         return
-    name = share.attrs["reference"]
     rows = summaries[summaries["scenario"] == scenario].set_index("controller")
     whole = rows.loc[name, "counted_ms"]
     top = axes.secondary_xaxis("top", functions=(lambda ms: ms / whole, lambda part: part * whole))
@@ -99,21 +97,17 @@ def _share_axes(axes: Axes, summaries: pd.DataFrame, scenario: str) -> None:
 
 def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) -> None:
     """All controllers over one measure of computation."""
-    schedules = rows[rows["controller"].str.startswith(SCHEDULE)]
+    schedules, switching = (rows[rows["kind"] == kind] for kind in ("schedule", "switching"))
+    switching = switching.sort_values("price")
     if len(schedules):
         axes.plot(schedules[computation], schedules["reward"], ".", color=SCHEDULE_COLOR, markersize=5)
         axes.plot(best[computation], best["reward"], "--", color=SCHEDULE_COLOR, label="best fixed schedules")
-    switching = rows[rows["controller"].str.startswith(SWITCHING)]
-    switching = switching.assign(price=switching["controller"].str.removeprefix(SWITCHING).astype(float))
-    switching = switching.sort_values("price")
     if len(switching):
         _points(axes, switching, computation, "o-", SWITCHING_COLOR, "switching, by lambda")
     for price, place in _apart(switching, rows, computation):
         axes.annotate(f"{price:g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
-    for name in MODELS:
-        one = rows[rows["controller"] == name]
-        if len(one):
-            _points(axes, one, computation, "s", color_of(name), name)
+    for name, one in rows[rows["kind"] == "fixed"].groupby("controller", sort=False):
+        _points(axes, one, computation, "s", color_of(str(name)), str(name))
     axes.set_xlim(left=0)
     axes.grid(color="#eeeeee")
     axes.set_axisbelow(True)

@@ -57,13 +57,16 @@ def film(scenario: str, controller: str, seed: int, **config: Any) -> Film:
 
 
 def check_format(path: Path) -> None:
-    """Refuse a file name that says no known format.
+    """Refuse a file name that says no known format, or one that cannot be written here.
 
     Raises:
         ValueError: if the name does not end in .mp4 or .gif.
+        ImportError: for an .mp4 without the packages of the extra ``video``.
     """
     if path.suffix not in FORMATS:
         raise ValueError(f"cannot tell the format of {path}; its name must end in {' or '.join(FORMATS)}")
+    if path.suffix == ".mp4":
+        _imageio()
 
 
 def check_width(width: int, drawn: int) -> None:
@@ -73,7 +76,9 @@ def check_width(width: int, drawn: int) -> None:
         ValueError: if it is not from 160 to ``drawn``.
     """
     if not NARROWEST <= width <= drawn:
-        raise ValueError(f"--width is {width}; the pictures are {drawn} px wide, choose from {NARROWEST} to {drawn}")
+        raise ValueError(
+            f"the width is {width} px; the pictures are {drawn} px wide, choose from {NARROWEST} to {drawn}"
+        )
 
 
 def scaled(pictures: Sequence[Picture], width: int) -> list[Picture]:
@@ -107,12 +112,18 @@ def encoded(pictures: Sequence[Picture], suffix: str, frames_per_second: float) 
     return _gif(pictures, frames_per_second) if suffix == ".gif" else _mp4(pictures, frames_per_second)
 
 
-def _mp4(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
+def _imageio() -> Any:
+    """The library that writes .mp4 files."""
     try:
+        import av  # noqa: F401
         import imageio.v3 as imageio
     except ImportError as error:
         raise ImportError("videos need the extra 'video': pip install 'ms-highway[video]'") from error
-    return imageio.imwrite(
+    return imageio
+
+
+def _mp4(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
+    return _imageio().imwrite(
         "<bytes>", np.stack(pictures), extension=".mp4", plugin="pyav", fps=frames_per_second, codec="libx264"
     )
 

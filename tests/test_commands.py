@@ -67,6 +67,27 @@ def test_compare_goes_on_where_it_was_stopped(compared, tmp_path, capsys):
     assert (tmp_path / "steps.csv").read_text() == before
 
 
+def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(compared, tmp_path, capsys):
+    for name in ("settings.json", "steps.csv"):
+        (tmp_path / name).write_text((compared / name).read_text())
+    arguments = [
+        "compare",
+        "stay_back",
+        "--controllers",
+        "schedule:turn=2,naive",
+        "--seeds",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
+    assert main(arguments) == 0
+    assert "switching:0.4" not in capsys.readouterr().out
+    summary = pd.read_csv(tmp_path / "summary.csv")
+    assert summary["controller"].tolist() == ["naive", "switching:0.4", "schedule:turn=2,naive"]
+    assert summary["kind"].tolist() == ["fixed", "switching", "schedule"]
+    assert summary["episodes"].tolist() == [2, 2, 1]
+
+
 def test_a_controller_named_twice_runs_once(compared, tmp_path):
     arguments = ["compare", "stay_back", "--controllers", "naive", "naive", "--seeds", "1", "--out", str(tmp_path)]
     assert main(arguments) == 0
@@ -121,7 +142,7 @@ def test_compare_keeps_results_among_other_humans_apart(compared, tmp_path, caps
 def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys):
     (tmp_path / "settings.json").write_text((compared / "settings.json").read_text())
     (tmp_path / "steps.csv").write_text("these are\nno, records\n")
-    assert "cannot be read" in failure(capsys, *COMPARE, str(tmp_path))
+    assert "cannot be gone on with" in failure(capsys, *COMPARE, str(tmp_path))
     assert (tmp_path / "steps.csv").read_text() == "these are\nno, records\n"
 
 
@@ -147,7 +168,7 @@ def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys
         (["video", "merger", "--out", "film.mp4", "--seed", "-1"], "--seed"),
         (["video", "roundabout", "--out", "film.mp4"], "unknown scenario 'roundabout'"),
         (["video", "merger", "--out", "film.mp4", "--against", "oracle"], "unknown controller 'oracle'"),
-        (["video", "merger", "--out", "film.mp4", "--width", "2000"], "--width is 2000"),
+        (["video", "merger", "--out", "film.mp4", "--width", "2000"], "the width is 2000 px"),
         (["validate", "nowhere"], "no reference episodes"),
         (["bench", "roundabout"], "'roundabout'; the scenarios are"),
     ],

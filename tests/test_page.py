@@ -1,6 +1,7 @@
 """The page and the table that are made of a comparison."""
 
 import json
+import re
 import shutil
 import subprocess
 from base64 import b64decode
@@ -13,6 +14,7 @@ import pandas as pd
 import pytest
 
 from ms_highway.cli import main
+from ms_highway.envs.configuration import controller_config
 from ms_highway.page import worth_seeing
 from ms_highway.report import bars
 from ms_highway.results import read_results
@@ -201,7 +203,7 @@ def test_the_markdown_table_has_the_numbers_of_the_summary(compared, capsys):
         assert cells["controller"] == expected["controller"]
         interval = f"({expected['reward_low']:.2f}, {expected['reward_high']:.2f})"
         assert cells["reward per step (90 % interval)"] == f"{expected['reward']:.2f} {interval}"
-        assert cells["planning ms"] == f"{expected['planning_ms']:.2f}"
+        assert cells["plan ms"] == f"{expected['planning_ms']:.2f}"
         assert cells["episodes with a collision"] == f"{expected['collision_episodes']} of 2"
     assert [row[-1] for row in rows] == ["-7.73", "2.59"]
     assert rows[0][-2] == "100 / 0 / 0"
@@ -231,10 +233,24 @@ def test_directories_beside_each_other_are_called_by_what_tells_them_apart(chang
     assert switching.split("|")[5].strip() == ""
 
 
-def test_the_best_fixed_model_is_shown_beside_the_most_conservative_switching():
+def test_the_best_fixed_model_is_shown_beside_switching_at_the_papers_conservative_lambda():
     rows = [("naive", 1.0), ("switching:0.6", 3.0), ("tom", 5.0), ("switching:0.1", 4.0), ("turn", 2.0)]
-    summaries = pd.DataFrame([{"scenario": "merger", "controller": name, "reward": reward} for name, reward in rows])
-    assert worth_seeing(summaries, "merger") == ["tom", "switching:0.1"]
+    rows += [("switching:0.001", 4.5)]
+    summaries = pd.DataFrame(
+        [
+            {
+                "scenario": "merger",
+                "controller": name,
+                "reward": reward,
+                "kind": config["type"],
+                "price": config.get("lambda"),
+            }
+            for name, reward in rows
+            for config in [controller_config(name)]
+        ]
+    )
+    assert worth_seeing(summaries, "merger") == ["tom", "switching:0.1"]  # the paper's
+    assert worth_seeing(summaries[summaries["price"] != 0.1], "merger") == ["tom", "switching:0.001"]
     assert worth_seeing(summaries[summaries["reward"] < 3], "merger") == ["naive", "turn"]
     assert worth_seeing(summaries[summaries["reward"] == 5], "merger") == ["tom"]
 
@@ -256,6 +272,14 @@ def with_a_broken_line(directory):
         file.write("stay_back,naive,2,0,naive,0.5\n")
 
 
+def renamed(old, new):
+    def rename(directory):
+        text = (directory / "steps.csv").read_text()
+        (directory / "steps.csv").write_text(re.sub(rf"(?m)(^|,){re.escape(old)}(?=,)", rf"\1{new}", text))
+
+    return rename
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -269,6 +293,10 @@ def with_a_broken_line(directory):
         (lambda directory: (directory / "provenance.json").write_text("{}"), "provenance.json is no list of runs"),
         (without_column, "has no column model"),
         (with_a_broken_line, "holds an unfinished episode"),
+        (renamed("naive", "brief"), "holds model 'brief', not one of naive, turn, tom; if it is of your own, --import"),
+        (renamed("switching:0.4", "swerving"), "unknown controller 'swerving'"),
+        (renamed("stay_back", "zipper"), "holds scenario 'zipper', not one of stay_back, merger, give_way"),
+        (renamed("0.09", "cheap"), "has texts where numbers belong, in column counted_seconds"),
     ],
 )
 def test_results_that_are_no_results_are_refused_in_one_line(spoil, message, compared, tmp_path, capsys):

@@ -6,6 +6,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from ms_highway.colors import color_of
 from ms_highway.experiment import Comparison, read, run
 from ms_highway.human_models import MODELS, TheoryOfMind, register
 from ms_highway.story import decisions, one_episode, storyboard, switches
@@ -58,6 +59,11 @@ class Brief(TheoryOfMind):
         return super().plan(replace(game, planner=replace(game.planner, iterations=5)), state, start)
 
 
+class Unhashable(TheoryOfMind):
+    name: ClassVar[str] = "unhashable"
+    __hash__ = None
+
+
 @pytest.fixture
 def brief():
     register(Brief(), before="tom")
@@ -76,7 +82,13 @@ def test_a_model_of_ones_own_is_compared_recorded_and_drawn_like_the_papers(brie
     assert switching["gain_brief"].notna().any()
     assert set(switching["counted_seconds"]) == {0.09, 0.12}
     assert one_episode(records, "merger", "brief", 0)["reward"].mean() > 4  # it opens the gap
-    decisions([switching])
+    gains, _ = decisions([switching]).axes
+    drawn = {
+        tuple(point) for line in gains.lines if line.get_color() == color_of("brief") for point in line.get_xydata()
+    }
+    assert {tuple(point) for point in switching[["step", "gain_brief"]].dropna().to_numpy()} <= drawn
+    older = switching.drop(columns="gain_brief").assign(model="naive")  # from before the model was known
+    assert len(decisions([older]).axes) == 2
     with pytest.raises(ValueError, match="no seconds of 'brief' were published; say 'measured' or give them"):
         Comparison({"merger": ["naive"]}, ladder=["naive", "brief"]).check()
 
@@ -85,6 +97,7 @@ def test_only_a_whole_model_with_a_name_of_its_own_becomes_a_rung():
     for model, before, message in (
         (object(), None, "lacks name, responds, predict, plan"),
         (TheoryOfMind(), None, "cannot be called 'tom'"),
+        (Unhashable(), None, "cannot be compiled for: unhashable type.*make it a frozen dataclass"),
         (Brief(), "oracle", "unknown human model 'oracle'"),
     ):
         with pytest.raises(ValueError, match=message):

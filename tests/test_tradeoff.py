@@ -4,7 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.tradeoff import best_schedules, curve, shares
+from ms_highway.envs.configuration import controller_config
+from ms_highway.report import episodes_told
+from ms_highway.tradeoff import best_schedules, curve, reference, shares
 
 ROWS = [
     ("naive", 1.0, 90.0),
@@ -22,6 +24,8 @@ def summaries():
     table = pd.DataFrame(ROWS, columns=["controller", "reward", "counted_ms"])
     return table.assign(
         scenario="merger",
+        kind=[controller_config(name)["type"] for name in table["controller"]],
+        price=[controller_config(name).get("lambda") for name in table["controller"]],
         episodes=30,
         reward_low=table["reward"] - 0.1,
         reward_high=table["reward"] + 0.1,
@@ -32,7 +36,7 @@ def summaries():
 
 def test_shares_are_those_of_the_dearest_fixed_model(summaries):
     share = shares(summaries, "merger")
-    assert share.attrs["reference"] == "tom"
+    assert reference(summaries, "merger") == "tom"
     assert share.loc["switching:0.1"].tolist() == pytest.approx([0.8, 0.5])
     assert share.loc["tom"].tolist() == [1, 1]
 
@@ -45,8 +49,11 @@ def test_shares_of_a_reward_below_zero_are_left_empty(summaries):
 
 
 def test_shares_need_a_fixed_model(summaries):
+    switching = summaries[summaries["kind"] == "switching"]
+    assert reference(switching, "merger") is None
     with pytest.raises(ValueError, match="no fixed model was compared in 'merger'; add naive, turn, tom"):
-        shares(summaries[summaries["controller"].str.startswith("switching")], "merger")
+        shares(switching, "merger")
+    assert len(curve(switching, "merger").axes) == 2
 
 
 def test_the_best_schedules_are_those_that_nothing_fixed_beats_with_less(summaries):
@@ -62,3 +69,9 @@ def test_the_curve_shows_every_controller_over_counted_and_over_measured_time(su
         assert (np.abs(points - [milliseconds, reward]).max(axis=1) < 1e-9).any()
     assert measured.get_xlim()[1] < 5
     assert {text.get_text() for text in counted.texts} == {"0.1", "0.01"}
+
+
+def test_a_title_tells_that_controllers_have_several_numbers_of_episodes(summaries):
+    assert episodes_told(summaries) == "30 episodes per controller"
+    summaries.loc[0, "episodes"] = 5
+    assert episodes_told(summaries) == "5 to 30 episodes per controller"
