@@ -9,7 +9,7 @@ from ms_highway.colors import color_of
 from ms_highway.human_models import MODELS
 from ms_highway.report import episodes_told
 
-__all__ = ["best_schedules", "curve", "reference", "shares"]
+__all__ = ["best_schedules", "curve", "meta_rewards", "reference", "shares"]
 
 SWITCHING_COLOR, SCHEDULE_COLOR = "#1b1f27", "#8a93a5"
 LABEL = 0.08, 0.05  # width and height of a label, as shares of the axes
@@ -61,6 +61,28 @@ def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "c
         .sort_values([computation, "reward"], ascending=[True, False])
     )
     return known[known["reward"] > known["reward"].cummax().shift(fill_value=float("-inf"))]
+
+
+def meta_rewards(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
+    """The meta-MDP's reward per step, ``r_R - lambda T(M)``, at every lambda that switching was compared with.
+
+    Args:
+        summaries: of `ms_highway.report.summary`.
+        scenario: its name.
+
+    Returns:
+        By lambda, ascending: ``switching`` with that lambda; every fixed model by its name; and ``best schedule``, the
+        most that any fixed model or schedule has at that lambda.
+    """
+    rows = summaries[summaries["scenario"] == scenario].dropna(subset="counted_ms")
+    switching = rows[rows["kind"] == "switching"].set_index("price").sort_index()
+    ordered = rows[rows["kind"].isin(["fixed", "schedule"])].set_index("controller")
+    seconds = ordered["counted_ms"] / 1e3
+    table = pd.DataFrame({"switching": switching["reward"] - switching.index * switching["counted_ms"] / 1e3})
+    every = pd.DataFrame({price: ordered["reward"] - price * seconds for price in table.index}).T
+    for name in ordered.index[ordered["kind"] == "fixed"]:
+        table[name] = every[name]
+    return table.assign(**{"best schedule": every.max(axis=1)}).rename_axis("lambda")
 
 
 def curve(summaries: pd.DataFrame, scenario: str) -> Figure:

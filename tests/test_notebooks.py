@@ -20,8 +20,13 @@ QUICK = {
     "EPISODES": 3,
     "FOLDS": 1,
     "HELD_OUT": 1,
+    "MERGING_LAMBDAS": [0.001, 0.01, 0.1],
+    "PASSING_LAMBDAS": [0.4, 5],
     "RECORDINGS": 1,
+    "SEEDS": 1,
     "STEPS": 2,
+    "TOM_STEPS": [6],
+    "TURN_STEPS": [12],
 }
 """What takes the place of constants in cells that are tagged ``parameters``, so that a notebook takes seconds."""
 
@@ -42,12 +47,12 @@ def parameters(notebook):
     return cell
 
 
-def quickened(notebook):
-    """The notebook with quick constants, set after its own."""
+def quickened(notebook, results):
+    """The notebook with quick constants, set after its own, and a directory for results where it asks for one."""
     quick = nbformat.from_dict(notebook)
     cell = parameters(quick)
     own = {target.id for statement in ast.parse(cell.source).body for target in statement.targets}
-    changes = {name: value for name, value in QUICK.items() if name in own}
+    changes = {name: value for name, value in {**QUICK, "RESULTS": str(results)}.items() if name in own}
     assert changes, f"none of {sorted(own)} has a quick value in QUICK"
     cell.source += "".join(f"\n{name} = {value!r}" for name, value in changes.items())
     return quick
@@ -74,7 +79,7 @@ def code(notebook):
 
 
 def test_a_notebook_runs_and_shows_what_the_committed_one_shows(committed, tmp_path):
-    quick = quickened(committed)
+    quick = quickened(committed, tmp_path / "results")
     client = NotebookClient(quick, timeout=300, resources={"metadata": {"path": str(NOTEBOOKS[0].parent)}})
     places = dict.fromkeys(("HOME", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "XDG_RUNTIME_DIR"), str(tmp_path))
     client.execute(env={**os.environ, **places})
@@ -90,7 +95,6 @@ def test_a_notebook_is_committed_executed_and_small_and_tells_nothing_of_the_mac
     assert [cell.execution_count for cell in code(committed)] == list(range(1, len(code(committed)) + 1))
     assert set(committed.metadata) == {"kernelspec", "language_info"}
     for cell in committed.cells:
-        assert "execution" not in cell.metadata
         assert SKIPPED not in said(cell)
         for output in cell.get("outputs", []):
             assert output.output_type != "error"
@@ -103,5 +107,5 @@ def test_a_notebook_is_committed_executed_and_small_and_tells_nothing_of_the_mac
             assert not MACHINE.search(text), text
 
 
-def test_there_are_notebooks():
-    assert len(NOTEBOOKS) >= 2
+def test_there_are_notebooks_of_scenarios_human_and_switching():
+    assert [path.stem for path in NOTEBOOKS] == ["01_scenarios", "02_human", "03_fixed_vs_switching"]

@@ -6,7 +6,7 @@ import pytest
 
 from ms_highway.envs.configuration import controller_config
 from ms_highway.report import episodes_told
-from ms_highway.tradeoff import best_schedules, curve, reference, shares
+from ms_highway.tradeoff import best_schedules, curve, meta_rewards, reference, shares
 
 ROWS = [
     ("naive", 1.0, 90.0),
@@ -59,6 +59,16 @@ def test_shares_need_a_fixed_model(summaries):
 def test_the_best_schedules_are_those_that_nothing_fixed_beats_with_less(summaries):
     best = best_schedules(summaries, "merger")
     assert best["controller"].tolist() == ["naive", "schedule:tom=4,naive", "schedule:tom=6,naive", "tom"]
+
+
+def test_meta_rewards_take_off_the_price_of_planning(summaries):
+    table = meta_rewards(summaries, "merger")
+    assert table.index.tolist() == [0.01, 0.1]
+    assert table.loc[0.1, "switching"] == pytest.approx(4.8 - 0.1 * 0.185)
+    assert table.loc[0.01, "tom"] == pytest.approx(6.0 - 0.01 * 0.37)
+    assert (table["best schedule"] == table["tom"]).all()
+    summaries["reward"] -= summaries["counted_ms"] / 50  # now computation is dear
+    assert meta_rewards(summaries, "merger").loc[0.1, "best schedule"] == pytest.approx(5.7 - 132 / 50 - 0.1 * 0.132)
 
 
 def test_the_curve_shows_every_controller_over_counted_and_over_measured_time(summaries):
