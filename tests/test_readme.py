@@ -1,7 +1,6 @@
 """The README keeps what it says."""
 
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -10,22 +9,24 @@ import pandas as pd
 import pytest
 from markdown_it import MarkdownIt
 
-from ms_highway.cli import _parser
+from ms_highway.cli import build_parser
+from ms_highway.cli_compare import comparison
 from ms_highway.experiment import SETTINGS_FILE, read_settings
 from ms_highway.markdown import markdown_table
 from ms_highway.provenance import read_runs
 from ms_highway.results import Results
+from ms_highway.tradeoff import meta_rewards, shares
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text()
 FENCES = [(token.info, token.content) for token in MarkdownIt().parse(TEXT) if token.type == "fence"]
 EXAMPLES = [content for language, content in FENCES if language == "python"]
 COMMANDS = [
-    shlex.split(line.partition(" > ")[0])[1:]
+    line
     for language, content in FENCES
     if language == "sh"
     for line in content.replace("\\\n", " ").splitlines()
-    if line.startswith("ms-highway ")
+    if line.strip().startswith("ms-highway ") and "$" not in line and "--import" not in line
 ]
 
 
@@ -70,9 +71,15 @@ def test_what_an_example_of_comparing_prints_is_what_stands_below_it(printed, wo
     assert f"```text\n{table}\n```" in TEXT
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_is_one(command):
-    assert callable(_parser().parse_args(command).run)
+    """Expanded as bash does."""
+    line = command.partition(" > ")[0]
+    words = subprocess.run(["bash", "-c", f"printf '%s\\n' {line}"], capture_output=True, text=True, check=True).stdout
+    options = build_parser().parse_args(words.splitlines()[1:])
+    assert callable(options.run)
+    if words.splitlines()[1] == "compare":
+        assert comparison(options).controllers
 
 
 @pytest.mark.parametrize("place", re.findall(r"\]\((?!http)([^)#]+)\)", TEXT))
@@ -92,3 +99,27 @@ def test_tables_of_results_are_those_of_the_summaries_they_come_from(names):
     results = [kept(name) for name in names]
     assert markdown_table(results) in TEXT
     assert all(result.runs for result in results)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "controller"),
+    [
+        ("merger", "schedule:tom=7,naive"),
+        ("give_way", "schedule:tom=10,naive"),
+        ("merger", "switching:0.02"),
+        ("merger", "switching:0.1"),
+        ("merger", "switching:0.01"),
+        ("give_way", "switching:0.002"),
+        ("give_way", "switching:0.01"),
+    ],
+)
+def test_shares_of_reward_and_planning_are_those_of_the_summary_they_come_from(scenario, controller):
+    share = shares(kept("curve").summaries, scenario).loc[controller]
+    assert f"{100 * share['reward']:.0f} % at {100 * share['computation']:.0f} %" in " ".join(TEXT.split())
+
+
+def test_always_tom_is_better_than_switching_by_the_meta_reward_as_the_text_says():
+    for scenario in ("merger", "give_way"):
+        table = meta_rewards(kept("curve").summaries, scenario)
+        assert (table["tom"] > table["switching"]).all()
+        assert [table.index.min(), table.index.max()] == [0.001, 3]
