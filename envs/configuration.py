@@ -73,16 +73,23 @@ def controller_config(text: str) -> dict[str, Any]:
     else:
         known = f"{', '.join(MODELS)}, switching:LAMBDA and schedule:MODEL=STEPS,...,MODEL"
         raise ValueError(f"unknown controller {text!r}; the controllers are {known}")
-    _check_controller(config)
+    try:
+        _check_controller(config)
+    except ValueError as error:
+        raise ValueError(f"controller {text!r}: {error}") from None
     return config
 
 
 def _schedule(text: str, parts: str) -> list[str]:
     """The models of a schedule's short name, one per step; the last one stands once and goes on."""
     *first, last = parts.split(",")
+    if "=" in last:
+        raise ValueError(f"controller {text!r}: the last model goes on, so name it without steps, like naive")
     models: list[str] = []
     for part in first:
         name, _, steps = part.partition("=")
+        if name not in MODELS:
+            raise ValueError(f"controller {text!r}: unknown human model {name!r}; the models are {', '.join(MODELS)}")
         if not steps.isdecimal():
             raise ValueError(f"controller {text!r} does not say for how many steps; say it like schedule:tom=6,naive")
         models += [name] * int(steps)

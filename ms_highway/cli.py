@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"ms-highway: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("ms-highway: stopped", file=sys.stderr)
+        print("ms-highway: stopped; compare goes on when it is started again in the same way", file=sys.stderr)
         return 130
     return 0
 
@@ -63,10 +63,12 @@ def _import(modules: Sequence[str]) -> None:
     if modules:
         sys.path.insert(0, os.getcwd())
     for name in modules:
+        if not all(part.isidentifier() for part in name.split(".")):
+            raise ImportError(f"--import {name}: give the name of a module, such as brief for brief.py here")
         try:
             importlib.import_module(name)
-        except ImportError as error:
-            raise ImportError(f"--import {name}: {error}") from error
+        except Exception as error:  # a user's module may fail in any way
+            raise ImportError(f"--import {name}: {type(error).__name__}: {error}") from error
 
 
 def _keep_compilations() -> None:
@@ -166,7 +168,7 @@ def _validate(options: argparse.Namespace) -> None:
         return
     grid = Table(box=SIMPLE, title="errors against the logs: median, 90 %, 99 %, largest", title_justify="left")
     for column in ("file", "robot's control", "reward", "human's control", "decisions"):
-        grid.add_column(column, justify="left" if column == "file" else "right")
+        grid.add_column(column, justify="left" if column == "file" else "right", no_wrap=column == "file")
     for name, errors in result["files"].items():
         cells = [
             " ".join(f"{value:.0e}" for value in errors[kind].values())

@@ -198,8 +198,10 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     steps, settings_file = directory / STEPS_FILE, directory / SETTINGS_FILE
     settings = {**comparison.common_config(), "costs": comparison.costs}
     known = read_settings(settings_file) if steps.exists() else {**settings, "measured": {}}
-    if known != {**settings, "measured": known.get("measured")}:
-        raise ValueError(f"{directory} holds results of {known}, not of {settings}; choose another directory")
+    differing = [key for key in {**known, **settings} if key != "measured" and known.get(key) != settings.get(key)]
+    if differing:
+        told = ", ".join(f"{key} {known.get(key)!r} instead of {settings.get(key)!r}" for key in differing)
+        raise ValueError(f"{directory} holds results with {told}; choose another directory with --out")
     done = _whole_episodes(steps) if steps.exists() else set()
     if comparison.costs == "measured":
         for scenario in comparison.controllers.keys() - known["measured"].keys():

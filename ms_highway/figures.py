@@ -19,8 +19,8 @@ CAPTIONS = {
     "timeline": "Computation along the episode, as the mean over episodes. Below, which model was in use at every step "
     "of every episode of the controllers that switch.",
     "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
-    "and deciding as measured. Whiskers are the 90 % intervals. Switching is labelled by lambda; a dashed line joins "
-    "the best of the models and schedules that were fixed beforehand, chosen by these very episodes.",
+    "and deciding as measured. Whiskers are the 90 % intervals. Switching is labelled by lambda. Where "
+    "schedules were compared, a dashed line joins the best of all that was fixed, chosen by these very episodes.",
     "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model, before the "
     "step that it is drawn at; one above zero is taken. Below, the reward. The background is the model in use.",
 }

@@ -32,7 +32,7 @@ def markdown_table(results: Sequence[Results]) -> str:
     lines = [[*headings, *rest, "published"], ["---"] * (len(headings) + len(rest) + 1)]
     for key, row in found[0].items():
         outcomes = [text for rows in found for text in _outcome(rows.get(key))]
-        published = f"{PUBLISHED[key].reward:.2f}" if key in PUBLISHED else ""
+        published = f"{PUBLISHED[key].reward:.2f}" if results[0].comparable and key in PUBLISHED else ""
         lines.append([*key, *outcomes, *(row[name] for name in rest), published])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 

@@ -79,7 +79,7 @@ def draw(results: Results, videos: bool = True) -> Iterator[str | list[Section]]
         if videos:
             yield f"filming {scenario}"
             films.append(_film(results, scenario))
-        sections.append(Section(scenario, _cells(results.summaries, scenario), shown, films))
+        sections.append(Section(scenario, _cells(results, scenario), shown, films))
     yield sections
 
 
@@ -101,11 +101,11 @@ def render(results: Results, sections: list[Section]) -> str:
     )
 
 
-def _cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
+def _cells(results: Results, scenario: str) -> pd.DataFrame:
     """The table's texts with what the paper published beside ours, where it did."""
-    cells = report.cells(summaries, scenario)
+    cells = report.cells(results.summaries, scenario)
     published = [PUBLISHED.get((scenario, name)) for name in cells["controller"]]
-    if any(published):
+    if results.comparable and any(published):
         rewards = [f"{numbers.reward:.2f}" if numbers else "" for numbers in published]
         times = [f"{1e3 * numbers.seconds:.0f}" if numbers else "" for numbers in published]
         cells.insert(list(cells).index("90 % interval") + 1, "published reward", rewards)
@@ -124,7 +124,7 @@ def _film(results: Results, scenario: str) -> Shown:
     picture = io.BytesIO()
     Image.fromarray(pictures[int(POSTER * len(pictures))]).save(picture, "PNG", optimize=True)
     places = " above, ".join(controllers) + (" below" if len(controllers) > 1 else "")
-    caption = f"Episode {seed}, filmed at true speed: {places}."
+    caption = f"Episode {seed}, at true speed: {places}. Times are as measured while filming; other episodes differ."
     return Shown(_data("video/mp4", content), caption, _data("image/png", picture.getvalue()))
 
 

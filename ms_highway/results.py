@@ -47,6 +47,15 @@ class Results:
         """Names of the scenarios, in the order of the records."""
         return list(dict.fromkeys(self.summaries["scenario"]))
 
+    @property
+    def comparable(self) -> bool:
+        """Whether controllers are those of the paper: with its ladders, its T(M), and gradient steps."""
+        return (
+            "ladder" not in self.settings
+            and self.settings["costs"] == "published"
+            and self.settings.get("solver") == "gradient"
+        )
+
     def config(self, scenario: str) -> dict[str, Any]:
         """The configuration that a scenario's environment had, but for the controller."""
         common = {key: value for key, value in self.settings.items() if key not in ("costs", "measured")}

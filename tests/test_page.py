@@ -327,3 +327,11 @@ def test_a_directory_named_twice_is_refused(compared, capsys):
 def test_results_know_the_settings_of_their_environments(compared):
     config = read_results(compared).config("stay_back")
     assert config == {"semantics": "paper", "solver": "gradient", "human_reward": "learned", "costs": "published"}
+
+
+def test_what_the_paper_published_stands_beside_controllers_of_its_ladder_and_costs_only(compared, tmp_path, capsys):
+    other = shutil.copytree(compared, tmp_path / "other")
+    settings = json.loads((compared / "settings.json").read_text())
+    (other / "settings.json").write_text(json.dumps(settings | {"ladder": ["naive", "turn"]}))
+    assert main(["report", str(other), "--markdown"]) == 0
+    assert "-7.73" not in capsys.readouterr().out
