@@ -63,7 +63,7 @@ def _import(modules: Sequence[str]) -> None:
     if modules:
         sys.path.insert(0, os.getcwd())
     for name in modules:
-        if not all(part.isidentifier() for part in name.split(".")):
+        if name.endswith(".py") or not all(part.isidentifier() for part in name.split(".")):
             raise ImportError(f"--import {name}: give the name of a module, such as brief for brief.py here")
         try:
             importlib.import_module(name)
