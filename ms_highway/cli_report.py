@@ -1,6 +1,7 @@
 """The command ``ms-highway report``."""
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ from ms_highway.console import add_command, draw_unseen, work
 from ms_highway.files import replacing
 from ms_highway.markdown import markdown_table
 from ms_highway.page import draw, render
-from ms_highway.results import read_results
+from ms_highway.results import Results, read_results
 from ms_highway.video import check_format
 
 __all__ = ["add_report"]
@@ -47,7 +48,10 @@ def _report(options: argparse.Namespace) -> None:
     if options.markdown:
         if options.out:
             raise ValueError("--out is the file of a page; leave it out with --markdown, which prints")
-        print(markdown_table([read_results(directory) for directory in options.directories]))
+        several = [read_results(directory) for directory in options.directories]
+        for results in several:
+            _tell_what_is_missing(results)
+        print(markdown_table(several))
         return
     if len(options.directories) > 1:
         raise ValueError("a page shows one directory of results; name one, or add --markdown")
@@ -56,6 +60,7 @@ def _report(options: argparse.Namespace) -> None:
     if out.suffix != ".html" or out.is_dir():
         raise ValueError(f"--out is {out}; name an .html file")
     results = read_results(directory)
+    _tell_what_is_missing(results)
     if options.videos:
         try:
             check_format(Path("film.mp4"))
@@ -66,3 +71,9 @@ def _report(options: argparse.Namespace) -> None:
     with replacing(out) as path:
         path.write_text(page, encoding="utf-8")
     print(f"the page is {out}, {len(page) / 1e6:.1f} MB")
+
+
+def _tell_what_is_missing(results: Results) -> None:
+    if results.missing:
+        remedy = "start the same `ms-highway compare` again, which goes on"
+        print(f"ms-highway: {results.directory} lacks {results.missing} episodes; {remedy}", file=sys.stderr)

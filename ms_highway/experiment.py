@@ -22,6 +22,7 @@ from ms_highway.human_models import MODELS
 from ms_highway.planner import Solver
 
 __all__ = [
+    "GROWING",
     "SETTINGS_FILE",
     "STEPS_FILE",
     "Comparison",
@@ -35,6 +36,7 @@ __all__ = [
 ]
 
 STEPS_FILE, SETTINGS_FILE = "steps.csv", "settings.json"
+GROWING = ("measured", "asked")  # of the settings, what comparisons in the same directory add to
 KEYS = ["scenario", "controller", "seed"]
 
 
@@ -193,12 +195,14 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
 
     Returns:
         The episodes that it holds whole (half an episode at the end is dropped), and T(M) by scenario; measured times
-        are measured once, kept with the results, and used again when the run goes on.
+        are measured once, kept with the results, and used again when the run goes on. How many episodes were asked for
+        is kept as well.
     """
     steps, settings_file = directory / STEPS_FILE, directory / SETTINGS_FILE
     settings = {**comparison.common_config(), "costs": comparison.costs}
-    known = read_settings(settings_file) if steps.exists() else {**settings, "measured": {}}
-    differing = [key for key in {**known, **settings} if key != "measured" and known.get(key) != settings.get(key)]
+    known = read_settings(settings_file) if steps.exists() else settings
+    known = {**known, **{key: known.get(key, {}) for key in GROWING}}
+    differing = [key for key in {**known, **settings} if key not in GROWING and known.get(key) != settings.get(key)]
     if differing:
         told = ", ".join(f"{key} {known.get(key)!r} instead of {settings.get(key)!r}" for key in differing)
         raise ValueError(f"{directory} holds results with {told}; choose another directory with --out")
@@ -206,6 +210,9 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     if comparison.costs == "measured":
         for scenario in comparison.controllers.keys() - known["measured"].keys():
             known["measured"][scenario] = _measured(scenario, comparison.common_config())
+    for scenario, controllers in comparison.controllers.items():
+        asked = known["asked"].setdefault(scenario, {})
+        asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
     with replacing(settings_file) as path:
         path.write_text(json.dumps(known, indent=2) + "\n")
     if not steps.exists():

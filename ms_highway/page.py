@@ -96,7 +96,8 @@ def render(results: Results, sections: list[Section]) -> str:
         models={name: MODEL_MEANINGS.get(name, "a model of one's own") for name in MODELS if f"share_{name}" in shown},
         kinds=set(results.summaries["kind"]),
         semantics=SEMANTICS.get(results.settings["semantics"], results.settings["semantics"]),
-        settings={name: _text(value) for name, value in results.settings.items() if value not in ({}, None)},
+        settings={name: _text(value) for name, value in results.settings.items() if name != "asked" and value != {}},
+        missing=results.missing,
         runs=[{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in results.runs],
     )
 

@@ -8,7 +8,7 @@ import pandas as pd
 
 from ms_highway import report
 from ms_highway.envs import SCENARIOS
-from ms_highway.experiment import SETTINGS_FILE, STEPS_FILE, read_settings
+from ms_highway.experiment import GROWING, SETTINGS_FILE, STEPS_FILE, read_settings
 from ms_highway.human_models import MODELS
 from ms_highway.provenance import read_runs
 
@@ -48,6 +48,17 @@ class Results:
         return list(dict.fromkeys(self.summaries["scenario"]))
 
     @property
+    def missing(self) -> int:
+        """How many episodes were asked for that are not there yet."""
+        rows = self.summaries.set_index(["scenario", "controller"])["episodes"]
+        asked = self.settings.get("asked", {})
+        return sum(
+            max(0, seeds - int(rows.get((scenario, name), 0)))
+            for scenario, controllers in asked.items()
+            for name, seeds in controllers.items()
+        )
+
+    @property
     def comparable(self) -> bool:
         """Whether controllers are those of the paper: with its ladders, its T(M), and gradient steps."""
         return (
@@ -58,7 +69,7 @@ class Results:
 
     def config(self, scenario: str) -> dict[str, Any]:
         """The configuration that a scenario's environment had, but for the controller."""
-        common = {key: value for key, value in self.settings.items() if key not in ("costs", "measured")}
+        common = {key: value for key, value in self.settings.items() if key not in ("costs", *GROWING)}
         return {**common, "costs": self.settings.get("measured", {}).get(scenario, self.settings["costs"])}
 
 

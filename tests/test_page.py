@@ -335,3 +335,13 @@ def test_what_the_paper_published_stands_beside_controllers_of_its_ladder_and_co
     (other / "settings.json").write_text(json.dumps(settings | {"ladder": ["naive", "turn"]}))
     assert main(["report", str(other), "--markdown"]) == 0
     assert "-7.73" not in capsys.readouterr().out
+
+
+def test_a_page_of_a_comparison_that_was_stopped_says_how_many_episodes_are_missing(compared, html, tmp_path, capsys):
+    assert "are missing" not in html
+    directory = shutil.copytree(compared, tmp_path / "stopped")
+    records = pd.read_csv(directory / "steps.csv")
+    records[(records["controller"] == "naive") & (records["seed"] == 0)].to_csv(directory / "steps.csv", index=False)
+    assert main(["report", str(directory), "--no-videos"]) == 0
+    assert "lacks 3 episodes; start the same" in capsys.readouterr().err
+    assert "3 of the episodes that were asked for are missing." in Page((directory / "report.html").read_text()).texts
