@@ -117,7 +117,8 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     names, colors = list(rows["controller"]), _colors(list(rows["controller"]))
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    errors = np.nan_to_num(np.abs(rows[["reward_low", "reward_high"]].to_numpy() - rows[["reward"]].to_numpy())).T
+    ends = rows[["reward_low", "reward_high"]].to_numpy()
+    errors = np.nan_to_num(np.abs(ends - rows[["reward"]].to_numpy())).T.tolist()  # a list, of which one may be alone
     left.bar(names, rows["reward"], yerr=errors, color=colors, capsize=4)
     left.axhline(0, color="black", linewidth=0.8)
     left.set(title="reward", ylabel="mean reward per step")
