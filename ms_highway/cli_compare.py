@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway import experiment, report
-from ms_highway.cli_options import add_semantics, human_reward
+from ms_highway.cli_options import CONTROLLERS, add_semantics, human_reward
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS
 from ms_highway.figures import figures
@@ -50,7 +50,7 @@ def add_compare(commands: Any) -> None:
         "--controllers",
         nargs="+",
         metavar="CONTROLLER",
-        help="naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL (default: the paper's)",
+        help=f"{CONTROLLERS} (default: the paper's)",
     )
     parser.add_argument("--seeds", type=int, default=30, help="episodes per controller, seeded 0, 1, ... (default: 30)")
     parser.add_argument(

@@ -6,7 +6,10 @@ from pathlib import Path
 from ms_highway.envs.configuration import HUMAN_REWARDS
 from ms_highway.learnt import load
 
-__all__ = ["add_semantics", "human_reward"]
+__all__ = ["CONTROLLERS", "add_semantics", "human_reward"]
+
+CONTROLLERS = "naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL"
+"""What controllers are called on the command line, for help texts."""
 
 
 def add_semantics(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway import video
-from ms_highway.cli_options import add_semantics, human_reward
+from ms_highway.cli_options import CONTROLLERS, add_semantics, human_reward
 from ms_highway.console import add_command, draw_unseen
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.configuration import controller_config
@@ -35,8 +35,7 @@ def add_video(commands: Any) -> None:
     parser.add_argument(
         "--controller",
         metavar="CONTROLLER",
-        help="naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL (default: switching with the paper's "
-        "conservative lambda)",
+        help=f"{CONTROLLERS} (default: switching with the paper's conservative lambda)",
     )
     parser.add_argument("--against", metavar="CONTROLLER", help="a second controller, filmed from the same start")
     parser.add_argument("--seed", type=int, default=0, help="seed of the episode (default: 0)")

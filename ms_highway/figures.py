@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from ms_highway.experiment import paper_controllers
 from ms_highway.report import bars, timeline
-from ms_highway.story import decisions, one_episode
+from ms_highway.story import common_seeds, decisions, one_episode
 from ms_highway.tradeoff import curve, reference
 
 __all__ = ["CAPTIONS", "figures"]
@@ -49,10 +49,9 @@ def _decisions(records: pd.DataFrame, rows: pd.DataFrame, dearest: str | None, s
     """Decisions in the first episode that the switching controllers have in common; nothing without such."""
     switching = list(rows.loc[rows["kind"] == "switching", "controller"])[:EPISODES_BESIDE]
     names = switching if dearest is None else [*switching, dearest]
-    own = records[records["scenario"] == scenario].groupby("controller")["seed"]
-    seeds = set.intersection(*(set(own.get_group(name)) for name in names)) if switching else set()
+    seeds = common_seeds(records, scenario, names) if switching else []
     if not seeds:
         return {}
-    episodes = {name: one_episode(records, scenario, name, min(seeds)) for name in names}
+    episodes = {name: one_episode(records, scenario, name, seeds[0]) for name in names}
     beside = None if dearest is None else episodes[dearest]
     return {"decisions": decisions([episodes[name] for name in switching], beside)}

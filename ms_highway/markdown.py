@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from ms_highway.published import PUBLISHED
 from ms_highway.report import cells
 from ms_highway.results import Results
 
@@ -32,8 +31,8 @@ def markdown_table(results: Sequence[Results]) -> str:
     lines = [[*headings, *rest, "published"], ["---"] * (len(headings) + len(rest) + 1)]
     for key, row in found[0].items():
         outcomes = [text for rows in found for text in _outcome(rows.get(key))]
-        published = f"{PUBLISHED[key].reward:.2f}" if results[0].comparable and key in PUBLISHED else ""
-        lines.append([*key, *outcomes, *(row[name] for name in rest), published])
+        published = results[0].published(*key)
+        lines.append([*key, *outcomes, *(row[name] for name in rest), f"{published.reward:.2f}" if published else ""])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

@@ -16,9 +16,9 @@ from ms_highway.envs.graphics import MODEL_MEANINGS
 from ms_highway.experiment import paper_controllers
 from ms_highway.figures import CAPTIONS, figures
 from ms_highway.human_models import MODELS
-from ms_highway.published import PUBLISHED
 from ms_highway.results import Results
 from ms_highway.side_by_side import side_by_side
+from ms_highway.story import common_seeds
 
 __all__ = ["Section", "Shown", "draw", "render", "worth_seeing"]
 
@@ -105,8 +105,8 @@ def render(results: Results, sections: list[Section]) -> str:
 def _cells(results: Results, scenario: str) -> pd.DataFrame:
     """The table's texts with what the paper published beside ours, where it did."""
     cells = report.cells(results.summaries, scenario)
-    published = [PUBLISHED.get((scenario, name)) for name in cells["controller"]]
-    if results.comparable and any(published):
+    published = [results.published(scenario, name) for name in cells["controller"]]
+    if any(published):
         rewards = [f"{numbers.reward:.2f}" if numbers else "" for numbers in published]
         times = [f"{1e3 * numbers.seconds:.0f}" if numbers else "" for numbers in published]
         cells.insert(list(cells).index("90 % interval") + 1, "published reward", rewards)
@@ -117,9 +117,8 @@ def _cells(results: Results, scenario: str) -> pd.DataFrame:
 def _film(results: Results, scenario: str) -> Shown:
     """The first episode of the controllers that are worth seeing, from the same start."""
     controllers = worth_seeing(results.summaries, scenario)
-    rows = results.records[results.records["scenario"] == scenario]
-    seed = min(set.intersection(*(set(rows[rows["controller"] == name]["seed"]) for name in controllers)), default=0)
-    films = [video.film(scenario, name, int(seed), **results.config(scenario)) for name in controllers]
+    seed = int(next(iter(common_seeds(results.records, scenario, controllers)), 0))
+    films = [video.film(scenario, name, seed, **results.config(scenario)) for name in controllers]
     pictures = side_by_side(films)
     content = video.encoded(pictures, ".mp4", films[0].frames_per_second)
     picture = io.BytesIO()

@@ -11,6 +11,7 @@ from ms_highway.envs import SCENARIOS
 from ms_highway.experiment import GROWING, SETTINGS_FILE, STEPS_FILE, read_settings
 from ms_highway.human_models import MODELS
 from ms_highway.provenance import read_runs
+from ms_highway.published import PUBLISHED, Published
 
 __all__ = ["Results", "read_results"]
 
@@ -58,14 +59,10 @@ class Results:
             for name, seeds in controllers.items()
         )
 
-    @property
-    def comparable(self) -> bool:
-        """Whether controllers are those of the paper: with its ladders, its T(M), and gradient steps."""
-        return (
-            "ladder" not in self.settings
-            and self.settings["costs"] == "published"
-            and self.settings.get("solver") == "gradient"
-        )
+    def published(self, scenario: str, controller: str) -> Published | None:
+        """What the paper published of a controller; nothing but with its ladders, its T(M), and gradient steps."""
+        alike = self.settings["costs"] == "published" and self.settings.get("solver") == "gradient"
+        return PUBLISHED.get((scenario, controller)) if alike and "ladder" not in self.settings else None
 
     def config(self, scenario: str) -> dict[str, Any]:
         """The configuration that a scenario's environment had, but for the controller."""

@@ -15,7 +15,7 @@ from ms_highway.colors import color_of
 from ms_highway.envs.graphics import PANEL_HEIGHT
 from ms_highway.human_models import MODELS
 
-__all__ = ["decisions", "one_episode", "storyboard", "switches"]
+__all__ = ["common_seeds", "decisions", "one_episode", "storyboard", "switches"]
 
 FRAMES_IN_A_ROW = 3
 CROP = 0.15, 0.75  # of a frame's width, where the cars are
@@ -32,6 +32,12 @@ def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int
     if not chosen.any():
         raise ValueError(f"there is no episode of {controller!r} in {scenario!r} with seed {seed} in these records")
     return records[chosen].sort_values("step")
+
+
+def common_seeds(records: pd.DataFrame, scenario: str, controllers: Sequence[str]) -> list[int]:
+    """Seeds of the episodes that all of these controllers, one at least, have driven, ascending."""
+    rows = records[records["scenario"] == scenario]
+    return sorted(set.intersection(*(set(rows.loc[rows["controller"] == name, "seed"]) for name in controllers)))
 
 
 def switches(episode: pd.DataFrame) -> list[int]:
@@ -54,8 +60,7 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
     figure = Figure(figsize=(10, 5), layout="constrained")
     panels = figure.subplots(2, len(episodes), sharex=True, sharey="row", squeeze=False, height_ratios=[1.2, 1])
     for (upper, lower), episode in zip(panels.T, episodes, strict=True):
-        first = episode.iloc[0]
-        upper.set_title(f"{first['scenario']}, {first['controller']}, seed {first['seed']}", fontsize="medium")
+        upper.set_title(_title(episode), fontsize="medium")
         _gains(upper, episode)
         _rewards(lower, episode, reference)
     panels[0, 0].set_ylabel("estimated net gain")
@@ -72,6 +77,11 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
         handles.append(Line2D([], [], color="black", linestyle=":", label=label))
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
     return figure
+
+
+def _title(episode: pd.DataFrame) -> str:
+    first = episode.iloc[0]
+    return f"{first['scenario']}, {first['controller']}, seed {first['seed']}"
 
 
 def _gains(axes: Axes, episode: pd.DataFrame) -> None:
@@ -147,6 +157,5 @@ def storyboard(episode: pd.DataFrame, pictures: Sequence[UInt8[np.ndarray, "h w 
         axes.text(step, 1.04, f"{number + 1}", transform=axes.get_xaxis_transform(), ha="center", weight="bold")
     axes.set(xlabel="step (0.1 s)", ylabel="planning +\ndeciding [ms]", xlim=(-0.5, len(episode) - 0.5))
     axes.spines[["top", "right"]].set_visible(False)
-    first = episode.iloc[0]
-    figure.suptitle(f"{first['scenario']}, {first['controller']}, seed {first['seed']}")
+    figure.suptitle(_title(episode))
     return figure
