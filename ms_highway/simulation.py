@@ -4,23 +4,33 @@ The pure functions are those that the environments call, so that both loops agre
 T(M) comes from a table.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import NamedTuple
+from functools import cache, partial
+from typing import Any, NamedTuple, get_args
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Float, Int
 
 from ms_highway.compiled import QUICKLY
+from ms_highway.controller import Status, braking_control
 from ms_highway.dynamics import Array, keep_velocity, recover_control, step
-from ms_highway.game import Game, constant_velocity, swap
-from ms_highway.human_models import HumanModel, Naive
+from ms_highway.game import Game, swap
+from ms_highway.human_models import HumanModel, JointPlan, Naive
 from ms_highway.reward import features
 from ms_highway.switching import Memory, Switching, decide, first_memory
 
-__all__ = ["DECIDES", "Episodes", "Loop", "Records", "simulate"]
+__all__ = ["DECIDES", "STATUSES", "Episodes", "Loop", "Records", "device_mesh", "simulate", "usual_chunk"]
+
+STATUSES: tuple[Status, ...] = get_args(Status)
+"""How controls come about, in the order of the numbers that stand for them in `Records`."""
+
+PLANNED, PREVIOUS, BRAKING = range(3)
+AXIS = "episodes"  # of a mesh of devices
+CHUNK, WIDE_CHUNK = 16, 1024  # episodes that a processor computes together, and an accelerator
 
 DECIDES = -1
 """In a schedule: Algorithm 1 chooses the rung of this step."""
@@ -34,13 +44,22 @@ class Loop:
     Attributes:
         game: what is played.
         switching: ladder, costs, and the numbers of Algorithm 1; its price is each episode's own.
+        others: models that schedules may use beside the ladder; their numbers go on after its rungs (static).
         chunk: episodes that are computed together (static). Each human model is computed only for the chunks that use
-            it, so that smaller chunks compute less in vain, and larger ones make better use of wide hardware.
+            it, so that smaller chunks compute less in vain, and larger ones make better use of wide hardware. What
+            becomes of an episode does not depend on those that are computed with it; a chunk of another size may
+            change the last digits, which theory of mind makes much of.
     """
 
     game: Game
     switching: Switching
-    chunk: int = field(default=32, metadata={"static": True})
+    others: tuple[HumanModel, ...] = field(default=(), metadata={"static": True})
+    chunk: int = field(default=CHUNK, metadata={"static": True})
+
+    @property
+    def models(self) -> tuple[HumanModel, ...]:
+        """All models, in the order of the numbers that stand for them in schedules and records."""
+        return (*self.switching.ladder, *self.others)
 
 
 @jax.tree_util.register_dataclass
@@ -51,7 +70,7 @@ class Episodes:
     Attributes:
         starts: all cars at the start, robot first, then the human.
         prices: lambda, where Algorithm 1 decides.
-        schedules: the rung that each step is planned with, or `DECIDES`.
+        schedules: the number of the model that each step is planned with, or `DECIDES`.
         robot_weights, human_weights: of both rewards, in the order of their features.
     """
 
@@ -61,26 +80,84 @@ class Episodes:
     robot_weights: Float[Array, "episodes features"]
     human_weights: Float[Array, "episodes features"]
 
+    def __len__(self) -> int:
+        return len(self.starts)
+
 
 class Records(NamedTuple):
     """What happened, a record per step, like those of `ms_highway.experiment.episode`.
 
     Attributes:
-        rung: place in the ladder of the model that planned.
+        model: number of the model that planned, in `Loop.models`.
+        status: how the robot's control came about, a place in `STATUSES`.
         reward: the robot's, after the step.
         collision: whether the robot collided in it.
         gain_up, gain_down: estimated before the step, NaN where none was.
-        planned: whether the robot's plan was finite; where it was not, the robot kept its velocity.
         states: all cars after the step.
     """
 
-    rung: Int[jax.Array, "episodes steps"]
-    reward: Float[jax.Array, "episodes steps"]
-    collision: Bool[jax.Array, "episodes steps"]
-    gain_up: Float[jax.Array, "episodes steps"]
-    gain_down: Float[jax.Array, "episodes steps"]
-    planned: Bool[jax.Array, "episodes steps"]
-    states: Float[jax.Array, "episodes steps cars 4"]
+    model: Int[Array, "episodes steps"]
+    status: Int[Array, "episodes steps"]
+    reward: Float[Array, "episodes steps"]
+    collision: Any  # truth values [episodes, steps]
+    gain_up: Float[Array, "episodes steps"]
+    gain_down: Float[Array, "episodes steps"]
+    states: Float[Array, "episodes steps cars 4"]
+
+
+def usual_chunk() -> int:
+    """The size of a chunk that suits the devices that JAX uses by default."""
+    return CHUNK if jax.default_backend() == "cpu" else WIDE_CHUNK
+
+
+def device_mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
+    """Devices in a row, to share episodes among; without any named, all of this process."""
+    return Mesh(np.array(jax.local_devices() if devices is None else devices), (AXIS,))
+
+
+def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Records:
+    """Run episodes from start to end in one computation, shared by the devices of a mesh.
+
+    In every step, each device puts its episodes in the order of their models and computes them chunk by chunk, so that
+    most chunks need a single model: under `jax.vmap` alone, every episode would pay for every model. Episodes are
+    filled up, with copies of the last one, to whole chunks on every device; the copies are dropped again.
+
+    Args:
+        loop: what the episodes have in common.
+        episodes: one at least.
+        mesh: of `device_mesh`; without, the first device.
+
+    Returns:
+        NumPy arrays.
+
+    Raises:
+        ValueError: without an episode.
+    """
+    count, mesh = len(episodes), device_mesh(jax.local_devices()[:1]) if mesh is None else mesh
+    if count == 0:
+        raise ValueError("there are no episodes to simulate; give one at least")
+    whole = -(-count // (loop.chunk * mesh.size)) * loop.chunk * mesh.size
+    places = np.minimum(np.arange(whole), count - 1)
+    filled = jax.tree.map(lambda part: np.asarray(part)[places], episodes)
+    records = _compiled(mesh)(loop, filled)
+    return jax.tree.map(lambda part: np.asarray(part)[:count], records)
+
+
+@cache
+def _compiled(mesh: Mesh) -> jax.stages.Wrapped:
+    """`_simulate` on every device of a mesh, each with its share of the episodes."""
+    shares = PartitionSpec(AXIS)
+    shared = jax.shard_map(
+        _simulate, mesh=mesh, in_specs=(PartitionSpec(), shares), out_specs=shares, check_vma=False
+    )  # nothing is exchanged between devices
+    return jax.jit(shared, compiler_options=QUICKLY)
+
+
+class _Rest(NamedTuple):
+    """What is left of a driver's last good plan: its scaled controls, and how many; none after braking."""
+
+    controls: Float[jax.Array, "horizon 2"]
+    steps: Int[jax.Array, ""]
 
 
 class _Now(NamedTuple):
@@ -90,6 +167,8 @@ class _Now(NamedTuple):
     memory: Memory
     gain_up: Float[jax.Array, ""]
     gain_down: Float[jax.Array, ""]
+    robot: _Rest
+    human: _Rest
 
 
 class _Own(NamedTuple):
@@ -100,41 +179,34 @@ class _Own(NamedTuple):
     human_weights: Float[jax.Array, "features"]
 
 
-@partial(jax.jit, compiler_options=QUICKLY)
-def simulate(loop: Loop, episodes: Episodes) -> Records:
-    """Run episodes, as many as a multiple of ``loop.chunk``, from start to end in one computation.
-
-    In every step, episodes are put in the order of their rungs and computed chunk by chunk, so that most chunks need a
-    single model: under `jax.vmap` alone, every episode would pay for every rung.
-    """
-    count = len(episodes.starts)
-    own = _Own(episodes.prices, episodes.robot_weights, episodes.human_weights)
-    memory = jax.tree.map(lambda part: jnp.broadcast_to(part, (count, *part.shape)), first_memory(loop.switching))
-    none = jnp.full(count, jnp.nan, jnp.float32)
-    start = _Now(jnp.asarray(episodes.starts, jnp.float32), memory, none, none)
+def _simulate(loop: Loop, episodes: Episodes) -> Records:
+    """Run episodes, as many as a multiple of ``loop.chunk``."""
+    count = len(episodes)
+    own = _Own(*map(jnp.asarray, (episodes.prices, episodes.robot_weights, episodes.human_weights)))
+    none = _Rest(jnp.zeros((loop.game.planner.horizon, 2)), jnp.int32(0))
+    unknown = jnp.float32(jnp.nan)
+    before = _Now(jnp.zeros(0), first_memory(loop.switching), unknown, unknown, none, none)
+    first = jax.tree.map(lambda part: jnp.broadcast_to(part, (count, *part.shape)), before)
+    first = first._replace(state=jnp.asarray(episodes.starts, jnp.float32))
 
     def one_step(now: _Now, scheduled: Int[jax.Array, "episodes"]) -> tuple[_Now, Records]:
-        rungs = jnp.where(scheduled == DECIDES, now.memory.rung, scheduled)
-        now = now._replace(memory=now.memory._replace(rung=rungs))
-        order = jnp.argsort(rungs, stable=True)
-        together = jax.tree.map(
-            lambda part: part[order].reshape(-1, loop.chunk, *part.shape[1:]), (now, own, scheduled == DECIDES)
-        )
+        decides = scheduled == DECIDES
+        models = jnp.where(decides, now.memory.rung, scheduled)
+        now = now._replace(memory=now.memory._replace(rung=models))
+        order = jnp.argsort(2 * models + decides, stable=True)
+        together = jax.tree.map(lambda part: part[order].reshape(-1, loop.chunk, *part.shape[1:]), (now, own, decides))
         done = jax.lax.map(lambda chunk: _step(loop, *chunk), together)
         back = jnp.argsort(order)
         return jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:])[back], done)
 
-    _, records = jax.lax.scan(one_step, start, jnp.asarray(episodes.schedules).T)
+    _, records = jax.lax.scan(one_step, first, jnp.asarray(episodes.schedules).T)
     return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
 
 
-def _step(loop: Loop, now: _Now, own: _Own, decides: Bool[jax.Array, "chunk"]) -> tuple[_Now, Records]:
+def _step(loop: Loop, now: _Now, own: _Own, decides: jax.Array) -> tuple[_Now, Records]:
     """One step of a chunk of episodes."""
-    rung, robot = now.memory.rung, _plan(loop, now, own)
-    moved = jax.vmap(partial(_move, loop.game))(now.state, own, robot)
-    chosen = _choose(loop, now, own, decides, moved)
-    records = Records(rung, moved.reward, moved.collision, now.gain_up, now.gain_down, moved.planned, moved.state)
-    return chosen._replace(state=moved.state), records
+    moved, records = jax.vmap(partial(_move, loop.game))(now, own, _plan(loop, now, own))
+    return _choose(loop, now, own, decides, moved), records
 
 
 def _game(game: Game, own: _Own) -> Game:
@@ -145,57 +217,74 @@ def _game(game: Game, own: _Own) -> Game:
     )
 
 
-def _plan(loop: Loop, now: _Now, own: _Own) -> Float[jax.Array, "chunk 2"]:
-    """The robot's first scaled control in every episode; only the models that some episode uses are computed."""
+def _plan(loop: Loop, now: _Now, own: _Own) -> JointPlan:
+    """The plan of every episode; only the models that some episode uses are computed."""
 
-    def first(model: HumanModel) -> Float[jax.Array, "chunk 2"]:
-        return jax.vmap(lambda own, state: model.plan(_game(loop.game, own), state).robot[0])(own, now.state)
+    def planned(model: HumanModel) -> JointPlan:
+        return jax.vmap(lambda own, state: model.plan(_game(loop.game, own), state))(own, now.state)
 
-    none = jnp.zeros((loop.chunk, 2))
-    chosen = none
-    for place, model in enumerate(loop.switching.ladder):
-        uses = now.memory.rung == place
-        planned = jax.lax.cond(uses.any(), partial(first, model), lambda: none)
-        chosen = jnp.where(uses[:, None], planned, chosen)
+    still = jnp.zeros((loop.chunk, loop.game.planner.horizon, 2))
+    chosen = JointPlan(still, still)
+    for number, model in enumerate(loop.models):
+        uses = now.memory.rung == number
+        plan = jax.lax.cond(uses.any(), partial(planned, model), lambda: JointPlan(still, still))
+        chosen = jax.tree.map(lambda new, old, uses=uses: jnp.where(uses[:, None, None], new, old), plan, chosen)
     return chosen
+
+
+def _follow(
+    game: Game, car: Float[jax.Array, "4"], plan: JointPlan, rest: _Rest
+) -> tuple[Float[jax.Array, "2"], Int[jax.Array, ""], _Rest]:
+    """The scaled control to execute, its status and the rest that it leaves.
+
+    As in the environments, a plan that is not finite gives way to the rest of the last one, and that to braking.
+    """
+    finite = jnp.isfinite(plan.robot).all() & jnp.isfinite(plan.human).all()
+    goes_on = rest.steps > 1
+    status = jnp.where(finite, PLANNED, jnp.where(goes_on, PREVIOUS, BRAKING))
+    controls = jnp.where(finite, plan.robot, jnp.roll(rest.controls, -1, axis=0))
+    braking = braking_control(game, car) / game.planner.control_scale
+    left = jnp.where(finite, len(plan.robot), jnp.where(goes_on, rest.steps - 1, 0))
+    return jnp.where(status == BRAKING, braking, controls[0]), status, _Rest(controls, left)
 
 
 class _Moved(NamedTuple):
     """What a step came to."""
 
-    state: Float[jax.Array, "cars 4"]
+    now: _Now  # before the choice of the next rung
     robot: Float[jax.Array, "2"]  # scaled, as executed
     human: Float[jax.Array, "2"]  # scaled, as observed
     reward: Float[jax.Array, ""]
-    collision: Bool[jax.Array, ""]
-    planned: Bool[jax.Array, ""]
 
 
-def _move(game: Game, state: Float[jax.Array, "cars 4"], own: _Own, robot: Float[jax.Array, "2"]) -> _Moved:
+def _move(game: Game, now: _Now, own: _Own, plan: JointPlan) -> tuple[_Moved, Records]:
     """The human plans, the world moves, and the robot earns its reward."""
-    game = _game(game, own)
-    scale, planned = game.planner.control_scale, jnp.isfinite(robot).all()
-    robot = jnp.where(planned, robot, constant_velocity(game, state[0])[0])
-    human = Naive().plan(*swap(game, state)).robot[0]
-    human = jnp.where(jnp.isfinite(human).all(), human, constant_velocity(game, state[1])[0])
+    game, state = _game(game, own), now.state
+    scale = game.planner.control_scale
+    robot, status, robot_rest = _follow(game, state[0], plan, now.robot)
+    mirrored, mirrored_state = swap(game, state)
+    human, _, human_rest = _follow(mirrored, state[1], Naive().plan(mirrored, mirrored_state), now.human)
     controls = jnp.concatenate([jnp.stack([robot, human]) * scale, keep_velocity(game.world, state[2:])])
     after = step(game.world, state, controls)
     phi = features(game.scene, game.robot, after)
+    reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
     observed = recover_control(game.world, state[1], after[1]) / scale
-    collision = phi[game.robot.names.index("collision")] > 0
-    return _Moved(after, robot, observed, phi @ game.robot.weights, collision, planned)
+    records = Records(now.memory.rung, status, reward, collision, now.gain_up, now.gain_down, after)
+    unknown = jnp.float32(jnp.nan)
+    following = _Now(after, now.memory, unknown, unknown, robot_rest, human_rest)
+    return _Moved(following, robot, observed, reward), records
 
 
-def _choose(loop: Loop, now: _Now, own: _Own, decides: Bool[jax.Array, "chunk"], moved: _Moved) -> _Now:
+def _choose(loop: Loop, before: _Now, own: _Own, decides: jax.Array, moved: _Moved) -> _Now:
     """The rungs of the next step, where Algorithm 1 decides about them."""
 
-    def one(now: _Now, own: _Own, moved: _Moved) -> _Now:
+    def one(before: _Now, own: _Own, moved: _Moved) -> _Now:
         switching = replace(loop.switching, price=own.price)
-        arguments = now.memory, now.state, moved.robot, moved.human, moved.reward
-        decision = decide(switching, _game(loop.game, own), *arguments)
-        return _Now(now.state, decision.memory, decision.gain_up, decision.gain_down)
+        game = _game(loop.game, own)
+        memory, up, down = decide(switching, game, before.memory, before.state, moved.robot, moved.human, moved.reward)
+        return moved.now._replace(memory=memory, gain_up=up, gain_down=down)
 
-    none = jnp.full(loop.chunk, jnp.nan, jnp.float32)
-    kept = now._replace(gain_up=none, gain_down=none)
-    decided = jax.lax.cond(decides.any(), lambda: jax.vmap(one)(now, own, moved), lambda: kept)
-    return jax.tree.map(lambda new, old: jnp.where(decides.reshape(-1, *[1] * (new.ndim - 1)), new, old), decided, kept)
+    decided = jax.lax.cond(decides.any(), lambda: jax.vmap(one)(before, own, moved), lambda: moved.now)
+    return jax.tree.map(
+        lambda new, old: jnp.where(decides.reshape(-1, *[1] * (new.ndim - 1)), new, old), decided, moved.now
+    )
