@@ -20,8 +20,9 @@ from rich.table import Table
 from ms_highway import experiment, report, validation
 from ms_highway.bench import bench
 from ms_highway.cli_irl import add_irl
-from ms_highway.cli_options import add_semantics, human_reward
+from ms_highway.cli_options import add_costs, add_semantics, costs, human_reward
 from ms_highway.cli_report import add_report
+from ms_highway.cli_sweep import add_sweep
 from ms_highway.cli_video import add_video
 from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.console import add_command, count_episodes, print_tables
@@ -147,17 +148,13 @@ def _parser() -> argparse.ArgumentParser:
         help="how the robot improves its plans under naive and turn: gradient, the paper's 20 steps (default), or "
         "newton, second-order steps with a line search; tom always takes gradient steps",
     )
-    compare.add_argument(
-        "--costs",
-        default="published",
-        help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), measured on this "
-        "machine, or given like naive=0.1,turn=0.2,tom=0.5",
-    )
+    add_costs(compare)
     compare.add_argument(
         "--out", type=Path, default=Path("results/compare"), help="directory of results (default: results/compare)"
     )
     compare.set_defaults(run=_compare)
 
+    add_sweep(commands)
     add_video(commands)
     add_report(commands)
 
@@ -192,12 +189,12 @@ def _compare(options: argparse.Namespace) -> None:
     scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
     chosen = list(dict.fromkeys(options.controllers or []))
     controllers = {name: chosen or experiment.paper_controllers(name) for name in scenarios}
-    costs = _costs(options.costs)
+    chosen_costs = costs(options.costs)
     comparison = experiment.Comparison(
         controllers,
         options.seeds,
         options.semantics,
-        costs,
+        chosen_costs,
         options.solver,
         human_reward(options.human_reward),
         options.ladder,
@@ -219,15 +216,6 @@ def _compare(options: argparse.Namespace) -> None:
             with replacing(options.out / f"{scenario}_{name}.png") as path:
                 figure.savefig(path, dpi=110)
     print(f"results are in {options.out}")
-
-
-def _costs(text: str) -> str | dict[str, float]:
-    if "=" not in text:
-        return text
-    try:
-        return {name: float(value) for name, _, value in (part.partition("=") for part in text.split(","))}
-    except ValueError:
-        raise ValueError(f"--costs is {text!r}; give seconds by model like naive=0.1,turn=0.2,tom=0.5") from None
 
 
 def _bench(options: argparse.Namespace) -> None:

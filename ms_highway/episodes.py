@@ -3,7 +3,7 @@
 `ms_highway.experiment` runs the same `Comparison` in the environments.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,19 +15,29 @@ from jaxtyping import Float, Int
 
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.configuration import controller_config, game_of, known_costs, switching_of
-from ms_highway.experiment import Comparison, columns
+from ms_highway.experiment import KEYS, Comparison, columns
 from ms_highway.human_models import MODELS, ladder
 from ms_highway.scenario import Scenario, draw_starts
 from ms_highway.simulation import DECIDES, STATUSES, Episodes, Loop, Records, simulate, usual_chunk
 
-__all__ = ["Batch", "Key", "columns_simulated", "make_batch", "run_in_batches", "start", "summarised", "tabulated"]
+__all__ = [
+    "Batch",
+    "Key",
+    "columns_simulated",
+    "make_batch",
+    "run_episodes",
+    "simulated",
+    "start",
+    "summarised",
+    "tabulated",
+]
 
 Key = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
 
 CARS = ("robot", "human")
 STATE = ("x", "y", "heading", "speed")
-BATCH = 1024  # episodes
+BATCH = 1024  # episodes at a time on each device
 
 
 def columns_simulated() -> list[str]:
@@ -57,11 +67,19 @@ class Batch:
         """Names of the models, in the order of their numbers."""
         return [model.name for model in self.loop.models]
 
-    def keys(self) -> list[Key]:
-        """All episodes, seed by seed, so that any share of them holds every controller equally often."""
+    @property
+    def size(self) -> int:
+        """The number of all episodes."""
+        return self.comparison.seeds * len(self.comparison.controllers[self.scenario.name])
+
+    def keys(self, first: int = 0, last: int | None = None) -> list[Key]:
+        """Episodes from the first to before the last, seed by seed, so that all parts hold controllers alike."""
         controllers = self.comparison.controllers[self.scenario.name]
-        first = self.comparison.first_seed
-        return [(name, seed) for seed in range(first, first + self.comparison.seeds) for name in controllers]
+        places = range(self.size)[first:last]
+        return [
+            (controllers[place % len(controllers)], self.comparison.first_seed + place // len(controllers))
+            for place in places
+        ]
 
 
 def make_batch(comparison: Comparison, scenario: str, chunk: int | None = None) -> Batch:
@@ -130,24 +148,35 @@ def _driver(batch: Batch, controller: str) -> tuple[float, Int[np.ndarray, "step
     return config.get("lambda", 0.0), np.array(scheduled)[places]
 
 
-def run_in_batches(
-    batch: Batch, keys: Sequence[Key] | None = None, mesh: Mesh | None = None, size: int = BATCH
-) -> Iterator[tuple[Sequence[Key], Records]]:
-    """Simulate episodes, so many at a time on each device that memory stays bounded.
+def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None, share: int = 1) -> Records:
+    """Simulate episodes; for ``mesh`` and ``share`` see `ms_highway.simulation.simulate`.
+
+    Raises:
+        ValueError: without an episode, or for a negative seed.
+    """
+    return simulate(batch.loop, _episodes(batch, keys), mesh, share)
+
+
+def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
+    """All records of a comparison, a row per step, in the comparison's order: `columns_simulated`.
 
     Args:
-        batch: of `make_batch`.
-        keys: which episodes; without, all.
+        comparison: what to simulate.
         mesh: see `ms_highway.simulation.simulate`.
-        size: how many episodes at a time on each device.
 
-    Yields:
-        Some of the episodes, in their order, and what happened in them.
+    Raises:
+        ValueError: for anything unknown or impossible, and for costs that are to be measured.
     """
-    keys, together = batch.keys() if keys is None else keys, size * (1 if mesh is None else mesh.size)
-    for first in range(0, len(keys), together):
-        some = keys[first : first + together]
-        yield some, simulate(batch.loop, _episodes(batch, some), mesh)
+    batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
+    tables = []
+    for batch in batches:
+        together = min(batch.size, BATCH * (1 if mesh is None else mesh.size))
+        for first in range(0, batch.size, together):
+            keys = batch.keys(first, first + together)
+            share = -(-together // (1 if mesh is None else mesh.size))
+            tables.append(tabulated(batch, keys, run_episodes(batch, keys, mesh, share)))
+    records = pd.concat(tables).set_index(KEYS)
+    return pd.concat([records.loc[[key]] for key in comparison.episodes()]).reset_index()
 
 
 def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:

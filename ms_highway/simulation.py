@@ -15,13 +15,13 @@ from jax import numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Float, Int
 
-from ms_highway.compiled import QUICKLY
 from ms_highway.controller import Status, braking_control
 from ms_highway.dynamics import Array, keep_velocity, recover_control, step
 from ms_highway.game import Game, swap
 from ms_highway.human_models import HumanModel, JointPlan, Naive
 from ms_highway.reward import features
 from ms_highway.switching import Memory, Switching, decide, first_memory
+from ms_highway.tracing import inlining
 
 __all__ = ["DECIDES", "STATUSES", "Episodes", "Loop", "Records", "device_mesh", "simulate", "usual_chunk"]
 
@@ -115,7 +115,7 @@ def device_mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
     return Mesh(np.array(jax.local_devices() if devices is None else devices), (AXIS,))
 
 
-def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Records:
+def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None, share: int = 1) -> Records:
     """Run episodes from start to end in one computation, shared by the devices of a mesh.
 
     In every step, each device puts its episodes in the order of their models and computes them chunk by chunk, so that
@@ -126,6 +126,7 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
         loop: what the episodes have in common.
         episodes: one at least.
         mesh: of `device_mesh`; without, the first device.
+        share: least number of episodes to fill each device's share up to, so that a few left over compile nothing anew.
 
     Returns:
         NumPy arrays.
@@ -136,10 +137,11 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
     count, mesh = len(episodes), device_mesh(jax.local_devices()[:1]) if mesh is None else mesh
     if count == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
-    whole = -(-count // (loop.chunk * mesh.size)) * loop.chunk * mesh.size
-    places = np.minimum(np.arange(whole), count - 1)
+    chunks = -(-max(share, -(-count // mesh.size)) // loop.chunk)
+    places = np.minimum(np.arange(chunks * loop.chunk * mesh.size), count - 1)
     filled = jax.tree.map(lambda part: np.asarray(part)[places], episodes)
-    records = _compiled(mesh)(loop, filled)
+    with inlining():
+        records = _compiled(mesh)(loop, filled)
     return jax.tree.map(lambda part: np.asarray(part)[:count], records)
 
 
@@ -150,7 +152,7 @@ def _compiled(mesh: Mesh) -> jax.stages.Wrapped:
     shared = jax.shard_map(
         _simulate, mesh=mesh, in_specs=(PartitionSpec(), shares), out_specs=shares, check_vma=False
     )  # nothing is exchanged between devices
-    return jax.jit(shared, compiler_options=QUICKLY)
+    return jax.jit(shared)  # not `QUICKLY`: with those options, last digits depend on the place in a chunk
 
 
 class _Rest(NamedTuple):
