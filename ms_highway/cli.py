@@ -71,7 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     options = _parser().parse_args(given)
     options.command_line = shlex.join(["ms-highway", *given])
-    low_latency()
+    if not getattr(options, "in_batches", False):
+        low_latency()
     try:
         if not options.no_compilation_cache:
             _keep_compilations()

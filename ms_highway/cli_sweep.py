@@ -76,7 +76,7 @@ def add_sweep(commands: Any) -> None:
     parser.add_argument("--processes", type=int, default=1, help="how many processes share the sweep (default: 1)")
     parser.add_argument("--process", type=int, default=0, help="which of them this one is (default: 0)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory of results")
-    parser.set_defaults(run=_sweep)
+    parser.set_defaults(run=_sweep, in_batches=True)  # many large kernels: nothing for `low_latency`
 
 
 def _sweep(options: argparse.Namespace) -> None:

@@ -30,6 +30,7 @@ STATUSES: tuple[Status, ...] = get_args(Status)
 
 PLANNED, PREVIOUS, BRAKING = range(3)
 AXIS = "episodes"  # of a mesh of devices
+FEWEST = 2  # chunks: of a single one XLA makes another program, whose last digits depend on the place in the chunk
 CHUNK, WIDE_CHUNK = 16, 1024  # episodes that a processor computes together, and an accelerator
 
 DECIDES = -1
@@ -137,7 +138,7 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None, share: in
     count, mesh = len(episodes), device_mesh(jax.local_devices()[:1]) if mesh is None else mesh
     if count == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
-    chunks = -(-max(share, -(-count // mesh.size)) // loop.chunk)
+    chunks = max(FEWEST, -(-max(share, -(-count // mesh.size)) // loop.chunk))
     places = np.minimum(np.arange(chunks * loop.chunk * mesh.size), count - 1)
     filled = jax.tree.map(lambda part: np.asarray(part)[places], episodes)
     with inlining():
