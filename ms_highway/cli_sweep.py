@@ -33,10 +33,11 @@ again with the same --out, the sweep goes on with the parts that are missing. Al
 pandas.read_parquet("OUT/episodes"): a row per episode, and with --steps by pandas.read_parquet("OUT/steps"): a row per
 step. summary.csv, SCENARIO_curve.png, settings.json and provenance.json are like those of compare.
 
-Episodes are shared by all devices (on processors, by default one per core). Results do not depend on how many there
-are. Every device computes one part at a time, so that memory grows with --part and --devices, and not with --episodes:
-about 0.6 GiB for JAX and its compiled loop, and 10 kB for each episode that is computed at once; the summary at the end
-needs 200 bytes per episode. Needs the extra "sweep"."""
+Episodes are shared by all devices (on processors, by default one per core). With the same --part, results are the same
+byte for byte, however often the sweep is stopped, however many processes share it, and on any number of devices from
+two; a single device or another --part may change last digits, of which chaotic episodes make much.
+
+Every device computes one part at a time, so that memory grows with --part and --devices, and not with --episodes. The summary at the end needs 200 bytes per episode. Needs the extra "sweep"."""
 
 EXAMPLES = """\
 examples:

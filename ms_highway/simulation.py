@@ -30,7 +30,6 @@ STATUSES: tuple[Status, ...] = get_args(Status)
 
 PLANNED, PREVIOUS, BRAKING = range(3)
 AXIS = "episodes"  # of a mesh of devices
-FEWEST = 2  # chunks: of a single one XLA makes another program, whose last digits depend on the place in the chunk
 CHUNK, WIDE_CHUNK = 16, 1024  # episodes that a processor computes together, and an accelerator
 
 DECIDES = -1
@@ -47,9 +46,8 @@ class Loop:
         switching: ladder, costs, and the numbers of Algorithm 1; its price is each episode's own.
         others: models that schedules may use beside the ladder; their numbers go on after its rungs (static).
         chunk: episodes that are computed together (static). Each human model is computed only for the chunks that use
-            it, so that smaller chunks compute less in vain, and larger ones make better use of wide hardware. What
-            becomes of an episode does not depend on those that are computed with it; a chunk of another size may
-            change the last digits, which theory of mind makes much of.
+            it, so that smaller chunks compute less in vain, and larger ones make better use of wide hardware. The last
+            digits may depend on it, and on the number of devices; chaotic episodes, as in Stay Back, make much of them.
     """
 
     game: Game
@@ -138,7 +136,7 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None, share: in
     count, mesh = len(episodes), device_mesh(jax.local_devices()[:1]) if mesh is None else mesh
     if count == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
-    chunks = max(FEWEST, -(-max(share, -(-count // mesh.size)) // loop.chunk))
+    chunks = -(-max(share, -(-count // mesh.size)) // loop.chunk)
     places = np.minimum(np.arange(chunks * loop.chunk * mesh.size), count - 1)
     filled = jax.tree.map(lambda part: np.asarray(part)[places], episodes)
     with inlining():
@@ -153,7 +151,7 @@ def _compiled(mesh: Mesh) -> jax.stages.Wrapped:
     shared = jax.shard_map(
         _simulate, mesh=mesh, in_specs=(PartitionSpec(), shares), out_specs=shares, check_vma=False
     )  # nothing is exchanged between devices
-    return jax.jit(shared)  # not `QUICKLY`: with those options, last digits depend on the place in a chunk
+    return jax.jit(shared)  # not `QUICKLY`: with it, last digits depend on the place in a chunk in Merger too
 
 
 class _Rest(NamedTuple):

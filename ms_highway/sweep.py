@@ -1,6 +1,6 @@
 """Very many simulated episodes, kept in parts that an interrupted run goes on with and that need not fit in memory.
 
-A part is a Parquet file: small, typed, and read by `pandas.read_parquet` alone or with its whole directory. It is
+A part is a Parquet file: small, typed, and read by ``pandas.read_parquet`` alone or with its whole directory. It is
 written under another name and moved to its own when it is whole, so that every part is either whole or not there.
 """
 

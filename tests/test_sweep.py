@@ -96,15 +96,6 @@ def test_two_processes_write_what_one_writes(swept, tmp_path):
     assert contents(tmp_path) == contents(swept)
 
 
-def test_eight_devices_and_parts_of_another_size_give_the_same_episodes(swept, tmp_path):
-    arguments = [*SWEEP, "--devices", "8", "--out", str(tmp_path)]
-    arguments[arguments.index("--part") + 1] = "48"
-    assert begin(*arguments).wait() == 0
-    pd.testing.assert_frame_equal(
-        pd.read_parquet(tmp_path / "episodes"), pd.read_parquet(swept / "episodes"), check_exact=True
-    )
-
-
 def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, capsys):
     before = contents(swept)
     assert "first_seed 0 and not 5" in failure(capsys, *SWEEP, "--steps", "--seed", "5", "--out", str(swept))
