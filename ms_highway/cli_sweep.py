@@ -37,7 +37,8 @@ Episodes are shared by all devices (on processors, by default one per core). Wit
 byte for byte, however often the sweep is stopped, however many processes share it, and on any number of devices from
 two; a single device or another --part may change last digits, of which chaotic episodes make much.
 
-Every device computes one part at a time, so that memory grows with --part and --devices, and not with --episodes. The summary at the end needs 200 bytes per episode. Needs the extra "sweep"."""
+Every device computes one part at a time, so that memory grows with --part and --devices, and not with --episodes; but
+the summary at the end reads all rows per episode. Needs the extra "sweep"."""
 
 EXAMPLES = """\
 examples:
