@@ -1,7 +1,6 @@
 """The environment that the three scenarios share: a road, a human, a robot, and who drives it."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import jax
@@ -15,16 +14,14 @@ from jaxtyping import Float
 
 from ms_highway.compiled import measure_costs
 from ms_highway.controller import Controller, FixedModel, ModelSwitching, ScheduledModels
-from ms_highway.derivatives import Influence
 from ms_highway.envs.actions import Autopilot, HumanModelAction
-from ms_highway.envs.configuration import human_weights, merged
+from ms_highway.envs.configuration import game_of, known_costs, merged, switching_of
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
 from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game import swap_roles
 from ms_highway.human_models import MODELS, HumanModel, Naive, ladder
-from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, PHYSICAL_LIMIT, Scenario, build_game, draw_starts
-from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
+from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, Scenario, draw_starts
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
 __all__ = ["Cone", "InteractionEnv", "Seconds"]
@@ -81,7 +78,7 @@ class InteractionEnv(StageEnv):
       nothing: it is an indicator, and humans climb by gradients.
     * ``influence``: ``"damped"``, ``"exact"``, or None for what belongs to the semantics (damped and exact).
     * ``control_limit``: bounds (omega, acceleration) on plans; ``"unlimited"``; or None for what belongs to the
-      semantics: `PHYSICAL_LIMIT` in paper semantics, unlimited in released semantics.
+      semantics: `ms_highway.scenario.PHYSICAL_LIMIT` in paper semantics, unlimited in released semantics.
     * ``solver``: how the robot improves its plans under naive and turn: ``"gradient"``, the paper's, or ``"newton"``.
     * ``warm_start``: whether the robot's plans start from the rest of the last plan rather than from zero controls.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
@@ -133,17 +130,7 @@ class InteractionEnv(StageEnv):
             ValueError: for an unknown key or an impossible value.
         """
         settings = merged(self.config, config)
-        paper = settings["semantics"] == "paper"
-        influence: Influence = settings["influence"] or ("damped" if paper else "exact")
-        limit = settings["control_limit"] or (PHYSICAL_LIMIT if paper else "unlimited")
-        self.game = build_game(
-            self.scenario,
-            settings["semantics"],
-            influence,
-            control_limit=None if isinstance(limit, str) else tuple(limit),
-            solver=settings["solver"],
-            human_driving=human_weights(settings),
-        )
+        self.game = game_of(self.scenario, settings)
         self.models = ladder(settings["ladder"])
         self.config = settings
         self._costs = None
@@ -241,20 +228,16 @@ class InteractionEnv(StageEnv):
             return FixedModel(self.game, MODELS[settings["model"]], warm_start=warm_start)
         if settings["type"] == "schedule":
             return ScheduledModels(self.game, [MODELS[name] for name in settings["models"]], warm_start)
-        switching = Switching(costs, settings["lambda"], self.models)
-        if self.config["semantics"] == "released":
-            switching = replace(switching, trust_tolerance=RELEASED_TRUST_TOLERANCE)
+        switching = switching_of(self.config, costs, settings["lambda"], self.models)
         return ModelSwitching(self.game, switching, warm_start)
 
     def costs(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "rungs"]:
         """T(M) of every model on the ladder [s]; where to be measured, once after each change of configuration."""
         names = [model.name for model in self.models]
         if self._costs is None:
-            costs = self.config["costs"]
-            if costs == "measured":
-                self._costs = dict(zip(names, measure_costs(self.game, self.models, states).tolist(), strict=True))
-            else:
-                self._costs = PUBLISHED_COSTS if costs == "published" else costs
+            self._costs = known_costs(self.config)
+        if self._costs is None:
+            self._costs = dict(zip(names, measure_costs(self.game, self.models, states).tolist(), strict=True))
         return np.array([self._costs[name] for name in names])
 
     @property

@@ -1,6 +1,7 @@
 """Configurations: merged with the defaults key by key, and checked before anything is built from them."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from difflib import get_close_matches
 from inspect import signature
 from typing import Any
@@ -12,15 +13,27 @@ from highway_env.envs.common.observation import (
     LidarObservation,
     OccupancyGridObservation,
 )
+from jaxtyping import Float
 
-from ms_highway.human_models import MODELS, ladder
+from ms_highway.derivatives import Influence
+from ms_highway.game import Game
+from ms_highway.human_models import MODELS, HumanModel, ladder
 from ms_highway.learnt import shipped
 from ms_highway.reward import COMFORT, FEATURES
 from ms_highway.routes import DENSITIES
-from ms_highway.scenario import COMMON_WEIGHTS
-from ms_highway.switching import PUBLISHED_COSTS
+from ms_highway.scenario import COMMON_WEIGHTS, PHYSICAL_LIMIT, Scenario, build_game
+from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
 
-__all__ = ["HUMAN_REWARDS", "changed", "controller_config", "human_weights", "merged"]
+__all__ = [
+    "HUMAN_REWARDS",
+    "changed",
+    "controller_config",
+    "game_of",
+    "human_weights",
+    "known_costs",
+    "merged",
+    "switching_of",
+]
 
 CONTROLLER_KEYS = {"switching": {"type", "lambda"}, "fixed": {"type", "model"}, "schedule": {"type", "models"}}
 ACTIONS: dict[str, set[str]] = {
@@ -114,6 +127,38 @@ def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> di
     _check_limit(config["control_limit"])
     _check_human_reward(config["human_reward"])
     return config
+
+
+def game_of(scenario: Scenario, config: Mapping[str, Any]) -> Game:
+    """The game of a scenario under a configuration that `merged` has checked."""
+    paper = config["semantics"] == "paper"
+    influence: Influence = config["influence"] or ("damped" if paper else "exact")
+    limit = config["control_limit"] or (PHYSICAL_LIMIT if paper else "unlimited")
+    return build_game(
+        scenario,
+        config["semantics"],
+        influence,
+        control_limit=None if isinstance(limit, str) else tuple(limit),
+        solver=config["solver"],
+        human_driving=human_weights(config),
+    )
+
+
+def switching_of(
+    config: Mapping[str, Any], costs: Float[np.ndarray, "rungs"], price: float, models: tuple[HumanModel, ...]
+) -> Switching:
+    """The numbers of Algorithm 1 under a configuration that `merged` has checked, with T(M) and the ladder."""
+    switching = Switching(costs, price, models)
+    if config["semantics"] == "released":
+        switching = replace(switching, trust_tolerance=RELEASED_TRUST_TOLERANCE)
+    return switching
+
+
+def known_costs(config: Mapping[str, Any]) -> Mapping[str, float] | None:
+    """T(M) by model under a configuration that `merged` has checked; None where it is to be measured."""
+    if config["costs"] == "measured":
+        return None
+    return PUBLISHED_COSTS if config["costs"] == "published" else config["costs"]
 
 
 def human_weights(config: Mapping[str, Any]) -> Mapping[str, float]:

@@ -20,6 +20,7 @@ from ms_highway.bench import bench
 from ms_highway.cli_compare import add_compare
 from ms_highway.cli_irl import add_irl
 from ms_highway.cli_report import add_report
+from ms_highway.cli_sweep import add_sweep
 from ms_highway.cli_video import add_video
 from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.console import add_command, print_tables
@@ -43,7 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     options = build_parser().parse_args(given)
     options.command_line = shlex.join(["ms-highway", *given])
-    low_latency()
+    if not getattr(options, "in_batches", False):
+        low_latency()
     try:
         if not options.no_compilation_cache:
             _keep_compilations()
@@ -101,6 +103,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     add_compare(commands)
+    add_sweep(commands)
     add_video(commands)
     add_report(commands)
 

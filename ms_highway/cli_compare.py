@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway import experiment, report
-from ms_highway.cli_options import CONTROLLERS, add_semantics, human_reward
+from ms_highway.cli_options import CONTROLLERS, add_costs, add_semantics, costs, human_reward
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS
 from ms_highway.figures import figures
@@ -64,12 +64,7 @@ def add_compare(commands: Any) -> None:
         help="how the robot improves its plans under naive and turn: gradient, the paper's 20 steps (default), or "
         "newton, second-order steps with a line search; tom always takes gradient steps",
     )
-    parser.add_argument(
-        "--costs",
-        default="published",
-        help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), measured on this "
-        "machine, or given like naive=0.1,turn=0.2,tom=0.5",
-    )
+    add_costs(parser)
     parser.add_argument(
         "--out", type=Path, default=Path("results/compare"), help="directory of results (default: results/compare)"
     )
@@ -90,7 +85,7 @@ def comparison(options: argparse.Namespace) -> experiment.Comparison:
         {name: chosen or experiment.paper_controllers(name) for name in scenarios},
         options.seeds,
         options.semantics,
-        _costs(options.costs),
+        costs(options.costs),
         options.solver,
         human_reward(options.human_reward),
         options.ladder,
@@ -118,12 +113,3 @@ def _compare(options: argparse.Namespace) -> None:
             with replacing(options.out / f"{scenario}_{name}.png") as path:
                 figure.savefig(path, dpi=110)
     print(f"results are in {options.out}")
-
-
-def _costs(text: str) -> str | dict[str, float]:
-    if "=" not in text:
-        return text
-    try:
-        return {name: float(value) for name, _, value in (part.partition("=") for part in text.split(","))}
-    except ValueError:
-        raise ValueError(f"--costs is {text!r}; give seconds by model like naive=0.1,turn=0.2,tom=0.5") from None

@@ -6,7 +6,7 @@ from pathlib import Path
 from ms_highway.envs.configuration import HUMAN_REWARDS
 from ms_highway.learnt import load
 
-__all__ = ["CONTROLLERS", "add_semantics", "human_reward"]
+__all__ = ["CONTROLLERS", "add_costs", "add_semantics", "costs", "human_reward"]
 
 CONTROLLERS = "naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL"
 """What controllers are called on the command line, for help texts."""
@@ -40,3 +40,27 @@ def human_reward(text: str | None) -> str | dict[str, float] | None:
         return load(Path(text)).weights
     except ValueError as error:
         raise ValueError(f"--human-reward is neither {' nor '.join(HUMAN_REWARDS.values())}: {error}") from error
+
+
+def add_costs(parser: argparse.ArgumentParser) -> None:
+    """Add ``--costs``, which says what T(M) is, to a command."""
+    parser.add_argument(
+        "--costs",
+        default="published",
+        help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), measured on this "
+        "machine, or given like naive=0.1,turn=0.2,tom=0.5",
+    )
+
+
+def costs(text: str) -> str | dict[str, float]:
+    """T(M) that ``--costs`` asks for: a word, or seconds by model.
+
+    Raises:
+        ValueError: if the seconds are no numbers.
+    """
+    if "=" not in text:
+        return text
+    try:
+        return {name: float(value) for name, _, value in (part.partition("=") for part in text.split(","))}
+    except ValueError:
+        raise ValueError(f"--costs is {text!r}; give seconds by model like naive=0.1,turn=0.2,tom=0.5") from None

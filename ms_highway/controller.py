@@ -24,12 +24,20 @@ from ms_highway.compiled import (
     timed,
     warm_up,
 )
-from ms_highway.dynamics import keep_velocity, step
+from ms_highway.dynamics import SameArray, keep_velocity, step
 from ms_highway.game import Game
 from ms_highway.human_models import HumanModel
 from ms_highway.switching import Switching, first_memory
 
-__all__ = ["ControlStep", "Controller", "FixedModel", "ModelSwitching", "ScheduledModels", "Status"]
+__all__ = [
+    "ControlStep",
+    "Controller",
+    "FixedModel",
+    "ModelSwitching",
+    "ScheduledModels",
+    "Status",
+    "braking_control",
+]
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking"]
 """How a control came about: from this step's plan; or, where that was not finite, from what is left of the last good
@@ -76,16 +84,22 @@ class Controller(Protocol):
         """Control for the coming step, given all cars now."""
 
 
+def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, "2"]:
+    """The control with which a car goes on, or begins, to brake and to turn along the road, within a plan's limits."""
+    xp = car.__array_namespace__()
+    heading, speed = car[2], car[3]
+    turning = -xp.atan2(xp.sin(heading), xp.cos(heading)) / STRAIGHTENING_TIME
+    omega = turning / xp.maximum(xp.abs(speed), 1.0) if game.dynamics.steering == "curvature" else turning
+    stop = keep_velocity(game.dynamics, car)[1] - speed / game.dynamics.time_step
+    limit = xp.asarray(game.planner.control_limit)
+    return xp.clip(xp.stack([omega, xp.clip(stop, -BRAKING, BRAKING)]), -limit, limit)
+
+
 def brake(game: Game, car: Float[np.ndarray, "4"]) -> Float[np.ndarray, "steps 2"]:
     """Controls that bring a car to a stop and along the road, within the limits of the game's plans."""
-    limit = np.asarray(game.planner.control_limit, dtype=float)
     car, controls = np.asarray(car, dtype=float), []
     for _ in range(game.planner.horizon):
-        _, _, heading, speed = car
-        turning = -np.arctan2(np.sin(heading), np.cos(heading)) / STRAIGHTENING_TIME
-        omega = turning / max(abs(speed), 1.0) if game.dynamics.steering == "curvature" else turning
-        stop = keep_velocity(game.dynamics, car)[1] - speed / float(game.dynamics.time_step)
-        controls.append(np.clip([omega, np.clip(stop, -BRAKING, BRAKING)], -limit, limit))
+        controls.append(braking_control(game, car))
         car = step(game.dynamics, car, controls[-1])
     return np.array(controls)
 

@@ -68,13 +68,14 @@ class Comparison:
 
     Attributes:
         controllers: short names of the controllers of each scenario, by scenario.
-        seeds: number of episodes of each controller; episode k is seeded with k.
+        seeds: number of episodes of each controller; episode k is seeded with k more than the first.
         semantics: ``paper`` or ``released``.
         costs: T(M) in the decisions: ``published``, ``measured``, or seconds by model.
         solver: how the robot improves its plans, ``gradient`` or ``newton``, see `ms_highway.planner.climb`.
         human_reward: what humans drive for: ``learned``, ``published``, weights by name, or None for what belongs to
             the semantics.
         ladder: names of the human models that switching chooses from; without it, the scenario's own.
+        first_seed: of the first episode, from which all others count on.
     """
 
     controllers: dict[str, list[str]]
@@ -84,12 +85,13 @@ class Comparison:
     solver: Solver = "gradient"
     human_reward: str | dict[str, float] | None = None
     ladder: list[str] | None = None
+    first_seed: int = 0
 
     def episodes(self) -> Iterator[tuple[str, str, int]]:
         """Every (scenario, controller, seed)."""
         for scenario, controllers in self.controllers.items():
             for controller in controllers:
-                for seed in range(self.seeds):
+                for seed in range(self.first_seed, self.first_seed + self.seeds):
                     yield scenario, controller, seed
 
     def check(self) -> None:
@@ -99,11 +101,18 @@ class Comparison:
             ValueError: for an unknown scenario, controller or solver, or impossible costs or weights.
         """
         for scenario, controllers in self.controllers.items():
-            environment_id(scenario)
             for controller in controllers:
-                driver = controller_config(controller)
-                changes = {**self.common_config(), "costs": self.costs, "controller": driver}
-                merged(ENVIRONMENTS[scenario].default_config(), changes)
+                self.config(scenario, controller)
+
+    def config(self, scenario: str, controller: str) -> dict[str, Any]:
+        """The whole configuration of the environment of a scenario and a controller.
+
+        Raises:
+            ValueError: as `check`.
+        """
+        environment_id(scenario)
+        changes = {**self.common_config(), "costs": self.costs, "controller": controller_config(controller)}
+        return merged(ENVIRONMENTS[scenario].default_config(), changes)
 
     def common_config(self) -> dict[str, Any]:
         """The configuration that all environments have in common."""

@@ -19,9 +19,10 @@ from ms_highway.colors import color_of
 from ms_highway.envs.configuration import controller_config
 from ms_highway.human_models import MODELS
 
-__all__ = ["CONFIDENCE", "bars", "cells", "episodes_told", "summary", "table", "timeline"]
+__all__ = ["CONFIDENCE", "bars", "cells", "episodes_told", "interval", "summary", "table", "timeline"]
 
 CONFIDENCE = 0.9
+MEASURED = {"planning_ms": "plan ms", "decision_ms": "decide ms"}
 LEGEND_COLUMNS = 5
 HEADING_WIDTH = 11  # characters, at which headings of narrow columns go on in another line
 SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
@@ -42,11 +43,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for (scenario, controller), steps in records.groupby(["scenario", "controller"], sort=False):
         driver, rewards = controller_config(controller), steps.groupby("seed")["reward"].mean()
-        low, high = (
-            stats.t.interval(CONFIDENCE, len(rewards) - 1, rewards.mean(), stats.sem(rewards))
-            if len(rewards) > 1
-            else (np.nan, np.nan)
-        )
+        low, high = interval(rewards)
         rows.append(
             {
                 "scenario": scenario,
@@ -68,10 +65,17 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def interval(values: pd.Series) -> tuple[float, float]:
+    """The 90 % interval of the mean, by Student's t; NaN of less than two values."""
+    if len(values) < 2:
+        return np.nan, np.nan
+    return stats.t.interval(CONFIDENCE, len(values) - 1, values.mean(), stats.sem(values))
+
+
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """The summary of one scenario as people read it: a row per controller, and texts under the columns' headings.
 
-    Planning is told twice: as decisions count it, at T(M), and as it was measured.
+    Planning is told twice: as decisions count it, at T(M), and as it was measured, where it was.
     """
     models = [name for name in MODELS if f"share_{name}" in summaries]
     rows = [
@@ -82,8 +86,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
             if row["episodes"] > 1
             else "one episode",
             "counted ms": "" if np.isnan(row["counted_ms"]) else f"{row['counted_ms']:.0f}",
-            "plan ms": f"{row['planning_ms']:.2f}",
-            "decide ms": f"{row['decision_ms']:.2f}",
+            **{heading: f"{row[name]:.2f}" for name, heading in MEASURED.items() if name in row},
             f"{' / '.join(models)} %": " / ".join(f"{100 * row[f'share_{name}']:.0f}" for name in models),
             "collisions": f"{row['collision_episodes']} of {row['episodes']}",
         }

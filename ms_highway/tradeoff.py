@@ -88,17 +88,20 @@ def meta_rewards(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     """Reward against computation of every controller; whiskers are the 90 % intervals, left out of schedules.
 
-    On the left, planning is counted at the seconds T(M) that decisions count; on the right, planning and deciding are
-    as measured on this machine. Switching is joined in the order of lambda; the dashed line joins `best_schedules`.
+    On the left, planning is counted at the seconds T(M) that decisions count; on the right, where they were measured,
+    planning and deciding are as on this machine. Switching is joined in the order of lambda; the dashed line joins
+    `best_schedules`.
     """
     rows = summaries[summaries["scenario"] == scenario]
-    rows = rows.assign(measured_ms=rows["planning_ms"] + rows["decision_ms"])
-    figure = Figure(figsize=(10, 4.4), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
-    for axes, computation in ((left, "counted_ms"), (right, "measured_ms")):
-        _draw(axes, rows, best_schedules(rows, scenario, computation), computation)
+    measured = {"planning_ms", "decision_ms"} <= set(rows)
+    figure = Figure(figsize=(10 if measured else 7, 4.4), layout="constrained")
+    left, *right = figure.subplots(1, 2 if measured else 1, sharey=True, squeeze=False)[0]
+    _draw(left, rows, best_schedules(rows, scenario), "counted_ms")
     left.set(xlabel="planning per step, counted at T(M) [ms]", ylabel="reward per step")
-    right.set(xlabel="planning + deciding per step, measured [ms]")
+    for axes in right:
+        rows = rows.assign(measured_ms=rows["planning_ms"] + rows["decision_ms"])
+        _draw(axes, rows, best_schedules(rows, scenario, "measured_ms"), "measured_ms")
+        axes.set(xlabel="planning + deciding per step, measured [ms]")
     _share_axes(left, summaries, scenario)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
     figure.suptitle(f"{scenario}: reward against computation, {episodes_told(rows)}")

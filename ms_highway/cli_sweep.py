@@ -1,0 +1,157 @@
+"""The command ``ms-highway sweep``."""
+
+import argparse
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import jax
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh
+
+from ms_highway import report, tradeoff
+from ms_highway.cli_options import add_costs, add_semantics, costs, human_reward
+from ms_highway.console import add_command, count_episodes, print_tables
+from ms_highway.envs import SCENARIOS, environment_id
+from ms_highway.experiment import Comparison
+from ms_highway.files import replacing
+from ms_highway.provenance import add_run, read_runs, this_run
+from ms_highway.simulation import device_mesh
+
+__all__ = ["add_sweep"]
+
+HELP = """\
+Simulate very many episodes of a scenario, all in JAX and many at a time, and compare reward and computation.
+
+Episodes are those of `ms-highway compare`: the same seed gives the same start, and what happens is the same up to
+rounding. Nothing is timed: planning counts the seconds of --costs. Controllers are those of --controllers, by default
+the scenario's ladder, and switching with every lambda of --lambdas.
+
+Results go to --out, as parts of --part episodes each, which are written as they are done; stopped or killed and started
+again with the same --out, the sweep goes on with the parts that are missing. All at once they are read by
+pandas.read_parquet("OUT/episodes"): a row per episode, and with --steps by pandas.read_parquet("OUT/steps"): a row per
+step. summary.csv, SCENARIO_curve.png, settings.json and provenance.json are like those of compare.
+
+Episodes are shared by all devices (on processors, by default one per core). With the same --part, results are the same
+byte for byte, however often the sweep is stopped, however many processes share it, and on any number of devices from
+two; a single device or another --part may change last digits, of which chaotic episodes make much.
+
+Every device computes one part at a time, so that memory grows with --part and --devices, and not with --episodes; but
+the summary at the end reads all rows per episode. Needs the extra "sweep"."""
+
+EXAMPLES = """\
+examples:
+  ms-highway sweep merger --episodes 10000 --lambdas 0.001:10:25 --out results/sweep
+  ms-highway sweep give_way --episodes 1000 --controllers tom schedule:tom={4,6,8},naive --out results/schedules
+
+on two machines:
+  ms-highway sweep merger --lambdas 0.001:10:25 --coordinator first:4000 --processes 2 --process 0 --out shared/sweep
+  ms-highway sweep merger --lambdas 0.001:10:25 --coordinator first:4000 --processes 2 --process 1 --out shared/sweep"""
+
+
+def add_sweep(commands: Any) -> None:
+    """Add the command ``sweep`` to a parser's subparsers."""
+    parser = add_command(commands, "sweep", "simulate thousands of episodes at once", HELP, EXAMPLES)
+    parser.add_argument("scenario", metavar="SCENARIO", help=", ".join(SCENARIOS))
+    parser.add_argument("--episodes", type=int, default=1000, help="episodes per controller (default: 1000)")
+    parser.add_argument(
+        "--lambdas",
+        metavar="LOW:HIGH:COUNT",
+        help="lambdas of switching, evenly spaced in their logarithm, or several with commas between "
+        "(default: the paper's two, unless there are --controllers)",
+    )
+    parser.add_argument(
+        "--controllers",
+        nargs="+",
+        metavar="CONTROLLER",
+        help="naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL (default: the ladder)",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the first episode; the others count on (default: 0)")
+    parser.add_argument("--ladder", nargs="+", metavar="MODEL", help="models to switch among (default: the scenario's)")
+    add_semantics(parser)
+    add_costs(parser)
+    parser.add_argument("--steps", action="store_true", help="keep a row per step as well, about 40 times as much")
+    parser.add_argument("--part", type=int, default=1024, help="episodes per part, of any controller (default: 1024)")
+    parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")
+    parser.add_argument("--coordinator", metavar="HOST:PORT", help="where process 0 of several is to be found")
+    parser.add_argument("--processes", type=int, default=1, help="how many processes share the sweep (default: 1)")
+    parser.add_argument("--process", type=int, default=0, help="which of them this one is (default: 0)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory of results")
+    parser.set_defaults(run=_sweep, in_batches=True)  # many large kernels: nothing for `low_latency`
+
+
+def _sweep(options: argparse.Namespace) -> None:
+    try:
+        from ms_highway import sweep as module  # pyarrow is an extra
+    except ModuleNotFoundError as error:
+        raise ImportError(f"{error}; install the extra with: pip install 'ms-highway[sweep]'") from error
+    for name, least in (("episodes", 1), ("part", 1), ("devices", 1), ("processes", 1), ("seed", 0), ("process", 0)):
+        value = getattr(options, name)
+        if value is not None and value < least:
+            raise ValueError(f"--{name} is {value}; it must be {least} or more")
+    if options.process >= options.processes or (options.processes > 1) != (options.coordinator is not None):
+        told = f"--process {options.process} of --processes {options.processes}, --coordinator {options.coordinator}"
+        raise ValueError(
+            f"{told}; processes are numbered from 0, and several need a coordinator, such as localhost:4000"
+        )
+    comparison = _comparison(options, module.prices)
+    comparison.check()
+    job = module.Sweep(comparison, options.part, options.steps)
+    worker = module.Worker(options.process, options.processes)
+    module.check_directory(job, options.out)
+    read_runs(options.out)  # refuses what cannot be read before anything is run
+    mesh = _mesh(options)
+    counts = module.run_sweep(job, options.out, mesh, worker)
+    already, wanted = next(counts), sum(job.size(part) for part in worker.parts(job))
+    if already < wanted and worker.place == 0:
+        add_run(options.out, this_run(options.command_line))
+    count_episodes(counts, already, wanted)
+    if worker.of > 1:
+        multihost_utils.sync_global_devices("all parts are there")
+    if worker.place == 0:
+        _report(module.sweep_summary(module.read_sweep(job, options.out)), options.scenario, options.out)
+
+
+def _comparison(options: argparse.Namespace, prices: Any) -> Comparison:
+    environment_id(options.scenario)
+    scenario = SCENARIOS[options.scenario]
+    lambdas = prices(options.lambdas) if options.lambdas else [] if options.controllers else scenario.prices
+    controllers = [
+        *(options.controllers or options.ladder or scenario.ladder),
+        *(f"switching:{one:g}" for one in lambdas),
+    ]
+    return Comparison(
+        {options.scenario: list(dict.fromkeys(controllers))},
+        options.episodes,
+        options.semantics,
+        costs(options.costs),
+        human_reward=human_reward(options.human_reward),
+        ladder=options.ladder,
+        first_seed=options.seed,
+    )
+
+
+def _mesh(options: argparse.Namespace) -> Mesh:
+    """The devices to use; processors have as many as they are told to before JAX begins to compute."""
+    if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        with suppress(RuntimeError):  # it has begun, and has those that it has
+            jax.config.update("jax_num_cpu_devices", options.devices or cores)
+    if options.coordinator:
+        jax.distributed.initialize(options.coordinator, options.processes, options.process)
+    devices = jax.local_devices()
+    if options.devices and options.devices > len(devices):
+        raise ValueError(
+            f"--devices is {options.devices}; this process has {len(devices)}, of kind {devices[0].platform}"
+        )
+    return device_mesh(devices[: options.devices])
+
+
+def _report(summaries: Any, scenario: str, directory: Path) -> None:
+    with replacing(directory / "summary.csv") as path:
+        summaries.to_csv(path, index=False)
+    with replacing(directory / f"{scenario}_curve.png") as path:
+        tradeoff.curve(summaries, scenario).savefig(path, dpi=110)
+    print_tables(report.table(summaries, scenario))
+    print(f"results are in {directory}")

@@ -1,0 +1,241 @@
+"""Episodes of a comparison, computed many at a time rather than in the environments: the same starts, the same records.
+
+`ms_highway.experiment` runs the same `Comparison` in the environments.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from gymnasium.utils import seeding
+from jax.sharding import Mesh
+from jaxtyping import Float, Int
+
+from ms_highway.envs import SCENARIOS, environment_id
+from ms_highway.envs.configuration import controller_config, game_of, known_costs, switching_of
+from ms_highway.experiment import KEYS, Comparison, columns
+from ms_highway.human_models import MODELS, ladder
+from ms_highway.scenario import Scenario, draw_starts
+from ms_highway.simulation import DECIDES, STATUSES, Episodes, Loop, Records, simulate, usual_chunk
+
+__all__ = [
+    "Batch",
+    "Key",
+    "columns_simulated",
+    "make_batch",
+    "run_episodes",
+    "simulated",
+    "start",
+    "summarised",
+    "tabulated",
+]
+
+Key = tuple[str, int]
+"""Which episode of a scenario: its controller's short name, and its seed."""
+
+CARS = ("robot", "human")
+STATE = ("x", "y", "heading", "speed")
+BATCH = 1024  # episodes at a time on each device
+
+
+def columns_simulated() -> list[str]:
+    """Columns of a record of steps, `ms_highway.experiment.columns` without the measured times."""
+    measured = {"planning_seconds", "decision_seconds", "compile_seconds"}
+    return [name for name in columns() if name not in measured]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """One scenario of a comparison, ready to be simulated.
+
+    Attributes:
+        comparison: what is compared.
+        scenario: where.
+        loop: what all episodes have in common.
+        costs: T(M) by model [s], as far as it is known.
+    """
+
+    comparison: Comparison
+    scenario: Scenario
+    loop: Loop
+    costs: dict[str, float]
+
+    @property
+    def models(self) -> list[str]:
+        """Names of the models, in the order of their numbers."""
+        return [model.name for model in self.loop.models]
+
+    @property
+    def size(self) -> int:
+        """The number of all episodes."""
+        return self.comparison.seeds * len(self.comparison.controllers[self.scenario.name])
+
+    def keys(self, first: int = 0, last: int | None = None) -> list[Key]:
+        """Episodes from the first to before the last, seed by seed, so that all parts hold controllers alike."""
+        controllers = self.comparison.controllers[self.scenario.name]
+        places = range(self.size)[first:last]
+        return [
+            (controllers[place % len(controllers)], self.comparison.first_seed + place // len(controllers))
+            for place in places
+        ]
+
+
+def make_batch(comparison: Comparison, scenario: str, chunk: int | None = None) -> Batch:
+    """One scenario of a comparison, ready to be simulated.
+
+    Args:
+        comparison: what is compared.
+        scenario: its name.
+        chunk: see `ms_highway.simulation.Loop`; without, what suits the devices.
+
+    Raises:
+        ValueError: for anything unknown or impossible, and for costs that are to be measured: nothing is timed here.
+    """
+    environment_id(scenario)
+    controllers = comparison.controllers.get(scenario, [])
+    if not controllers:
+        raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")
+    configs = [comparison.config(scenario, controller) for controller in controllers]
+    costs = known_costs(configs[0])
+    if costs is None:
+        remedy = "say 'published', or give seconds by model"
+        raise ValueError(f"costs are {comparison.costs!r}, and a simulation cannot measure plans; {remedy}")
+    rungs = ladder(configs[0]["ladder"])
+    used = {name for config in configs for name in _scheduled(config["controller"])}
+    others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
+    seconds = np.array([costs[model.name] for model in rungs], np.float32)
+    switching = switching_of(configs[0], seconds, 0.0, rungs)
+    loop = Loop(game_of(SCENARIOS[scenario], configs[0]), switching, others, chunk or usual_chunk())
+    return Batch(comparison, SCENARIOS[scenario], loop, dict(costs))
+
+
+def _scheduled(controller: dict[str, Any]) -> list[str]:
+    """The models that a controller's configuration names, the last of which goes on; none where Algorithm 1 decides."""
+    return [controller["model"]] if controller["type"] == "fixed" else list(controller.get("models", []))
+
+
+def start(scenario: Scenario, seed: int) -> Float[np.ndarray, "cars 4"]:
+    """The start that the scenario's environment draws for a seed, in SI units.
+
+    Raises:
+        ValueError: for a negative seed.
+    """
+    if seed < 0:
+        raise ValueError(f"the seed is {seed}; it must not be negative")
+    return draw_starts(scenario, seeding.np_random(seed)[0])
+
+
+def _episodes(batch: Batch, keys: Sequence[Key]) -> Episodes:
+    """What is to be simulated."""
+    starts = {seed: start(batch.scenario, seed) for _, seed in keys}
+    drivers = {name: _driver(batch, name) for name, _ in keys}
+    weights = (np.asarray(reward.weights) for reward in (batch.loop.game.robot, batch.loop.game.human))
+    return Episodes(
+        np.array([starts[seed] for _, seed in keys], np.float32),
+        np.array([drivers[name][0] for name, _ in keys], np.float32),
+        np.array([drivers[name][1] for name, _ in keys], np.int32),
+        *(np.broadcast_to(row, (len(keys), len(row))) for row in weights),
+    )
+
+
+def _driver(batch: Batch, controller: str) -> tuple[float, Int[np.ndarray, "steps"]]:
+    """A controller's lambda, 0 where it decides nothing, and its schedule."""
+    config = controller_config(controller)
+    scheduled = [batch.models.index(name) for name in _scheduled(config)] or [DECIDES]
+    places = np.minimum(np.arange(batch.scenario.steps), len(scheduled) - 1)
+    return config.get("lambda", 0.0), np.array(scheduled)[places]
+
+
+def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None, share: int = 1) -> Records:
+    """Simulate episodes; for ``mesh`` and ``share`` see `ms_highway.simulation.simulate`.
+
+    Raises:
+        ValueError: without an episode, or for a negative seed.
+    """
+    return simulate(batch.loop, _episodes(batch, keys), mesh, share)
+
+
+def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
+    """All records of a comparison, a row per step, in the comparison's order: `columns_simulated`.
+
+    Args:
+        comparison: what to simulate.
+        mesh: see `ms_highway.simulation.simulate`.
+
+    Raises:
+        ValueError: for anything unknown or impossible, and for costs that are to be measured.
+    """
+    batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
+    tables = []
+    for batch in batches:
+        together = min(batch.size, BATCH * (1 if mesh is None else mesh.size))
+        for first in range(0, batch.size, together):
+            keys = batch.keys(first, first + together)
+            share = -(-together // (1 if mesh is None else mesh.size))
+            tables.append(tabulated(batch, keys, run_episodes(batch, keys, mesh, share)))
+    records = pd.concat(tables).set_index(KEYS)
+    return pd.concat([records.loc[[key]] for key in comparison.episodes()]).reset_index()
+
+
+def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:
+    """A row per step: `columns_simulated`."""
+    steps = batch.scenario.steps
+    models, costs = np.array(batch.models), _costs(batch)
+    cells: dict[str, Any] = {
+        "scenario": batch.scenario.name,
+        "controller": np.repeat([name for name, _ in keys], steps),
+        "seed": np.repeat([seed for _, seed in keys], steps),
+        "step": np.tile(np.arange(steps), len(keys)),
+        "model": models[records.model].ravel(),
+        "reward": np.asarray(records.reward, float).ravel(),
+        "collision": records.collision.ravel(),
+        "counted_seconds": costs[records.model].ravel(),
+        "status": np.array(STATUSES)[records.status].ravel(),
+    }
+    cells |= {f"gain_{name}": gain.ravel() for name, gain in _gains(batch, records).items()}
+    for place, car in enumerate(CARS):
+        states = np.asarray(records.states[:, :, place], float).reshape(-1, len(STATE))
+        cells |= {f"{car}_{name}": states[:, number] for number, name in enumerate(STATE)}
+    return pd.DataFrame(cells, columns=columns_simulated())
+
+
+def _costs(batch: Batch) -> Float[np.ndarray, "models"]:
+    """T(M) by number of the model [s], NaN where it is not known."""
+    return np.array([batch.costs.get(name, np.nan) for name in batch.models])
+
+
+def _gains(batch: Batch, records: Records) -> dict[str, Float[np.ndarray, "episodes steps"]]:
+    """Estimated gains of switching to each model: up, that is to the top rung, or down by one, from the rung before."""
+    gains = {name: np.full(records.reward.shape, np.nan) for name in MODELS}
+    rungs = [model.name for model in batch.loop.switching.ladder]
+    before = np.concatenate([records.model[:, :1], records.model[:, :-1]], axis=1)
+    for rung, name in enumerate(rungs[:-1]):
+        gains[name] = np.where(before == rung + 1, records.gain_down, np.nan)
+    gains[rungs[-1]] = np.where(before < len(rungs) - 1, records.gain_up, np.nan)
+    return gains
+
+
+def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:
+    """A row per episode.
+
+    Columns: ``scenario``, ``controller`` and ``seed``; ``lambda``, empty where nothing is decided; ``reward`` and
+    ``counted_seconds``, planning at T(M), as means over the steps; ``share_MODEL`` of the steps; ``collisions``, steps
+    in which the robot collided; ``fallbacks``, steps whose plan failed.
+    """
+    configs = {name: controller_config(name) for name, _ in keys}
+    shares = {f"share_{name}": np.mean(records.model == number, axis=1) for number, name in enumerate(batch.models)}
+    return pd.DataFrame(
+        {
+            "scenario": batch.scenario.name,
+            "controller": [name for name, _ in keys],
+            "seed": [seed for _, seed in keys],
+            "lambda": [configs[name].get("lambda", np.nan) for name, _ in keys],
+            "reward": np.mean(records.reward, axis=1, dtype=float),
+            "counted_seconds": np.mean(_costs(batch)[records.model], axis=1),
+            **shares,
+            "collisions": np.sum(records.collision, axis=1),
+            "fallbacks": np.sum(np.not_equal(records.status, STATUSES.index("planned")), axis=1),
+        }
+    )

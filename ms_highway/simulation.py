@@ -1,0 +1,291 @@
+"""The closed loop in pure JAX: human and robot plan, switching decides, the world moves; many episodes at once.
+
+The pure functions are those that the environments call, so that both loops agree. Planning times are not measured here:
+T(M) comes from a table.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+from typing import Any, NamedTuple, get_args
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Float, Int
+
+from ms_highway.controller import Status, braking_control
+from ms_highway.dynamics import Array, keep_velocity, recover_control, step
+from ms_highway.game import Game, swap
+from ms_highway.human_models import HumanModel, JointPlan, Naive
+from ms_highway.reward import features
+from ms_highway.switching import Memory, Switching, decide, first_memory
+from ms_highway.tracing import inlining
+
+__all__ = ["DECIDES", "STATUSES", "Episodes", "Loop", "Records", "device_mesh", "simulate", "usual_chunk"]
+
+STATUSES: tuple[Status, ...] = get_args(Status)
+"""How controls come about, in the order of the numbers that stand for them in `Records`."""
+
+PLANNED, PREVIOUS, BRAKING = range(3)
+AXIS = "episodes"  # of a mesh of devices
+CHUNK, WIDE_CHUNK = 16, 1024  # episodes that a processor computes together, and an accelerator
+
+DECIDES = -1
+"""In a schedule: Algorithm 1 chooses the rung of this step."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Loop:
+    """What all episodes of a simulation have in common.
+
+    Attributes:
+        game: what is played.
+        switching: ladder, costs, and the numbers of Algorithm 1; its price is each episode's own.
+        others: models that schedules may use beside the ladder; their numbers go on after its rungs (static).
+        chunk: episodes that are computed together (static). Each human model is computed only for the chunks that use
+            it, so that smaller chunks compute less in vain, and larger ones make better use of wide hardware. The last
+            digits may depend on it, and on the number of devices; chaotic episodes, as in Stay Back, make much of them.
+    """
+
+    game: Game
+    switching: Switching
+    others: tuple[HumanModel, ...] = field(default=(), metadata={"static": True})
+    chunk: int = field(default=CHUNK, metadata={"static": True})
+
+    @property
+    def models(self) -> tuple[HumanModel, ...]:
+        """All models, in the order of the numbers that stand for them in schedules and records."""
+        return (*self.switching.ladder, *self.others)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Episodes:
+    """Where episodes differ.
+
+    Attributes:
+        starts: all cars at the start, robot first, then the human.
+        prices: lambda, where Algorithm 1 decides.
+        schedules: the number of the model that each step is planned with, or `DECIDES`.
+        robot_weights, human_weights: of both rewards, in the order of their features.
+    """
+
+    starts: Float[Array, "episodes cars 4"]
+    prices: Float[Array, "episodes"]
+    schedules: Int[Array, "episodes steps"]
+    robot_weights: Float[Array, "episodes features"]
+    human_weights: Float[Array, "episodes features"]
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+
+class Records(NamedTuple):
+    """What happened, a record per step, like those of `ms_highway.experiment.episode`.
+
+    Attributes:
+        model: number of the model that planned, in `Loop.models`.
+        status: how the robot's control came about, a place in `STATUSES`.
+        reward: the robot's, after the step.
+        collision: whether the robot collided in it.
+        gain_up, gain_down: estimated before the step, NaN where none was.
+        states: all cars after the step.
+    """
+
+    model: Int[Array, "episodes steps"]
+    status: Int[Array, "episodes steps"]
+    reward: Float[Array, "episodes steps"]
+    collision: Any  # truth values [episodes, steps]
+    gain_up: Float[Array, "episodes steps"]
+    gain_down: Float[Array, "episodes steps"]
+    states: Float[Array, "episodes steps cars 4"]
+
+
+def usual_chunk() -> int:
+    """The size of a chunk that suits the devices that JAX uses by default."""
+    return CHUNK if jax.default_backend() == "cpu" else WIDE_CHUNK
+
+
+def device_mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
+    """Devices in a row, to share episodes among; without any named, all of this process."""
+    return Mesh(np.array(jax.local_devices() if devices is None else devices), (AXIS,))
+
+
+def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None, share: int = 1) -> Records:
+    """Run episodes from start to end in one computation, shared by the devices of a mesh.
+
+    In every step, each device puts its episodes in the order of their models and computes them chunk by chunk, so that
+    most chunks need a single model: under `jax.vmap` alone, every episode would pay for every model. Episodes are
+    filled up, with copies of the last one, to whole chunks on every device; the copies are dropped again.
+
+    Args:
+        loop: what the episodes have in common.
+        episodes: one at least.
+        mesh: of `device_mesh`; without, the first device.
+        share: least number of episodes to fill each device's share up to, so that a few left over compile nothing anew.
+
+    Returns:
+        NumPy arrays.
+
+    Raises:
+        ValueError: without an episode.
+    """
+    count, mesh = len(episodes), device_mesh(jax.local_devices()[:1]) if mesh is None else mesh
+    if count == 0:
+        raise ValueError("there are no episodes to simulate; give one at least")
+    chunks = -(-max(share, -(-count // mesh.size)) // loop.chunk)
+    places = np.minimum(np.arange(chunks * loop.chunk * mesh.size), count - 1)
+    filled = jax.tree.map(lambda part: np.asarray(part)[places], episodes)
+    with inlining():
+        records = _compiled(mesh)(loop, filled)
+    return jax.tree.map(lambda part: np.asarray(part)[:count], records)
+
+
+@cache
+def _compiled(mesh: Mesh) -> jax.stages.Wrapped:
+    """`_simulate` on every device of a mesh, each with its share of the episodes."""
+    shares = PartitionSpec(AXIS)
+    shared = jax.shard_map(
+        _simulate, mesh=mesh, in_specs=(PartitionSpec(), shares), out_specs=shares, check_vma=False
+    )  # nothing is exchanged between devices
+    return jax.jit(shared)  # not `QUICKLY`: with it, last digits depend on the place in a chunk in Merger too
+
+
+class _Rest(NamedTuple):
+    """What is left of a driver's last good plan: its scaled controls, and how many; none after braking."""
+
+    controls: Float[jax.Array, "horizon 2"]
+    steps: Int[jax.Array, ""]
+
+
+class _Now(NamedTuple):
+    """What an episode carries from step to step."""
+
+    state: Float[jax.Array, "cars 4"]
+    memory: Memory
+    gain_up: Float[jax.Array, ""]
+    gain_down: Float[jax.Array, ""]
+    robot: _Rest
+    human: _Rest
+
+
+class _Own(NamedTuple):
+    """An episode's own numbers."""
+
+    price: Float[jax.Array, ""]
+    robot_weights: Float[jax.Array, "features"]
+    human_weights: Float[jax.Array, "features"]
+
+
+def _simulate(loop: Loop, episodes: Episodes) -> Records:
+    """Run episodes, as many as a multiple of ``loop.chunk``."""
+    count = len(episodes)
+    own = _Own(*map(jnp.asarray, (episodes.prices, episodes.robot_weights, episodes.human_weights)))
+    none = _Rest(jnp.zeros((loop.game.planner.horizon, 2)), jnp.int32(0))
+    unknown = jnp.float32(jnp.nan)
+    before = _Now(jnp.zeros(0), first_memory(loop.switching), unknown, unknown, none, none)
+    first = jax.tree.map(lambda part: jnp.broadcast_to(part, (count, *part.shape)), before)
+    first = first._replace(state=jnp.asarray(episodes.starts, jnp.float32))
+
+    def one_step(now: _Now, scheduled: Int[jax.Array, "episodes"]) -> tuple[_Now, Records]:
+        decides = scheduled == DECIDES
+        models = jnp.where(decides, now.memory.rung, scheduled)
+        now = now._replace(memory=now.memory._replace(rung=models))
+        order = jnp.argsort(2 * models + decides, stable=True)
+        together = jax.tree.map(lambda part: part[order].reshape(-1, loop.chunk, *part.shape[1:]), (now, own, decides))
+        done = jax.lax.map(lambda chunk: _step(loop, *chunk), together)
+        back = jnp.argsort(order)
+        return jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:])[back], done)
+
+    _, records = jax.lax.scan(one_step, first, jnp.asarray(episodes.schedules).T)
+    return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
+
+
+def _step(loop: Loop, now: _Now, own: _Own, decides: jax.Array) -> tuple[_Now, Records]:
+    """One step of a chunk of episodes."""
+    moved, records = jax.vmap(partial(_move, loop.game))(now, own, _plan(loop, now, own))
+    return _choose(loop, now, own, decides, moved), records
+
+
+def _game(game: Game, own: _Own) -> Game:
+    """The game of one episode."""
+    robot, human = game.robot, game.human
+    return replace(
+        game, robot=replace(robot, weights=own.robot_weights), human=replace(human, weights=own.human_weights)
+    )
+
+
+def _plan(loop: Loop, now: _Now, own: _Own) -> JointPlan:
+    """The plan of every episode; only the models that some episode uses are computed."""
+
+    def planned(model: HumanModel) -> JointPlan:
+        return jax.vmap(lambda own, state: model.plan(_game(loop.game, own), state))(own, now.state)
+
+    still = jnp.zeros((loop.chunk, loop.game.planner.horizon, 2))
+    chosen = JointPlan(still, still)
+    for number, model in enumerate(loop.models):
+        uses = now.memory.rung == number
+        plan = jax.lax.cond(uses.any(), partial(planned, model), lambda: JointPlan(still, still))
+        chosen = jax.tree.map(lambda new, old, uses=uses: jnp.where(uses[:, None, None], new, old), plan, chosen)
+    return chosen
+
+
+def _follow(
+    game: Game, car: Float[jax.Array, "4"], plan: JointPlan, rest: _Rest
+) -> tuple[Float[jax.Array, "2"], Int[jax.Array, ""], _Rest]:
+    """The scaled control to execute, its status and the rest that it leaves.
+
+    As in the environments, a plan that is not finite gives way to the rest of the last one, and that to braking.
+    """
+    finite = jnp.isfinite(plan.robot).all() & jnp.isfinite(plan.human).all()
+    goes_on = rest.steps > 1
+    status = jnp.where(finite, PLANNED, jnp.where(goes_on, PREVIOUS, BRAKING))
+    controls = jnp.where(finite, plan.robot, jnp.roll(rest.controls, -1, axis=0))
+    braking = braking_control(game, car) / game.planner.control_scale
+    left = jnp.where(finite, len(plan.robot), jnp.where(goes_on, rest.steps - 1, 0))
+    return jnp.where(status == BRAKING, braking, controls[0]), status, _Rest(controls, left)
+
+
+class _Moved(NamedTuple):
+    """What a step came to."""
+
+    now: _Now  # before the choice of the next rung
+    robot: Float[jax.Array, "2"]  # scaled, as executed
+    human: Float[jax.Array, "2"]  # scaled, as observed
+    reward: Float[jax.Array, ""]
+
+
+def _move(game: Game, now: _Now, own: _Own, plan: JointPlan) -> tuple[_Moved, Records]:
+    """The human plans, the world moves, and the robot earns its reward."""
+    game, state = _game(game, own), now.state
+    scale = game.planner.control_scale
+    robot, status, robot_rest = _follow(game, state[0], plan, now.robot)
+    mirrored, mirrored_state = swap(game, state)
+    human, _, human_rest = _follow(mirrored, state[1], Naive().plan(mirrored, mirrored_state), now.human)
+    controls = jnp.concatenate([jnp.stack([robot, human]) * scale, keep_velocity(game.world, state[2:])])
+    after = step(game.world, state, controls)
+    phi = features(game.scene, game.robot, after)
+    reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
+    observed = recover_control(game.world, state[1], after[1]) / scale
+    records = Records(now.memory.rung, status, reward, collision, now.gain_up, now.gain_down, after)
+    unknown = jnp.float32(jnp.nan)
+    following = _Now(after, now.memory, unknown, unknown, robot_rest, human_rest)
+    return _Moved(following, robot, observed, reward), records
+
+
+def _choose(loop: Loop, before: _Now, own: _Own, decides: jax.Array, moved: _Moved) -> _Now:
+    """The rungs of the next step, where Algorithm 1 decides about them."""
+
+    def one(before: _Now, own: _Own, moved: _Moved) -> _Now:
+        switching = replace(loop.switching, price=own.price)
+        game = _game(loop.game, own)
+        memory, up, down = decide(switching, game, before.memory, before.state, moved.robot, moved.human, moved.reward)
+        return moved.now._replace(memory=memory, gain_up=up, gain_down=down)
+
+    decided = jax.lax.cond(decides.any(), lambda: jax.vmap(one)(before, own, moved), lambda: moved.now)
+    return jax.tree.map(
+        lambda new, old: jnp.where(decides.reshape(-1, *[1] * (new.ndim - 1)), new, old), decided, moved.now
+    )

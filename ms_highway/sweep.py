@@ -1,0 +1,245 @@
+"""Very many simulated episodes, kept in parts that an interrupted run goes on with and that need not fit in memory.
+
+A part is a Parquet file: small, typed, and read by ``pandas.read_parquet`` alone or with its whole directory. It is
+written under another name and moved to its own when it is whole, so that every part is either whole or not there.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from jax.sharding import Mesh
+from pyarrow import parquet
+
+from ms_highway.episodes import Batch, make_batch, run_episodes, summarised, tabulated
+from ms_highway.experiment import SETTINGS_FILE, Comparison, read_settings
+from ms_highway.files import replacing
+from ms_highway.report import interval
+
+__all__ = [
+    "ALONE",
+    "EPISODES",
+    "PART",
+    "STEPS",
+    "Sweep",
+    "Worker",
+    "check_directory",
+    "prices",
+    "read_sweep",
+    "run_sweep",
+    "sweep_summary",
+]
+
+EPISODES, STEPS = "episodes", "steps"
+"""Directories of a sweep's parts, with a row per episode and per step."""
+
+PART = 1024
+"""Usual number of episodes in a part."""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What is simulated, and what is kept of it.
+
+    Attributes:
+        comparison: of a single scenario.
+        part: number of episodes in a part. Every device computes one part at a time, so that memory grows with it, and
+            not with the number of episodes.
+        steps: whether a row per step is kept as well.
+    """
+
+    comparison: Comparison
+    part: int = PART
+    steps: bool = False
+
+    @property
+    def scenario(self) -> str:
+        """The name of the scenario."""
+        (scenario,) = self.comparison.controllers
+        return scenario
+
+    @property
+    def episodes(self) -> int:
+        """How many there are, of all controllers together."""
+        return self.comparison.seeds * len(self.comparison.controllers[self.scenario])
+
+    @property
+    def parts(self) -> int:
+        """How many there are."""
+        return -(-self.episodes // self.part)
+
+    def size(self, part: int) -> int:
+        """The number of episodes in a part: in the last one, what is left."""
+        return min(self.part, self.episodes - part * self.part)
+
+    def settings(self) -> dict[str, Any]:
+        """What decides which numbers are found in which part."""
+        return {**asdict(self.comparison), "part": self.part, "steps": self.steps}
+
+
+@dataclass(frozen=True)
+class Worker:
+    """One of several processes that share a sweep: number ``place`` computes every part k with ``k % of == place``."""
+
+    place: int = 0
+    of: int = 1
+
+    def parts(self, sweep: Sweep) -> range:
+        """The parts that this process computes."""
+        return range(self.place, sweep.parts, self.of)
+
+
+ALONE = Worker()
+
+
+def prices(text: str) -> list[float]:
+    """Lambdas from a text: ``LOW:HIGH:COUNT``, evenly spaced in their logarithm, or several with commas between.
+
+    They are rounded to six significant digits, which the short names of controllers have.
+
+    Raises:
+        ValueError: if the text is neither, or names no positive lambdas.
+    """
+    try:
+        if ":" in text:
+            low, high, count = text.split(":")
+            if not 0 < float(low) < float(high) < np.inf or int(count) < 2:
+                raise ValueError
+            values = np.geomspace(float(low), float(high), int(count)).tolist()
+        else:
+            values = [float(part) for part in text.split(",")]
+            if not all(0 <= value < np.inf for value in values):
+                raise ValueError
+    except ValueError:
+        remedy = "give LOW:HIGH:COUNT with 0 < LOW < HIGH and two or more, such as 0.001:10:25, or lambdas like 0.1,0.5"
+        raise ValueError(f"lambdas are {text!r}; {remedy}") from None
+    return list(dict.fromkeys(float(f"{value:g}") for value in values))
+
+
+def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: Worker = ALONE) -> Iterator[int]:
+    """Compute the parts that a directory lacks and write each when it is done.
+
+    Args:
+        sweep: what to compute.
+        directory: where the parts are.
+        mesh: devices, each of which computes a part at a time; see `ms_highway.simulation.device_mesh`.
+        worker: which of the parts this process computes.
+
+    Yields:
+        How many of this process's episodes are there: first what earlier runs have left, then after every part.
+
+    Raises:
+        ValueError: if the sweep is impossible, or the directory holds something else.
+    """
+    batch = make_batch(sweep.comparison, sweep.scenario)
+    done = _take_up(sweep, directory)
+    mine = worker.parts(sweep)
+    missing, together = [part for part in mine if part not in done], 1 if mesh is None else mesh.size
+    count = sum(sweep.size(part) for part in mine) - sum(sweep.size(part) for part in missing)
+    yield count
+    for first in range(0, len(missing), together):
+        for part in _compute(sweep, batch, missing[first : first + together], directory, mesh):
+            count += sweep.size(part)
+            yield count
+
+
+def _compute(sweep: Sweep, batch: Batch, parts: list[int], directory: Path, mesh: Mesh | None) -> Iterator[int]:
+    """Compute parts, one on each device, and write them, the row per episode last: then the part is done."""
+    shares = [batch.keys(part * sweep.part, (part + 1) * sweep.part) for part in parts]
+    keys = [key for share in shares for key in share]  # only the sweep's last part is smaller, and it comes last
+    records = run_episodes(batch, keys, mesh, min(sweep.part, sweep.episodes))
+    first = 0
+    for part, share in zip(parts, shares, strict=True):
+        own = type(records)(*(numbers[first : first + len(share)] for numbers in records))
+        first += len(share)
+        if sweep.steps:
+            _write(tabulated(batch, share, own), _file(directory, STEPS, part))
+        _write(summarised(batch, share, own), _file(directory, EPISODES, part))
+        yield part
+
+
+def _write(table: pd.DataFrame, file: Path) -> None:
+    with replacing(file) as path:
+        parquet.write_table(pa.Table.from_pandas(table, preserve_index=False), path)
+
+
+def _file(directory: Path, kind: str, part: int) -> Path:
+    return directory / kind / f"part-{part:06d}.parquet"
+
+
+def check_directory(sweep: Sweep, directory: Path) -> None:
+    """Look whether a sweep can go on or begin in a directory.
+
+    Raises:
+        ValueError: if it holds a sweep of other settings, or other things.
+    """
+    file, settings = directory / SETTINGS_FILE, json.loads(json.dumps(sweep.settings()))
+    if file.exists():
+        known = read_settings(file)
+        differing = [key for key in {**known, **settings} if known.get(key) != settings.get(key)]
+        if differing:
+            told = ", ".join(f"{key} {known.get(key)!r} and not {settings.get(key)!r}" for key in differing)
+            raise ValueError(f"{directory} holds results with {told}; choose another directory")
+    elif directory.exists() and any(directory.iterdir()):
+        raise ValueError(f"{directory} is not empty, and has no {SETTINGS_FILE} of a sweep; choose another directory")
+
+
+def _take_up(sweep: Sweep, directory: Path) -> set[int]:
+    """Prepare the directory; returns the parts that it holds.
+
+    Raises:
+        ValueError: if it holds a sweep of other settings, other results, or a part that cannot be read.
+    """
+    check_directory(sweep, directory)
+    kinds = [EPISODES, STEPS] if sweep.steps else [EPISODES]
+    done = {part for part in range(sweep.parts) if all(_file(directory, kind, part).exists() for kind in kinds)}
+    for part in done:
+        _check(_file(directory, EPISODES, part), sweep.size(part))
+    with replacing(directory / SETTINGS_FILE) as path:
+        path.write_text(json.dumps(sweep.settings(), indent=2) + "\n")
+    return done
+
+
+def _check(file: Path, rows: int) -> None:
+    try:
+        found = parquet.read_metadata(file).num_rows
+    except (OSError, pa.ArrowException) as error:
+        raise ValueError(f"{file} cannot be read ({error}); remove it, to have it computed again") from error
+    if found != rows:
+        raise ValueError(f"{file} has {found} rows and should have {rows}; remove it, to have it computed again")
+
+
+def read_sweep(sweep: Sweep, directory: Path) -> pd.DataFrame:
+    """A row per episode of a finished sweep, seed by seed; see `ms_highway.episodes.summarised`."""
+    return pd.concat([pd.read_parquet(_file(directory, EPISODES, part)) for part in range(sweep.parts)])
+
+
+def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
+    """One row per scenario and controller, with those columns of `ms_highway.report.summary` that are not measured.
+
+    Args:
+        episodes: a row per episode, of `read_sweep`.
+    """
+    rows = []
+    for (scenario, controller), some in episodes.groupby(["scenario", "controller"], sort=False):
+        low, high = interval(some["reward"])
+        rows.append(
+            {
+                "scenario": scenario,
+                "controller": controller,
+                "episodes": len(some),
+                "reward": some["reward"].mean(),
+                "reward_low": low,
+                "reward_high": high,
+                "reward_std": some["reward"].std(),
+                "counted_ms": 1e3 * some["counted_seconds"].mean(skipna=False),
+                **{name: some[name].mean() for name in some if name.startswith("share_")},
+                "collision_episodes": int((some["collisions"] > 0).sum()),
+            }
+        )
+    return pd.DataFrame(rows)
