@@ -37,7 +37,6 @@ Key = tuple[str, int]
 
 CARS = ("robot", "human")
 STATE = ("x", "y", "heading", "speed")
-BATCH = 1024  # episodes at a time on each device
 
 
 def columns_simulated() -> list[str]:
@@ -148,13 +147,13 @@ def _driver(batch: Batch, controller: str) -> tuple[float, Int[np.ndarray, "step
     return config.get("lambda", 0.0), np.array(scheduled)[places]
 
 
-def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None, share: int = 1) -> Records:
-    """Simulate episodes; for ``mesh`` and ``share`` see `ms_highway.simulation.simulate`.
+def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None) -> Records:
+    """Simulate episodes; for ``mesh`` see `ms_highway.simulation.simulate`.
 
     Raises:
         ValueError: without an episode, or for a negative seed.
     """
-    return simulate(batch.loop, _episodes(batch, keys), mesh, share)
+    return simulate(batch.loop, _episodes(batch, keys), mesh)
 
 
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
@@ -170,11 +169,8 @@ def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
     tables = []
     for batch in batches:
-        together = min(batch.size, BATCH * (1 if mesh is None else mesh.size))
-        for first in range(0, batch.size, together):
-            keys = batch.keys(first, first + together)
-            share = -(-together // (1 if mesh is None else mesh.size))
-            tables.append(tabulated(batch, keys, run_episodes(batch, keys, mesh, share)))
+        keys = batch.keys()
+        tables.append(tabulated(batch, keys, run_episodes(batch, keys, mesh)))
     records = pd.concat(tables).set_index(KEYS)
     return pd.concat([records.loc[[key]] for key in comparison.episodes()]).reset_index()
 

@@ -16,7 +16,6 @@ from ms_highway.planner import Planner
 from ms_highway.reward import Reward, motion_reward
 from ms_highway.scene import Scene
 from ms_highway.sums import total
-from ms_highway.tracing import traced_once
 
 __all__ = [
     "Game",
@@ -77,13 +76,13 @@ def discomfort(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array
     return jnp.sum(game.robot.comfort * (controls - kept) ** 2) / 2
 
 
-@traced_once
+@jax.jit  # traced once, like `path_reward`
 def move(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Path:
     """The path of a car under scaled controls."""
     return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
 
 
-@traced_once
+@jax.jit  # traced and differentiated once for all plans that look at it
 def path_reward(game: Game, state: Float[jax.Array, "cars 4"], robot: Path, human: Path) -> Float[jax.Array, ""]:
     """The robot's reward, summed over the steps of both players' paths.
 

@@ -15,7 +15,6 @@ from jaxtyping import Float
 from ms_highway.derivatives import expand, response
 from ms_highway.game import Game, constant_velocity, discomfort, move, path_reward, swap
 from ms_highway.planner import ascend, climb
-from ms_highway.tracing import traced_once
 
 __all__ = [
     "MODELS",
@@ -145,7 +144,7 @@ def cold_start(game: Game) -> JointPlan:
     return JointPlan(still, still)
 
 
-@traced_once
+@jax.jit  # traced once for the human and the robot, naive and turn
 def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | None) -> JointPlan:
     """The robot's own ascent of its reward against fixed human controls."""
     expected = move(game, state[1], human)

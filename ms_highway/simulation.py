@@ -5,14 +5,15 @@ T(M) comes from a table.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import partial
 from typing import Any, NamedTuple, get_args
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, Int
 
 from ms_highway.controller import Status, braking_control
@@ -21,7 +22,6 @@ from ms_highway.game import Game, swap
 from ms_highway.human_models import HumanModel, JointPlan, Naive
 from ms_highway.reward import features
 from ms_highway.switching import Memory, Switching, decide, first_memory
-from ms_highway.tracing import inlining
 
 __all__ = ["DECIDES", "STATUSES", "Episodes", "Loop", "Records", "device_mesh", "simulate", "usual_chunk"]
 
@@ -31,6 +31,7 @@ STATUSES: tuple[Status, ...] = get_args(Status)
 PLANNED, PREVIOUS, BRAKING = range(3)
 AXIS = "episodes"  # of a mesh of devices
 CHUNK, WIDE_CHUNK = 16, 1024  # episodes that a processor computes together, and an accelerator
+CHUNKS = 64  # that a device takes at a time
 
 DECIDES = -1
 """In a schedule: Algorithm 1 chooses the rung of this step."""
@@ -47,7 +48,7 @@ class Loop:
         others: models that schedules may use beside the ladder; their numbers go on after its rungs (static).
         chunk: episodes that are computed together (static). Each human model is computed only for the chunks that use
             it, so that smaller chunks compute less in vain, and larger ones make better use of wide hardware. The last
-            digits may depend on it, and on the number of devices; chaotic episodes, as in Stay Back, make much of them.
+            digits depend on it, and chaotic episodes, as in Stay Back, make much of them.
     """
 
     game: Game
@@ -114,18 +115,19 @@ def device_mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
     return Mesh(np.array(jax.local_devices() if devices is None else devices), (AXIS,))
 
 
-def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None, share: int = 1) -> Records:
-    """Run episodes from start to end in one computation, shared by the devices of a mesh.
+def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Records:
+    """Run episodes from start to end, shared by the devices of a mesh.
 
-    In every step, each device puts its episodes in the order of their models and computes them chunk by chunk, so that
-    most chunks need a single model: under `jax.vmap` alone, every episode would pay for every model. Episodes are
-    filled up, with copies of the last one, to whole chunks on every device; the copies are dropped again.
+    In every step, a device puts its episodes in the order of their models and computes them chunk by chunk, so that
+    most chunks need a single model: under `jax.vmap` alone, every episode would pay for every model.
+
+    Each device runs the same program, compiled for it alone, whatever their number and that of the episodes: XLA
+    compiles a program for several devices otherwise than for one, and the two differ in their last digits.
 
     Args:
         loop: what the episodes have in common.
         episodes: one at least.
         mesh: of `device_mesh`; without, the first device.
-        share: least number of episodes to fill each device's share up to, so that a few left over compile nothing anew.
 
     Returns:
         NumPy arrays.
@@ -136,22 +138,25 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None, share: in
     count, mesh = len(episodes), device_mesh(jax.local_devices()[:1]) if mesh is None else mesh
     if count == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
-    chunks = -(-max(share, -(-count // mesh.size)) // loop.chunk)
-    places = np.minimum(np.arange(chunks * loop.chunk * mesh.size), count - 1)
-    filled = jax.tree.map(lambda part: np.asarray(part)[places], episodes)
-    with inlining():
-        records = _compiled(mesh)(loop, filled)
-    return jax.tree.map(lambda part: np.asarray(part)[:count], records)
+    share = loop.chunk * min(CHUNKS, -(-count // (loop.chunk * mesh.size)))
+    shares = np.split(np.arange(count), range(share, count, share))
+    records = []
+    for first in range(0, len(shares), mesh.size):
+        records += _simulate_shares(loop, episodes, shares[first : first + mesh.size], mesh)
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *records)
 
 
-@cache
-def _compiled(mesh: Mesh) -> jax.stages.Wrapped:
-    """`_simulate` on every device of a mesh, each with its share of the episodes."""
-    shares = PartitionSpec(AXIS)
-    shared = jax.shard_map(
-        _simulate, mesh=mesh, in_specs=(PartitionSpec(), shares), out_specs=shares, check_vma=False
-    )  # nothing is exchanged between devices
-    return jax.jit(shared)  # not `QUICKLY`: with it, last digits depend on the place in a chunk in Merger too
+def _simulate_shares(loop: Loop, episodes: Episodes, shares: list[np.ndarray], mesh: Mesh) -> list[Records]:
+    """Run shares of the episodes, given by their places, one on each of the first devices."""
+    size, counts = loop.chunk * CHUNKS, np.array([len(share) for share in shares])
+    places = np.concatenate([np.pad(share, (0, size - len(share)), mode="edge") for share in shares])
+    used = NamedSharding(Mesh(mesh.devices[: len(shares)], mesh.axis_names), PartitionSpec(AXIS))
+    given = jax.device_put((jax.tree.map(lambda part: np.asarray(part)[places], episodes), counts), used)
+    leaves, structure = jax.tree.flatten(given)
+    own = zip(*([shard.data for shard in leaf.addressable_shards] for leaf in leaves), strict=True)
+    with ThreadPoolExecutor(len(shares)) as threads:  # a device's first computation compiles its program
+        done = threads.map(lambda parts: jax.device_get(_simulate(loop, *jax.tree.unflatten(structure, parts))), own)
+    return [jax.tree.map(lambda part, n=n: part[:n], records) for records, n in zip(done, counts, strict=True)]
 
 
 class _Rest(NamedTuple):
@@ -180,28 +185,41 @@ class _Own(NamedTuple):
     human_weights: Float[jax.Array, "features"]
 
 
-def _simulate(loop: Loop, episodes: Episodes) -> Records:
-    """Run episodes, as many as a multiple of ``loop.chunk``."""
-    count = len(episodes)
+@jax.jit  # not with `QUICKLY`: then, last digits depend on the place in a chunk
+def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Records:
+    """Run the first episodes of as many as `CHUNKS` chunks hold; the records of others are of no use."""
+    size = len(episodes)
     own = _Own(*map(jnp.asarray, (episodes.prices, episodes.robot_weights, episodes.human_weights)))
     none = _Rest(jnp.zeros((loop.game.planner.horizon, 2)), jnp.int32(0))
     unknown = jnp.float32(jnp.nan)
     before = _Now(jnp.zeros(0), first_memory(loop.switching), unknown, unknown, none, none)
-    first = jax.tree.map(lambda part: jnp.broadcast_to(part, (count, *part.shape)), before)
+    first = jax.tree.map(lambda part: jnp.broadcast_to(part, (size, *part.shape)), before)
     first = first._replace(state=jnp.asarray(episodes.starts, jnp.float32))
+    chunks = (count[0] + loop.chunk - 1) // loop.chunk
+    last = 2 * len(loop.models)  # in the order of models
 
     def one_step(now: _Now, scheduled: Int[jax.Array, "episodes"]) -> tuple[_Now, Records]:
         decides = scheduled == DECIDES
         models = jnp.where(decides, now.memory.rung, scheduled)
         now = now._replace(memory=now.memory._replace(rung=models))
-        order = jnp.argsort(2 * models + decides, stable=True)
-        together = jax.tree.map(lambda part: part[order].reshape(-1, loop.chunk, *part.shape[1:]), (now, own, decides))
-        done = jax.lax.map(lambda chunk: _step(loop, *chunk), together)
-        back = jnp.argsort(order)
-        return jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:])[back], done)
+        order = jnp.argsort(jnp.where(jnp.arange(size) < count, 2 * models + decides, last), stable=True)
+
+        def one_chunk(number: Int[jax.Array, ""], done: tuple[_Now, Records]) -> tuple[_Now, Records]:
+            places = jax.lax.dynamic_slice_in_dim(order, number * loop.chunk, loop.chunk)
+            stepped = _step(loop, *jax.tree.map(lambda part: part[places], (now, own, decides)))
+            return jax.tree.map(lambda part, new: part.at[places].set(new, unique_indices=True), done, stepped)
+
+        return jax.lax.fori_loop(0, chunks, one_chunk, (now, _no_records(now)))
 
     _, records = jax.lax.scan(one_step, first, jnp.asarray(episodes.schedules).T)
     return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
+
+
+def _no_records(now: _Now) -> Records:
+    """Records of a step that are still to be filled in."""
+    zero = jnp.zeros_like(now.gain_up)
+    number = zero.astype(jnp.int32)
+    return Records(number, number, zero, zero.astype(bool), zero, zero, jnp.zeros_like(now.state))
 
 
 def _step(loop: Loop, now: _Now, own: _Own, decides: jax.Array) -> tuple[_Now, Records]:

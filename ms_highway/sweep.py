@@ -152,7 +152,7 @@ def _compute(sweep: Sweep, batch: Batch, parts: list[int], directory: Path, mesh
     """Compute parts, one on each device, and write them, the row per episode last: then the part is done."""
     shares = [batch.keys(part * sweep.part, (part + 1) * sweep.part) for part in parts]
     keys = [key for share in shares for key in share]  # only the sweep's last part is smaller, and it comes last
-    records = run_episodes(batch, keys, mesh, min(sweep.part, sweep.episodes))
+    records = run_episodes(batch, keys, mesh)
     first = 0
     for part, share in zip(parts, shares, strict=True):
         own = type(records)(*(numbers[first : first + len(share)] for numbers in records))

@@ -20,7 +20,6 @@ from ms_highway.human_models import HumanModel
 from ms_highway.reward import Reward, reward
 from ms_highway.scene import Scene
 from ms_highway.sums import total
-from ms_highway.tracing import traced_once
 
 __all__ = [
     "PUBLISHED_COSTS",
@@ -98,7 +97,7 @@ def first_memory(switching: Switching, rung: int = 0) -> Memory:
     return Memory(jnp.int32(rung), jnp.int32(0), jnp.broadcast_to(never, (rungs,)))
 
 
-@traced_once
+@jax.jit
 def decide(
     switching: Switching,
     game: Game,

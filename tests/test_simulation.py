@@ -64,7 +64,7 @@ def test_what_becomes_of_an_episode_does_not_depend_on_its_company():
     batch = make_batch(COMPARISON, "merger")
     keys = batch.keys()
     shuffled = [keys[place] for place in np.random.default_rng(0).permutation(len(keys))]
-    first, second = (run_episodes(batch, some, share=len(keys)) for some in (keys, shuffled))
+    first, second = (run_episodes(batch, some) for some in (keys, shuffled))
     order = [shuffled.index(key) for key in keys]
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one, other[order])
