@@ -8,15 +8,12 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.box import SIMPLE
-from rich.console import Console
-from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ms_highway import validation
-from ms_highway.bench import bench
+from ms_highway.cli_bench import add_bench
 from ms_highway.cli_compare import add_compare
 from ms_highway.cli_irl import add_irl
 from ms_highway.cli_report import add_report
@@ -24,15 +21,8 @@ from ms_highway.cli_sweep import add_sweep
 from ms_highway.cli_video import add_video
 from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.console import add_command, print_tables
-from ms_highway.envs import SCENARIOS, environment_id
-from ms_highway.files import replacing
 
 __all__ = ["build_parser", "main"]
-
-BENCH_HELP = """\
-Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for every
-scenario and human model. With --peer casadi, the same plans are also written in CasADi, compiled to C, checked to give
-the same controls, and measured in the same run (needs the extra "bench" and gcc)."""
 
 VALIDATE_HELP = """\
 Replay logged episodes of the paper's released code: plan from every logged state and compare controls, rewards, human
@@ -44,8 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     options = build_parser().parse_args(given)
     options.command_line = shlex.join(["ms-highway", *given])
-    if not getattr(options, "in_batches", False):
-        low_latency()
+    options.prepare()
     try:
         if not options.no_compilation_cache:
             _keep_compilations()
@@ -55,7 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"ms-highway: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("ms-highway: stopped; compare goes on when it is started again in the same way", file=sys.stderr)
+        print(
+            "ms-highway: stopped; compare and sweep go on when they are started again in the same way", file=sys.stderr
+        )
         return 130
     return 0
 
@@ -100,6 +91,7 @@ def build_parser() -> argparse.ArgumentParser:
         help="a Python module, also of the current directory, to be imported first: one that adds scenarios "
         "(ms_highway.envs.add_scenario) or human models (ms_highway.human_models.register)",
     )
+    parser.set_defaults(prepare=low_latency)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     add_compare(commands)
@@ -107,17 +99,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_video(commands)
     add_report(commands)
 
-    measure = add_command(
-        commands,
-        "bench",
-        "measure planning time",
-        BENCH_HELP,
-        "examples:\n  ms-highway bench merger\n  ms-highway bench --peer casadi --json bench.json",
-    )
-    measure.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: all)")
-    measure.add_argument("--peer", choices=["casadi"], help="measure the same plans in CasADi's C code as well")
-    measure.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
-    measure.set_defaults(run=_bench)
+    add_bench(commands)
 
     check = add_command(
         commands,
@@ -132,36 +114,6 @@ def build_parser() -> argparse.ArgumentParser:
 
     add_irl(commands)
     return parser
-
-
-def _bench(options: argparse.Namespace) -> None:
-    scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
-    for scenario in scenarios:
-        environment_id(scenario)  # refuses unknown ones before anything is measured
-    results: dict[str, dict[str, Any]] = {}
-    grid = Table(box=SIMPLE, title="medians, on one core; us: microseconds", title_justify="left")
-    names = "plan us", "p99", "C us", "ratio", "decision us", "of mean plan", "step us", "compile s", "cached"
-    for column in ("scenario", "model", *names):
-        grid.add_column(column, justify="left" if column in ("scenario", "model") else "right")
-    with Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=Console(stderr=True)) as progress:
-        task = progress.add_task("measuring", total=None)
-        for scenario in scenarios:
-            results[scenario] = {}
-            for model, result in bench(scenario, peer=options.peer == "casadi"):
-                progress.update(task, description=f"measured {scenario}, {model}")
-                results[scenario][model] = result
-            mean_plan = sum(result["plan_us"]["p50"] for result in results[scenario].values()) / len(results[scenario])
-            for model, result in results[scenario].items():
-                ours, theirs = result["plan_us"], result.get("peer_us", {}).get("p50")
-                against = [f"{theirs:.0f}", f"{ours['p50'] / theirs:.2f}"] if theirs else ["", ""]
-                decision = [f"{result['decision_us']:.0f}", f"{result['decision_us'] / mean_plan:.0%}"]
-                compiling = [f"{result['compile_s'][kind]:.1f}" for kind in ("cold", "cached")]
-                rest = [*against, *decision, f"{result['step_us']:.0f}", *compiling]
-                grid.add_row(scenario, model, f"{ours['p50']:.0f}", f"{ours['p99']:.0f}", *rest)
-    print_tables(grid)
-    if options.json:
-        with replacing(options.json) as path:
-            path.write_text(json.dumps(results, indent=2) + "\n")
 
 
 def _validate(options: argparse.Namespace) -> None:

@@ -1,23 +1,21 @@
 """The command ``ms-highway sweep``."""
 
 import argparse
-import os
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import jax
 from jax.experimental import multihost_utils
-from jax.sharding import Mesh
 
 from ms_highway import report, tradeoff
 from ms_highway.cli_options import add_costs, add_semantics, costs, human_reward
+from ms_highway.compiled import high_throughput
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.experiment import Comparison
 from ms_highway.files import replacing
 from ms_highway.provenance import add_run, read_runs, this_run
-from ms_highway.simulation import device_mesh
+from ms_highway.simulation import use_devices
 
 __all__ = ["add_sweep"]
 
@@ -33,9 +31,9 @@ again with the same --out, the sweep goes on with the parts that are missing. Al
 pandas.read_parquet("OUT/episodes"): a row per episode, and with --steps by pandas.read_parquet("OUT/steps"): a row per
 step. summary.csv, SCENARIO_curve.png, settings.json and provenance.json are like those of compare.
 
-Episodes are shared by all devices (on processors, by default one per core). With the same --part, results are the same
-byte for byte, however often the sweep is stopped, however many processes share it, and on any number of devices from
-two; a single device or another --part may change last digits, of which chaotic episodes make much.
+Episodes are shared by all devices (on processors, by default one per core). They are the same byte for byte, however
+often the sweep is stopped, and however many parts, devices and processes share it; only other kinds of processors may
+round otherwise.
 
 Every device computes one part at a time, so that memory grows with --part and --devices, and not with --episodes; but
 the summary at the end reads all rows per episode. Needs the extra "sweep"."""
@@ -78,7 +76,7 @@ def add_sweep(commands: Any) -> None:
     parser.add_argument("--processes", type=int, default=1, help="how many processes share the sweep (default: 1)")
     parser.add_argument("--process", type=int, default=0, help="which of them this one is (default: 0)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory of results")
-    parser.set_defaults(run=_sweep, in_batches=True)  # many large kernels: nothing for `low_latency`
+    parser.set_defaults(run=_sweep, prepare=high_throughput)
 
 
 def _sweep(options: argparse.Namespace) -> None:
@@ -101,7 +99,9 @@ def _sweep(options: argparse.Namespace) -> None:
     worker = module.Worker(options.process, options.processes)
     module.check_directory(job, options.out)
     read_runs(options.out)  # refuses what cannot be read before anything is run
-    mesh = _mesh(options)
+    if worker.of > 1:
+        jax.distributed.initialize(options.coordinator, worker.of, worker.place)
+    mesh = use_devices(options.devices)
     counts = module.run_sweep(job, options.out, mesh, worker)
     already, wanted = next(counts), sum(job.size(part) for part in worker.parts(job))
     if already < wanted and worker.place == 0:
@@ -130,22 +130,6 @@ def _comparison(options: argparse.Namespace, prices: Any) -> Comparison:
         ladder=options.ladder,
         first_seed=options.seed,
     )
-
-
-def _mesh(options: argparse.Namespace) -> Mesh:
-    """The devices to use; processors have as many as they are told to before JAX begins to compute."""
-    if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        with suppress(RuntimeError):  # it has begun, and has those that it has
-            jax.config.update("jax_num_cpu_devices", options.devices or cores)
-    if options.coordinator:
-        jax.distributed.initialize(options.coordinator, options.processes, options.process)
-    devices = jax.local_devices()
-    if options.devices and options.devices > len(devices):
-        raise ValueError(
-            f"--devices is {options.devices}; this process has {len(devices)}, of kind {devices[0].platform}"
-        )
-    return device_mesh(devices[: options.devices])
 
 
 def _report(summaries: Any, scenario: str, directory: Path) -> None:

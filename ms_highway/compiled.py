@@ -29,6 +29,7 @@ __all__ = [
     "checked_state",
     "decide_function",
     "forget",
+    "high_throughput",
     "in_one_kernel",
     "keep_compilations",
     "low_latency",
@@ -93,10 +94,25 @@ def low_latency() -> None:
     only with much smaller ones. Where ``XLA_FLAGS`` has that option already or names a file, it stays as it is; and
     where JAX has begun already, plans are slower, and the same.
     """
-    flags, option = os.environ.get("XLA_FLAGS", ""), "xla_cpu_small_while_loop_byte_threshold"
-    if option not in flags and (not flags or flags.startswith("-")):
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={option}={KERNEL_BYTES}".strip()
+    option = "xla_cpu_small_while_loop_byte_threshold"
+    _tell_xla(option, f"--xla_backend_extra_options={option}={KERNEL_BYTES}")
     jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+def high_throughput() -> None:
+    """Set JAX up for many episodes at once (`ms_highway.simulation`) on the CPU, before it computes anything.
+
+    It holds for the whole process and for those that it starts. XLA is told to keep to instructions of AVX2: wider ones
+    gain little here, and with them the last digits of a number depend on its place in a batch, of which chaotic
+    episodes make much. Where ``XLA_FLAGS`` has that option already or names a file, it stays as it is.
+    """
+    _tell_xla("xla_cpu_max_isa", "--xla_cpu_max_isa=AVX2")
+
+
+def _tell_xla(option: str, flag: str) -> None:
+    flags = os.environ.get("XLA_FLAGS", "")
+    if option not in flags and (not flags or flags.startswith("-")):
+        os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
 
 
 def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:

@@ -4,8 +4,10 @@ The pure functions are those that the environments call, so that both loops agre
 T(M) comes from a table.
 """
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple, get_args
@@ -23,7 +25,17 @@ from ms_highway.human_models import HumanModel, JointPlan, Naive
 from ms_highway.reward import features
 from ms_highway.switching import Memory, Switching, decide, first_memory
 
-__all__ = ["DECIDES", "STATUSES", "Episodes", "Loop", "Records", "device_mesh", "simulate", "usual_chunk"]
+__all__ = [
+    "DECIDES",
+    "STATUSES",
+    "Episodes",
+    "Loop",
+    "Records",
+    "device_mesh",
+    "simulate",
+    "use_devices",
+    "usual_chunk",
+]
 
 STATUSES: tuple[Status, ...] = get_args(Status)
 """How controls come about, in the order of the numbers that stand for them in `Records`."""
@@ -113,6 +125,24 @@ def usual_chunk() -> int:
 def device_mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
     """Devices in a row, to share episodes among; without any named, all of this process."""
     return Mesh(np.array(jax.local_devices() if devices is None else devices), (AXIS,))
+
+
+def use_devices(count: int | None = None) -> Mesh:
+    """Devices to share episodes among; where those are processors, as many as wanted, or one per core.
+
+    Processors have as many devices as they are told to before JAX begins to compute; ``XLA_FLAGS`` may say so as well.
+
+    Raises:
+        ValueError: if there are fewer than wanted.
+    """
+    if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        with suppress(RuntimeError):  # it has begun, and has those that it has
+            jax.config.update("jax_num_cpu_devices", count or cores)
+    devices = jax.local_devices()
+    if count is not None and not 0 < count <= len(devices):
+        raise ValueError(f"{count} devices are wanted; this process has {len(devices)}, of kind {devices[0].platform}")
+    return device_mesh(devices[:count])
 
 
 def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Records:

@@ -1,0 +1,96 @@
+"""How many steps of the closed loop the environments take in a second, and the simulation of many episodes at once."""
+
+import resource
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+from ms_highway.compiled import high_throughput, keep_compilations
+from ms_highway.envs import SCENARIOS
+from ms_highway.episodes import make_batch, run_episodes
+from ms_highway.experiment import Comparison, episode, make_environment
+from ms_highway.simulation import use_devices
+
+__all__ = ["throughput"]
+
+EPISODES = 5  # of the environment
+SECONDS, RUNS = 2.0, 5  # of one batch, at most
+KIBIBYTE = 1024
+
+
+def throughput(
+    scenario: str, controllers: Sequence[str], sizes: Sequence[int], devices: int | None = None
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Measure the closed loop, warm: in the environment in this process, and in batches in another that it starts.
+
+    Args:
+        scenario: its name.
+        controllers: short names of controllers.
+        sizes: numbers of episodes in a batch.
+        devices: how many to use, see `ms_highway.simulation.use_devices`.
+
+    Yields:
+        For every controller its name and:
+
+        * ``environment``: steps per second of the environment's loop, with resets, on one core;
+        * ``batch``: steps per second by batch size;
+        * ``memory_mib``: the most memory that the process with the batches has had by then, by batch size;
+        * ``first_seconds``: what the first batch took, which may compile;
+        * ``devices``: how many, and of what kind.
+
+    Raises:
+        ValueError: for anything unknown or impossible.
+    """
+    for size in sizes:
+        if size < 1:
+            raise ValueError(f"a batch has size {size}; it must be 1 or more")
+    Comparison({scenario: list(controllers)}).check()
+    with ProcessPoolExecutor(1, get_context("spawn"), _prepare) as process:
+        used = process.submit(_devices, devices).result()
+        for controller in controllers:
+            result: dict[str, Any] = {"environment": _environment(scenario, controller), "devices": used}
+            result |= {"batch": {}, "memory_mib": {}}
+            for size in sorted(sizes):
+                measured = process.submit(_batch, scenario, controller, size, devices).result()
+                result.setdefault("first_seconds", measured["first_seconds"])
+                result["batch"][str(size)] = measured["steps_per_second"]
+                result["memory_mib"][str(size)] = measured["memory_mib"]
+            yield controller, result
+
+
+def _environment(scenario: str, controller: str) -> float:
+    """Steps per second, after an episode that compiles."""
+    env = make_environment(scenario, controller)
+    list(episode(env, 0))
+    start = perf_counter()
+    steps = sum(1 for seed in range(1, 1 + EPISODES) for _ in episode(env, seed))
+    seconds = perf_counter() - start
+    env.close()
+    return steps / seconds
+
+
+def _prepare() -> None:
+    high_throughput()
+    keep_compilations()
+
+
+def _devices(count: int | None) -> str:
+    devices = use_devices(count).devices
+    return f"{devices.size} of kind {devices[0].device_kind}"
+
+
+def _batch(scenario: str, controller: str, size: int, devices: int | None) -> dict[str, float]:
+    """One batch, after one that may compile."""
+    batch = make_batch(Comparison({scenario: [controller]}, size), scenario)
+    keys, mesh = batch.keys(), use_devices(devices)
+    times: list[float] = []
+    while len(times) < 2 or (len(times) <= RUNS and sum(times[1:]) < SECONDS):
+        start = perf_counter()
+        run_episodes(batch, keys, mesh)
+        times.append(perf_counter() - start)
+    steps = size * SCENARIOS[scenario].steps
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIBIBYTE
+    return {"first_seconds": times[0], "steps_per_second": steps / median(times[1:]), "memory_mib": memory}
