@@ -104,6 +104,8 @@ def _sweep(options: argparse.Namespace) -> None:
     mesh = use_devices(options.devices)
     counts = module.run_sweep(job, options.out, mesh, worker)
     already, wanted = next(counts), sum(job.size(part) for part in worker.parts(job))
+    if worker.of > 1:
+        multihost_utils.sync_global_devices("settings are there")
     if already < wanted and worker.place == 0:
         add_run(options.out, this_run(options.command_line))
     count_episodes(counts, already, wanted)

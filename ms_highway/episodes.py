@@ -24,6 +24,7 @@ __all__ = [
     "Batch",
     "Key",
     "columns_simulated",
+    "episodes_of",
     "make_batch",
     "run_episodes",
     "simulated",
@@ -126,8 +127,8 @@ def start(scenario: Scenario, seed: int) -> Float[np.ndarray, "cars 4"]:
     return draw_starts(scenario, seeding.np_random(seed)[0])
 
 
-def _episodes(batch: Batch, keys: Sequence[Key]) -> Episodes:
-    """What is to be simulated."""
+def episodes_of(batch: Batch, keys: Sequence[Key]) -> Episodes:
+    """What is to be simulated, see `run_episodes`."""
     starts = {seed: start(batch.scenario, seed) for _, seed in keys}
     drivers = {name: _driver(batch, name) for name, _ in keys}
     weights = (np.asarray(reward.weights) for reward in (batch.loop.game.robot, batch.loop.game.human))
@@ -153,7 +154,7 @@ def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None) ->
     Raises:
         ValueError: without an episode, or for a negative seed.
     """
-    return simulate(batch.loop, _episodes(batch, keys), mesh)
+    return simulate(batch.loop, episodes_of(batch, keys), mesh)
 
 
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:

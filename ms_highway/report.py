@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from textwrap import wrap
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,7 +20,7 @@ from ms_highway.colors import color_of
 from ms_highway.envs.configuration import controller_config
 from ms_highway.human_models import MODELS
 
-__all__ = ["CONFIDENCE", "bars", "cells", "episodes_told", "interval", "summary", "table", "timeline"]
+__all__ = ["CONFIDENCE", "bars", "cells", "earned", "episodes_told", "interval", "summary", "table", "timeline"]
 
 CONFIDENCE = 0.9
 MEASURED = {"planning_ms": "plan ms", "decision_ms": "decide ms"}
@@ -42,19 +43,10 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     """
     rows = []
     for (scenario, controller), steps in records.groupby(["scenario", "controller"], sort=False):
-        driver, rewards = controller_config(controller), steps.groupby("seed")["reward"].mean()
-        low, high = interval(rewards)
         rows.append(
             {
                 "scenario": scenario,
-                "controller": controller,
-                "kind": driver["type"],
-                "price": driver.get("lambda", np.nan),
-                "episodes": len(rewards),
-                "reward": rewards.mean(),
-                "reward_low": low,
-                "reward_high": high,
-                "reward_std": rewards.std(),
+                **earned(controller, steps.groupby("seed")["reward"].mean()),
                 "planning_ms": 1e3 * steps["planning_seconds"].mean(),
                 "counted_ms": 1e3 * steps["counted_seconds"].mean(skipna=False),
                 "decision_ms": 1e3 * steps["decision_seconds"].mean(),
@@ -63,6 +55,25 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
+
+
+def earned(controller: str, rewards: pd.Series) -> dict[str, Any]:
+    """What a summary says of a controller's rewards, each the mean of an episode; see `summary`.
+
+    Raises:
+        ValueError: for an unknown controller.
+    """
+    driver, (low, high) = controller_config(controller), interval(rewards)
+    return {
+        "controller": controller,
+        "kind": driver["type"],
+        "price": driver.get("lambda", np.nan),
+        "episodes": len(rewards),
+        "reward": rewards.mean(),
+        "reward_low": low,
+        "reward_high": high,
+        "reward_std": rewards.std(),
+    }
 
 
 def interval(values: pd.Series) -> tuple[float, float]:

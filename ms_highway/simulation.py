@@ -18,6 +18,7 @@ from jax import numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, Int
 
+from ms_highway.compiled import QUICKLY
 from ms_highway.controller import Status, braking_control
 from ms_highway.dynamics import Array, keep_velocity, recover_control, step
 from ms_highway.game import Game, swap
@@ -215,7 +216,7 @@ class _Own(NamedTuple):
     human_weights: Float[jax.Array, "features"]
 
 
-@jax.jit  # not with `QUICKLY`: then, last digits depend on the place in a chunk
+@partial(jax.jit, compiler_options=QUICKLY)
 def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Records:
     """Run the first episodes of as many as `CHUNKS` chunks hold; the records of others are of no use."""
     size = len(episodes)

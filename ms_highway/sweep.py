@@ -16,10 +16,11 @@ import pyarrow as pa
 from jax.sharding import Mesh
 from pyarrow import parquet
 
+from ms_highway.envs import SCENARIOS
 from ms_highway.episodes import Batch, make_batch, run_episodes, summarised, tabulated
 from ms_highway.experiment import SETTINGS_FILE, Comparison, read_settings
 from ms_highway.files import replacing
-from ms_highway.report import interval
+from ms_highway.report import earned
 
 __all__ = [
     "ALONE",
@@ -48,8 +49,8 @@ class Sweep:
 
     Attributes:
         comparison: of a single scenario.
-        part: number of episodes in a part. Every device computes one part at a time, so that memory grows with it, and
-            not with the number of episodes.
+        part: number of episodes in a part. There is one per device in memory, so that this grows with it, and not with
+            the number of episodes.
         steps: whether a row per step is kept as well.
     """
 
@@ -80,6 +81,11 @@ class Sweep:
     def settings(self) -> dict[str, Any]:
         """What decides which numbers are found in which part."""
         return {**asdict(self.comparison), "part": self.part, "steps": self.steps}
+
+    def rows(self, part: int) -> dict[str, int]:
+        """The number of rows of a part in each of the directories."""
+        rows = {EPISODES: self.size(part)}
+        return rows | {STEPS: self.size(part) * SCENARIOS[self.scenario].steps} if self.steps else rows
 
 
 @dataclass(frozen=True)
@@ -137,7 +143,7 @@ def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: W
         ValueError: if the sweep is impossible, or the directory holds something else.
     """
     batch = make_batch(sweep.comparison, sweep.scenario)
-    done = _take_up(sweep, directory)
+    done = _take_up(sweep, directory, worker)
     mine = worker.parts(sweep)
     missing, together = [part for part in mine if part not in done], 1 if mesh is None else mesh.size
     count = sum(sweep.size(part) for part in mine) - sum(sweep.size(part) for part in missing)
@@ -189,19 +195,22 @@ def check_directory(sweep: Sweep, directory: Path) -> None:
         raise ValueError(f"{directory} is not empty, and has no {SETTINGS_FILE} of a sweep; choose another directory")
 
 
-def _take_up(sweep: Sweep, directory: Path) -> set[int]:
+def _take_up(sweep: Sweep, directory: Path, worker: Worker) -> set[int]:
     """Prepare the directory; returns the parts that it holds.
 
     Raises:
         ValueError: if it holds a sweep of other settings, other results, or a part that cannot be read.
     """
     check_directory(sweep, directory)
-    kinds = [EPISODES, STEPS] if sweep.steps else [EPISODES]
-    done = {part for part in range(sweep.parts) if all(_file(directory, kind, part).exists() for kind in kinds)}
-    for part in done:
-        _check(_file(directory, EPISODES, part), sweep.size(part))
-    with replacing(directory / SETTINGS_FILE) as path:
-        path.write_text(json.dumps(sweep.settings(), indent=2) + "\n")
+    done = {
+        part for part in worker.parts(sweep) if all(_file(directory, kind, part).exists() for kind in sweep.rows(part))
+    }
+    for part in sorted(done):
+        for kind, rows in sweep.rows(part).items():
+            _check(_file(directory, kind, part), rows)
+    if worker.place == 0:
+        with replacing(directory / SETTINGS_FILE) as path:
+            path.write_text(json.dumps(sweep.settings(), indent=2) + "\n")
     return done
 
 
@@ -227,16 +236,10 @@ def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
     """
     rows = []
     for (scenario, controller), some in episodes.groupby(["scenario", "controller"], sort=False):
-        low, high = interval(some["reward"])
         rows.append(
             {
                 "scenario": scenario,
-                "controller": controller,
-                "episodes": len(some),
-                "reward": some["reward"].mean(),
-                "reward_low": low,
-                "reward_high": high,
-                "reward_std": some["reward"].std(),
+                **earned(controller, some["reward"]),
                 "counted_ms": 1e3 * some["counted_seconds"].mean(skipna=False),
                 **{name: some[name].mean() for name in some if name.startswith("share_")},
                 "collision_episodes": int((some["collisions"] > 0).sum()),
