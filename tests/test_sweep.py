@@ -36,9 +36,10 @@ def contents(directory):
     return {str(file.relative_to(directory)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
-def begin(*arguments):
-    """The command in a process of its own, whose JAX has not begun to compute."""
-    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+def begin(*arguments, devices=1):
+    """The command in a process of its own, compiled without much optimisation, as little is computed."""
+    flags = f"--xla_backend_optimization_level=0 --xla_force_host_platform_device_count={devices}"
+    environment = {**os.environ, "XLA_FLAGS": flags}
     return subprocess.Popen(
         [sys.executable, "-m", "ms_highway", *arguments],
         stdout=subprocess.DEVNULL,
@@ -50,7 +51,7 @@ def begin(*arguments):
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     directory = tmp_path_factory.mktemp("sweep") / "out"
-    assert begin(*SWEEP, "--steps", "--devices", "1", "--out", str(directory)).wait() == 0
+    assert begin(*SWEEP, "--steps", "--out", str(directory)).wait() == 0
     return directory
 
 
@@ -72,7 +73,7 @@ def test_a_sweep_is_opened_in_one_line_with_a_row_per_episode_and_per_step(swept
 
 
 def test_a_sweep_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one_gives(swept, tmp_path):
-    arguments = [*SWEEP, "--steps", "--devices", "1", "--out", str(tmp_path / "out")]
+    arguments = [*SWEEP, "--steps", "--out", str(tmp_path / "out")]
     parts = tmp_path / "out" / "episodes"
     for wanted in (1, 2, 3):
         process = begin(*arguments)
@@ -86,14 +87,17 @@ def test_a_sweep_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one
     assert contents(tmp_path / "out") == contents(swept)
 
 
-def test_two_processes_write_what_one_writes(swept, tmp_path):
+def test_two_processes_with_two_devices_each_and_other_parts_simulate_the_same_episodes(swept, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         coordinator = f"127.0.0.1:{free.getsockname()[1]}"
-    together = ["--coordinator", coordinator, "--processes", "2", "--devices", "1", "--process"]
-    runs = [begin(*SWEEP, "--steps", "--out", str(tmp_path), *together, place) for place in ("0", "1")]
+    arguments = [*SWEEP[:-1], "10", "--steps", "--out", str(tmp_path), "--coordinator", coordinator, "--processes", "2"]
+    runs = [begin(*arguments, "--process", place, devices=2) for place in ("0", "1")]
     assert [run.wait() for run in runs] == [0, 0]
-    assert contents(tmp_path) == contents(swept)
+    for kind in ("episodes", "steps"):
+        alone, shared = (pd.read_parquet(directory / kind) for directory in (swept, tmp_path))
+        pd.testing.assert_frame_equal(alone, shared, check_exact=True)
+    assert (tmp_path / "summary.csv").read_bytes() == (swept / "summary.csv").read_bytes()
 
 
 def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, capsys):
@@ -129,7 +133,7 @@ def test_lambdas_are_spaced_evenly_in_their_logarithm_or_listed():
         (["merger", "--seed", "-1"], "--seed is -1"),
         (["merger", "--part", "0"], "--part is 0"),
         (["merger", "--costs", "measured"], "cannot measure plans"),
-        (["merger", "--devices", "1000"], "--devices is 1000; this process has"),
+        (["merger", "--devices", "1000"], "1000 devices are wanted; this process has"),
         (["merger", "--processes", "2"], "several need a coordinator"),
         (["merger", "--process", "1"], "numbered from 0"),
     ],
