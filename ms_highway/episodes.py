@@ -217,9 +217,9 @@ def _gains(batch: Batch, records: Records) -> dict[str, Float[np.ndarray, "episo
 def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:
     """A row per episode.
 
-    Columns: ``scenario``, ``controller`` and ``seed``; ``lambda``, empty where nothing is decided; ``reward`` and
-    ``counted_seconds``, planning at T(M), as means over the steps; ``share_MODEL`` of the steps; ``collisions``, steps
-    in which the robot collided; ``fallbacks``, steps whose plan failed.
+    Columns: ``scenario``, ``controller`` and ``seed``; ``price``, that is lambda, empty where nothing is decided;
+    ``reward`` and ``counted_seconds``, planning at T(M), as means over the steps; ``share_MODEL`` of the steps;
+    ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed.
     """
     configs = {name: controller_config(name) for name, _ in keys}
     shares = {f"share_{name}": np.mean(records.model == number, axis=1) for number, name in enumerate(batch.models)}
@@ -228,7 +228,7 @@ def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFr
             "scenario": batch.scenario.name,
             "controller": [name for name, _ in keys],
             "seed": [seed for _, seed in keys],
-            "lambda": [configs[name].get("lambda", np.nan) for name, _ in keys],
+            "price": [configs[name].get("lambda", np.nan) for name, _ in keys],
             "reward": np.mean(records.reward, axis=1, dtype=float),
             "counted_seconds": np.mean(_costs(batch)[records.model], axis=1),
             **shares,

@@ -106,7 +106,7 @@ ALONE = Worker()
 def prices(text: str) -> list[float]:
     """Lambdas from a text: ``LOW:HIGH:COUNT``, evenly spaced in their logarithm, or several with commas between.
 
-    They are rounded to six significant digits, which the short names of controllers have.
+    They are rounded to three significant digits, which make short names of controllers.
 
     Raises:
         ValueError: if the text is neither, or names no positive lambdas.
@@ -124,7 +124,7 @@ def prices(text: str) -> list[float]:
     except ValueError:
         remedy = "give LOW:HIGH:COUNT with 0 < LOW < HIGH and two or more, such as 0.001:10:25, or lambdas like 0.1,0.5"
         raise ValueError(f"lambdas are {text!r}; {remedy}") from None
-    return list(dict.fromkeys(float(f"{value:g}") for value in values))
+    return list(dict.fromkeys(float(f"{value:.3g}") for value in values))
 
 
 def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: Worker = ALONE) -> Iterator[int]:

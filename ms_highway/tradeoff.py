@@ -130,7 +130,7 @@ def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) 
     if len(switching):
         _points(axes, switching, computation, "o-", SWITCHING_COLOR, "switching, by lambda")
     for price, place in _apart(switching, rows, computation):
-        axes.annotate(f"{price:g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
+        axes.annotate(f"{price:.3g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
     for name, one in rows[rows["kind"] == "fixed"].groupby("controller", sort=False):
         _points(axes, one, computation, "s", color_of(str(name)), str(name))
     axes.set_xlim(left=0)

@@ -63,7 +63,7 @@ def test_a_sweep_is_opened_in_one_line_with_a_row_per_episode_and_per_step(swept
     assert not episodes.duplicated(keys).any()
     means = steps.groupby(keys)["reward"].mean()
     np.testing.assert_allclose(episodes.set_index(keys)["reward"].sort_index(), means.sort_index(), atol=1e-6)
-    assert set(episodes["lambda"].dropna()) == {0.1, 10}
+    assert set(episodes["price"].dropna()) == {0.1, 10}
     assert len(list((swept / "episodes").iterdir())) == 5
     summary = pd.read_csv(swept / "summary.csv").set_index("controller")
     assert summary["episodes"].tolist() == [24, 24, 24]
@@ -119,6 +119,7 @@ def test_a_part_that_was_damaged_is_named(swept, tmp_path, capsys):
 
 def test_lambdas_are_spaced_evenly_in_their_logarithm_or_listed():
     assert prices("0.001:10:5") == [0.001, 0.01, 0.1, 1, 10]
+    assert prices("0.001:10:4") == [0.001, 0.0215, 0.464, 10]
     assert prices("0.5,0.1,0.5") == [0.5, 0.1]
 
 
