@@ -1,0 +1,102 @@
+"""What a search for the best orders of models has found: a table, and a figure."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from rich.box import SIMPLE
+from rich.table import Table
+
+from ms_highway.colors import color_of
+from ms_highway.regret import best
+
+__all__ = ["figure", "regret_table"]
+
+FRONTIER_COLOR, SWITCHING_COLOR, SCHEDULE_COLOR = "#c2185b", "#1b1f27", "#8a93a5"
+MEANS = ["reward", "counted_seconds"]
+DRAWN_PRICES = np.geomspace(1e-3, 1e3, 121)
+
+
+def regret_table(behind: pd.DataFrame, price: float) -> Table:
+    """Regrets at one price: what is fixed, the best that was found, and switching at the best lambdas.
+
+    Args:
+        behind: rows of `ms_highway.regret.regrets`, with columns ``scenario`` and ``price``.
+        price: which of the prices.
+    """
+    rows = behind[behind["price"] == price]
+    switching = rows[rows["kind"] == "switching"]
+    common = switching.groupby("controller", sort=False)["regret"].mean()
+    grid = Table(title=f"a second of planning costs {price:g}", box=SIMPLE, title_justify="left")
+    for column in ("scenario", "controller", ""):
+        grid.add_column(column, no_wrap=True)
+    for column in ("reward/step", "counted ms", "meta-reward", "regret", "90 % interval"):
+        grid.add_column(column, justify="right", no_wrap=True)
+    for scenario, own in rows.groupby("scenario", sort=False):
+        own = own.set_index("controller")
+        told = {name: "" for name in own.index[own["kind"] != "switching"]}
+        told |= {name: "best order for all starts" for name in own.index[own["kind"] == "schedule"]}
+        here = own.loc[own["kind"] == "switching", "regret"]
+        if len(here):
+            told[str(here.idxmin())] = "best lambda here"
+            told[str(common.idxmin())] = (
+                "best lambda here and everywhere" if here.idxmin() == common.idxmin() else "best lambda everywhere"
+            )
+        for name, remark in told.items():
+            row = own.loc[name]
+            interval = "" if np.isnan(row["regret_low"]) else f"{row['regret_low']:.3f}, {row['regret_high']:.3f}"
+            means = f"{row['reward']:.2f}", f"{1e3 * row['counted_seconds']:.0f}", f"{row['meta_reward']:.3f}"
+            grid.add_row(str(scenario), name, remark, *means, f"{row['regret']:.3f}", interval)
+    return grid
+
+
+def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str) -> Figure:
+    """Reward against counted computation: what was found, and the controllers that stay behind it.
+
+    The line joins the means of the best orders of each start from price to price; at prices that were not searched it
+    is a lower bound all the same. Dots are orders that were tried from every start.
+
+    Args:
+        table: of `ms_highway.frontier.Outcomes`.
+        behind: rows of `ms_highway.regret.regrets`, with columns ``scenario`` and ``price``.
+        scenario: its name.
+    """
+    rows = behind[behind["scenario"] == scenario]
+    seeds = sorted(table.index.unique("seed"))
+    found = pd.DataFrame([best(table, seeds, price)[MEANS].mean() for price in DRAWN_PRICES])
+    frame = Figure(figsize=(7, 4.4), layout="constrained")
+    axes = frame.subplots()
+    shared = table[MEANS].unstack("seed")
+    shared = shared[~shared.isna().any(axis=1) & ~shared.index.str.startswith("switching:")]
+    means = shared.T.groupby(level=0).mean().T
+    _points(axes, means, ".", SCHEDULE_COLOR, "orders for all starts")
+    _points(axes, found, "-", FRONTIER_COLOR, None)
+    own = rows.drop_duplicates("controller").set_index("controller")
+    searched = rows[rows["kind"] == "search"]
+    _points(axes, searched, "D", FRONTIER_COLOR, "best order of each start")
+    for price, one in searched.groupby("price"):
+        _label(axes, f"price {price:g}", one.iloc[0], (6, 5))
+    switching = own[own["kind"] == "switching"].sort_values("counted_seconds")
+    _points(axes, switching, "o", SWITCHING_COLOR, "switching, by lambda")
+    for name, row in switching.iterrows():
+        _label(axes, str(name).removeprefix("switching:"), row, (4, -10))
+    for name, row in own[own["kind"] == "fixed"].iterrows():
+        _points(axes, row.to_frame().T, "s", color_of(str(name)), str(name))
+    axes.set(xlabel="planning per step, counted at T(M) [ms]", ylabel="reward per step", xlim=(0, None))
+    axes.set_title(f"{scenario}: the best orders of models, {len(seeds)} starts")
+    axes.grid(color="#eeeeee")
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    frame.legend(loc="outside lower center", ncols=4, frameon=False)
+    return frame
+
+
+def _points(axes: Axes, rows: pd.DataFrame, form: str, color: str, label: str | None) -> None:
+    axes.plot(1e3 * rows["counted_seconds"].astype(float), rows["reward"].astype(float), form, color=color, label=label)
+
+
+def _label(axes: Axes, text: str, row: pd.Series, away: tuple[int, int]) -> None:
+    place = 1e3 * row["counted_seconds"], row["reward"]
+    axes.annotate(text, place, xytext=away, textcoords="offset points", fontsize="x-small")
