@@ -16,7 +16,7 @@ from ms_highway.episodes import Batch, make_batch
 from ms_highway.experiment import SETTINGS_FILE, Comparison, read_settings
 from ms_highway.files import replacing
 from ms_highway.frontier import Outcomes, search
-from ms_highway.frontier_report import figure, regret_table
+from ms_highway.frontier_report import figure, regret_tables
 from ms_highway.provenance import add_run, read_runs, this_run
 from ms_highway.regret import best, regrets
 
@@ -39,7 +39,7 @@ goes on where it was; with more seeds, prices, lambdas or rounds, it adds to wha
 EXAMPLES = """\
 examples:
   ms-highway frontier
-  ms-highway frontier merger --seeds 10 --prices 0.1 1 10 --out results/merger_frontier"""
+  ms-highway frontier merger --seeds 10 --prices 0.3 3 --out results/merger_frontier"""
 
 LAMBDAS = [0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
 
@@ -51,7 +51,11 @@ def add_frontier(commands: Any) -> None:
         "scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: the paper's)"
     )
     parser.add_argument(
-        "--prices", nargs="+", type=float, default=[0.1, 1.0], help="reward for a second of planning (default: 0.1 1)"
+        "--prices",
+        nargs="+",
+        type=float,
+        default=[0.1, 1.0, 10.0],
+        help="reward for a second of planning (default: 0.1 1 10)",
     )
     parser.add_argument(
         "--lambdas", nargs="+", type=float, default=LAMBDAS, help="of switching (default: 13 from 0.001 to 10)"
@@ -80,7 +84,8 @@ def _frontier(options: argparse.Namespace) -> None:
         path.write_text(json.dumps(settings, indent=2) + "\n")
     add_run(options.out, this_run(options.command_line))
     behind = work(_search(every, options))
-    print_tables(*(regret_table(behind, price) for price in dict.fromkeys(options.prices)))
+    for scenario in comparison.controllers:
+        print_tables(*regret_tables(behind, scenario))
     print(f"results are in {options.out}")
 
 

@@ -88,11 +88,12 @@ def search(
 ) -> Iterator[int]:
     """Look for the orders of models with the highest meta-reward, for every start and price by itself.
 
-    The cross-entropy method (Rubinstein and Kroese 2004): a table holds the probability p[k, m] of rung m at step k.
-    Every round draws orders from it, rung by rung, and moves it towards the frequencies f of rungs among the best orders
-    so far, ``p <- SMOOTHING p + (1 - SMOOTHING) f``. The first orders are one rung up to some step and another one from
-    there on, the same for every start. Besides, every round tries the best order so far with another rung in a short
-    stretch of steps. What was tried for one price counts for all.
+    Half of a round's orders are from the cross-entropy method (Rubinstein and Kroese 2004): a table holds the
+    probability p[k, m] of rung m at step k, orders are drawn from it rung by rung, and it moves towards the frequencies
+    f of rungs among the best orders so far, ``p <- SMOOTHING p + (1 - SMOOTHING) f``. The other half is the best order
+    so far with some rung in a short stretch of steps: it refines, where the first half keeps looking elsewhere. Round 1
+    tries one rung up to some step and another one from there on, the same for every start. What was tried for one price
+    counts for all.
 
     The same arguments give the same orders, whatever is known beforehand and on however many devices.
 

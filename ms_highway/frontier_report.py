@@ -1,7 +1,5 @@
 """What a search for the best orders of models has found: a table, and a figure."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -12,43 +10,46 @@ from rich.table import Table
 from ms_highway.colors import color_of
 from ms_highway.regret import best
 
-__all__ = ["figure", "regret_table"]
+__all__ = ["figure", "regret_tables"]
 
 FRONTIER_COLOR, SWITCHING_COLOR, SCHEDULE_COLOR = "#c2185b", "#1b1f27", "#8a93a5"
+BEST_FOR_ALL = "best for all starts"
 MEANS = ["reward", "counted_seconds"]
 DRAWN_PRICES = np.geomspace(1e-3, 1e3, 121)
 
 
-def regret_table(behind: pd.DataFrame, price: float) -> Table:
-    """Regrets at one price: what is fixed, the best that was found, and switching at the best lambdas.
+def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
+    """Regrets per step in one scenario, a table for each price: what is fixed, what was found, and switching.
+
+    Switching is told at the best lambda for the scenario, and at the best one that all scenarios have in common.
 
     Args:
         behind: rows of `ms_highway.regret.regrets`, with columns ``scenario`` and ``price``.
-        price: which of the prices.
+        scenario: its name.
     """
-    rows = behind[behind["price"] == price]
-    switching = rows[rows["kind"] == "switching"]
-    common = switching.groupby("controller", sort=False)["regret"].mean()
-    grid = Table(title=f"a second of planning costs {price:g}", box=SIMPLE, title_justify="left")
-    for column in ("scenario", "controller", ""):
+    return [_regret_table(rows, scenario, str(price)) for price, rows in behind.groupby("price", sort=False)]
+
+
+def _regret_table(behind: pd.DataFrame, scenario: str, price: str) -> Table:
+    """Regrets at one price in one scenario, out of those in all scenarios."""
+    own = behind[behind["scenario"] == scenario].set_index("controller")
+    remarks = {name: BEST_FOR_ALL if kind == "schedule" else "" for name, kind in own["kind"].items()}
+    told = {name: remark for name, remark in remarks.items() if own.loc[name, "kind"] != "switching"}
+    switching = behind[behind["kind"] == "switching"].set_index(["controller", "scenario"])["regret"].unstack()
+    if len(switching):
+        here, anywhere = switching[scenario].idxmin(), switching.mean(axis=1).idxmin()
+        told[here] = "best lambda"
+        told[anywhere] = "best lambda, also common" if here == anywhere else "best common lambda"
+    grid = Table(title=f"{scenario}, a second of planning costs {price}", box=SIMPLE, title_justify="left")
+    for column in ("controller", ""):
         grid.add_column(column, no_wrap=True)
-    for column in ("reward/step", "counted ms", "meta-reward", "regret", "90 % interval"):
+    for column in ("reward", "counted ms", "meta-reward", "regret", "90 % interval"):
         grid.add_column(column, justify="right", no_wrap=True)
-    for scenario, own in rows.groupby("scenario", sort=False):
-        own = own.set_index("controller")
-        told = {name: "" for name in own.index[own["kind"] != "switching"]}
-        told |= {name: "best order for all starts" for name in own.index[own["kind"] == "schedule"]}
-        here = own.loc[own["kind"] == "switching", "regret"]
-        if len(here):
-            told[str(here.idxmin())] = "best lambda here"
-            told[str(common.idxmin())] = (
-                "best lambda here and everywhere" if here.idxmin() == common.idxmin() else "best lambda everywhere"
-            )
-        for name, remark in told.items():
-            row = own.loc[name]
-            interval = "" if np.isnan(row["regret_low"]) else f"{row['regret_low']:.3f}, {row['regret_high']:.3f}"
-            means = f"{row['reward']:.2f}", f"{1e3 * row['counted_seconds']:.0f}", f"{row['meta_reward']:.3f}"
-            grid.add_row(str(scenario), name, remark, *means, f"{row['regret']:.3f}", interval)
+    for name, remark in told.items():
+        row = own.loc[name]
+        interval = "" if np.isnan(row["regret_low"]) else f"{row['regret_low']:.3f}, {row['regret_high']:.3f}"
+        means = f"{row['reward']:.2f}", f"{1e3 * row['counted_seconds']:.0f}", f"{row['meta_reward']:.3f}"
+        grid.add_row(str(name), remark, *means, f"{row['regret']:.3f}", interval)
     return grid
 
 
