@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ms_highway.cli_options import add_semantics, devices, human_reward
+from ms_highway.cli_options import add_costs, add_semantics, costs, devices, human_reward
 from ms_highway.console import add_command, print_tables, work
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
 from ms_highway.episodes import Batch, make_batch
@@ -65,6 +65,7 @@ def add_frontier(commands: Any) -> None:
     parser.add_argument("--rounds", type=int, default=8, help="of the search (default: 8)")
     parser.add_argument("--ladder", nargs="+", metavar="MODEL", help="models to choose from (default: the scenario's)")
     add_semantics(parser)
+    add_costs(parser)
     parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")
     parser.add_argument(
         "--out", type=Path, default=Path("results/frontier"), help="directory of results (default: results/frontier)"
@@ -74,11 +75,11 @@ def add_frontier(commands: Any) -> None:
 
 def _frontier(options: argparse.Namespace) -> None:
     comparison = _comparison(options)
+    mesh = devices(options.devices)  # before JAX begins to compute
     batches = [make_batch(comparison, name) for name in comparison.controllers]
-    settings = comparison.common_config()
+    settings = {**comparison.common_config(), "costs": comparison.costs}
     _check_directory(options.out, settings)
     read_runs(options.out)  # refuses what cannot be read before anything is run
-    mesh = devices(options.devices)
     every = [Outcomes(batch, _file(options.out, batch), mesh) for batch in batches]
     with replacing(options.out / SETTINGS_FILE) as path:
         path.write_text(json.dumps(settings, indent=2) + "\n")
@@ -112,6 +113,7 @@ def _comparison(options: argparse.Namespace) -> Comparison:
         {name: list(dict.fromkeys(some)) for name, some in controllers.items()},
         options.seeds,
         options.semantics,
+        costs(options.costs),
         human_reward=human_reward(options.human_reward),
         ladder=options.ladder,
     )

@@ -29,7 +29,7 @@ MUTANTS = 0.5  # of the population: the best order so far but for a stretch of s
 STRETCH = 4  # steps, mean of their number in such a stretch
 SWITCHES = 12  # steps at which the first orders go over from one rung to another
 INDEX = ["controller", "seed"]
-NEEDED = {"scenario", *INDEX, "reward", "counted_seconds"}
+KEPT = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
 
 
 class Outcomes:
@@ -37,7 +37,8 @@ class Outcomes:
 
     Attributes:
         batch: the scenario, see `ms_highway.episodes.make_batch`.
-        table: what is known, a row of `ms_highway.episodes.summarised` by controller and seed.
+        table: what is known, by controller and seed: ``scenario``, ``reward``, ``counted_seconds``, ``collisions`` and
+            ``fallbacks`` as in `ms_highway.episodes.summarised`.
     """
 
     def __init__(self, batch: Batch, file: Path | None = None, mesh: Mesh | None = None) -> None:
@@ -59,7 +60,7 @@ class Outcomes:
         missing = [key for key in dict.fromkeys(keys) if key not in self.table.index]
         if missing:
             records = run_episodes(self.batch, missing, self._mesh)
-            fresh = summarised(self.batch, missing, records).set_index(INDEX)
+            fresh = summarised(self.batch, missing, records).set_index(INDEX)[list(KEPT)]
             self.table = fresh if self.table.empty else pd.concat([self.table, fresh])
             if self._file is not None:
                 with replacing(self._file) as path:
@@ -69,12 +70,10 @@ class Outcomes:
 
 def _read(file: Path) -> pd.DataFrame:
     try:
-        table = pd.read_csv(file, float_precision="round_trip")
-        if not set(table) >= NEEDED:
-            raise ValueError(f"it lacks columns of {', '.join(sorted(NEEDED))}")
-    except ValueError as error:
+        table = pd.read_csv(file, converters=KEPT)  # Python's float gives back the very numbers that were written
+        return table.set_index(INDEX)[list(KEPT)]
+    except (ValueError, KeyError) as error:
         raise ValueError(f"{file} cannot be gone on with ({error}); remove it or choose another directory") from error
-    return table.set_index(INDEX)
 
 
 def named(models: Sequence[str], order: Order) -> str:

@@ -13,7 +13,6 @@ from ms_highway.regret import best
 __all__ = ["figure", "regret_tables"]
 
 FRONTIER_COLOR, SWITCHING_COLOR, SCHEDULE_COLOR = "#c2185b", "#1b1f27", "#8a93a5"
-BEST_FOR_ALL = "best for all starts"
 MEANS = ["reward", "counted_seconds"]
 DRAWN_PRICES = np.geomspace(1e-3, 1e3, 121)
 
@@ -33,8 +32,8 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
 def _regret_table(behind: pd.DataFrame, scenario: str, price: str) -> Table:
     """Regrets at one price in one scenario, out of those in all scenarios."""
     own = behind[behind["scenario"] == scenario].set_index("controller")
-    remarks = {name: BEST_FOR_ALL if kind == "schedule" else "" for name, kind in own["kind"].items()}
-    told = {name: remark for name, remark in remarks.items() if own.loc[name, "kind"] != "switching"}
+    told = dict.fromkeys(own.index[own["kind"] != "switching"], "")
+    told[str(own.loc[own["kind"].isin(["fixed", "schedule"]), "regret"].idxmin())] = "best for all starts"
     switching = behind[behind["kind"] == "switching"].set_index(["controller", "scenario"])["regret"].unstack()
     if len(switching):
         here, anywhere = switching[scenario].idxmin(), switching.mean(axis=1).idxmin()
