@@ -14,6 +14,7 @@ __all__ = ["figure", "regret_tables"]
 
 FRONTIER_COLOR, SWITCHING_COLOR, SCHEDULE_COLOR = "#c2185b", "#1b1f27", "#8a93a5"
 MEANS = ["reward", "counted_seconds"]
+LABEL = np.array([0.08, 0.05])  # width and height of a label, as shares of the axes
 DRAWN_PRICES = np.geomspace(1e-3, 1e3, 121)
 
 
@@ -26,7 +27,7 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
         behind: rows of `ms_highway.regret.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
     """
-    return [_regret_table(rows, scenario, str(price)) for price, rows in behind.groupby("price", sort=False)]
+    return [_regret_table(rows, scenario, f"{price:g}") for price, rows in behind.groupby("price", sort=False)]
 
 
 def _regret_table(behind: pd.DataFrame, scenario: str, price: str) -> Table:
@@ -63,33 +64,32 @@ def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str) -> Figure:
         behind: rows of `ms_highway.regret.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
     """
-    rows = behind[behind["scenario"] == scenario]
-    seeds = sorted(table.index.unique("seed"))
-    found = pd.DataFrame([best(table, seeds, price)[MEANS].mean() for price in DRAWN_PRICES])
+    rows, seeds = behind[behind["scenario"] == scenario], sorted(table.index.unique("seed"))
     frame = Figure(figsize=(7, 4.4), layout="constrained")
     axes = frame.subplots()
-    shared = table[MEANS].unstack("seed")
-    shared = shared[~shared.isna().any(axis=1) & ~shared.index.str.startswith("switching:")]
-    means = shared.T.groupby(level=0).mean().T
-    _points(axes, means, ".", SCHEDULE_COLOR, "orders for all starts")
+    shared = table[MEANS].unstack("seed").dropna()
+    shared = shared[~shared.index.str.startswith("switching:")]
+    _points(
+        axes, pd.DataFrame({name: shared[name].mean(axis=1) for name in MEANS}), ".", SCHEDULE_COLOR, "other orders"
+    )
+    found = pd.DataFrame([best(table, seeds, price)[MEANS].mean() for price in DRAWN_PRICES])
     _points(axes, found, "-", FRONTIER_COLOR, None)
-    own = rows.drop_duplicates("controller").set_index("controller")
-    searched = rows[rows["kind"] == "search"]
+    searched = rows[rows["kind"] == "search"].sort_values("counted_seconds", ascending=False)
+    prices = ", ".join(f"{price:g}" for price in searched["price"])
     _points(axes, searched, "D", FRONTIER_COLOR, "best order of each start")
-    for price, one in searched.groupby("price"):
-        _label(axes, f"price {price:g}", one.iloc[0], (6, 5))
+    own = rows.drop_duplicates("controller").set_index("controller")
     switching = own[own["kind"] == "switching"].sort_values("counted_seconds")
     _points(axes, switching, "o", SWITCHING_COLOR, "switching, by lambda")
-    for name, row in switching.iterrows():
-        _label(axes, str(name).removeprefix("switching:"), row, (4, -10))
     for name, row in own[own["kind"] == "fixed"].iterrows():
         _points(axes, row.to_frame().T, "s", color_of(str(name)), str(name))
     axes.set(xlabel="planning per step, counted at T(M) [ms]", ylabel="reward per step", xlim=(0, None))
-    axes.set_title(f"{scenario}: the best orders of models, {len(seeds)} starts")
+    _label_lambdas(axes, switching)
+    frame.suptitle(f"{scenario}: the best orders of models, {len(seeds)} starts")
+    axes.set_title(f"diamonds, from the right: a second of planning costs {prices}", fontsize="small")
     axes.grid(color="#eeeeee")
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    frame.legend(loc="outside lower center", ncols=4, frameon=False)
+    frame.legend(loc="outside lower center", ncols=3, frameon=False)
     return frame
 
 
@@ -97,6 +97,13 @@ def _points(axes: Axes, rows: pd.DataFrame, form: str, color: str, label: str | 
     axes.plot(1e3 * rows["counted_seconds"].astype(float), rows["reward"].astype(float), form, color=color, label=label)
 
 
-def _label(axes: Axes, text: str, row: pd.Series, away: tuple[int, int]) -> None:
-    place = 1e3 * row["counted_seconds"], row["reward"]
-    axes.annotate(text, place, xytext=away, textcoords="offset points", fontsize="x-small")
+def _label_lambdas(axes: Axes, switching: pd.DataFrame) -> None:
+    """Label those lambdas whose labels do not cover each other."""
+    labelled: list[np.ndarray] = []
+    for name, row in switching.iterrows():
+        place = 1e3 * row["counted_seconds"], row["reward"]
+        spot = axes.transAxes.inverted().transform(axes.transData.transform(place))  # as shares of the axes
+        if all((np.abs(spot - other) > LABEL).any() for other in labelled):
+            labelled.append(spot)
+            text = str(name).removeprefix("switching:")
+            axes.annotate(text, place, xytext=(4, -10), textcoords="offset points", fontsize="x-small")
