@@ -31,10 +31,11 @@ Told are the fixed models; the best order of those that were tried from every st
 --lambdas for each scenario and with the best one for all scenarios together. That lambda need not be the price. All
 that is best was chosen by these very starts. Everything is simulated, and nothing timed.
 
-Results go to --out: regrets.csv (a row per scenario, price and controller), orders.csv (the best order of every start),
-SCENARIO_episodes.csv (everything that was tried), the figure SCENARIO_frontier.png (reward against computation), and
-settings.json and provenance.json, which say what they were made with. Stopped and started again with the same --out, it
-goes on where it was; with more seeds, prices, lambdas or rounds, it adds to what is there."""
+Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
+start), both of the last run; the figure SCENARIO_frontier.png (reward against computation); SCENARIO_episodes.csv (all
+episodes); settings.json and provenance.json, which say what they were made with. Episodes are kept after every round:
+stopped or killed and started again with the same --out, the search goes on where it was, and with more seeds, prices,
+lambdas or rounds it uses what is there. Results are the same on any number of devices."""
 
 EXAMPLES = """\
 examples:
@@ -164,5 +165,5 @@ def _search(every: Sequence[Outcomes], options: argparse.Namespace) -> Iterator[
             with replacing(options.out / f"{name}.csv") as path:
                 table.to_csv(path, index=False)
         with replacing(options.out / f"{scenario}_frontier.png") as path:
-            figure(outcomes.table, behind, scenario).savefig(path, dpi=110)
+            figure(outcomes.table, behind, scenario, seeds).savefig(path, dpi=110)
     yield behind

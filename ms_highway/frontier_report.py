@@ -1,5 +1,7 @@
 """What a search for the best orders of models has found: a table, and a figure."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -53,7 +55,7 @@ def _regret_table(behind: pd.DataFrame, scenario: str, price: str) -> Table:
     return grid
 
 
-def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str) -> Figure:
+def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequence[int]) -> Figure:
     """Reward against counted computation: what was found, and the controllers that stay behind it.
 
     The line joins the means of the best orders of each start from price to price; at prices that were not searched it
@@ -63,15 +65,14 @@ def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str) -> Figure:
         table: of `ms_highway.frontier.Outcomes`.
         behind: rows of `ms_highway.regret.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
+        seeds: of the starts.
     """
-    rows, seeds = behind[behind["scenario"] == scenario], sorted(table.index.unique("seed"))
+    rows = behind[behind["scenario"] == scenario]
     frame = Figure(figsize=(7, 4.4), layout="constrained")
     axes = frame.subplots()
-    shared = table[MEANS].unstack("seed").dropna()
-    shared = shared[~shared.index.str.startswith("switching:")]
-    _points(
-        axes, pd.DataFrame({name: shared[name].mean(axis=1) for name in MEANS}), ".", SCHEDULE_COLOR, "other orders"
-    )
+    orders = table[~table.index.get_level_values("controller").str.startswith("switching:")]
+    shared = {name: orders[name].unstack("seed")[list(seeds)].dropna().mean(axis=1) for name in MEANS}
+    _points(axes, pd.DataFrame(shared), ".", SCHEDULE_COLOR, "other orders")
     found = pd.DataFrame([best(table, seeds, price)[MEANS].mean() for price in DRAWN_PRICES])
     _points(axes, found, "-", FRONTIER_COLOR, None)
     searched = rows[rows["kind"] == "search"].sort_values("counted_seconds", ascending=False)
