@@ -63,7 +63,9 @@ def add_frontier(commands: Any) -> None:
     )
     parser.add_argument("--seeds", type=int, default=30, help="starts, seeded 0, 1, ... (default: 30)")
     parser.add_argument("--population", type=int, default=32, help="orders per start, price and round (default: 32)")
-    parser.add_argument("--rounds", type=int, default=8, help="of the search (default: 8)")
+    parser.add_argument(
+        "--rounds", type=int, default=8, help="of the search (default: 8), before starts try each other's best orders"
+    )
     parser.add_argument("--ladder", nargs="+", metavar="MODEL", help="models to choose from (default: the scenario's)")
     add_semantics(parser)
     add_costs(parser)
@@ -155,7 +157,7 @@ def _search(every: Sequence[Outcomes], options: argparse.Namespace) -> Iterator[
         yield f"{scenario}: compiling, and driving fixed models and switching"
         outcomes.of(batch.keys())
         for number in search(outcomes, seeds, options.prices, options.population, options.rounds):
-            yield f"{scenario}: round {number} of {options.rounds} done, {len(outcomes.table)} episodes"
+            yield f"{scenario}: round {number} of {options.rounds + 1} done, {len(outcomes.table)} episodes"
         for price in dict.fromkeys(options.prices):
             told = {"scenario": scenario, "price": price}
             found = best(outcomes.table, seeds, price).reset_index().assign(**told)

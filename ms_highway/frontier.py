@@ -106,7 +106,7 @@ def search(
     f of rungs among the best orders so far, ``p <- SMOOTHING p + (1 - SMOOTHING) f``. The other half is the best order
     so far with some rung in a short stretch of steps: it refines, where the first half keeps looking elsewhere. Round 1
     tries one rung up to some step and another one from there on, the same for every start. What was tried for one price
-    counts for all.
+    counts for all. After the last round, every start tries what is best for the others.
 
     The same arguments give the same orders, on however many devices, and when an interrupted search goes on.
 
@@ -118,7 +118,7 @@ def search(
         rounds: how often orders are drawn, the first ones included.
 
     Yields:
-        The number of each round that is done, from 1.
+        The number of each round that is done, from 1; and one more, when starts have tried each other's best orders.
     """
     random, models = np.random.default_rng(0), [model.name for model in outcomes.batch.loop.switching.ladder]
     even = np.full((outcomes.batch.scenario.steps, len(models)), 1 / len(models))
@@ -147,6 +147,9 @@ def search(
             mixed = np.maximum(SMOOTHING * tables[seed, price] + (1 - SMOOTHING) * frequencies, FLOOR)
             tables[seed, price] = mixed / mixed.sum(axis=-1, keepdims=True)
         yield number
+    exchanged = dict.fromkeys(named(models, orders[0]) for orders in leaders.values())
+    outcomes.of([(name, seed) for seed in seeds for name in exchanged])
+    yield rounds + 1
 
 
 def _first(steps: int, rungs: int) -> list[Order]:
