@@ -42,7 +42,7 @@ examples:
   ms-highway frontier
   ms-highway frontier merger --seeds 10 --prices 0.3 3 --out results/merger_frontier"""
 
-LAMBDAS = [0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
+LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
 
 
 def add_frontier(commands: Any) -> None:
@@ -59,7 +59,7 @@ def add_frontier(commands: Any) -> None:
         help="reward for a second of planning (default: 0.1 1 10)",
     )
     parser.add_argument(
-        "--lambdas", nargs="+", type=float, default=LAMBDAS, help="of switching (default: 13 from 0.001 to 10)"
+        "--lambdas", nargs="+", type=float, default=LAMBDAS, help="of switching (default: 16 from 0 to 10)"
     )
     parser.add_argument("--seeds", type=int, default=30, help="starts, seeded 0, 1, ... (default: 30)")
     parser.add_argument("--population", type=int, default=32, help="orders per start, price and round (default: 32)")

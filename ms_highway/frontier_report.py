@@ -17,6 +17,7 @@ __all__ = ["figure", "regret_tables"]
 FRONTIER_COLOR, SWITCHING_COLOR, SCHEDULE_COLOR = "#c2185b", "#1b1f27", "#8a93a5"
 MEANS = ["reward", "counted_seconds"]
 LABEL = np.array([0.08, 0.05])  # width and height of a label, as shares of the axes
+NAME_WIDTH = 32  # characters
 DRAWN_PRICES = np.geomspace(1e-3, 1e3, 121)
 
 
@@ -43,8 +44,8 @@ def _regret_table(behind: pd.DataFrame, scenario: str, price: str) -> Table:
         told[here] = "best lambda"
         told[anywhere] = "best lambda, also common" if here == anywhere else "best common lambda"
     grid = Table(title=f"{scenario}, a second of planning costs {price}", box=SIMPLE, title_justify="left")
-    for column in ("controller", ""):
-        grid.add_column(column, no_wrap=True)
+    grid.add_column("controller", overflow="fold", max_width=NAME_WIDTH)
+    grid.add_column("", no_wrap=True)
     for column in ("reward", "counted ms", "meta-reward", "regret", "90 % interval"):
         grid.add_column(column, justify="right", no_wrap=True)
     for name, remark in told.items():
