@@ -15,6 +15,7 @@ from rich.table import Table
 from ms_highway import validation
 from ms_highway.cli_bench import add_bench
 from ms_highway.cli_compare import add_compare
+from ms_highway.cli_frontier import add_frontier
 from ms_highway.cli_irl import add_irl
 from ms_highway.cli_report import add_report
 from ms_highway.cli_sweep import add_sweep
@@ -96,6 +97,7 @@ def build_parser() -> argparse.ArgumentParser:
 
     add_compare(commands)
     add_sweep(commands)
+    add_frontier(commands)
     add_video(commands)
     add_report(commands)
 
