@@ -11,6 +11,7 @@ from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ms_highway.bench import bench
+from ms_highway.cli_options import add_devices
 from ms_highway.console import add_command, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.experiment import paper_controllers
@@ -42,7 +43,7 @@ def add_bench(commands: Any) -> None:
     parser.add_argument(
         "--batches", nargs="+", type=int, metavar="SIZE", help="measure the closed loop in such batches"
     )
-    parser.add_argument("--devices", type=int, help="how many devices batches use (default: all, or one per core)")
+    add_devices(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
     parser.set_defaults(run=_bench)
 

@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ms_highway.cli_options import add_costs, add_semantics, costs, devices, human_reward
+from ms_highway.cli_options import add_costs, add_devices, add_semantics, costs, human_reward
+from ms_highway.compiled import high_throughput
 from ms_highway.console import add_command, print_tables, work
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
 from ms_highway.episodes import Batch, make_batch
-from ms_highway.experiment import SETTINGS_FILE, Comparison, read_settings
+from ms_highway.experiment import SETTINGS_FILE, Comparison, check_settings
 from ms_highway.files import replacing
 from ms_highway.frontier import Outcomes, search
 from ms_highway.frontier_report import figure, regret_tables
 from ms_highway.provenance import add_run, read_runs, this_run
 from ms_highway.regret import best, regrets
+from ms_highway.simulation import use_devices
 
 __all__ = ["add_frontier"]
 
@@ -69,19 +71,19 @@ def add_frontier(commands: Any) -> None:
     parser.add_argument("--ladder", nargs="+", metavar="MODEL", help="models to choose from (default: the scenario's)")
     add_semantics(parser)
     add_costs(parser)
-    parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")
+    add_devices(parser)
     parser.add_argument(
         "--out", type=Path, default=Path("results/frontier"), help="directory of results (default: results/frontier)"
     )
-    parser.set_defaults(run=_frontier, in_batches=True)  # many large kernels: nothing for `low_latency`
+    parser.set_defaults(run=_frontier, prepare=high_throughput)
 
 
 def _frontier(options: argparse.Namespace) -> None:
     comparison = _comparison(options)
-    mesh = devices(options.devices)  # before JAX begins to compute
+    mesh = use_devices(options.devices)
     batches = [make_batch(comparison, name) for name in comparison.controllers]
     settings = {**comparison.common_config(), "costs": comparison.costs}
-    _check_directory(options.out, settings)
+    check_settings(options.out, settings)
     read_runs(options.out)  # refuses what cannot be read before anything is run
     every = [Outcomes(batch, _file(options.out, batch), mesh) for batch in batches]
     with replacing(options.out / SETTINGS_FILE) as path:
@@ -122,25 +124,6 @@ def _comparison(options: argparse.Namespace) -> Comparison:
     )
     comparison.check()
     return comparison
-
-
-def _check_directory(directory: Path, settings: dict[str, Any]) -> None:
-    """Look whether a search can begin or go on in a directory.
-
-    Raises:
-        ValueError: if it is none, or holds episodes of other settings, or other things.
-    """
-    file = directory / SETTINGS_FILE
-    if directory.exists() and not directory.is_dir():
-        raise ValueError(f"--out is {directory}, which is a file; name a directory, there already or not")
-    if file.exists():
-        known = read_settings(file)
-        differing = [key for key in {**known, **settings} if known.get(key) != settings.get(key)]
-        if differing:
-            told = ", ".join(f"{key} {known.get(key)!r} and not {settings.get(key)!r}" for key in differing)
-            raise ValueError(f"{directory} holds results with {told}; choose another directory with --out")
-    elif directory.exists() and any(directory.iterdir()):
-        raise ValueError(f"{directory} is not empty, and has no {SETTINGS_FILE}; choose another directory with --out")
 
 
 def _file(directory: Path, batch: Batch) -> Path:

@@ -1,18 +1,12 @@
 """Options that several commands have in common, and what they stand for."""
 
 import argparse
-import os
-from contextlib import suppress
 from pathlib import Path
-
-import jax
-from jax.sharding import Mesh
 
 from ms_highway.envs.configuration import HUMAN_REWARDS
 from ms_highway.learnt import load
-from ms_highway.simulation import device_mesh
 
-__all__ = ["CONTROLLERS", "add_costs", "add_semantics", "costs", "devices", "human_reward"]
+__all__ = ["CONTROLLERS", "add_costs", "add_devices", "add_semantics", "costs", "human_reward"]
 
 CONTROLLERS = "naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL"
 """What controllers are called on the command line, for help texts."""
@@ -72,19 +66,6 @@ def costs(text: str) -> str | dict[str, float]:
         raise ValueError(f"--costs is {text!r}; give seconds by model like naive=0.1,turn=0.2,tom=0.5") from None
 
 
-def devices(count: int | None) -> Mesh:
-    """The devices that ``--devices`` asks for; without, all, and on processors one per core.
-
-    Processors have as many as they are told to before JAX begins to compute.
-
-    Raises:
-        ValueError: if there are not so many.
-    """
-    if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        with suppress(RuntimeError):  # it has begun, and has those that it has
-            jax.config.update("jax_num_cpu_devices", count or cores)
-    known = jax.local_devices()
-    if count and count > len(known):
-        raise ValueError(f"--devices is {count}; this process has {len(known)}, of kind {known[0].platform}")
-    return device_mesh(known[:count])
+def add_devices(parser: argparse.ArgumentParser) -> None:
+    """Add ``--devices``, see `ms_highway.simulation.use_devices`, to a command."""
+    parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")

@@ -8,11 +8,11 @@ import jax
 from jax.experimental import multihost_utils
 
 from ms_highway import report, tradeoff
-from ms_highway.cli_options import CONTROLLERS, add_costs, add_semantics, costs, human_reward
+from ms_highway.cli_options import CONTROLLERS, add_costs, add_devices, add_semantics, costs, human_reward
 from ms_highway.compiled import high_throughput
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
-from ms_highway.experiment import Comparison
+from ms_highway.experiment import Comparison, check_settings
 from ms_highway.files import replacing
 from ms_highway.provenance import add_run, read_runs, this_run
 from ms_highway.simulation import use_devices
@@ -72,7 +72,7 @@ def add_sweep(commands: Any) -> None:
     add_costs(parser)
     parser.add_argument("--steps", action="store_true", help="keep a row per step as well, about 40 times as much")
     parser.add_argument("--part", type=int, default=1024, help="episodes per part, of any controller (default: 1024)")
-    parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")
+    add_devices(parser)
     parser.add_argument("--coordinator", metavar="HOST:PORT", help="where process 0 of several is to be found")
     parser.add_argument("--processes", type=int, default=1, help="how many processes share the sweep (default: 1)")
     parser.add_argument("--process", type=int, default=0, help="which of them this one is (default: 0)")
@@ -98,7 +98,7 @@ def _sweep(options: argparse.Namespace) -> None:
     comparison.check()
     job = module.Sweep(comparison, options.part, options.steps)
     worker = module.Worker(options.process, options.processes)
-    module.check_directory(job, options.out)
+    check_settings(options.out, job.settings())
     read_runs(options.out)  # refuses what cannot be read before anything is run
     if worker.of > 1:
         jax.distributed.initialize(options.coordinator, worker.of, worker.place)

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -26,6 +26,7 @@ __all__ = [
     "SETTINGS_FILE",
     "STEPS_FILE",
     "Comparison",
+    "check_settings",
     "columns",
     "episode",
     "make_environment",
@@ -211,10 +212,7 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     settings = {**comparison.common_config(), "costs": comparison.costs}
     known = read_settings(settings_file) if steps.exists() else settings
     known = {**known, **{key: known.get(key, {}) for key in GROWING}}
-    differing = [key for key in {**known, **settings} if key not in GROWING and known.get(key) != settings.get(key)]
-    if differing:
-        told = ", ".join(f"{key} {known.get(key)!r} instead of {settings.get(key)!r}" for key in differing)
-        raise ValueError(f"{directory} holds results with {told}; choose another directory with --out")
+    _refuse_others(directory, {key: value for key, value in known.items() if key not in GROWING}, settings)
     done = _whole_episodes(steps) if steps.exists() else set()
     if comparison.costs == "measured":
         for scenario in comparison.controllers.keys() - known["measured"].keys():
@@ -240,6 +238,28 @@ def read_settings(file: Path) -> dict[str, Any]:
         return dict(json.loads(file.read_text()))
     except (OSError, ValueError, TypeError) as error:
         raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
+
+
+def check_settings(directory: Path, settings: Mapping[str, Any]) -> None:
+    """Look whether results with these settings can begin or go on in a directory.
+
+    Raises:
+        ValueError: if it is none, or holds results of other settings, or other things.
+    """
+    if directory.exists() and not directory.is_dir():
+        raise ValueError(f"--out is {directory}, which is a file; name a directory, there already or not")
+    if (directory / SETTINGS_FILE).exists():
+        _refuse_others(directory, read_settings(directory / SETTINGS_FILE), json.loads(json.dumps(settings)))
+    elif directory.exists() and any(directory.iterdir()):
+        raise ValueError(f"{directory} is not empty, and has no {SETTINGS_FILE}; choose another directory with --out")
+
+
+def _refuse_others(directory: Path, known: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
+    """Refuse a directory whose results have settings other than those that are wanted."""
+    differing = [key for key in {**known, **settings} if known.get(key) != settings.get(key)]
+    if differing:
+        told = ", ".join(f"{key} {known.get(key)!r} instead of {settings.get(key)!r}" for key in differing)
+        raise ValueError(f"{directory} holds results with {told}; choose another directory with --out")
 
 
 def _measured(scenario: str, config: dict[str, Any]) -> dict[str, float]:

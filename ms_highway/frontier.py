@@ -9,7 +9,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import TypeAlias
 
-import jax
 import numpy as np
 import pandas as pd
 from jax.sharding import Mesh
@@ -17,7 +16,6 @@ from jaxtyping import Float
 
 from ms_highway.episodes import Batch, Key, run_episodes, summarised
 from ms_highway.files import replacing
-from ms_highway.simulation import device_mesh
 
 __all__ = ["Order", "Outcomes", "named", "search"]
 
@@ -30,7 +28,6 @@ FLOOR = 0.02  # probability of every rung at every step at least, so that none i
 MUTANTS = 0.5  # of the population: the best order so far but for a stretch of steps
 STRETCH = 4  # steps, mean of their number in such a stretch
 SWITCHES = 12  # steps at which the first orders go over from one rung to another
-PART = 256  # episodes that a device computes together
 INDEX = ["controller", "seed"]
 KEPT = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
 
@@ -62,24 +59,13 @@ class Outcomes:
         """The rows of some episodes, in their order; those that are not known are simulated and kept."""
         missing = [key for key in dict.fromkeys(keys) if key not in self.table.index]
         if missing:
-            fresh = pd.concat(self._driven(missing)).set_index(INDEX)[list(KEPT)]
+            records = run_episodes(self.batch, missing, self._mesh)
+            fresh = summarised(self.batch, missing, records).set_index(INDEX)[list(KEPT)]
             self.table = fresh if self.table.empty else pd.concat([self.table, fresh])
             if self._file is not None:
                 with replacing(self._file) as path:
                     self.table.to_csv(path)
         return self.table.loc[list(keys)]
-
-    def _driven(self, keys: Sequence[Key]) -> Iterator[pd.DataFrame]:
-        """Simulate episodes in parts of the same size, each on one device, however many devices there are.
-
-        Where episodes are chaotic, as in Stay Back, last digits depend on which episodes are computed together.
-        """
-        devices = jax.local_devices()[:1] if self._mesh is None else list(self._mesh.devices.flat)
-        whole, together = len(keys) // PART * PART, PART * len(devices)
-        shares = [keys[first : min(first + together, whole)] for first in range(0, whole, together)]
-        for share in filter(None, [*shares, keys[whole:]]):
-            mesh = device_mesh(devices[: -(-len(share) // PART)])
-            yield summarised(self.batch, share, run_episodes(self.batch, share, mesh))
 
 
 def _read(file: Path) -> pd.DataFrame:

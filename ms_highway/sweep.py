@@ -18,7 +18,7 @@ from pyarrow import parquet
 
 from ms_highway.envs import SCENARIOS
 from ms_highway.episodes import Batch, make_batch, run_episodes, summarised, tabulated
-from ms_highway.experiment import SETTINGS_FILE, Comparison, read_settings
+from ms_highway.experiment import SETTINGS_FILE, Comparison, check_settings
 from ms_highway.files import replacing
 from ms_highway.report import earned
 
@@ -29,7 +29,6 @@ __all__ = [
     "STEPS",
     "Sweep",
     "Worker",
-    "check_directory",
     "prices",
     "read_sweep",
     "run_sweep",
@@ -178,30 +177,13 @@ def _file(directory: Path, kind: str, part: int) -> Path:
     return directory / kind / f"part-{part:06d}.parquet"
 
 
-def check_directory(sweep: Sweep, directory: Path) -> None:
-    """Look whether a sweep can go on or begin in a directory.
-
-    Raises:
-        ValueError: if it holds a sweep of other settings, or other things.
-    """
-    file, settings = directory / SETTINGS_FILE, json.loads(json.dumps(sweep.settings()))
-    if file.exists():
-        known = read_settings(file)
-        differing = [key for key in {**known, **settings} if known.get(key) != settings.get(key)]
-        if differing:
-            told = ", ".join(f"{key} {known.get(key)!r} and not {settings.get(key)!r}" for key in differing)
-            raise ValueError(f"{directory} holds results with {told}; choose another directory")
-    elif directory.exists() and any(directory.iterdir()):
-        raise ValueError(f"{directory} is not empty, and has no {SETTINGS_FILE} of a sweep; choose another directory")
-
-
 def _take_up(sweep: Sweep, directory: Path, worker: Worker) -> set[int]:
     """Prepare the directory; returns the parts that it holds.
 
     Raises:
         ValueError: if it holds a sweep of other settings, other results, or a part that cannot be read.
     """
-    check_directory(sweep, directory)
+    check_settings(directory, sweep.settings())
     done = {
         part for part in worker.parts(sweep) if all(_file(directory, kind, part).exists() for kind in sweep.rows(part))
     }

@@ -120,7 +120,7 @@ def test_the_name_of_an_order_stands_for_its_models_step_by_step():
 def test_a_search_refuses_a_directory_of_other_settings_and_one_of_other_things(searched, tmp_path, capsys):
     before = {file.name: file.read_bytes() for file in searched.iterdir()}
     line = failure(capsys, *SEARCH, "--human-reward", "published", "--out", str(searched))
-    assert "human_reward 'learned' and not 'published'" in line
+    assert "human_reward 'learned' instead of 'published'" in line
     assert {file.name: file.read_bytes() for file in searched.iterdir()} == before
     (tmp_path / "steps.csv").touch()
     assert "choose another directory" in failure(capsys, *SEARCH, "--out", str(tmp_path))
@@ -145,7 +145,7 @@ def test_outcomes_that_were_damaged_are_named(searched, tmp_path, capsys):
         (["merger", "--population", "0"], "--population is 0"),
         (["merger", "--rounds", "0"], "--rounds is 0"),
         (["merger", "--devices", "0"], "--devices is 0"),
-        (["merger", "--devices", "1000"], "--devices is 1000; this process has"),
+        (["merger", "--devices", "1000"], "1000 devices are wanted; this process has"),
         (["merger", "--ladder", "tom", "naive"], "cheapest first"),
         (["merger", "--costs", "measured"], "cannot measure plans"),
         (["merger", "--human-reward", "learnt"], "--human-reward is neither"),

@@ -102,7 +102,7 @@ def test_two_processes_with_two_devices_each_and_other_parts_simulate_the_same_e
 
 def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, capsys):
     before = contents(swept)
-    assert "first_seed 0 and not 5" in failure(capsys, *SWEEP, "--steps", "--seed", "5", "--out", str(swept))
+    assert "first_seed 0 instead of 5" in failure(capsys, *SWEEP, "--steps", "--seed", "5", "--out", str(swept))
     assert contents(swept) == before
     (tmp_path / "steps.csv").touch()
     assert "choose another directory" in failure(capsys, *SWEEP, "--out", str(tmp_path))
