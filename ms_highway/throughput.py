@@ -8,9 +8,11 @@ from statistics import median
 from time import perf_counter
 from typing import Any
 
+from jax.sharding import Mesh
+
 from ms_highway.compiled import high_throughput, keep_compilations
 from ms_highway.envs import SCENARIOS
-from ms_highway.episodes import make_batch, run_episodes
+from ms_highway.episodes import Batch, Key, make_batch, run_episodes
 from ms_highway.experiment import Comparison, episode, make_environment
 from ms_highway.simulation import use_devices
 
@@ -38,7 +40,7 @@ def throughput(
         * ``environment``: steps per second of the environment's loop, with resets, on one core;
         * ``batch``: steps per second by batch size;
         * ``memory_mib``: the most memory that the process with the batches has had by then, by batch size;
-        * ``first_seconds``: what the first batch took, which may compile;
+        * ``first_seconds``: what the first episodes took, which may compile;
         * ``devices``: how many, and of what kind.
 
     Raises:
@@ -83,14 +85,18 @@ def _devices(count: int | None) -> str:
 
 
 def _batch(scenario: str, controller: str, size: int, devices: int | None) -> dict[str, float]:
-    """One batch, after one that may compile."""
+    """One batch, after one of a chunk on every device that it needs, which may compile."""
     batch = make_batch(Comparison({scenario: [controller]}, size), scenario)
     keys, mesh = batch.keys(), use_devices(devices)
-    times: list[float] = []
+    times = [_seconds(batch, keys[: batch.loop.chunk * mesh.size], mesh)]
     while len(times) < 2 or (len(times) <= RUNS and sum(times[1:]) < SECONDS):
-        start = perf_counter()
-        run_episodes(batch, keys, mesh)
-        times.append(perf_counter() - start)
+        times.append(_seconds(batch, keys, mesh))
     steps = size * SCENARIOS[scenario].steps
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIBIBYTE
     return {"first_seconds": times[0], "steps_per_second": steps / median(times[1:]), "memory_mib": memory}
+
+
+def _seconds(batch: Batch, keys: Sequence[Key], mesh: Mesh) -> float:
+    start = perf_counter()
+    run_episodes(batch, keys, mesh)
+    return perf_counter() - start
