@@ -90,17 +90,18 @@ def _plans(results: dict[str, dict[str, Any]]) -> Table:
 
 
 def _batches(scenario: str, controllers: dict[str, Any]) -> Table:
-    """Steps per second of a scenario's closed loop, and how many times those of the environment."""
-    devices = next(iter(controllers.values()))["devices"]
-    grid = Table(box=SIMPLE, title=f"{scenario}: closed-loop steps per second; batches on {devices}")
-    sizes = list(next(iter(controllers.values()))["batch"])
-    for column in ("controller", "environment", *(f"batch {size}" for size in sizes)):
-        grid.add_column(column, justify="left" if column == "controller" else "right", no_wrap=True)
-    for name, result in controllers.items():
-        alone = result["environment"]
-        cells = [f"{steps:,.0f} ({steps / alone:.1f}x)" for steps in result["batch"].values()]
-        grid.add_row(name, f"{alone:,.0f}", *cells)
-    memory = [max(result["memory_mib"][size] for result in controllers.values()) for size in sizes]
-    grid.add_section()
-    grid.add_row("memory at most, MiB", "", *(f"{mebibytes:,.0f}" for mebibytes in memory))
+    """Steps per second of a scenario's closed loop, and how many times those of the environment; a row per size."""
+    first = next(iter(controllers.values()))
+    title = f"{scenario}: steps of the closed loop per second; batches on {first['devices']}"
+    grid = Table(box=SIMPLE, title=title, title_justify="left")
+    for column in ("", *controllers, "MiB"):
+        grid.add_column(column, justify="right" if column else "left", no_wrap=True)
+    grid.add_row("environment", *(f"{result['environment']:,.0f}" for result in controllers.values()), "")
+    for size in first["batch"]:
+        cells = [
+            f"{result['batch'][size]:,.0f} ({result['batch'][size] / result['environment']:.1f}x)"
+            for result in controllers.values()
+        ]
+        memory = max(result["memory_mib"][size] for result in controllers.values())
+        grid.add_row(f"batch of {size}", *cells, f"{memory:,.0f}")
     return grid

@@ -43,8 +43,8 @@ STATUSES: tuple[Status, ...] = get_args(Status)
 
 PLANNED, PREVIOUS, BRAKING = range(3)
 AXIS = "episodes"  # of a mesh of devices
-CHUNK, WIDE_CHUNK = 16, 1024  # episodes that a processor computes together, and an accelerator
-CHUNKS = 64  # that a device takes at a time
+CHUNK, WIDE_CHUNK = 8, 1024  # episodes that a processor computes together, one in each lane of AVX2, and an accelerator
+CHUNKS = 128  # that a device takes at a time
 
 DECIDES = -1
 """In a schedule: Algorithm 1 chooses the rung of this step."""
