@@ -14,6 +14,7 @@ from ms_highway.cli_compare import comparison
 from ms_highway.experiment import SETTINGS_FILE, read_settings
 from ms_highway.markdown import markdown_table
 from ms_highway.provenance import read_runs
+from ms_highway.regret import EACH
 from ms_highway.results import Results
 from ms_highway.tradeoff import meta_rewards, shares
 
@@ -123,3 +124,19 @@ def test_always_tom_is_better_than_switching_by_the_meta_reward_as_the_text_says
         table = meta_rewards(kept("curve").summaries, scenario)
         assert (table["tom"] > table["switching"]).all()
         assert [table.index.min(), table.index.max()] == [0.001, 3]
+
+
+def test_regrets_are_those_of_the_results_they_come_from():
+    behind = pd.read_csv(ROOT / "notebooks" / "results" / "frontier" / "regrets.csv").query("price == 1")
+    switching = behind[behind["kind"] == "switching"].set_index(["controller", "scenario"])["regret"].unstack()
+    common = switching.mean(axis=1).idxmin()
+    for scenario, rows in behind.groupby("scenario"):
+        own = rows.set_index("controller")
+        best = own.loc[own["kind"].isin(["fixed", "schedule"]), "regret"].min()
+        fixed = [f"{own['regret'][model]:.2f}" if model in own.index else "" for model in ("naive", "turn", "tom")]
+        lambdas = [
+            f"{own['regret'][name]:.2f} ({name.removeprefix('switching:')})"
+            for name in (switching[scenario].idxmin(), common)
+        ]
+        cells = [scenario, f"{own.loc[EACH, 'meta_reward']:.2f}", *fixed, f"{best:.2f}", *lambdas]
+        assert f"| {' | '.join(cells)} |" in TEXT
