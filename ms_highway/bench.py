@@ -24,7 +24,7 @@ from ms_highway.game import Game
 from ms_highway.human_models import HumanModel, cold_start
 from ms_highway.switching import PUBLISHED_COSTS, Switching, first_memory
 
-__all__ = ["BATCHES", "bench"]
+__all__ = ["BATCHES", "bench", "one_core"]
 
 REPEATS = 600
 TURN = 20  # runs of one thing before the next
@@ -57,13 +57,13 @@ def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, An
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)
     game, models, state = inner.game, inner.models, jnp.asarray(inner.car_states, dtype=jnp.float32)
-    with _one_core():
+    with one_core():
         step = _step_without_planning(env, inner)
     env.close()
     compiling = {kind: _compile_seconds(game, models, state, kind) for kind in ("cold", "cached")}
     for rung, model in enumerate(models):
         seconds = {kind: times[rung] for kind, times in compiling.items()}
-        with _one_core():
+        with one_core():
             yield model.name, _measured(game, models, rung, state, peer) | {"step_us": step, "compile_s": seconds}
 
 
@@ -106,7 +106,7 @@ def _median(times: list[float]) -> float:
 
 
 @contextmanager
-def _one_core() -> Iterator[None]:
+def one_core() -> Iterator[None]:
     """Keep to one core, where the system lets a process choose."""
     if not hasattr(os, "sched_setaffinity"):
         yield

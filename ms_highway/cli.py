@@ -45,9 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"ms-highway: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print(
-            "ms-highway: stopped; compare and sweep go on when they are started again in the same way", file=sys.stderr
-        )
+        told = "compare, sweep and frontier go on when they are started again in the same way"
+        print(f"ms-highway: stopped; {told}", file=sys.stderr)
         return 130
     return 0
 

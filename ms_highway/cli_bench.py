@@ -26,7 +26,8 @@ scenario and human model. With --peer casadi, the same plans are also written in
 the same controls, and measured in the same run (needs the extra "bench" and gcc).
 
 With --batches, measure the closed loop instead: how many steps of the robot per second the environments take, on one
-core, and the simulation of many episodes at once, by batch size; for every model of the ladder and for switching."""
+core, and the simulation of many episodes at once, by batch size, on --devices; for every model of the ladder and for
+switching. MiB is the most memory that the batches have taken until then."""
 
 EXAMPLES = """\
 examples:
@@ -49,6 +50,8 @@ def add_bench(commands: Any) -> None:
 
 
 def _bench(options: argparse.Namespace) -> None:
+    if (options.batches and options.peer) or (options.devices and not options.batches):
+        raise ValueError("--peer is about plans, and --devices about --batches; leave one out")
     scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
     for scenario in scenarios:
         environment_id(scenario)  # refuses unknown ones before anything is measured
@@ -58,7 +61,7 @@ def _bench(options: argparse.Namespace) -> None:
         task = progress.add_task("measuring", total=None)
         for scenario in scenarios:
             measured = (
-                throughput(scenario, paper_controllers(scenario), options.batches, options.devices)
+                throughput(scenario, paper_controllers(scenario), options.batches, options.devices, options.modules)
                 if options.batches
                 else bench(scenario, peer=options.peer == "casadi")
             )

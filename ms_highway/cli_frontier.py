@@ -26,8 +26,8 @@ __all__ = ["add_frontier"]
 
 HELP = """\
 Search, for every start by itself, for the order of human models with the highest meta-reward: reward less the price of
-planning, for every second T(M). That is a lower bound on what any choice of models can have; how far a controller
-stays behind it is its regret.
+planning, for every second T(M). The best possible choice of models has at least that; how far a controller stays behind
+it is its regret. What switching chose in an episode is one of the orders that were tried.
 
 Told are the fixed models; the best order of those that were tried from every start; and switching, with the best of
 --lambdas for each scenario and with the best one for all scenarios together. That lambda need not be the price. All
@@ -70,10 +70,14 @@ def add_frontier(commands: Any) -> None:
     )
     parser.add_argument("--ladder", nargs="+", metavar="MODEL", help="models to choose from (default: the scenario's)")
     add_semantics(parser)
-    add_costs(parser)
+    add_costs(parser, measured=False)
     add_devices(parser)
     parser.add_argument(
-        "--out", type=Path, default=Path("results/frontier"), help="directory of results (default: results/frontier)"
+        "--out",
+        type=Path,
+        metavar="DIR",
+        default=Path("results/frontier"),
+        help="directory of results (default: results/frontier)",
     )
     parser.set_defaults(run=_frontier, prepare=high_throughput)
 

@@ -42,13 +42,14 @@ def human_reward(text: str | None) -> str | dict[str, float] | None:
         raise ValueError(f"--human-reward is neither {' nor '.join(HUMAN_REWARDS.values())}: {error}") from error
 
 
-def add_costs(parser: argparse.ArgumentParser) -> None:
-    """Add ``--costs``, which says what T(M) is, to a command."""
+def add_costs(parser: argparse.ArgumentParser, measured: bool = True) -> None:
+    """Add ``--costs``, which says what T(M) is, to a command; what only simulates cannot measure it."""
     parser.add_argument(
         "--costs",
         default="published",
-        help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), measured on this "
-        "machine, or given like naive=0.1,turn=0.2,tom=0.5",
+        help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), "
+        + ("measured on this machine, " if measured else "")
+        + "or given like naive=0.1,turn=0.2,tom=0.5",
     )
 
 

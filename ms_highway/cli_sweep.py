@@ -1,11 +1,11 @@
 """The command ``ms-highway sweep``."""
 
 import argparse
+import socket
 from pathlib import Path
 from typing import Any
 
 import jax
-from jax.experimental import multihost_utils
 
 from ms_highway import report, tradeoff
 from ms_highway.cli_options import CONTROLLERS, add_costs, add_devices, add_semantics, costs, human_reward
@@ -19,6 +19,8 @@ from ms_highway.simulation import use_devices
 
 __all__ = ["add_sweep"]
 
+MOST_SEEDS = 2**63  # which Parquet's integers hold
+
 HELP = """\
 Simulate very many episodes of a scenario, all in JAX and many at a time, and compare reward and computation.
 
@@ -29,15 +31,17 @@ the scenario's ladder, and switching with every lambda of --lambdas.
 Results go to --out, as parts of --part episodes each, which are written as they are done; stopped or killed and started
 again with the same --out, the sweep goes on with the parts that are missing. All at once they are read by
 pandas.read_parquet("OUT/episodes"): a row per episode, and with --steps by pandas.read_parquet("OUT/steps"): a row per
-step. summary.csv, SCENARIO_curve.png, settings.json and provenance.json are like those of compare.
+step. There are a summary.csv and the figure SCENARIO_curve.png as well (reward against computation, with 90 %
+intervals); settings.json and provenance.json say what they were made with. To go on, all options but --devices and
+those of processes have to be the same.
 
-Episodes are shared by all devices (on processors, by default one per core). They are the same byte for byte, however
-often the sweep is stopped, and however many parts, devices and processes share it; only other kinds of processors may
-round otherwise.
+Episodes are shared by all devices (on CPUs, by default one per core). They are the same byte for byte, however often
+the sweep is stopped, and however many parts, devices and processes share it; only other kinds of CPUs may round
+otherwise. Several processes need the same options and the same --out, on a disk that they share.
 
-Memory is bounded: about 1.2 GB for JAX and the compiled program on two devices of a processor, and 3 kB for every
-episode of --part, of which each device has one at a time. The summary at the end reads all rows per episode, of 0.1 kB.
-Needs the extra "sweep"."""
+Memory is bounded: about half a GB for every device, each of which compiles its own program, and 6 kB (with --steps 25)
+for every episode of --part, of which each device has one at a time. The summary at the end reads all rows per episode,
+of 0.1 kB. Needs the extra "sweep"."""
 
 EXAMPLES = """\
 examples:
@@ -57,19 +61,19 @@ def add_sweep(commands: Any) -> None:
     parser.add_argument(
         "--lambdas",
         metavar="LOW:HIGH:COUNT",
-        help="lambdas of switching, evenly spaced in their logarithm, or several with commas between "
+        help="lambdas of switching, evenly spaced in their logarithm (three digits), or several with commas between "
         "(default: the paper's two, unless there are --controllers)",
     )
     parser.add_argument(
         "--controllers",
         nargs="+",
         metavar="CONTROLLER",
-        help=f"{CONTROLLERS} (default: the ladder)",
+        help=f"{CONTROLLERS} (default: those of the ladder)",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the first episode; the others count on (default: 0)")
     parser.add_argument("--ladder", nargs="+", metavar="MODEL", help="models to switch among (default: the scenario's)")
     add_semantics(parser)
-    add_costs(parser)
+    add_costs(parser, measured=False)
     parser.add_argument("--steps", action="store_true", help="keep a row per step as well, about 40 times as much")
     parser.add_argument("--part", type=int, default=1024, help="episodes per part, of any controller (default: 1024)")
     add_devices(parser)
@@ -94,6 +98,8 @@ def _sweep(options: argparse.Namespace) -> None:
         raise ValueError(
             f"{told}; processes are numbered from 0, and several need a coordinator, such as localhost:4000"
         )
+    if options.seed + options.episodes > MOST_SEEDS:
+        raise ValueError(f"--seed is {options.seed}; no seed may be {MOST_SEEDS} or more")
     comparison = _comparison(options, module.prices)
     comparison.check()
     job = module.Sweep(comparison, options.part, options.steps)
@@ -101,25 +107,41 @@ def _sweep(options: argparse.Namespace) -> None:
     check_settings(options.out, job.settings())
     read_runs(options.out)  # refuses what cannot be read before anything is run
     if worker.of > 1:
-        jax.distributed.initialize(options.coordinator, worker.of, worker.place)
+        _join(options)
     mesh = use_devices(options.devices)
     counts = module.run_sweep(job, options.out, mesh, worker)
     already, wanted = next(counts), sum(job.size(part) for part in worker.parts(job))
-    if worker.of > 1:
-        multihost_utils.sync_global_devices("settings are there")
-    if already < wanted and worker.place == 0:
+    if worker.place == 0 and module.missing(job, options.out):
         add_run(options.out, this_run(options.command_line))
     count_episodes(counts, already, wanted)
-    if worker.of > 1:
-        multihost_utils.sync_global_devices("all parts are there")
+    module.wait_for_all(job, options.out)
     if worker.place == 0:
         _report(module.sweep_summary(module.read_sweep(job, options.out)), options.scenario, options.out)
+
+
+def _join(options: argparse.Namespace) -> None:
+    """Join the processes that share the sweep, so that all stop if one fails.
+
+    Raises:
+        ValueError: if the coordinator has no such address, or is not there.
+    """
+    host, _, port = options.coordinator.rpartition(":")
+    try:
+        if options.process == 0:  # JAX would abort where the port is in use
+            socket.create_server(("", int(port))).close()
+        else:
+            socket.getaddrinfo(host, int(port))
+        jax.distributed.initialize(options.coordinator, options.processes, options.process)
+    except (ValueError, OSError, RuntimeError, OverflowError) as error:
+        raise ValueError(
+            f"--coordinator {options.coordinator}: {error}; give HOST:PORT, a free port of the machine of process 0"
+        ) from error
 
 
 def _comparison(options: argparse.Namespace, prices: Any) -> Comparison:
     environment_id(options.scenario)
     scenario = SCENARIOS[options.scenario]
-    lambdas = prices(options.lambdas) if options.lambdas else [] if options.controllers else scenario.prices
+    lambdas = prices(options.lambdas) if options.lambdas is not None else [] if options.controllers else scenario.prices
     controllers = [
         *(options.controllers or options.ladder or scenario.ladder),
         *(f"switching:{one:g}" for one in lambdas),

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.configuration import controller_config, game_of, known_costs, switching_of
-from ms_highway.experiment import KEYS, Comparison, columns
+from ms_highway.experiment import Comparison, columns
 from ms_highway.human_models import MODELS, ladder
 from ms_highway.scenario import Scenario, draw_starts
 from ms_highway.simulation import DECIDES, STATUSES, Episodes, Loop, Records, simulate, usual_chunk
@@ -82,16 +82,16 @@ class Batch:
         ]
 
 
-def make_batch(comparison: Comparison, scenario: str, chunk: int | None = None) -> Batch:
+def make_batch(comparison: Comparison, scenario: str) -> Batch:
     """One scenario of a comparison, ready to be simulated.
 
     Args:
         comparison: what is compared.
         scenario: its name.
-        chunk: see `ms_highway.simulation.Loop`; without, what suits the devices.
 
     Raises:
-        ValueError: for anything unknown or impossible, and for costs that are to be measured: nothing is timed here.
+        ValueError: for anything unknown or impossible; for costs that are to be measured, as nothing is timed here; and
+            for environments that start plans from the last ones, or end before or after the scenario's steps.
     """
     environment_id(scenario)
     controllers = comparison.controllers.get(scenario, [])
@@ -102,13 +102,20 @@ def make_batch(comparison: Comparison, scenario: str, chunk: int | None = None) 
     if costs is None:
         remedy = "say 'published', or give seconds by model"
         raise ValueError(f"costs are {comparison.costs!r}, and a simulation cannot measure plans; {remedy}")
-    rungs = ladder(configs[0]["ladder"])
+    place, config = SCENARIOS[scenario], configs[0]
+    whole = round(config["duration"] * config["policy_frequency"]) == place.steps
+    if config["warm_start"] or config["terminate_on_collision"] or not whole:
+        told = ", ".join(f"{key} {config[key]!r}" for key in ("warm_start", "terminate_on_collision", "duration"))
+        raise ValueError(
+            f"{scenario} is configured with {told}; a simulation starts plans anew and runs all {place.steps} steps"
+        )
+    rungs = ladder(config["ladder"])
     used = {name for config in configs for name in _scheduled(config["controller"])}
     others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
     seconds = np.array([costs[model.name] for model in rungs], np.float32)
-    switching = switching_of(configs[0], seconds, 0.0, rungs)
-    loop = Loop(game_of(SCENARIOS[scenario], configs[0]), switching, others, chunk or usual_chunk())
-    return Batch(comparison, SCENARIOS[scenario], loop, dict(costs))
+    switching = switching_of(config, seconds, 0.0, rungs)
+    loop = Loop(game_of(place, config), switching, others, usual_chunk())
+    return Batch(comparison, place, loop, dict(costs))
 
 
 def _scheduled(controller: dict[str, Any]) -> list[str]:
@@ -167,13 +174,12 @@ def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
     Raises:
         ValueError: for anything unknown or impossible, and for costs that are to be measured.
     """
-    batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
     tables = []
-    for batch in batches:
-        keys = batch.keys()
+    for batch in [make_batch(comparison, scenario) for scenario in comparison.controllers]:
+        names = comparison.controllers[batch.scenario.name]
+        keys = sorted(batch.keys(), key=lambda key: names.index(key[0]))
         tables.append(tabulated(batch, keys, run_episodes(batch, keys, mesh)))
-    records = pd.concat(tables).set_index(KEYS)
-    return pd.concat([records.loc[[key]] for key in comparison.episodes()]).reset_index()
+    return pd.concat(tables, ignore_index=True)
 
 
 def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:

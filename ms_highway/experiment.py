@@ -210,7 +210,7 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     """
     steps, settings_file = directory / STEPS_FILE, directory / SETTINGS_FILE
     settings = {**comparison.common_config(), "costs": comparison.costs}
-    known = read_settings(settings_file) if steps.exists() else settings
+    known = read_settings(settings_file) if settings_file.exists() or steps.exists() else settings
     known = {**known, **{key: known.get(key, {}) for key in GROWING}}
     _refuse_others(directory, {key: value for key, value in known.items() if key not in GROWING}, settings)
     done = _whole_episodes(steps) if steps.exists() else set()
@@ -250,7 +250,7 @@ def check_settings(directory: Path, settings: Mapping[str, Any]) -> None:
         raise ValueError(f"--out is {directory}, which is a file; name a directory, there already or not")
     if (directory / SETTINGS_FILE).exists():
         _refuse_others(directory, read_settings(directory / SETTINGS_FILE), json.loads(json.dumps(settings)))
-    elif directory.exists() and any(directory.iterdir()):
+    elif directory.exists() and any(not file.name.startswith(".part.") for file in directory.iterdir()):
         raise ValueError(f"{directory} is not empty, and has no {SETTINGS_FILE}; choose another directory with --out")
 
 

@@ -22,6 +22,8 @@ def meta_reward(episodes: pd.DataFrame, price: float) -> pd.Series:
 def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFrame:
     """By seed, the row of the highest meta-reward, with that in a column ``meta_reward``.
 
+    It may be that of a switching controller, whose choices are an order of models, too.
+
     Args:
         table: of `ms_highway.frontier.Outcomes`.
         seeds: of the starts.

@@ -43,8 +43,11 @@ STATUSES: tuple[Status, ...] = get_args(Status)
 
 PLANNED, PREVIOUS, BRAKING = range(3)
 AXIS = "episodes"  # of a mesh of devices
-CHUNK, WIDE_CHUNK = 8, 1024  # episodes that a processor computes together, one in each lane of AVX2, and an accelerator
+CHUNK, WIDE_CHUNK = 8, 256  # episodes that a processor computes together, one in each lane of AVX2, and an accelerator
 CHUNKS = 128  # that a device takes at a time
+
+IN_ONE_MODULE = {"xla_cpu_parallel_codegen_split_count": 1}
+"""Compileiler options without which LLVM sees more kernels at once or fewer, by the number of threads, and may round otherwise."""
 
 DECIDES = -1
 """In a schedule: Algorithm 1 chooses the rung of this step."""
@@ -129,9 +132,10 @@ def device_mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
 
 
 def use_devices(count: int | None = None) -> Mesh:
-    """Devices to share episodes among; where those are processors, as many as wanted, or one per core.
+    """Devices to share episodes among; where those are of CPUs, as many as wanted, or one per core.
 
-    Processors have as many devices as they are told to before JAX begins to compute; ``XLA_FLAGS`` may say so as well.
+    CPUs have as many devices as they are told to before JAX begins to compute; by ``XLA_FLAGS`` they may be told to
+    have more than cores.
 
     Raises:
         ValueError: if there are fewer than wanted.
@@ -139,7 +143,7 @@ def use_devices(count: int | None = None) -> Mesh:
     if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         with suppress(RuntimeError):  # it has begun, and has those that it has
-            jax.config.update("jax_num_cpu_devices", count or cores)
+            jax.config.update("jax_num_cpu_devices", min(count or cores, cores))
     devices = jax.local_devices()
     if count is not None and not 0 < count <= len(devices):
         raise ValueError(f"{count} devices are wanted; this process has {len(devices)}, of kind {devices[0].platform}")
@@ -154,6 +158,8 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
 
     Each device runs the same program, compiled for it alone, whatever their number and that of the episodes: XLA
     compiles a program for several devices otherwise than for one, and the two differ in their last digits.
+
+    Nothing is checked on the way: where a state or a weight is not finite, rewards are not either.
 
     Args:
         loop: what the episodes have in common.
@@ -216,7 +222,7 @@ class _Own(NamedTuple):
     human_weights: Float[jax.Array, "features"]
 
 
-@partial(jax.jit, compiler_options=QUICKLY)
+@partial(jax.jit, compiler_options=QUICKLY | IN_ONE_MODULE)
 def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Records:
     """Run the first episodes of as many as `CHUNKS` chunks hold; the records of others are of no use."""
     size = len(episodes)

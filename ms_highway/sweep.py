@@ -6,8 +6,9 @@ written under another name and moved to its own when it is whole, so that every 
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -29,10 +30,12 @@ __all__ = [
     "STEPS",
     "Sweep",
     "Worker",
+    "missing",
     "prices",
     "read_sweep",
     "run_sweep",
     "sweep_summary",
+    "wait_for_all",
 ]
 
 EPISODES, STEPS = "episodes", "steps"
@@ -40,6 +43,8 @@ EPISODES, STEPS = "episodes", "steps"
 
 PART = 1024
 """Usual number of episodes in a part."""
+
+PAUSE = 0.2  # s, between looks at what other processes have written
 
 
 @dataclass(frozen=True)
@@ -78,8 +83,17 @@ class Sweep:
         return min(self.part, self.episodes - part * self.part)
 
     def settings(self) -> dict[str, Any]:
-        """What decides which numbers are found in which part."""
-        return {**asdict(self.comparison), "part": self.part, "steps": self.steps}
+        """What decides which numbers are found in which part, by the names of the options."""
+        comparison = self.comparison
+        return {
+            **comparison.common_config(),
+            "costs": comparison.costs,
+            "controllers": comparison.controllers,
+            "episodes": comparison.seeds,
+            "seed": comparison.first_seed,
+            "part": self.part,
+            "steps": self.steps,
+        }
 
     def rows(self, part: int) -> dict[str, int]:
         """The number of rows of a part in each of the directories."""
@@ -105,25 +119,30 @@ ALONE = Worker()
 def prices(text: str) -> list[float]:
     """Lambdas from a text: ``LOW:HIGH:COUNT``, evenly spaced in their logarithm, or several with commas between.
 
-    They are rounded to three significant digits, which make short names of controllers.
+    Spaced ones are rounded to three significant digits, which make short names of controllers.
 
     Raises:
-        ValueError: if the text is neither, or names no positive lambdas.
+        ValueError: if the text is neither, names negative lambdas, or spaces them so closely that some are equal.
     """
     try:
         if ":" in text:
             low, high, count = text.split(":")
             if not 0 < float(low) < float(high) < np.inf or int(count) < 2:
                 raise ValueError
-            values = np.geomspace(float(low), float(high), int(count)).tolist()
+            values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
+            if len(set(values)) < int(count):
+                raise ValueError
         else:
             values = [float(part) for part in text.split(",")]
             if not all(0 <= value < np.inf for value in values):
                 raise ValueError
     except ValueError:
-        remedy = "give LOW:HIGH:COUNT with 0 < LOW < HIGH and two or more, such as 0.001:10:25, or lambdas like 0.1,0.5"
+        remedy = (
+            "give LOW:HIGH:COUNT with 0 < LOW < HIGH and two or more that differ in three digits, such as 0.001:10:25, "
+            "or lambdas like 0.1,0.5"
+        )
         raise ValueError(f"lambdas are {text!r}; {remedy}") from None
-    return list(dict.fromkeys(float(f"{value:.3g}") for value in values))
+    return list(dict.fromkeys(abs(value) for value in values))  # also of -0
 
 
 def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: Worker = ALONE) -> Iterator[int]:
@@ -142,13 +161,13 @@ def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: W
         ValueError: if the sweep is impossible, or the directory holds something else.
     """
     batch = make_batch(sweep.comparison, sweep.scenario)
-    done = _take_up(sweep, directory, worker)
-    mine = worker.parts(sweep)
-    missing, together = [part for part in mine if part not in done], 1 if mesh is None else mesh.size
-    count = sum(sweep.size(part) for part in mine) - sum(sweep.size(part) for part in missing)
+    _take_up(sweep, directory, worker)
+    mine, together = worker.parts(sweep), 1 if mesh is None else mesh.size
+    lacking = [part for part in missing(sweep, directory) if part in mine]
+    count = sum(sweep.size(part) for part in mine) - sum(sweep.size(part) for part in lacking)
     yield count
-    for first in range(0, len(missing), together):
-        for part in _compute(sweep, batch, missing[first : first + together], directory, mesh):
+    for first in range(0, len(lacking), together):
+        for part in _compute(sweep, batch, lacking[first : first + together], directory, mesh):
             count += sweep.size(part)
             yield count
 
@@ -177,23 +196,38 @@ def _file(directory: Path, kind: str, part: int) -> Path:
     return directory / kind / f"part-{part:06d}.parquet"
 
 
-def _take_up(sweep: Sweep, directory: Path, worker: Worker) -> set[int]:
-    """Prepare the directory; returns the parts that it holds.
+def missing(sweep: Sweep, directory: Path) -> list[int]:
+    """The parts that a directory lacks, of any process."""
+    kinds = list(sweep.rows(0))
+    there = {kind: {file.name for file in (directory / kind).glob("part-*")} for kind in kinds}
+    return [
+        part
+        for part in range(sweep.parts)
+        if not all(_file(directory, kind, part).name in there[kind] for kind in kinds)
+    ]
+
+
+def wait_for_all(sweep: Sweep, directory: Path) -> None:
+    """Wait until the processes that share a sweep have written all parts."""
+    while missing(sweep, directory):
+        sleep(PAUSE)
+
+
+def _take_up(sweep: Sweep, directory: Path, worker: Worker) -> None:
+    """Prepare the directory, which the first process does for all.
 
     Raises:
         ValueError: if it holds a sweep of other settings, other results, or a part that cannot be read.
     """
+    while worker.place > 0 and not (directory / SETTINGS_FILE).exists():
+        sleep(PAUSE)
     check_settings(directory, sweep.settings())
-    done = {
-        part for part in worker.parts(sweep) if all(_file(directory, kind, part).exists() for kind in sweep.rows(part))
-    }
-    for part in sorted(done):
+    for part in sorted(set(worker.parts(sweep)) - set(missing(sweep, directory))):
         for kind, rows in sweep.rows(part).items():
             _check(_file(directory, kind, part), rows)
     if worker.place == 0:
         with replacing(directory / SETTINGS_FILE) as path:
             path.write_text(json.dumps(sweep.settings(), indent=2) + "\n")
-    return done
 
 
 def _check(file: Path, rows: int) -> None:

@@ -3,13 +3,17 @@
 import resource
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from importlib import import_module
 from multiprocessing import get_context
+from pathlib import Path
 from statistics import median
 from time import perf_counter
 from typing import Any
 
+import jax
 from jax.sharding import Mesh
 
+from ms_highway.bench import one_core
 from ms_highway.compiled import high_throughput, keep_compilations
 from ms_highway.envs import SCENARIOS
 from ms_highway.episodes import Batch, Key, make_batch, run_episodes
@@ -24,7 +28,11 @@ KIBIBYTE = 1024
 
 
 def throughput(
-    scenario: str, controllers: Sequence[str], sizes: Sequence[int], devices: int | None = None
+    scenario: str,
+    controllers: Sequence[str],
+    sizes: Sequence[int],
+    devices: int | None = None,
+    modules: Sequence[str] = (),
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Measure the closed loop, warm: in the environment in this process, and in batches in another that it starts.
 
@@ -33,13 +41,14 @@ def throughput(
         controllers: short names of controllers.
         sizes: numbers of episodes in a batch.
         devices: how many to use, see `ms_highway.simulation.use_devices`.
+        modules: to import in the other process, for scenarios and models that they add.
 
     Yields:
         For every controller its name and:
 
         * ``environment``: steps per second of the environment's loop, with resets, on one core;
         * ``batch``: steps per second by batch size;
-        * ``memory_mib``: the most memory that the process with the batches has had by then, by batch size;
+        * ``memory_mib``: the most memory that the process with the batches has had until then, by batch size;
         * ``first_seconds``: what the first episodes took, which may compile;
         * ``devices``: how many, and of what kind.
 
@@ -50,7 +59,8 @@ def throughput(
         if size < 1:
             raise ValueError(f"a batch has size {size}; it must be 1 or more")
     Comparison({scenario: list(controllers)}).check()
-    with ProcessPoolExecutor(1, get_context("spawn"), _prepare) as process:
+    cache = jax.config.values["jax_compilation_cache_dir"]
+    with ProcessPoolExecutor(1, get_context("spawn"), _prepare, (cache, modules)) as process:
         used = process.submit(_devices, devices).result()
         for controller in controllers:
             result: dict[str, Any] = {"environment": _environment(scenario, controller), "devices": used}
@@ -66,17 +76,21 @@ def throughput(
 def _environment(scenario: str, controller: str) -> float:
     """Steps per second, after an episode that compiles."""
     env = make_environment(scenario, controller)
-    list(episode(env, 0))
-    start = perf_counter()
-    steps = sum(1 for seed in range(1, 1 + EPISODES) for _ in episode(env, seed))
-    seconds = perf_counter() - start
+    with one_core():
+        list(episode(env, 0))
+        start = perf_counter()
+        steps = sum(1 for seed in range(1, 1 + EPISODES) for _ in episode(env, seed))
+        seconds = perf_counter() - start
     env.close()
     return steps / seconds
 
 
-def _prepare() -> None:
+def _prepare(cache: str | None, modules: Sequence[str]) -> None:
     high_throughput()
-    keep_compilations()
+    if cache is not None:
+        keep_compilations(Path(cache))
+    for module in modules:
+        import_module(module)
 
 
 def _devices(count: int | None) -> str:
@@ -92,8 +106,15 @@ def _batch(scenario: str, controller: str, size: int, devices: int | None) -> di
     while len(times) < 2 or (len(times) <= RUNS and sum(times[1:]) < SECONDS):
         times.append(_seconds(batch, keys, mesh))
     steps = size * SCENARIOS[scenario].steps
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIBIBYTE
-    return {"first_seconds": times[0], "steps_per_second": steps / median(times[1:]), "memory_mib": memory}
+    return {"first_seconds": times[0], "steps_per_second": steps / median(times[1:]), "memory_mib": _most_memory()}
+
+
+def _most_memory() -> float:
+    """The most memory that this process has had [MiB]."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIBIBYTE  # of its parent, too, if that had more
+    return int(status.read_text().partition("VmHWM:")[2].split()[0]) / KIBIBYTE
 
 
 def _seconds(batch: Batch, keys: Sequence[Key], mesh: Mesh) -> float:

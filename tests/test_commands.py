@@ -219,7 +219,8 @@ IRL_COMMANDS = [["irl", name] for name in ("record", "fit", "evaluate", "recover
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["compare"], ["frontier"], ["video"], ["report"], ["bench"], ["validate"], ["irl"], *IRL_COMMANDS]
+    "command",
+    [[], ["compare"], ["frontier"], ["video"], ["report"], ["bench"], ["sweep"], ["validate"], ["irl"], *IRL_COMMANDS],
 )
 def test_help_teaches_the_command(command):
     run = subprocess.run(

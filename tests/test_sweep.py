@@ -16,7 +16,8 @@ import pandas as pd
 import pytest
 
 from ms_highway.cli import main
-from ms_highway.sweep import prices
+from ms_highway.experiment import Comparison, check_settings
+from ms_highway.sweep import Sweep, Worker, prices, run_sweep
 
 SWEEP = ["sweep", "stay_back", "--ladder", "naive", "--lambdas", "0.1:10:2", "--episodes", "24", "--part", "16"]
 """Three controllers of which none thinks hard: 72 episodes in five parts."""
@@ -102,10 +103,27 @@ def test_two_processes_with_two_devices_each_and_other_parts_simulate_the_same_e
 
 def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, capsys):
     before = contents(swept)
-    assert "first_seed 0 instead of 5" in failure(capsys, *SWEEP, "--steps", "--seed", "5", "--out", str(swept))
+    assert "seed 0 instead of 5" in failure(capsys, *SWEEP, "--steps", "--seed", "5", "--out", str(swept))
     assert contents(swept) == before
     (tmp_path / "steps.csv").touch()
     assert "choose another directory" in failure(capsys, *SWEEP, "--out", str(tmp_path))
+
+
+def test_processes_that_are_asked_for_different_sweeps_do_not_mix_them(swept, tmp_path):
+    shutil.copytree(swept, tmp_path / "out")
+    shutil.rmtree(tmp_path / "out" / "episodes")
+    job = Sweep(Comparison({"stay_back": ["naive"]}, seeds=24, ladder=["naive"]), part=10)
+    with pytest.raises(ValueError, match="part 16 instead of 10"):
+        next(run_sweep(job, tmp_path / "out", worker=Worker(1, 2)))
+    assert not (tmp_path / "out" / "episodes").exists()
+
+
+def test_a_sweep_that_was_killed_while_it_wrote_its_settings_can_go_on(tmp_path):
+    (tmp_path / ".part.settings.json").write_text("{")
+    check_settings(tmp_path, {})
+    (tmp_path / "other").touch()
+    with pytest.raises(ValueError, match="is not empty"):
+        check_settings(tmp_path, {})
 
 
 def test_a_part_that_was_damaged_is_named(swept, tmp_path, capsys):
@@ -120,7 +138,7 @@ def test_a_part_that_was_damaged_is_named(swept, tmp_path, capsys):
 def test_lambdas_are_spaced_evenly_in_their_logarithm_or_listed():
     assert prices("0.001:10:5") == [0.001, 0.01, 0.1, 1, 10]
     assert prices("0.001:10:4") == [0.001, 0.0215, 0.464, 10]
-    assert prices("0.5,0.1,0.5") == [0.5, 0.1]
+    assert prices("0.5,0.1,0.5,-0") == [0.5, 0.1, 0]
 
 
 @pytest.mark.parametrize(
@@ -135,7 +153,11 @@ def test_lambdas_are_spaced_evenly_in_their_logarithm_or_listed():
         (["merger", "--part", "0"], "--part is 0"),
         (["merger", "--costs", "measured"], "cannot measure plans"),
         (["merger", "--devices", "1000"], "1000 devices are wanted; this process has"),
+        (["merger", "--lambdas", ""], "lambdas are ''"),
+        (["merger", "--lambdas", "1:1.01:25"], "differ in three digits"),
+        (["merger", "--seed", "9223372036854775000"], "no seed may be"),
         (["merger", "--processes", "2"], "several need a coordinator"),
+        (["merger", "--processes", "2", "--coordinator", "nonsense"], "--coordinator nonsense"),
         (["merger", "--process", "1"], "numbered from 0"),
     ],
 )
