@@ -47,7 +47,7 @@ CHUNK, WIDE_CHUNK = 8, 256  # episodes that a processor computes together, one i
 CHUNKS = 128  # that a device takes at a time
 
 IN_ONE_MODULE = {"xla_cpu_parallel_codegen_split_count": 1}
-"""Compileiler options without which LLVM sees more kernels at once or fewer, by the number of threads, and may round otherwise."""
+"""Compiler options, without which LLVM rounds otherwise where there are more threads to compile with."""
 
 DECIDES = -1
 """In a schedule: Algorithm 1 chooses the rung of this step."""
