@@ -65,13 +65,12 @@ def test_means_of_theory_of_mind_and_switching_lie_in_the_intervals_of_the_envir
             np.testing.assert_allclose(*gains, atol=1e-2)  # NaN where none was estimated
 
 
-@pytest.mark.parametrize("scenario", ["merger", "give_way"])
-def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(reference, scenario):
-    comparison = Comparison({scenario: ["naive", "turn"]}, seeds=10, semantics="released", ladder=["naive", "turn"])
-    batch = make_batch(comparison, scenario)
+def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(reference):
+    comparison = Comparison({"give_way": ["naive", "turn"]}, seeds=10, semantics="released", ladder=["naive", "turn"])
+    batch = make_batch(comparison, "give_way")
     units = np.array([PAPER_UNIT, PAPER_UNIT, 1, PAPER_UNIT])
     for controller in ("naive", "turn"):
-        _, logged = read_episodes(reference / f"{scenario}__{controller}.npz")
+        _, logged = read_episodes(reference / f"give_way__{controller}.npz")
         given = episodes_of(batch, [(controller, seed) for seed in range(10)])
         records = simulate(batch.loop, replace(given, starts=np.float32(logged["states"][:, 0] * units)))
         np.testing.assert_allclose(records.states[:, :-1] / units, logged["states"][:, 1:], atol=1e-3)
@@ -109,7 +108,8 @@ def test_a_batch_without_controllers_episodes_known_costs_or_devices_is_refused(
         use_devices(1000)
 
 
-def test_the_throughput_of_environment_and_batches_is_measured():
+def test_the_throughput_of_environment_and_batches_is_measured(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")  # little is computed
     ((name, result),) = throughput("stay_back", ["naive"], [1, 20])
     assert name == "naive"
     assert result["environment"] > 1
