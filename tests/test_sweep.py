@@ -52,7 +52,7 @@ def begin(*arguments, devices=1):
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     directory = tmp_path_factory.mktemp("sweep") / "out"
-    assert begin(*SWEEP, "--steps", "--out", str(directory)).wait() == 0
+    assert begin(*SWEEP, "--steps", "--out", str(directory), devices=2).wait() == 0
     return directory
 
 
@@ -73,7 +73,9 @@ def test_a_sweep_is_opened_in_one_line_with_a_row_per_episode_and_per_step(swept
     assert len(json.loads((swept / "provenance.json").read_text())) == 1
 
 
-def test_a_sweep_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one_gives(swept, tmp_path):
+def test_a_sweep_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one_with_two_devices_gives(
+    swept, tmp_path
+):
     arguments = [*SWEEP, "--steps", "--out", str(tmp_path / "out")]
     parts = tmp_path / "out" / "episodes"
     for wanted in (1, 2, 3):
@@ -88,12 +90,12 @@ def test_a_sweep_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one
     assert contents(tmp_path / "out") == contents(swept)
 
 
-def test_two_processes_with_two_devices_each_and_other_parts_simulate_the_same_episodes(swept, tmp_path):
+def test_two_processes_and_other_parts_give_the_episodes_of_one_with_two_devices(swept, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         coordinator = f"127.0.0.1:{free.getsockname()[1]}"
     arguments = [*SWEEP[:-1], "10", "--steps", "--out", str(tmp_path), "--coordinator", coordinator, "--processes", "2"]
-    runs = [begin(*arguments, "--process", place, devices=2) for place in ("0", "1")]
+    runs = [begin(*arguments, "--process", place) for place in ("0", "1")]
     assert [run.wait() for run in runs] == [0, 0]
     for kind in ("episodes", "steps"):
         alone, shared = (pd.read_parquet(directory / kind) for directory in (swept, tmp_path))
