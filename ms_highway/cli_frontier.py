@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ms_highway.cli_options import add_costs, add_devices, add_semantics, costs, human_reward
+from ms_highway.cli_options import add_costs, add_devices, add_semantics, check_least, costs, human_reward
 from ms_highway.compiled import high_throughput
 from ms_highway.console import add_command, print_tables, work
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
@@ -105,10 +105,7 @@ def _comparison(options: argparse.Namespace) -> Comparison:
     Raises:
         ValueError: naming what cannot be searched.
     """
-    for name, least in (("seeds", 1), ("population", 1), ("rounds", 1), ("devices", 1)):
-        value = getattr(options, name)
-        if value is not None and value < least:
-            raise ValueError(f"--{name} is {value}; it must be {least} or more")
+    check_least(options, seeds=1, population=1, rounds=1, devices=1)
     for price in options.prices:
         if not 0 <= price < np.inf:
             raise ValueError(f"--prices has {price:g}; a price must be a number that is not negative, such as 0.1")

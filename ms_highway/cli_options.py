@@ -6,7 +6,7 @@ from pathlib import Path
 from ms_highway.envs.configuration import HUMAN_REWARDS
 from ms_highway.learnt import load
 
-__all__ = ["CONTROLLERS", "add_costs", "add_devices", "add_semantics", "costs", "human_reward"]
+__all__ = ["CONTROLLERS", "add_costs", "add_devices", "add_semantics", "check_least", "costs", "human_reward"]
 
 CONTROLLERS = "naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL"
 """What controllers are called on the command line, for help texts."""
@@ -70,3 +70,15 @@ def costs(text: str) -> str | dict[str, float]:
 def add_devices(parser: argparse.ArgumentParser) -> None:
     """Add ``--devices``, see `ms_highway.simulation.use_devices`, to a command."""
     parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")
+
+
+def check_least(options: argparse.Namespace, **least: int) -> None:
+    """Check numbers that options give, by name, against the least that they may be.
+
+    Raises:
+        ValueError: naming an option whose number is smaller.
+    """
+    for name, bound in least.items():
+        value = getattr(options, name)
+        if value is not None and value < bound:
+            raise ValueError(f"--{name} is {value}; it must be {bound} or more")

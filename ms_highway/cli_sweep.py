@@ -8,7 +8,7 @@ from typing import Any
 import jax
 
 from ms_highway import report, tradeoff
-from ms_highway.cli_options import CONTROLLERS, add_costs, add_devices, add_semantics, costs, human_reward
+from ms_highway.cli_options import CONTROLLERS, add_costs, add_devices, add_semantics, check_least, costs, human_reward
 from ms_highway.compiled import high_throughput
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
@@ -89,10 +89,7 @@ def _sweep(options: argparse.Namespace) -> None:
         from ms_highway import sweep as module  # pyarrow is an extra
     except ModuleNotFoundError as error:
         raise ImportError(f"{error}; install the extra with: pip install 'ms-highway[sweep]'") from error
-    for name, least in (("episodes", 1), ("part", 1), ("devices", 1), ("processes", 1), ("seed", 0), ("process", 0)):
-        value = getattr(options, name)
-        if value is not None and value < least:
-            raise ValueError(f"--{name} is {value}; it must be {least} or more")
+    check_least(options, episodes=1, part=1, devices=1, processes=1, seed=0, process=0)
     if options.process >= options.processes or (options.processes > 1) != (options.coordinator is not None):
         told = f"--process {options.process} of --processes {options.processes}, --coordinator {options.coordinator}"
         raise ValueError(
