@@ -27,6 +27,7 @@ from ms_highway.switching import Memory, decide
 __all__ = [
     "Packed",
     "checked_state",
+    "cores",
     "decide_function",
     "forget",
     "high_throughput",
@@ -107,6 +108,11 @@ def high_throughput() -> None:
     episodes make much. Where ``XLA_FLAGS`` has that option already or names a file, it stays as it is.
     """
     _tell_xla("xla_cpu_max_isa", "--xla_cpu_max_isa=AVX2")
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _tell_xla(option: str, flag: str) -> None:

@@ -1,13 +1,13 @@
 """What made a directory of results: the command, the versions, the machine and the time of every run."""
 
 import json
-import os
 import platform
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from ms_highway.compiled import cores
 from ms_highway.files import replacing
 
 __all__ = ["PROVENANCE_FILE", "add_run", "read_runs", "this_run"]
@@ -31,7 +31,7 @@ def this_run(command: str) -> dict[str, Any]:
         "command": command,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
-        "machine": {"processor": _processor(), "cores": _cores(), "platform": platform.platform()},
+        "machine": {"processor": _processor(), "cores": cores(), "platform": platform.platform()},
     }
 
 
@@ -73,10 +73,6 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "not installed"
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _processor() -> str:

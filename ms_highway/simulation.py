@@ -18,7 +18,7 @@ from jax import numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, Int
 
-from ms_highway.compiled import QUICKLY
+from ms_highway.compiled import QUICKLY, cores
 from ms_highway.controller import Status, braking_control
 from ms_highway.dynamics import Array, keep_velocity, recover_control, step
 from ms_highway.game import Game, swap
@@ -141,9 +141,9 @@ def use_devices(count: int | None = None) -> Mesh:
         ValueError: if there are fewer than wanted.
     """
     if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        most = cores()
         with suppress(RuntimeError):  # it has begun, and has those that it has
-            jax.config.update("jax_num_cpu_devices", min(count or cores, cores))
+            jax.config.update("jax_num_cpu_devices", min(count or most, most))
     devices = jax.local_devices()
     if count is not None and not 0 < count <= len(devices):
         raise ValueError(f"{count} devices are wanted; this process has {len(devices)}, of kind {devices[0].platform}")
