@@ -4,7 +4,9 @@ Importing this package registers the ids ``ms-highway/stay-back-v0``, ``ms-highw
 ``ms-highway/give-way-v0`` and ``ms-highway/demonstration-v0`` with Gymnasium.
 """
 
-from gymnasium.envs.registration import register, registry
+from typing import cast
+
+from gymnasium.envs.registration import EnvCreator, register, registry
 
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.demonstration import DemonstrationEnv
@@ -83,7 +85,7 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
     ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
     bare_id = environment_id(name).removeprefix("ms_highway:")
     registry.pop(bare_id, None)
-    register(bare_id, entry_point=lambda **options: environment(**options))
+    register(bare_id, entry_point=cast(EnvCreator, environment))
     return environment_id(name)
 
 

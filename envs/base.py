@@ -1,6 +1,7 @@
 """The environment that the three scenarios share: a road, a human, a robot, and who drives it."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import jax
@@ -12,37 +13,36 @@ from highway_env.road.road import Road
 from highway_env.vehicle.objects import Obstacle
 from jaxtyping import Float
 
+from ms_highway.ascent import PAPER_ASCENT
 from ms_highway.compiled import measure_costs
 from ms_highway.controller import Controller, FixedModel, ModelSwitching, ScheduledModels
 from ms_highway.envs.actions import Autopilot, HumanModelAction
-from ms_highway.envs.configuration import game_of, known_costs, merged, switching_of
+from ms_highway.envs.configuration import draw_models, game_of, known_costs, merged, switching_of
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
 from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game import swap_roles
 from ms_highway.human_models import MODELS, HumanModel, Naive, ladder
-from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, Scenario, draw_starts
+from ms_highway.reward import COMPUTATION
+from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, TIME_STEP, Scenario, draw_starts
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
-__all__ = ["Cone", "InteractionEnv", "Seconds"]
+__all__ = ["Cone", "InteractionEnv", "Timing"]
 
 
-class Seconds(float):
-    """A measured duration, to be used as a float. It equals every other measured duration.
+@dataclass(frozen=True)
+class Timing:
+    """What the robot's step took on this machine. Any two compare equal: measured times are no part of what happened.
 
-    Two runs of the same computation never take the same time to the digit. Gymnasium's checker compares the infos of
-    two equally seeded steps; a measurement is no part of what makes them the same. To compare durations, use ``float``;
-    vector environments collect them in arrays of objects.
+    Attributes:
+        planning_seconds: wall time of the plan, compilation excluded.
+        decision_seconds: wall time of choosing the model, compilation excluded; 0 without a choice.
+        compile_seconds: time spent compiling and warming up.
     """
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Seconds) or float(self) == other
-
-    def __ne__(self, other: object) -> bool:
-        return not self == other
-
-    def __hash__(self) -> int:
-        return hash(Seconds)
+    planning_seconds: float = field(compare=False)
+    decision_seconds: float = field(compare=False)
+    compile_seconds: float = field(compare=False)
 
 
 def _finite(space: spaces.Space) -> spaces.Space:
@@ -65,14 +65,17 @@ class InteractionEnv(StageEnv):
     Configuration, beside highway-env's own:
 
     * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
-      "lambda": 0.1}``: the agent chooses the human model; ``{"type": "ContinuousAction"}``: the agent drives.
-    * ``controller``: ``{"type": "switching", "lambda": 0.1}``, ``{"type": "fixed", "model": "tom"}``, or ``{"type":
-      "schedule", "models": ["tom", "tom", "naive"]}``, a model per step of which the last goes on.
+      "lambda": 0.1}``: the agent chooses the human model; ``{"type": "ContinuousAction"}``: the agent drives, by
+      accelerations of +-5 m/s^2 and front-wheel angles of +-0.1 rad unless ``acceleration_range`` and
+      ``steering_range`` say otherwise (highway-env's own +-45 degrees spin a car of 20 m/s at the first step).
+    * ``controller``: ``{"type": "switching", "lambda": 0.1}``, ``{"type": "fixed", "model": "tom"}``, ``{"type":
+      "schedule", "models": ["tom", "tom", "naive"]}``, a model per step of which the last goes on, or ``{"type":
+      "random", "shares": {"naive": 0.7, "tom": 0.3}}``, a model per step that is drawn when the episode starts.
     * ``ladder``: names of the human models to choose from, cheapest first.
     * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model.
     * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
-      demonstrations; ``"published"``; weights by name, of `ms_highway.reward.FEATURES` and ``COMFORT``; None for what
+      demonstrations; ``"published"``; weights by name, of `ms_highway.reward.weight_names`; None for what
       belongs to the semantics (learned and published). What a human is after in the scenario beyond driving, such as
       its lane, stays unless weights name it. A learnt reward has no weight of ``collision``, which would change
       nothing: it is an indicator, and humans climb by gradients.
@@ -81,6 +84,9 @@ class InteractionEnv(StageEnv):
       semantics: `ms_highway.scenario.PHYSICAL_LIMIT` in paper semantics, unlimited in released semantics.
     * ``solver``: how the robot improves its plans under naive and turn: ``"gradient"``, the paper's, or ``"newton"``.
     * ``warm_start``: whether the robot's plans start from the rest of the last plan rather than from zero controls.
+    * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
+      robot and human plan, see `ms_highway.ascent.Ascent`. Where iterations and step size are None, what suits the
+      horizon is chosen; steps that are longer than `ms_highway.ascent.longest_step` are warned of.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push
@@ -107,7 +113,11 @@ class InteractionEnv(StageEnv):
             "control_limit": None,
             "solver": "gradient",
             "warm_start": False,
-            "duration": cls.scenario.steps / 10,
+            "horizon": PAPER_ASCENT.horizon,
+            "time_step": PAPER_ASCENT.time_step,
+            "iterations": PAPER_ASCENT.iterations,
+            "step_size": PAPER_ASCENT.step_size,
+            "duration": cls.scenario.steps * TIME_STEP,
             "terminate_on_collision": False,
             "simulation_frequency": 10,
             "policy_frequency": 10,
@@ -167,7 +177,7 @@ class InteractionEnv(StageEnv):
         """Start an episode.
 
         Args:
-            seed: seeds the noise of the starts.
+            seed: seeds the noise of the starts, and after it what a random controller draws.
             options: ``"initial_states"``: array [cars, 4] of x, y, heading, speed in SI units, robot first, then the
                 human, then the scripted cars, instead of drawn starts; ``"config"``: changes of the configuration.
 
@@ -198,9 +208,7 @@ class InteractionEnv(StageEnv):
 
     def _reset(self) -> None:
         """Build the road, place the cars, and say who drives them."""
-        states = self._initial_states
-        if states is None:
-            states = draw_starts(self.scenario, self.np_random)
+        states = self.draw_starts(self.np_random) if self._initial_states is None else self._initial_states
         self.road = Road(straight_road(self.game), np_random=self.np_random)
         for x, y in np.asarray(self.game.scene.obstacles, dtype=float):
             self.road.objects.append(Cone(self.road, [x, y]))
@@ -219,6 +227,10 @@ class InteractionEnv(StageEnv):
         self.history = []
         self.collision = False
 
+    def draw_starts(self, random: np.random.Generator) -> Float[np.ndarray, "cars 4"]:
+        """A start of every car, robot first, then the human, in SI units; see `ms_highway.scenario.draw_starts`."""
+        return draw_starts(self.scenario, random)
+
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:
         settings, warm_start = self.config["controller"], self.config["warm_start"]
         costs = self.costs(states)  # to be measured now, if at all, and not within a step
@@ -226,8 +238,8 @@ class InteractionEnv(StageEnv):
             return FixedModel(self.game, self.models[0], self.models, warm_start)
         if settings["type"] == "fixed":
             return FixedModel(self.game, MODELS[settings["model"]], warm_start=warm_start)
-        if settings["type"] == "schedule":
-            return ScheduledModels(self.game, [MODELS[name] for name in settings["models"]], warm_start)
+        if names := draw_models(settings, self.episode_steps, self.np_random):
+            return ScheduledModels(self.game, [MODELS[name] for name in names], warm_start)
         switching = switching_of(self.config, costs, settings["lambda"], self.models)
         return ModelSwitching(self.game, switching, warm_start)
 
@@ -266,7 +278,7 @@ class InteractionEnv(StageEnv):
         super()._simulate(action)
         if isinstance(self.action_type, HumanModelAction):
             seconds = self.costs(self.car_states)[int(action)]
-            self._terms["computation"] = -float(self.action_type.price * seconds)
+            self._terms[COMPUTATION] = -float(self.action_type.price * seconds)
         self.history.append(self._record())
 
     def _record(self) -> dict[str, Any]:
@@ -298,9 +310,7 @@ class InteractionEnv(StageEnv):
                 "model": step.model,
                 "status": step.status,
                 "gains": dict(step.gains),
-                "planning_seconds": Seconds(step.planning_seconds),
-                "decision_seconds": Seconds(step.decision_seconds),
-                "compile_seconds": Seconds(step.compile_seconds),
+                "timing": Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds),
             }
             if self._costs and step.model in self._costs:
                 info["counted_seconds"] = float(self._costs[step.model])  # T(M)

@@ -54,7 +54,7 @@ def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
         target_lane=lanes[0],
         length_unit=PAPER_UNIT,
     )
-    return driving_game(scene, SPEED_LIMIT * PAPER_UNIT, weights)
+    return driving_game(scene, SPEED_LIMIT * PAPER_UNIT, weights, grip=None)
 
 
 class DemonstrationEnv(StageEnv):

@@ -1,18 +1,24 @@
 """What a person sees: the road from above, plans and predictions on it, and a panel with what the robot thinks."""
 
 import os
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import jax
+import matplotlib
 import numpy as np
 import pygame
+import pygame.freetype
 from highway_env.envs.common.graphics import EnvViewer
 from highway_env.road.graphics import LaneGraphics
 from highway_env.vehicle.graphics import VehicleGraphics
 from jaxtyping import Float
 
+from ms_highway.controller import ModelSwitching
 from ms_highway.dynamics import step
 from ms_highway.human_models import MODELS
+from ms_highway.scenario import title
 
 __all__ = [
     "INK",
@@ -24,8 +30,8 @@ __all__ = [
     "InteractionViewer",
     "Viewer",
     "check_display",
-    "font",
     "model_color",
+    "words",
 ]
 
 Color = tuple[int, int, int]
@@ -38,10 +44,12 @@ MODEL_MEANINGS = {
     "tom": "the human responds to the robot",
 }
 INK, FAINT, PAPER, CONE = (32, 36, 44), (125, 130, 140), (250, 250, 247), (255, 120, 20)
-GROUND, ASPHALT = (205, 218, 195), (96, 100, 106)
+GRID, GROUND, ASPHALT = (215, 218, 224), (205, 218, 195), (96, 100, 106)
 PANEL_HEIGHT = 150  # px
 MARGIN = 16  # px
-TEXT_WIDTH = 400  # px, left part of the panel
+TEXT_WIDTH = 440  # px, left part of the panel
+LARGE, MEDIUM, SMALL = 26, 15, 13  # px, sizes of texts
+WORST = -10.0  # reward below which the curve is cut: a collision would dwarf everything
 
 
 def model_color(name: str | None) -> Color:
@@ -110,7 +118,7 @@ class InteractionViewer(Viewer):
         reach = float(np.ptp(scene.lanes) + scene.lane_width) / 2
         x, _ = surface.vec2pix(car.position)
         _, y = surface.pos2pix(0, self.window_position()[1] + side * reach)
-        label = font(22).render(name, True, INK)
+        label = words(name, MEDIUM, INK)
         surface.blit(label, label.get_rect(center=(x, y + 14 * side)))
 
     def _cone(self, cone: Any) -> None:
@@ -149,50 +157,43 @@ class InteractionViewer(Viewer):
         pygame.draw.rect(surface, PAPER, (0, top, width, PANEL_HEIGHT))
         history = self.env.history
         if not history:
-            self._text("the episode starts", 26, INK, (MARGIN, top + MARGIN))
+            self._text(f"{title(self.env.scenario.name)}: the episode starts", MEDIUM, INK, (MARGIN, top + MARGIN))
             return
         self._now(history[-1], top + 12)
-        chart = pygame.Rect(TEXT_WIDTH, top + 24, width - TEXT_WIDTH - MARGIN, 46)
+        chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, 42)
         if any(record["model"] for record in history):
-            self._chart("planning time per step, coloured by model", chart)
             self._bars(chart)
-        chart = chart.move(0, 70)
-        self._chart("reward per step", chart)
-        self._curve(chart)
+        self._curve(chart.move(0, 70))
 
     def _now(self, record: dict[str, Any], top: int) -> None:
-        """The left part: model, reward, seconds and gains of the last step."""
+        """The left part: model, reward, seconds and, where the model is chosen here, gains of the last step."""
         model = record["model"]
-        if model is None:
-            self._text("the agent drives", 40, INK, (MARGIN, top))
-        else:
-            chip = pygame.Rect(MARGIN, top, 108, 36)
-            pygame.draw.rect(self.sim_surface, model_color(model), chip, border_radius=8)
-            name = font(40).render(model, True, PAPER)
-            self.sim_surface.blit(name, name.get_rect(center=chip.center))
-            self._text(MODEL_MEANINGS.get(model, ""), 18, INK, (chip.right + 8, top + 12))
         lines = [f"step {len(self.env.history)}    reward {record['reward']:+.2f}"]
         if record["collision"]:
             lines[0] += "    COLLISION"
-        if model is not None:
-            planning, deciding = 1e3 * record["planning_seconds"], 1e3 * record["decision_seconds"]
-            lines.append(f"planning {planning:.1f} ms, deciding {deciding:.1f} ms")
-            lines.append(self._reason(record))
+        if model is None:
+            self._text("the agent drives", LARGE, INK, (MARGIN, top))
+        else:
+            name = words(model, LARGE, PAPER)
+            chip = pygame.Rect(MARGIN, top, name.get_width() + 2 * MARGIN, 36)
+            pygame.draw.rect(self.sim_surface, model_color(model), chip, border_radius=8)
+            self.sim_surface.blit(name, name.get_rect(center=chip.center))
+            self._text(MODEL_MEANINGS.get(model, ""), SMALL, INK, (chip.right + 10, top + 10))
+            lines.append(f"planning {1e3 * record['planning_seconds']:.1f} ms")
+            if isinstance(self.env.robot.controller, ModelSwitching):
+                lines[-1] += f", deciding {1e3 * record['decision_seconds']:.1f} ms"
+                lines.append(_reason(record))
         for place, line in enumerate(lines):
-            self._text(line, 22, INK, (MARGIN, top + 50 + 26 * place))
+            self._text(line, MEDIUM, INK, (MARGIN, top + 48 + 26 * place))
 
-    def _reason(self, record: dict[str, Any]) -> str:
-        """Why this model: what switching promised, net of the price of planning."""
-        gains, model = record["gains"], record["model"]
-        if model in gains:
-            return f"switched: estimated net gain {gains[model]:+.3f}"
-        if gains:
-            return "stays: net gain of " + ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
-        return "no switch considered"
-
-    def _chart(self, title: str, box: pygame.Rect) -> None:
-        self._text(title, 18, FAINT, (box.left, box.top - 16))
-        pygame.draw.line(self.sim_surface, FAINT, box.bottomleft, box.bottomright)
+    def _chart(self, box: pygame.Rect, heading: str, low: str, high: str) -> None:
+        """What charts have in common: a heading above, a line below, and what their ends stand for, on the left."""
+        surface = self.sim_surface
+        self._text(heading, SMALL, FAINT, (box.left, box.top - 20))
+        pygame.draw.line(surface, FAINT, box.bottomleft, box.bottomright)
+        for text, y in ((high, box.top), (low, box.bottom)):
+            label = words(text, SMALL, FAINT)
+            surface.blit(label, label.get_rect(midright=(box.left - 8, y)))
 
     def _step_width(self, box: pygame.Rect) -> float:
         return box.width / max(self.env.episode_steps, len(self.env.history))
@@ -206,28 +207,37 @@ class InteractionViewer(Viewer):
             left = round(box.left + place * width)
             bar = (left, box.bottom - height, max(1, round(width) - 2), height)
             pygame.draw.rect(self.sim_surface, model_color(record["model"]), bar)
-        self._text(f"{1e3 * longest:.1f} ms", 18, FAINT, (box.right - 48, box.top - 16))
+        self._chart(box, "planning time of each step [ms], in the colour of its model", "0", f"{1e3 * longest:.1f}")
 
     def _curve(self, box: pygame.Rect) -> None:
-        """The reward of each step; a collision would dwarf everything, so the curve is cut below -10."""
-        width, rewards = self._step_width(box), [max(record["reward"], -10.0) for record in self.env.history]
-        low, high = min(rewards), max(*rewards, min(rewards) + 1.0)
-        points = [
-            (box.left + (place + 0.5) * width, box.bottom - 2 - (reward - low) / (high - low) * (box.height - 4))
-            for place, reward in enumerate(rewards)
-        ]
+        """The reward of each step, cut at its `WORST`; the line at 0 is drawn where it lies within."""
+        width, rewards = self._step_width(box), [record["reward"] for record in self.env.history]
+        low, high = max(min(rewards), WORST), max(*rewards, WORST + 1.0, min(rewards) + 1.0)
+
+        def height(reward: float) -> float:
+            return box.bottom - (max(reward, WORST) - low) / (high - low) * box.height
+
+        if low < 0 < high:
+            pygame.draw.line(self.sim_surface, GRID, (box.left, height(0)), (box.right, height(0)))
+        points = [(box.left + (place + 0.5) * width, height(reward)) for place, reward in enumerate(rewards)]
         if len(points) > 1:
             pygame.draw.lines(self.sim_surface, INK, False, points, 2)
         pygame.draw.circle(self.sim_surface, INK, points[-1], 3)
-        self._text(
-            f"mean {np.mean([record['reward'] for record in self.env.history]):+.2f}",
-            18,
-            FAINT,
-            (box.right - 70, box.top - 16),
-        )
+        least = f"{low:.1f}" if min(rewards) >= WORST else f"below {WORST:.0f}"
+        self._chart(box, f"reward of each step, {np.mean(rewards):+.2f} on average", least, f"{high:.1f}")
 
     def _text(self, text: str, size: int, color: Color, place: tuple[int, int]) -> None:
-        self.sim_surface.blit(font(size).render(text, True, color), place)
+        self.sim_surface.blit(words(text, size, color), place)
+
+
+def _reason(record: dict[str, Any]) -> str:
+    """Why this model: what switching promised, net of the price of planning."""
+    gains, model = record["gains"], record["model"]
+    if model in gains:
+        return f"switched: estimated net gain {gains[model]:+.3f}"
+    if gains:
+        return "stays: net gain of " + ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
+    return "no switch considered"
 
 
 def check_display() -> None:
@@ -246,7 +256,19 @@ def check_display() -> None:
         raise OSError("there is no display for a person to drive at; use a desktop, or let a program drive")
 
 
-def font(size: int) -> pygame.font.Font:
-    """Pygame's own font; asked for anew each time, since closing any of highway-env's viewers ends the font module."""
-    pygame.font.init()
-    return pygame.font.Font(None, size)
+def words(text: str, size: int, color: Color) -> pygame.Surface:
+    """A line of text in a font of ``size`` px, kerned, on a surface that is as high for every text.
+
+    The font is Matplotlib's, so that pictures are the same on every machine. It is opened anew each time, since closing
+    any of highway-env's viewers ends the font module.
+    """
+    pygame.freetype.init()
+    font = pygame.freetype.Font(_font_file(), size)
+    font.kerning = font.pad = True
+    surface, _ = font.render(text, color)
+    return surface
+
+
+@cache
+def _font_file() -> str:
+    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")

@@ -10,14 +10,16 @@ from jaxtyping import Float
 __all__ = ["CarStates", "CarTracks"]
 
 FEATURES = ("x", "y", "vx", "vy", "cos_h", "sin_h")
-RANGES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
+SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
+LARGEST = float(np.finfo(np.float32).max)
 
 
 class CarStates(ObservationType):
-    """``x, y, vx, vy, cos_h, sin_h`` of robot, human and scripted cars, in this order, scaled to [-1, 1].
+    """``x, y, vx, vy, cos_h, sin_h`` of robot, human and scripted cars, in this order, scaled to about [-1, 1].
 
     The robot's row is absolute, the others' positions and velocities are relative to it, as in highway-env's
-    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s, and clipped.
+    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s. Nothing is clipped: who drives
+    further than 100 m still sees where it is.
     """
 
     def __init__(self, env: Any, cars: int) -> None:
@@ -25,14 +27,15 @@ class CarStates(ObservationType):
         self.shape = (cars, len(FEATURES))
 
     def space(self) -> spaces.Box:
-        return spaces.Box(-1.0, 1.0, shape=self.shape, dtype=np.float32)
+        high = np.tile(np.array([LARGEST] * 4 + [1, 1], np.float32), (self.shape[0], 1))
+        return spaces.Box(-high, high, dtype=np.float32)
 
     def observe(self) -> Float[np.ndarray, "cars 6"]:
         x, y, heading, speed = self.env.car_states.T
         cosine, sine = np.cos(heading), np.sin(heading)
         rows = np.array([x, y, speed * cosine, speed * sine, cosine, sine]).T
         rows[1:, :4] -= rows[0, :4]
-        return (rows / RANGES).clip(-1.0, 1.0).astype(np.float32, order="C")
+        return (rows / SCALES).clip(-LARGEST, LARGEST).astype(np.float32, order="C")
 
 
 class CarTracks(ObservationType):

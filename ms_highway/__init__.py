@@ -6,8 +6,12 @@ in `ms_highway.vehicle`, and what drives them live is in `ms_highway.controller`
 `ms_highway.experiment` runs episodes, and `ms_highway.cli` is the command.
 """
 
-from importlib.metadata import version
+from ms_highway import interrupt
 
-from ms_highway import envs as envs
+interrupt.watch()  # first of all, as what follows takes seconds
+
+from importlib.metadata import version  # noqa: E402
+
+from ms_highway import envs as envs  # noqa: E402
 
 __version__ = version("ms-highway")

@@ -1,7 +1,6 @@
 """How long plans, decisions and environment steps take, and how long they take to compile."""
 
 import os
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -20,6 +19,7 @@ from ms_highway.casadi_peer import compiled_peer
 from ms_highway.compiled import decide_function, forget, observation, pack, packed_memory, plan_function, timed
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiment import make_environment
+from ms_highway.files import temporary_directory
 from ms_highway.game import Game
 from ms_highway.human_models import HumanModel, cold_start
 from ms_highway.switching import PUBLISHED_COSTS, Switching, first_memory
@@ -33,8 +33,8 @@ CACHE, CACHED_FROM = "jax_compilation_cache_dir", "jax_persistent_cache_min_comp
 AGREEMENT = 1e-3  # between ours and the peer's scaled controls
 
 
-def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Measures each rung of a scenario's ladder, in microseconds, in the default configuration, from its first start.
+def bench(scenario: str, peer: bool = False, **planning: Any) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Measures each rung of a scenario's ladder, in microseconds, from its first start.
 
     Compilation is measured on all cores, everything else warm, on one core. Yields for every rung its name and:
 
@@ -48,11 +48,16 @@ def bench(scenario: str, peer: bool = False) -> Iterator[tuple[str, dict[str, An
     * ``flop``: floating-point operations of a plan, from XLA's cost analysis;
     * ``plans_per_s``: throughput of vmapped plans by batch size.
 
+    Args:
+        scenario: its name.
+        peer: whether to measure the peer.
+        planning: how robot and human plan, by key of the environment's configuration.
+
     Raises:
         ImportError: if the peer is wanted and CasADi is not there.
         RuntimeError: if the peer plans something else.
     """
-    env = make_environment(scenario, "naive", human_reward="published")  # which is what the peer knows
+    env = make_environment(scenario, "naive", human_reward="published", **planning)  # which is what the peer knows
     env.reset(seed=0)
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)
@@ -72,9 +77,9 @@ def _measured(game: Game, models: tuple[HumanModel, ...], rung: int, state: jax.
     numbers, layout = pack(game)
     function, arguments = plan_function(models[rung], layout), (numbers, state, jnp.stack(cold_start(game)))
     plans: dict[str, Callable[[], None]] = {"plan_us": partial(_run, function, *arguments)}
-    with tempfile.TemporaryDirectory() as directory:
+    with temporary_directory() as directory:
         if peer:
-            plans["peer_us"] = _peer(game, models[rung], state, np.asarray(function(*arguments))[0], Path(directory))
+            plans["peer_us"] = _peer(game, models[rung], state, np.asarray(function(*arguments))[0], directory)
         times = _times(plans)
     return {
         "plan_us": {"p50": _median(times["plan_us"]), "p99": float(np.quantile(times["plan_us"], 0.99))},
@@ -126,9 +131,9 @@ def _compile_seconds(
     kept = {name: jax.config.values[name] for name in (CACHE, CACHED_FROM)}
     numbers, layout = pack(game)
     seconds: list[float] = []
-    with tempfile.TemporaryDirectory() as directory:
+    with temporary_directory() as directory:
         try:
-            jax.config.update(CACHE, directory if kind == "cached" else None)
+            jax.config.update(CACHE, str(directory) if kind == "cached" else None)
             jax.config.update(CACHED_FROM, 0.0)
             for _ in range(2 if kind == "cached" else 1):  # the first time fills the cache
                 compilation_cache.reset_cache()

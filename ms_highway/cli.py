@@ -18,10 +18,12 @@ from ms_highway.cli_compare import add_compare
 from ms_highway.cli_frontier import add_frontier
 from ms_highway.cli_irl import add_irl
 from ms_highway.cli_report import add_report
+from ms_highway.cli_safety import add_safety
 from ms_highway.cli_sweep import add_sweep
 from ms_highway.cli_video import add_video
 from ms_highway.compiled import keep_compilations, low_latency
-from ms_highway.console import add_command, print_tables
+from ms_highway.console import add_command, print_tables, printing
+from ms_highway.interrupt import INTERRUPTED, STOPPED
 
 __all__ = ["build_parser", "main"]
 
@@ -33,6 +35,12 @@ controls and switching decisions with the logs. Errors are quantiles over all st
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if all went well, 2 with one line on standard error if the input was at fault."""
     given = sys.argv[1:] if arguments is None else arguments
+    for text in given:
+        if any("\ud800" <= letter <= "\udfff" for letter in text):  # how Python keeps other bytes
+            print(
+                f"ms-highway: {text!r} is not UTF-8, which files of results are written in; rename it", file=sys.stderr
+            )
+            return 2
     options = build_parser().parse_args(given)
     options.command_line = shlex.join(["ms-highway", *given])
     options.prepare()
@@ -41,13 +49,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _keep_compilations()
         _import(options.modules)
         options.run(options)
+        with printing():
+            sys.stdout.flush()
     except (ValueError, OSError, ImportError) as error:
         print(f"ms-highway: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        told = "compare, sweep and frontier go on when they are started again in the same way"
-        print(f"ms-highway: stopped; {told}", file=sys.stderr)
-        return 130
+        print(STOPPED, file=sys.stderr)
+        return INTERRUPTED
     return 0
 
 
@@ -89,7 +98,8 @@ def build_parser() -> argparse.ArgumentParser:
         default=[],
         metavar="MODULE",
         help="a Python module, also of the current directory, to be imported first: one that adds scenarios "
-        "(ms_highway.envs.add_scenario) or human models (ms_highway.human_models.register)",
+        "(ms_highway.envs.add_scenario), human models (ms_highway.human_models.register) or features of rewards "
+        "(ms_highway.reward.add_feature)",
     )
     parser.set_defaults(prepare=low_latency)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
@@ -97,6 +107,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_compare(commands)
     add_sweep(commands)
     add_frontier(commands)
+    add_safety(commands)
     add_video(commands)
     add_report(commands)
 

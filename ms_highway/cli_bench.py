@@ -11,7 +11,7 @@ from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ms_highway.bench import bench
-from ms_highway.cli_options import add_devices
+from ms_highway.cli_options import MOST, add_devices, add_planning, planning
 from ms_highway.console import add_command, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.experiment import paper_controllers
@@ -45,6 +45,7 @@ def add_bench(commands: Any) -> None:
         "--batches", nargs="+", type=int, metavar="SIZE", help="measure the closed loop in such batches"
     )
     add_devices(parser)
+    add_planning(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
     parser.set_defaults(run=_bench)
 
@@ -52,6 +53,8 @@ def add_bench(commands: Any) -> None:
 def _bench(options: argparse.Namespace) -> None:
     if (options.batches and options.peer) or (options.devices and not options.batches):
         raise ValueError("--peer is about plans, and --devices about --batches; leave one out")
+    if options.batches and max(options.batches) > MOST:
+        raise ValueError(f"--batches has {max(options.batches)}; a batch may have {MOST} episodes")
     scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
     for scenario in scenarios:
         environment_id(scenario)  # refuses unknown ones before anything is measured
@@ -61,9 +64,16 @@ def _bench(options: argparse.Namespace) -> None:
         task = progress.add_task("measuring", total=None)
         for scenario in scenarios:
             measured = (
-                throughput(scenario, paper_controllers(scenario), options.batches, options.devices, options.modules)
+                throughput(
+                    scenario,
+                    paper_controllers(scenario),
+                    options.batches,
+                    options.devices,
+                    options.modules,
+                    planning(options),
+                )
                 if options.batches
-                else bench(scenario, peer=options.peer == "casadi")
+                else bench(scenario, peer=options.peer == "casadi", **planning(options))
             )
             for name, result in measured:
                 progress.update(task, description=f"measured {scenario}, {name}")

@@ -6,13 +6,24 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway import experiment, report
-from ms_highway.cli_options import CONTROLLERS, add_costs, add_semantics, costs, human_reward
+from ms_highway.cli_options import (
+    CONTROLLERS,
+    MOST,
+    add_costs,
+    add_planning,
+    add_semantics,
+    check_most,
+    costs,
+    human_reward,
+    note_run,
+    planning,
+)
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS
-from ms_highway.figures import figures
-from ms_highway.files import replacing
+from ms_highway.figures import CAPTIONS, figures
+from ms_highway.files import held, replacing, tidy
 from ms_highway.planner import Solver
-from ms_highway.provenance import add_run, read_runs, this_run
+from ms_highway.provenance import read_runs
 from ms_highway.results import read_results
 
 __all__ = ["add_compare", "comparison"]
@@ -22,13 +33,14 @@ Run the same seeded episodes with several controllers and compare reward and com
 
 A controller is a human model that plans every step (naive, turn, tom); or switching:LAMBDA, which chooses the model at
 every step and pays LAMBDA reward for a second of planning; or schedule:MODEL=STEPS,...,MODEL, an order that is fixed
-beforehand, such as schedule:tom=6,naive. Without scenarios and controllers, the paper's comparison runs: its three
-scenarios, each with its ladder and the paper's two lambdas.
+beforehand, such as schedule:tom=6,naive; or random:MODEL=SHARE,..., a model drawn for every step, such as
+random:naive=0.7,tom=0.3: a choice that looks at nothing, which others have to beat. Without scenarios and controllers,
+the paper's comparison runs: its three scenarios, each with its ladder and the paper's two lambdas.
 
 Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
-SCENARIO_bars.png, _timeline.png, _curve.png (reward against computation) and _decisions.png; settings.json and
-provenance.json say what they were made with. Stopped and started again with the same --out, it goes on where it was;
-with more controllers or scenarios, it adds them. `ms-highway report` makes a page of them."""
+SCENARIO_bars.png (of three lambdas or more _curve.png, reward against computation), _timeline.png and _decisions.png;
+settings.json and provenance.json say what they were made with. Stopped and started again with the same --out, it goes
+on where it was; with more controllers or scenarios, it adds them. `ms-highway report` makes a page of them."""
 
 EXAMPLES = """\
 examples:
@@ -37,7 +49,8 @@ examples:
   ms-highway compare merger --controllers tom switching:{0.01,0.1} schedule:tom={4,6,8},naive --out results/curve
   ms-highway compare merger --ladder naive tom --controllers switching:0.1 --out results/two_rungs
   ms-highway compare give_way --semantics released --costs measured --out results/measured
-  ms-highway compare stay_back --controllers naive turn --solver newton --seeds 100 --out results/newton"""
+  ms-highway compare stay_back --controllers naive turn --solver newton --seeds 100 --out results/newton
+  ms-highway compare merger --horizon 10 --control-limit 0.2,9 --out results/second"""
 
 
 def add_compare(commands: Any) -> None:
@@ -65,6 +78,7 @@ def add_compare(commands: Any) -> None:
         "newton, second-order steps with a line search; tom always takes gradient steps",
     )
     add_costs(parser)
+    add_planning(parser)
     parser.add_argument(
         "--out", type=Path, default=Path("results/compare"), help="directory of results (default: results/compare)"
     )
@@ -79,6 +93,7 @@ def comparison(options: argparse.Namespace) -> experiment.Comparison:
     """
     if options.seeds < 1:
         raise ValueError(f"--seeds is {options.seeds}; there must be at least one episode")
+    check_most(options, seeds=MOST)
     scenarios = list(dict.fromkeys(options.scenarios)) or list(PAPER_SCENARIOS)
     chosen = list(dict.fromkeys(options.controllers or []))
     asked = experiment.Comparison(
@@ -89,6 +104,7 @@ def comparison(options: argparse.Namespace) -> experiment.Comparison:
         options.solver,
         human_reward(options.human_reward),
         options.ladder,
+        planning=planning(options),
     )
     asked.check()
     return asked
@@ -96,11 +112,19 @@ def comparison(options: argparse.Namespace) -> experiment.Comparison:
 
 def _compare(options: argparse.Namespace) -> None:
     asked = comparison(options)
+    with held(options.out):
+        _run(asked, options)
+    print(f"results are in {options.out}")
+
+
+def _run(asked: experiment.Comparison, options: argparse.Namespace) -> None:
+    """Compare, and write and print what came of it."""
     read_runs(options.out)  # refuses what cannot be read before anything is run
     counts, wanted = experiment.run(asked, options.out), len(list(asked.episodes()))
     already = next(counts)
+    tidy(options.out)
     if already < wanted:
-        add_run(options.out, this_run(options.command_line))
+        note_run(options)
     count_episodes(counts, already, wanted)
     summaries = report.summary(experiment.read(asked, options.out))
     for scenario in asked.controllers:
@@ -109,7 +133,9 @@ def _compare(options: argparse.Namespace) -> None:
     with replacing(options.out / "summary.csv") as path:
         results.summaries.to_csv(path, index=False)
     for scenario in asked.controllers:
-        for name, figure in figures(results.records, results.summaries, scenario).items():
+        drawn = figures(results.records, results.summaries, scenario)
+        for name, figure in drawn.items():
             with replacing(options.out / f"{scenario}_{name}.png") as path:
                 figure.savefig(path, dpi=110)
-    print(f"results are in {options.out}")
+        for name in CAPTIONS.keys() - drawn.keys():  # what fewer controllers had
+            (options.out / f"{scenario}_{name}.png").unlink(missing_ok=True)

@@ -9,16 +9,28 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ms_highway.cli_options import add_costs, add_devices, add_semantics, check_least, costs, human_reward
+from ms_highway.cli_options import (
+    MOST,
+    add_costs,
+    add_devices,
+    add_planning,
+    add_semantics,
+    check_least,
+    check_most,
+    costs,
+    human_reward,
+    note_run,
+    planning,
+)
 from ms_highway.compiled import high_throughput
 from ms_highway.console import add_command, print_tables, work
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
 from ms_highway.episodes import Batch, make_batch
 from ms_highway.experiment import SETTINGS_FILE, Comparison, check_settings
-from ms_highway.files import replacing
+from ms_highway.files import held, replacing, tidy
 from ms_highway.frontier import Outcomes, search
 from ms_highway.frontier_report import figure, regret_tables
-from ms_highway.provenance import add_run, read_runs, this_run
+from ms_highway.provenance import read_runs
 from ms_highway.regret import best, regrets
 from ms_highway.simulation import use_devices
 
@@ -71,6 +83,7 @@ def add_frontier(commands: Any) -> None:
     parser.add_argument("--ladder", nargs="+", metavar="MODEL", help="models to choose from (default: the scenario's)")
     add_semantics(parser)
     add_costs(parser, measured=False)
+    add_planning(parser)
     add_devices(parser)
     parser.add_argument(
         "--out",
@@ -88,12 +101,14 @@ def _frontier(options: argparse.Namespace) -> None:
     batches = [make_batch(comparison, name) for name in comparison.controllers]
     settings = {**comparison.common_config(), "costs": comparison.costs}
     check_settings(options.out, settings)
-    read_runs(options.out)  # refuses what cannot be read before anything is run
-    every = [Outcomes(batch, _file(options.out, batch), mesh) for batch in batches]
-    with replacing(options.out / SETTINGS_FILE) as path:
-        path.write_text(json.dumps(settings, indent=2) + "\n")
-    add_run(options.out, this_run(options.command_line))
-    behind = work(_search(every, options))
+    with held(options.out):
+        tidy(options.out)
+        read_runs(options.out)  # refuses what cannot be read before anything is run
+        every = [Outcomes(batch, _file(options.out, batch), mesh) for batch in batches]
+        with replacing(options.out / SETTINGS_FILE) as path:
+            path.write_text(json.dumps(settings, indent=2) + "\n")
+        note_run(options)
+        behind = work(_search(every, options))
     for scenario in comparison.controllers:
         print_tables(*regret_tables(behind, scenario))
     print(f"results are in {options.out}")
@@ -106,6 +121,10 @@ def _comparison(options: argparse.Namespace) -> Comparison:
         ValueError: naming what cannot be searched.
     """
     check_least(options, seeds=1, population=1, rounds=1, devices=1)
+    check_most(options, seeds=MOST, population=MOST, rounds=MOST)
+    if options.seeds * options.population > MOST:
+        told = f"--seeds {options.seeds} times --population {options.population}"
+        raise ValueError(f"{told} is {options.seeds * options.population} orders in a round; it must be {MOST} or less")
     for price in options.prices:
         if not 0 <= price < np.inf:
             raise ValueError(f"--prices has {price:g}; a price must be a number that is not negative, such as 0.1")
@@ -122,6 +141,7 @@ def _comparison(options: argparse.Namespace) -> Comparison:
         costs(options.costs),
         human_reward=human_reward(options.human_reward),
         ladder=options.ladder,
+        planning=planning(options),
     )
     comparison.check()
     return comparison

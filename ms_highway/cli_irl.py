@@ -12,6 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ms_highway import commonroad, demonstrations, irl_report
+from ms_highway.cli_options import MOST, check_most
 from ms_highway.console import add_command, count_episodes, print_tables, work
 from ms_highway.demonstrators import TEMPERATURE
 from ms_highway.evaluation import cross_validate, evaluate
@@ -87,6 +88,8 @@ DPI = 110
 
 MINARI = "minari:"
 HORIZON = 5  # steps, that of the paper's plans
+MOST_STEPS = 1000  # of a window
+MOST_SEED = 2**32 - 1  # that JAX's random numbers take
 
 
 def add_irl(commands: Any) -> None:
@@ -124,6 +127,7 @@ def _add_record(commands: Any) -> None:
 
 
 def _record(options: argparse.Namespace) -> None:
+    check_most(options, episodes=MOST, seed=MOST_SEED)
     counts = demonstrations.record(
         options.driver, options.episodes, options.dataset, options.density, options.seed, options.temperature
     )
@@ -235,6 +239,7 @@ def _horizon(options: argparse.Namespace) -> int:
     steps = HORIZON if options.horizon is None else options.horizon
     if steps < 1:
         raise ValueError(f"--horizon is {steps}; a window has at least one step")
+    check_most(options, horizon=MOST_STEPS)
     return steps
 
 

@@ -1,14 +1,34 @@
 """Options that several commands have in common, and what they stand for."""
 
 import argparse
+import sys
 from pathlib import Path
+from typing import Any
 
-from ms_highway.envs.configuration import HUMAN_REWARDS
+from ms_highway.envs.configuration import HUMAN_REWARDS, PLANNING
 from ms_highway.learnt import load
+from ms_highway.provenance import add_run, differing_versions, this_run
 
-__all__ = ["CONTROLLERS", "add_costs", "add_devices", "add_semantics", "check_least", "costs", "human_reward"]
+__all__ = [
+    "CONTROLLERS",
+    "MOST",
+    "add_costs",
+    "add_devices",
+    "add_planning",
+    "add_semantics",
+    "check_least",
+    "check_most",
+    "control_limit",
+    "costs",
+    "human_reward",
+    "note_run",
+    "planning",
+]
 
-CONTROLLERS = "naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL"
+MOST = 1_000_000
+"""Of episodes per controller, of parts of a sweep, and of what else is counted: more takes years, or all memory."""
+
+CONTROLLERS = "naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL, random:MODEL=SHARE,..."
 """What controllers are called on the command line, for help texts."""
 
 
@@ -40,6 +60,47 @@ def human_reward(text: str | None) -> str | dict[str, float] | None:
         return load(Path(text)).weights
     except ValueError as error:
         raise ValueError(f"--human-reward is neither {' nor '.join(HUMAN_REWARDS.values())}: {error}") from error
+
+
+def add_planning(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say how robot and human plan, see `planning`, to a command."""
+    group = parser.add_argument_group("plans of robot and human", "see ms_highway.ascent.Ascent")
+    group.add_argument("--horizon", type=int, metavar="K", help="controls that are planned (default: 5)")
+    group.add_argument("--time-step", type=float, metavar="SECONDS", help="of plans and world (default: 0.1)")
+    group.add_argument("--iterations", type=int, help="gradient steps (default: as suits the horizon; paper: 20)")
+    group.add_argument("--step-size", type=float, help="length of one (default: as suits the horizon; paper: 0.03)")
+    group.add_argument(
+        "--control-limit",
+        metavar="OMEGA,ACCELERATION",
+        help="bounds on the controls, or unlimited (default: 0.2,50 in paper semantics, 1/m and m/s^2; unlimited in "
+        "released semantics)",
+    )
+
+
+def planning(options: argparse.Namespace) -> dict[str, Any]:
+    """What the options of `add_planning` ask for, as far as they are given, by key of the configuration.
+
+    Raises:
+        ValueError: if the limits are no numbers.
+    """
+    given = {key: getattr(options, key) for key in PLANNING if getattr(options, key) is not None}
+    if "control_limit" in given:
+        given["control_limit"] = control_limit("--control-limit", given["control_limit"])
+    return given
+
+
+def control_limit(option: str, text: str) -> list[float] | str:
+    """The bounds on plans that an option asks for.
+
+    Raises:
+        ValueError: if the limits are no numbers.
+    """
+    if text == "unlimited":
+        return text
+    try:
+        return [float(bound) for bound in text.split(",")]
+    except ValueError:
+        raise ValueError(f"{option} is {text!r}; give two numbers like 0.2,9, or unlimited") from None
 
 
 def add_costs(parser: argparse.ArgumentParser, measured: bool = True) -> None:
@@ -82,3 +143,27 @@ def check_least(options: argparse.Namespace, **least: int) -> None:
         value = getattr(options, name)
         if value is not None and value < bound:
             raise ValueError(f"--{name} is {value}; it must be {bound} or more")
+
+
+def check_most(options: argparse.Namespace, **most: int) -> None:
+    """Check numbers that options give, by name, against the most that they may be.
+
+    Raises:
+        ValueError: naming an option whose number is larger.
+    """
+    for name, bound in most.items():
+        value = getattr(options, name)
+        if value is not None and value > bound:
+            raise ValueError(f"--{name.replace('_', '-')} is {value}; it must be {bound} or less")
+
+
+def note_run(options: argparse.Namespace) -> None:
+    """Record this run in the directory ``--out``, and say so if other versions have made what is there.
+
+    Raises:
+        ValueError: if the record cannot be read.
+    """
+    run = this_run(options.command_line)
+    if differing := differing_versions(options.out, run):
+        print(f"ms-highway: {options.out} goes on with {differing}; results may not agree", file=sys.stderr)
+    add_run(options.out, run)

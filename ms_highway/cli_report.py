@@ -7,22 +7,26 @@ from typing import Any
 
 from ms_highway.console import add_command, draw_unseen, work
 from ms_highway.files import replacing
-from ms_highway.markdown import markdown_table
+from ms_highway.overview import markdown, overview
 from ms_highway.page import draw, render
 from ms_highway.results import Results, read_results
+from ms_highway.safety import SAFETY_FILE, read_safety, safety_cells
 from ms_highway.video import check_format
 
 __all__ = ["add_report"]
 
 HELP = """\
-Make one HTML page of a directory that `ms-highway compare` wrote: tables, figures, a video of two controllers side by
-side, and the settings, versions, machine and commands that made it. The page is a single file and needs no network.
+Make one HTML page of a directory that `ms-highway compare` wrote: a table and sentences that tell what was found,
+figures, a video of two controllers side by side, and the settings, versions, machine and commands that made it. Of
+further such directories, the page has the outcomes beside those of the first, and of a directory that `ms-highway
+safety` wrote, its collisions. It is a single file and needs no network.
 
-With --markdown, print the table of results in Markdown instead; several directories get columns beside each other."""
+With --markdown, print the tables in Markdown instead."""
 
 EXAMPLES = """\
 examples:
   ms-highway report results/compare
+  ms-highway report results/compare results/released results/safety --out page.html
   ms-highway report results/merger --no-videos --out merger.html
   ms-highway report results/compare results/released --markdown"""
 
@@ -31,9 +35,15 @@ def add_report(commands: Any) -> None:
     """Add the command ``report`` to a parser's subparsers."""
     parser = add_command(commands, "report", "make a page of a comparison", HELP, EXAMPLES)
     parser.add_argument(
-        "directories", nargs="+", type=Path, metavar="DIR", help="directory of results of `ms-highway compare`"
+        "directories",
+        nargs="+",
+        type=Path,
+        metavar="DIR",
+        help="directories of results of `ms-highway compare`, and of `safety`",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="an .html file (default: DIR/report.html)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="an .html file (default: report.html in the first DIR)"
+    )
     parser.add_argument(
         "--videos",
         action=argparse.BooleanOptionalAction,
@@ -45,29 +55,29 @@ def add_report(commands: Any) -> None:
 
 
 def _report(options: argparse.Namespace) -> None:
-    if options.markdown:
-        if options.out:
-            raise ValueError("--out is the file of a page; leave it out with --markdown, which prints")
-        several = [read_results(directory) for directory in options.directories]
-        for results in several:
-            _tell_what_is_missing(results)
-        print(markdown_table(several))
-        return
-    if len(options.directories) > 1:
-        raise ValueError("a page shows one directory of results; name one, or add --markdown")
-    (directory,) = options.directories
-    out = options.out or directory / "report.html"
+    out = options.out or options.directories[0] / "report.html"
+    if options.markdown and options.out:
+        raise ValueError("--out is the file of a page; leave it out with --markdown, which prints")
     if out.suffix != ".html" or out.is_dir():
         raise ValueError(f"--out is {out}; name an .html file")
-    results = read_results(directory)
-    _tell_what_is_missing(results)
+    counted = [directory for directory in options.directories if (directory / SAFETY_FILE).is_file()]
+    several = [read_results(directory) for directory in options.directories if directory not in counted]
+    safeties = [read_safety(directory) for directory in counted]
+    for results in several:
+        _tell_what_is_missing(results)
+    if options.markdown:
+        tables = [overview(several)] if several else []
+        print("\n\n".join(markdown(table) for table in [*tables, *map(safety_cells, safeties)]))
+        return
+    if not several:
+        raise ValueError(f"{counted[0]} holds no comparison; name a directory that `ms-highway compare` wrote as well")
     if options.videos:
         try:
             check_format(Path("film.mp4"))
         except ImportError as error:
             raise ImportError(f"{error}, or add --no-videos") from error
     draw_unseen()
-    page = render(results, work(draw(results, options.videos)))
+    page = render(several, work(draw(several, options.videos)), safeties)
     with replacing(out) as path:
         path.write_text(page, encoding="utf-8")
     print(f"the page is {out}, {len(page) / 1e6:.1f} MB")

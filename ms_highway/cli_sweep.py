@@ -1,25 +1,38 @@
 """The command ``ms-highway sweep``."""
 
 import argparse
-import socket
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import jax
-
 from ms_highway import report, tradeoff
-from ms_highway.cli_options import CONTROLLERS, add_costs, add_devices, add_semantics, check_least, costs, human_reward
+from ms_highway.cli_options import (
+    CONTROLLERS,
+    MOST,
+    add_costs,
+    add_devices,
+    add_planning,
+    add_semantics,
+    check_least,
+    check_most,
+    costs,
+    human_reward,
+    note_run,
+    planning,
+)
 from ms_highway.compiled import high_throughput
 from ms_highway.console import add_command, count_episodes, print_tables
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.experiment import Comparison, check_settings
-from ms_highway.files import replacing
-from ms_highway.provenance import add_run, read_runs, this_run
+from ms_highway.files import held, replacing, tidy
+from ms_highway.peers import together
+from ms_highway.provenance import read_runs
 from ms_highway.simulation import use_devices
 
 __all__ = ["add_sweep"]
 
 MOST_SEEDS = 2**63  # which Parquet's integers hold
+MOST_PROCESSES = 1000
 
 HELP = """\
 Simulate very many episodes of a scenario, all in JAX and many at a time, and compare reward and computation.
@@ -37,7 +50,8 @@ those of processes have to be the same.
 
 Episodes are shared by all devices (on CPUs, by default one per core). They are the same byte for byte, however often
 the sweep is stopped, and however many parts, devices and processes share it; only other kinds of CPUs may round
-otherwise. Several processes need the same options and the same --out, on a disk that they share.
+otherwise. Several processes need the same options and the same --out, on a disk that they share; if one ends, all do.
+Process 0 listens at the address --coordinator, at which the others have to reach it, and at no other.
 
 Memory is bounded: about half a GB for every device, each of which compiles its own program, and 6 kB (with --steps 25)
 for every episode of --part, of which each device has one at a time. The summary at the end reads all rows per episode,
@@ -74,6 +88,7 @@ def add_sweep(commands: Any) -> None:
     parser.add_argument("--ladder", nargs="+", metavar="MODEL", help="models to switch among (default: the scenario's)")
     add_semantics(parser)
     add_costs(parser, measured=False)
+    add_planning(parser)
     parser.add_argument("--steps", action="store_true", help="keep a row per step as well, about 40 times as much")
     parser.add_argument("--part", type=int, default=1024, help="episodes per part, of any controller (default: 1024)")
     add_devices(parser)
@@ -90,6 +105,7 @@ def _sweep(options: argparse.Namespace) -> None:
     except ModuleNotFoundError as error:
         raise ImportError(f"{error}; install the extra with: pip install 'ms-highway[sweep]'") from error
     check_least(options, episodes=1, part=1, devices=1, processes=1, seed=0, process=0)
+    check_most(options, part=MOST, processes=MOST_PROCESSES)
     if options.process >= options.processes or (options.processes > 1) != (options.coordinator is not None):
         told = f"--process {options.process} of --processes {options.processes}, --coordinator {options.coordinator}"
         raise ValueError(
@@ -100,39 +116,26 @@ def _sweep(options: argparse.Namespace) -> None:
     comparison = _comparison(options, module.prices)
     comparison.check()
     job = module.Sweep(comparison, options.part, options.steps)
+    if job.parts > MOST:
+        told = f"--episodes {options.episodes} of {len(comparison.controllers[options.scenario])} controllers"
+        raise ValueError(f"{told} are {job.parts} parts; there may be {MOST} with --part {options.part}")
     worker = module.Worker(options.process, options.processes)
     check_settings(options.out, job.settings())
     read_runs(options.out)  # refuses what cannot be read before anything is run
-    if worker.of > 1:
-        _join(options)
-    mesh = use_devices(options.devices)
-    counts = module.run_sweep(job, options.out, mesh, worker)
-    already, wanted = next(counts), sum(job.size(part) for part in worker.parts(job))
-    if worker.place == 0 and module.missing(job, options.out):
-        add_run(options.out, this_run(options.command_line))
-    count_episodes(counts, already, wanted)
-    module.wait_for_all(job, options.out)
-    if worker.place == 0:
-        _report(module.sweep_summary(module.read_sweep(job, options.out)), options.scenario, options.out)
-
-
-def _join(options: argparse.Namespace) -> None:
-    """Join the processes that share the sweep, so that all stop if one fails.
-
-    Raises:
-        ValueError: if the coordinator has no such address, or is not there.
-    """
-    host, _, port = options.coordinator.rpartition(":")
-    try:
-        if options.process == 0:  # JAX would abort where the port is in use
-            socket.create_server(("", int(port))).close()
-        else:
-            socket.getaddrinfo(host, int(port))
-        jax.distributed.initialize(options.coordinator, options.processes, options.process)
-    except (ValueError, OSError, RuntimeError, OverflowError) as error:
-        raise ValueError(
-            f"--coordinator {options.coordinator}: {error}; give HOST:PORT, a free port of the machine of process 0"
-        ) from error
+    with ExitStack() as stack:
+        if worker.place == 0:
+            stack.enter_context(held(options.out))
+            tidy(options.out, *(options.out / kind for kind in (module.EPISODES, module.STEPS)))
+        if worker.of > 1:
+            stack.enter_context(together(options.coordinator, worker.of, worker.place))
+        counts = module.run_sweep(job, options.out, use_devices(options.devices), worker)
+        already, wanted = next(counts), sum(job.size(part) for part in worker.parts(job))
+        if worker.place == 0 and module.missing(job, options.out):
+            note_run(options)
+        count_episodes(counts, already, wanted)
+        module.wait_for_all(job, options.out)
+        if worker.place == 0:
+            _report(module.sweep_summary(module.read_sweep(job, options.out)), options.scenario, options.out)
 
 
 def _comparison(options: argparse.Namespace, prices: Any) -> Comparison:
@@ -151,6 +154,7 @@ def _comparison(options: argparse.Namespace, prices: Any) -> Comparison:
         human_reward=human_reward(options.human_reward),
         ladder=options.ladder,
         first_seed=options.seed,
+        planning=planning(options),
     )
 
 

@@ -1,12 +1,11 @@
 """The command ``ms-highway video``."""
 
 import argparse
-import math
 from pathlib import Path
 from typing import Any
 
 from ms_highway import video
-from ms_highway.cli_options import CONTROLLERS, add_semantics, human_reward
+from ms_highway.cli_options import CONTROLLERS, add_planning, add_semantics, human_reward, planning
 from ms_highway.console import add_command, draw_unseen
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.configuration import controller_config
@@ -14,6 +13,8 @@ from ms_highway.experiment import paper_controllers
 from ms_highway.side_by_side import side_by_side
 
 __all__ = ["add_video"]
+
+SLOWEST, FASTEST = 0.01, 100
 
 HELP = """\
 Film one episode from above: the road, the robot's plan, the human path that it counts on, and a panel with the model
@@ -40,6 +41,7 @@ def add_video(commands: Any) -> None:
     parser.add_argument("--against", metavar="CONTROLLER", help="a second controller, filmed from the same start")
     parser.add_argument("--seed", type=int, default=0, help="seed of the episode (default: 0)")
     add_semantics(parser)
+    add_planning(parser)
     parser.add_argument("--speed", type=float, default=1.0, help="1 is true speed (default), 0.5 slow motion")
     parser.add_argument("--width", type=int, metavar="PIXELS", help="scale the video down to this width")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4 or .gif file")
@@ -47,8 +49,8 @@ def add_video(commands: Any) -> None:
 
 
 def _video(options: argparse.Namespace) -> None:
-    if not 0 < options.speed < math.inf:
-        raise ValueError(f"--speed is {options.speed}; it must be positive")
+    if not SLOWEST <= options.speed <= FASTEST:
+        raise ValueError(f"--speed is {options.speed}; it must be between {SLOWEST} and {FASTEST}")
     if options.seed < 0:
         raise ValueError(f"--seed is {options.seed}; it must not be negative")
     environment_id(options.scenario)
@@ -59,7 +61,7 @@ def _video(options: argparse.Namespace) -> None:
     controllers += [options.against] if options.against else []
     for controller in controllers:
         controller_config(controller)
-    config = {"semantics": options.semantics, "human_reward": human_reward(options.human_reward)}
+    config = {"semantics": options.semantics, "human_reward": human_reward(options.human_reward)} | planning(options)
     draw_unseen()
     films = [video.film(options.scenario, controller, options.seed, **config) for controller in controllers]
     pictures = side_by_side(films) if options.against else films[0].pictures

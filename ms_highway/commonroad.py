@@ -1,15 +1,16 @@
 """Human driving from CommonRoad scenarios, such as those of the US-101 highway, as recordings in lane coordinates."""
 
 import gzip
-import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Float
 
+from ms_highway.files import temporary_directory
 from ms_highway.lane_coordinates import LaneCoordinates, along
 from ms_highway.recording import Recording
 from ms_highway.scenario import TIME_STEP
@@ -22,6 +23,12 @@ LANE_SPREAD = 0.5  # m, median departure from the median offset; more, and a lan
 DISTINCT_LANES = 1.0  # m; chains of lanelets that are closer are one lane
 
 COMPRESSED = ".xml.gz"
+
+MOST_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some million
+MOST_METRES = 100_000.0  # from one end of a scenario to the other
+MOST_SPEED, MOST_SIZE = 200.0, 100.0  # m/s and m, of a vehicle
+MOST_RADIANS = 1000.0  # of an orientation
+MOST_STATES = 10_000_000  # of all cars at all times
 
 
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
@@ -50,7 +57,7 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
 
 def _open(path: Path) -> Any:
     """The scenario of a file, as commonroad-io has it."""
-    with tempfile.TemporaryDirectory() as temporary, warnings.catch_warnings():
+    with temporary_directory() as directory, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about what is of no interest here, such as unknown locations
         try:
             from commonroad.common.file_reader import CommonRoadFileReader
@@ -61,14 +68,26 @@ def _open(path: Path) -> Any:
         try:
             readable = path
             if path.name.endswith(COMPRESSED):
-                readable = Path(temporary) / path.name.removesuffix(".gz")
-                readable.write_bytes(gzip.decompress(path.read_bytes()))
+                readable = directory / path.name.removesuffix(".gz")
+                with gzip.open(path) as packed:
+                    readable.write_bytes(packed.read(MOST_BYTES + 1))
+            if readable.stat().st_size > MOST_BYTES:
+                raise ValueError(f"more than {MOST_BYTES} bytes of XML")
+            _check_orientations(readable)
             scenario, _ = CommonRoadFileReader(readable).open()
         except Exception as error:  # of many kinds: whatever unpacking, parsing and the library stumble over
             raise ValueError(
                 f"{path} is no CommonRoad scenario, or damaged ({type(error).__name__}: {error}); fetch it again"
             ) from error
     return scenario
+
+
+def _check_orientations(path: Path) -> None:
+    """Refuse angles that commonroad-io would never be done with: it takes off one turn after the other."""
+    for orientation in ElementTree.parse(path).iter("orientation"):
+        for text in orientation.itertext():
+            if text.strip() and not abs(float(text)) <= MOST_RADIANS:
+                raise ValueError(f"an orientation of {text} rad")
 
 
 def _convert(scenario: Any, path: Path, counted: set[tuple]) -> Recording:
@@ -81,7 +100,10 @@ def _convert(scenario: Any, path: Path, counted: set[tuple]) -> Recording:
     tracks = [_samples(obstacle, path) for obstacle in obstacles]
     if not any(len(track) > 1 for track in tracks):
         raise ValueError(f"{path} has no dynamic obstacle with two samples; there is no driving in it")
+    _check_extent(np.concatenate([track[:, 1:3] for track in tracks]), path, "obstacles")
     times = 1 + max(int(track[-1, 0]) for track in tracks)
+    if times * len(tracks) > MOST_STATES:
+        raise ValueError(f"{path} has {len(tracks)} obstacles in {times} time steps; {MOST_STATES} states can be read")
     states = np.full((times, len(tracks), 4), np.nan)
     drivers = []
     for car, (obstacle, track) in enumerate(zip(obstacles, tracks, strict=True)):
@@ -126,7 +148,26 @@ def _samples(obstacle: Any, path: Path) -> Float[np.ndarray, "times 5"]:
             f"{path}: obstacle {obstacle.obstacle_id} is not finite at time step {sample[0]:g}: {sample[1:]}; "
             "mend the file or leave it out"
         )
+    if np.abs(samples[:, 4]).max() > MOST_SPEED or max(_size(obstacle.obstacle_shape)) > MOST_SIZE:
+        raise ValueError(
+            f"{path}: obstacle {obstacle.obstacle_id} is longer than {MOST_SIZE:g} m, or faster than {MOST_SPEED:g}; "
+            "mend the file or leave it out"
+        )
+    if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():
+        raise ValueError(
+            f"{path}: the times of obstacle {obstacle.obstacle_id} do not follow each other from 0 on; "
+            "mend the file or leave it out"
+        )
     return samples
+
+
+def _check_extent(points: Float[np.ndarray, "points 2"], path: Path, of: str) -> None:
+    """Refuse points that are on no road."""
+    if not np.isfinite(points).all():
+        raise ValueError(f"{path}: coordinates of {of} are not finite; mend the file or leave it out")
+    extent = np.ptp(points, axis=0).max()
+    if extent > MOST_METRES:
+        raise ValueError(f"{path}: {of} are up to {extent:.3g} m apart; roads of up to {MOST_METRES:g} m can be read")
 
 
 def _size(shape: Any) -> tuple[float, float]:
@@ -143,6 +184,7 @@ def _road(network: Any, path: Path) -> tuple[LaneCoordinates, Float[np.ndarray, 
     if not chains:
         raise ValueError(f"{path} has no lanelets from which lanes start; driving can only be judged on a road")
     lines = [np.concatenate([lanelet.center_vertices for lanelet in chain]) for chain in chains]
+    _check_extent(np.concatenate(lines), path, "lanelets")
     # Any lane tells which of the others are parallel to it. A ramp, to which nothing is, shows itself.
     offsets = max((_offsets(along(line), lines) for line in lines), key=lambda offset: np.isfinite(offset).sum())
     if not np.isfinite(offsets).any():

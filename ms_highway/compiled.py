@@ -5,7 +5,7 @@ numbers of a game travel as one array.
 """
 
 import os
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from functools import cache, partial, wraps
 from math import prod
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.compilations import check_owner, use_checked_cache
 from ms_highway.dynamics import Array, recover_control
 from ms_highway.game import Game
 from ms_highway.human_models import HumanModel, JointPlan, cold_start
@@ -32,13 +33,16 @@ __all__ = [
     "forget",
     "high_throughput",
     "in_one_kernel",
+    "jit_quickly",
     "keep_compilations",
+    "known_options",
     "low_latency",
     "measure_costs",
     "observation",
     "pack",
     "packed_memory",
     "plan_function",
+    "refuse_after_fork",
     "timed",
     "warm_up",
 ]
@@ -46,7 +50,8 @@ __all__ = [
 State = Float[jax.Array, "cars 4"]
 
 QUICKLY = {"xla_cpu_use_fusion_emitters": False}
-"""Compiler options that halve compilation; they cost small plans a tenth of their speed, and large ones nothing."""
+"""Compiler options that halve compilation, where XLA knows them (JAX up to 0.11.0); they cost small plans a tenth of
+their speed, and large ones nothing."""
 
 
 KERNEL_BYTES = 100_000
@@ -93,7 +98,11 @@ def low_latency() -> None:
     computation over to another thread, and starting a hundred kernels per iteration. The first is switched off; against
     the second, XLA is told to compile loops of up to `KERNEL_BYTES` per iteration as one kernel, as it does by itself
     only with much smaller ones. Where ``XLA_FLAGS`` has that option already or names a file, it stays as it is; and
-    where JAX has begun already, plans are slower, and the same.
+    where JAX has begun already, plans are slower.
+
+    The last digits of plans are others than without it, as everything that is compiled otherwise rounds otherwise.
+    Chaotic episodes make much of them: in Stay Back, single episodes may end otherwise, and means over 30 of them
+    differ in the first digit. So whoever compares with results of the command needs this call as well.
     """
     option = "xla_cpu_small_while_loop_byte_threshold"
     _tell_xla(option, f"--xla_backend_extra_options={option}={KERNEL_BYTES}")
@@ -142,6 +151,47 @@ def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array
     return looped
 
 
+def jit_quickly(
+    function: Callable[..., Any], *, static_argnums: tuple[int, ...] = (), options: Mapping[str, Any] | None = None
+) -> Callable[..., Any]:
+    """`jax.jit` with the compiler options `QUICKLY`, and any others, as far as this version of XLA knows them.
+
+    XLA is asked when the function is first called: whoever only imports a module does not start JAX.
+
+    Args:
+        function: what to compile.
+        static_argnums: see `jax.jit`.
+        options: further compiler options by name.
+    """
+    chosen = {**QUICKLY, **(options or {})}
+
+    @cache
+    def compiled() -> jax.stages.Wrapped:
+        return jax.jit(function, static_argnums=static_argnums, compiler_options=known_options(chosen))
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        return compiled()(*arguments)
+
+    return call
+
+
+def known_options(options: Mapping[str, Hashable]) -> dict[str, Hashable]:
+    """Those of the compiler options that this version of XLA knows; starts JAX."""
+    return {name: value for name, value in options.items() if _knows(name, value)}
+
+
+@cache
+def _knows(option: str, value: Hashable) -> bool:
+    try:
+        jax.jit(lambda: 0, compiler_options={option: value}).lower().compile()
+    except jax.errors.JaxRuntimeError as error:
+        if "No such compile option" not in str(error):
+            raise
+        return False
+    return True
+
+
 @cache
 def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
     """``model.plan``, compiled once for all that plan so.
@@ -156,7 +206,7 @@ def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
         return jnp.stack(model.plan(layout.unpack(numbers), state, JointPlan(*start)))
 
     if model.responds:  # through LAPACK (`eigh` or `solve`), whose calls no kernel can hold
-        return jax.jit(plan, compiler_options=QUICKLY)
+        return jax.jit(plan, compiler_options=known_options(QUICKLY))
     return jax.jit(in_one_kernel(plan))
 
 
@@ -168,7 +218,7 @@ def decide_function(layout: Layout) -> jax.stages.Wrapped:
     a packed (Switching, Game). It returns the new memory, packed, and the gains of going up and down.
     """
 
-    @partial(jax.jit, compiler_options=QUICKLY)
+    @partial(jax.jit, compiler_options=known_options(QUICKLY))
     @in_one_kernel
     def observe_and_decide(observed: Float[jax.Array, "m"], numbers: Float[jax.Array, "n"]) -> Float[jax.Array, "k"]:
         switching, game = layout.unpack(numbers)
@@ -204,6 +254,29 @@ def observation(
 
 
 _warm: set[Hashable] = set()  # compiled functions that have run with arguments of these shapes
+_forked = False  # whether this process was forked from one in which JAX had begun
+
+
+def _note_fork() -> None:
+    from jax._src import xla_bridge  # JAX tells it nowhere else
+
+    global _forked
+    _forked = _forked or xla_bridge.backends_are_initialized()
+
+
+if hasattr(os, "register_at_fork"):  # Windows forks nothing
+    os.register_at_fork(after_in_child=_note_fork)
+
+
+def refuse_after_fork() -> None:
+    """Refuse to compute in a process that was forked after JAX had begun, where it would wait for ever.
+
+    Raises:
+        RuntimeError: there.
+    """
+    if _forked:
+        remedy = "start it with context='forkserver' or 'spawn', or before JAX begins in the process that starts it"
+        raise RuntimeError(f"JAX cannot compute in a process forked from one in which it had begun; {remedy}")
 
 
 def warm_up(function: Callable[..., Any], *arguments: Any) -> float:
@@ -235,17 +308,19 @@ def checked_state(state: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars
     """A copy of the state in the core's precision; compiled functions take it over faster than JAX converts it.
 
     Raises:
-        ValueError: if it is not a finite array [cars, 4] of two cars or more.
+        ValueError: if it is not a finite array [cars, 4] of two cars or more, in that precision.
     """
     state = np.asarray(state)
     if state.ndim != 2 or state.shape[0] < 2 or state.shape[1] != 4:
         raise ValueError(f"a state has shape [cars, 4] with the robot, its partner and any others; got {state.shape}")
-    if not np.isfinite(state).all():
-        car, column = np.argwhere(~np.isfinite(state))[0]
-        raise ValueError(
-            f"the state of car {car} is not finite: {['x', 'y', 'heading', 'speed'][column]} is {state[car, column]}"
-        )
-    return state.astype(np.float32)
+    with np.errstate(over="ignore"):
+        single = state.astype(np.float32)
+    if not np.isfinite(single).all():
+        car, column = np.argwhere(~np.isfinite(single))[0]
+        value, name = state[car, column], ["x", "y", "heading", "speed"][column]
+        why = ", too large for single precision" if np.isfinite(value) else ""
+        raise ValueError(f"the state of car {car} is not finite: {name} is {value}{why}")
+    return single
 
 
 def measure_costs(
@@ -256,6 +331,7 @@ def measure_costs(
     Raises:
         ValueError: if the state is not a finite array [cars, 4] of two cars or more.
     """
+    refuse_after_fork()
     numbers, layout = pack(game)
     arguments = numbers, checked_state(state), jnp.stack(cold_start(game))
     costs = []
@@ -272,11 +348,17 @@ def keep_compilations(directory: Path | None = None) -> Path:
     Args:
         directory: where; without, what the environment variable ``JAX_COMPILATION_CACHE_DIR`` names, or else
             ``ms_highway/compiled`` in the user's cache directory.
+
+    Raises:
+        OSError: if that cannot be made, or others can write to it: then nothing is kept, nor used.
     """
     chosen, cache = os.environ.get("JAX_COMPILATION_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")
-    home = Path(cache) if cache else Path.home() / ".cache"
+    home = Path(cache) if cache and Path(cache).is_absolute() else Path.home() / ".cache"
     directory = directory or (Path(chosen) if chosen else home / "ms_highway" / "compiled")
+    jax.config.update("jax_compilation_cache_dir", None)
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+    check_owner(directory)
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    use_checked_cache()
     return directory

@@ -2,14 +2,16 @@
 
 import argparse
 import os
+import sys
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-__all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "work"]
+__all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "work"]
 
 TABLE_WIDTH = 120  # characters
 
@@ -32,11 +34,27 @@ def draw_unseen() -> None:
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 
 
+@contextmanager
+def printing() -> Iterator[None]:
+    """Let what the block prints, and does no more than that, be written; where that fails, say so, and once only.
+
+    Raises:
+        OSError: if standard output is on a full disk, or nobody reads it any more.
+    """
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or else Python would try again at its end
+        raise OSError(f"standard output cannot be written: {error.strerror}") from error
+
+
 def print_tables(*tables: Table) -> None:
     """Print to standard output, wide enough also where it is no terminal."""
     console = Console(width=max(Console().width, TABLE_WIDTH))
-    for table in tables:
-        console.print(table)
+    with printing():
+        for table in tables:
+            console.print(table)
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:

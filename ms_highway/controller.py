@@ -21,6 +21,7 @@ from ms_highway.compiled import (
     pack,
     packed_memory,
     plan_function,
+    refuse_after_fork,
     timed,
     warm_up,
 )
@@ -75,22 +76,42 @@ class ControlStep:
 
 
 class Controller(Protocol):
-    """Drives car 0 of a game, one step at a time."""
+    """Drives car 0 of a game, one step at a time.
+
+    Attributes:
+        game: what is played; it may change between steps, and one of the same shapes compiles nothing.
+    """
+
+    game: Game
 
     def reset(self) -> None:
         """Forget the past, before a new episode."""
 
-    def step(self, state: Float[np.ndarray, "cars 4"]) -> ControlStep:
-        """Control for the coming step, given all cars now."""
+    def meet(self) -> None:
+        """Forget the partner: from now on, car 1 is another."""
+
+    def step(
+        self, state: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None = None
+    ) -> ControlStep:
+        """Control for the coming step, given all cars now.
+
+        Args:
+            state: all cars now.
+            before: all cars before the last step, in the coordinates of now, where these have changed since.
+        """
 
 
 def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, "2"]:
-    """The control with which a car goes on, or begins, to brake and to turn along the road, within a plan's limits."""
+    """The control with which a car goes on, or begins, to brake and to turn along the road, within a plan's limits.
+
+    It is finite in every finite state, even where friction, or the acceleration that would stop the car, is not.
+    """
     xp = car.__array_namespace__()
     heading, speed = car[2], car[3]
     turning = -xp.atan2(xp.sin(heading), xp.cos(heading)) / STRAIGHTENING_TIME
     omega = turning / xp.maximum(xp.abs(speed), 1.0) if game.dynamics.steering == "curvature" else turning
     stop = keep_velocity(game.dynamics, car)[1] - speed / game.dynamics.time_step
+    stop = xp.where(xp.isnan(stop), -xp.sign(speed) * BRAKING, stop)
     limit = xp.asarray(game.planner.control_limit)
     return xp.clip(xp.stack([omega, xp.clip(stop, -BRAKING, BRAKING)]), -limit, limit)
 
@@ -98,9 +119,11 @@ def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, 
 def brake(game: Game, car: Float[np.ndarray, "4"]) -> Float[np.ndarray, "steps 2"]:
     """Controls that bring a car to a stop and along the road, within the limits of the game's plans."""
     car, controls = np.asarray(car, dtype=float), []
-    for _ in range(game.planner.horizon):
-        controls.append(braking_control(game, car))
-        car = step(game.dynamics, car, controls[-1])
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(game.planner.horizon):
+            controls.append(braking_control(game, car))
+            moved = step(game.dynamics, car, controls[-1])
+            car = np.where(np.isfinite(moved), moved, car)
     return np.array(controls)
 
 
@@ -138,6 +161,11 @@ def _start(game: Game, last: ControlStep | None) -> Float[jax.Array, "2 steps 2"
     return jnp.asarray((np.stack([last.plan[rest], last.human[rest]]) / scale).astype(np.float32))
 
 
+def _stranger(last: ControlStep | None) -> ControlStep | None:
+    """The last step of a controller that meets another partner: what it expected of the last one says nothing."""
+    return last and replace(last, human=np.zeros_like(last.human))
+
+
 class FixedModel:
     """Plans every step with the same human model.
 
@@ -166,20 +194,26 @@ class FixedModel:
     def game(self, game: Game) -> None:
         self._game = game
         self._numbers, self._layout = pack(game)
-        self._cold = _start(game, None)
 
     def reset(self) -> None:
         """Forget the last plan."""
         self._last: ControlStep | None = None
 
-    def step(self, state: Float[np.ndarray, "cars 4"]) -> ControlStep:
-        """Control for the coming step.
+    def meet(self) -> None:
+        """Forget what the last plan expected of the partner."""
+        self._last = _stranger(self._last)
+
+    def step(
+        self, state: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None = None
+    ) -> ControlStep:
+        """Control for the coming step, whatever was before.
 
         Raises:
             ValueError: if the state is not a finite array [cars, 4] of two cars or more.
         """
+        refuse_after_fork()
         now = checked_state(state)
-        arguments = self._numbers, now, _start(self.game, self._last) if self.warm_start else self._cold
+        arguments = self._numbers, now, _start(self.game, self._last if self.warm_start else None)
         models = [self.model] if self._last else [*self.ladder, self.model]
         compiling = sum((warm_up(plan_function(model, self._layout), *arguments) for model in models), 0.0)
         plan, seconds = timed(plan_function(self.model, self._layout), *arguments)
@@ -207,12 +241,27 @@ class ScheduledModels:
         self._driver = FixedModel(game, self.models[0], tuple(dict.fromkeys(self.models)), warm_start)
         self.reset()
 
+    @property
+    def game(self) -> Game:
+        """What is played; it may change between steps, and one of the same shapes compiles nothing."""
+        return self._driver.game
+
+    @game.setter
+    def game(self, game: Game) -> None:
+        self._driver.game = game
+
     def reset(self) -> None:
         """Start the schedule again."""
         self._driver.reset()
         self._steps = 0
 
-    def step(self, state: Float[np.ndarray, "cars 4"]) -> ControlStep:
+    def meet(self) -> None:
+        """Forget what the last plan expected of the partner; the schedule goes on."""
+        self._driver.meet()
+
+    def step(
+        self, state: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None = None
+    ) -> ControlStep:
         """Control for the coming step, by the model whose turn it is.
 
         Raises:
@@ -231,17 +280,31 @@ class ModelSwitching:
         game: what is played; car 0 is driven.
         switching: ladder, costs, lambda and the numbers of the algorithm.
         warm_start: whether plans start from the last one rather than from zero controls.
+
+    Raises:
+        ValueError: if there is not one cost for each rung of the ladder.
     """
 
     def __init__(self, game: Game, switching: Switching, warm_start: bool = False) -> None:
-        self.game = game
+        if np.shape(switching.costs) != (len(switching.ladder),):
+            names = ", ".join(model.name for model in switching.ladder)
+            raise ValueError(f"costs are {switching.costs}; give one for each of {names}")
         self.switching = switching
         self.warm_start = warm_start
-        self._numbers, self._layout = pack(game)
-        self._switching_numbers, layout = pack((switching, game))
-        self._decide = decide_function(layout)
-        self._cold = _start(game, None)
+        self.game = game
         self.reset()
+
+    @property
+    def game(self) -> Game:
+        """What is played; it may change between steps, and one of the same shapes compiles nothing."""
+        return self._game
+
+    @game.setter
+    def game(self, game: Game) -> None:
+        self._game = game
+        self._numbers, self._layout = pack(game)
+        self._switching_numbers, self._switching_layout = pack((self.switching, game))
+        self._warm = False
 
     def reset(self) -> None:
         """Start again at the bottom of the ladder."""
@@ -249,20 +312,31 @@ class ModelSwitching:
         self._last: ControlStep | None = None
         self._before: Float[np.ndarray, "cars 4"] | None = None
 
-    def step(self, state: Float[np.ndarray, "cars 4"]) -> ControlStep:
+    def meet(self) -> None:
+        """Start again at the bottom of the ladder; how the last step went tells nothing of another partner."""
+        self._memory = packed_memory(first_memory(self.switching))
+        self._last, self._before = _stranger(self._last), None
+
+    def step(
+        self, state: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None = None
+    ) -> ControlStep:
         """Control for the coming step, after choosing the model from how the last step went.
 
+        Args:
+            state: all cars now.
+            before: all cars before the last step, in the coordinates of now, where these have changed since.
+
         Raises:
-            ValueError: if the state is not a finite array [cars, 4] of two cars or more.
+            ValueError: if a state is not a finite array [cars, 4] of two cars or more.
         """
+        refuse_after_fork()
         now = checked_state(state)
-        compiling, deciding, gains = 0.0, 0.0, dict[str, float]()
-        if self._last is None or self._before is None:
-            compiling = self._warm_up(now)
-        else:
-            deciding, gains = self._choose(self._before, self._last.control, now)
+        compiling, deciding, gains = self._warm_up(now), 0.0, dict[str, float]()
+        if self._last is not None and self._before is not None:
+            before = self._before if before is None else checked_state(before)
+            deciding, gains = self._choose(before, self._last.control, now)
         model = self.switching.ladder[int(self._memory[0])]
-        start = _start(self.game, self._last) if self.warm_start else self._cold
+        start = _start(self.game, self._last if self.warm_start else None)
         plan, planning = timed(plan_function(model, self._layout), self._numbers, now, start)
         record = _record(self.game, model, plan, state, self._last)
         self._before = now
@@ -272,11 +346,14 @@ class ModelSwitching:
         return self._last
 
     def _warm_up(self, state: Float[np.ndarray, "cars 4"]) -> float:
-        """Compile every rung and the decision before the first control is due; seconds spent."""
+        """Compile every rung and the decision before the first control of a game is due; seconds spent."""
+        if self._warm:
+            return 0.0
+        self._warm = True
         rungs = [plan_function(model, self._layout) for model in self.switching.ladder]
-        plans = sum(warm_up(rung, self._numbers, state, self._cold) for rung in rungs)
+        plans = sum(warm_up(rung, self._numbers, state, _start(self.game, None)) for rung in rungs)
         observed = observation(self._memory, state, np.zeros(2), state)
-        return plans + warm_up(self._decide, observed, self._switching_numbers)
+        return plans + warm_up(decide_function(self._switching_layout), observed, self._switching_numbers)
 
     def _choose(
         self, before: Float[np.ndarray, "cars 4"], executed: Float[np.ndarray, "2"], now: Float[np.ndarray, "cars 4"]
@@ -284,7 +361,7 @@ class ModelSwitching:
         """Take the decision; seconds spent, and the gains estimated by name of the alternative."""
         rung, ladder = int(self._memory[0]), self.switching.ladder
         observed = observation(self._memory, before, executed, now)
-        decision, seconds = timed(self._decide, observed, self._switching_numbers)
+        decision, seconds = timed(decide_function(self._switching_layout), observed, self._switching_numbers)
         *memory, up, down = np.asarray(decision)
         self._memory = np.array(memory)
         estimates = {ladder[rung - 1].name: float(down)} if rung > 0 else {}

@@ -19,6 +19,7 @@ from ms_highway.demonstrators import DRIVER_WEIGHTS, TEMPERATURE, maxent, optima
 from ms_highway.envs import DEMONSTRATION_ID, DemonstrationEnv
 from ms_highway.envs.demonstration import KEYBOARD_ACTION, demonstration_game
 from ms_highway.envs.graphics import check_display
+from ms_highway.files import held, naming, part_of, temporary, tidy
 from ms_highway.human_models import Naive
 from ms_highway.recording import Recording
 from ms_highway.routes import DENSITIES
@@ -39,6 +40,7 @@ DRIVERS: dict[Driver, str] = {
 FORMAT = 1  # version of what is written; `load` reads no other
 PROVENANCE = "ms_highway"  # key of the data set's metadata
 DATASET_ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
+ROOM = 2_000_000  # bytes, for the files of an episode
 DATA_FILE, METADATA_FILE = "main_data.hdf5", "metadata.json"
 INSTALL = "pip install 'ms-highway[demonstrations]'"
 AGAIN = "delete it and record it again with `ms-highway irl record`"
@@ -77,24 +79,28 @@ def record(
         raise ValueError(f"{episodes} episodes are to be recorded; there must be at least one")
     if driver == "keyboard":
         check_display()
-    done = _take_up(dataset, data, provenance)
-    yield done
-    if done >= episodes:
-        return
-    env = _environment(driver)
-    collector = minari.DataCollector(env)
-    try:
-        for episode in range(done, episodes):
-            density = densities[episode % len(densities)]
-            _drive(collector, driver, seed + episode, density, temperature)
-            with _replacing(dataset, data, env, provenance) as storage:
-                copy = minari.MinariDataset(storage)
-                collector.add_to_dataset(copy)
-                marks = {"seed": seed + episode, "density": density}  # Minari loses the seed on the way
-                storage.update_episode_metadata([marks], [episode])
-            yield episode + 1
-    finally:
-        collector.close()
+    with held(data.parent), temporary(part_of(data)) as scratch:
+        done = _take_up(dataset, data, provenance)
+        tidy(data.parent)
+        yield done
+        if done >= episodes:
+            return
+        scratch.mkdir()
+        env = _environment(driver)
+        collector = _collector(minari, env, scratch)
+        try:
+            for episode in range(done, episodes):
+                _check_room(data)
+                density = densities[episode % len(densities)]
+                _drive(collector, driver, seed + episode, density, temperature)
+                with naming(data), _replacing(dataset, data, env, provenance) as storage:
+                    copy = minari.MinariDataset(storage)
+                    collector.add_to_dataset(copy)
+                    marks = {"seed": seed + episode, "density": density}  # Minari loses the seed on the way
+                    storage.update_episode_metadata([marks], [episode])
+                yield episode + 1
+        finally:
+            collector.close()
 
 
 def actions(
@@ -180,10 +186,18 @@ def _minari() -> Any:
 
 def _data_directory(dataset: str) -> Path:
     """Where Minari keeps a data set's files."""
+    from minari.namespace import validate_namespace
     from minari.storage import get_dataset_path
 
-    if not DATASET_ID.fullmatch(dataset):
-        raise ValueError(f"{dataset!r} is no name for a data set; name it like ms-highway/maxent-v0")
+    namespace = dataset.rpartition("/")[0]
+    try:
+        if not DATASET_ID.fullmatch(dataset):
+            raise ValueError("it is not NAMESPACE/NAME-vNUMBER")
+        if namespace:
+            validate_namespace(namespace)  # which needs two characters
+    except ValueError as error:
+        remedy = "name it like ms-highway/maxent-v0"
+        raise ValueError(f"{dataset!r} is no name for a data set ({error}); {remedy}") from error
     return get_dataset_path(dataset) / "data"
 
 
@@ -214,6 +228,27 @@ def _provenance(driver: Driver, densities: Sequence[str], seed: int, temperature
         "densities": list(densities),
         "first_seed": seed,
     }
+
+
+def _collector(minari: Any, env: gym.Env, scratch: Path) -> Any:
+    """Minari's collector of an environment's steps, which keeps them in a directory of ours until they are stored."""
+
+    class Collector(minari.DataCollector):
+        datasets_path = property(lambda self: str(scratch), lambda self, _: None)
+
+    return Collector(env)
+
+
+def _check_room(data: Path) -> None:
+    """Refuse to drive where the disk has no room for another copy of the data set: HDF5 does not survive a full disk.
+
+    Raises:
+        OSError: naming the place.
+    """
+    needed = ROOM + sum(file.stat().st_size for file in data.glob("*"))
+    free = shutil.disk_usage(data.parent).free
+    if free < needed:
+        raise OSError(f"{data} needs {needed / 1e6:.0f} MB for another episode; its disk has {free / 1e6:.1f} MB left")
 
 
 def _environment(driver: Driver) -> gym.Env:
@@ -283,9 +318,7 @@ def _replacing(
     """
     from minari.dataset.minari_storage import MinariStorage
 
-    copy = data.with_name(".part")
-    shutil.rmtree(copy, ignore_errors=True)
-    try:
+    with temporary(part_of(data)) as copy:
         if data.exists():
             shutil.copytree(data, copy)
             yield MinariStorage.read(copy)
@@ -295,8 +328,6 @@ def _replacing(
             assert env is not None
             yield _new_storage(dataset, copy, env, provenance)
             copy.rename(data)
-    finally:
-        shutil.rmtree(copy, ignore_errors=True)
 
 
 def _new_storage(dataset: str, directory: Path, env: gym.Env, provenance: dict[str, Any] | None) -> Any:

@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float
 
 from ms_highway.derivatives import Path, damped_inverse, eigenpairs, expand
 from ms_highway.dynamics import Motion, observe
-from ms_highway.game import Game, constant_velocity, discomfort, driven_reward, move
-from ms_highway.planner import project
+from ms_highway.game import Game, bounded, constant_velocity, discomfort, driven_reward, move
 from ms_highway.reward import motion_reward
 from ms_highway.scenario import COMMON_WEIGHTS
 
@@ -95,14 +94,14 @@ def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
         expansion = expand(partial(move, game, car), along, controls, partial(discomfort, game, car))
         gradient, hessian = expansion.gradient.reshape(controls.shape), expansion.hessian
         step = (damped_inverse(hessian, FLOOR) @ gradient.ravel()).reshape(controls.shape)
-        candidates = project(game.planner, controls + SHARES[:, None, None] * step)
+        candidates = bounded(game, car, controls + SHARES[:, None, None] * step)
         rewards = jax.vmap(lambda controls: driven_reward(game, car, controls, others))(candidates)
         gains, noise = rewards - rewards[-1], NOISE * (1 + jnp.abs(rewards[-1]))
         settling = (gains.max() <= noise) & (gains[0] >= -noise)
         chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
         return count + 1, chosen, Optimum(controls, gradient, hessian)
 
-    start = project(game.planner, constant_velocity(game, car))
+    start = bounded(game, car, constant_velocity(game, car))
     unknown = Optimum(start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size)))
     return jax.lax.while_loop(climbing, improve, (0, start, unknown))[-1]
 
@@ -135,7 +134,7 @@ def _sample(
     normal = jax.random.normal(proposing, (DRAWS, len(values))).at[0].set(0.0)
     proposals = best.controls + (normal @ spread.T).reshape(DRAWS, *best.controls.shape)
     earned = jax.vmap(lambda controls: driven_reward(game, car, controls, others))(proposals)
-    inside = (proposals == project(game.planner, proposals)).all(axis=(1, 2))
+    inside = (proposals == bounded(game, car, proposals)).all(axis=(1, 2))
     excess = earned / temperature + jnp.sum(normal**2, axis=1) / 2  # log density over the proposal's
     excess = jnp.where(inside & jnp.isfinite(excess), excess, -jnp.inf).at[0].set(excess[0])
 

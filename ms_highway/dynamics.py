@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple, TypeAlias, TypeVar
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 __all__ = [
     "Array",
@@ -30,7 +30,9 @@ __all__ = [
     "observe",
     "recover_control",
     "rollout",
+    "speeds",
     "step",
+    "within_grip",
 ]
 
 Array: TypeAlias = jax.Array | np.ndarray
@@ -122,25 +124,67 @@ def rollout(
     """
     if dynamics.friction != "linear":
         raise ValueError("a rollout needs linear friction; with quadratic friction, repeat `step`")
-    dt, terms = dynamics.time_step, np.arange(controls.shape[-2] + 1)
-    age = terms[:, None] - terms  # steps from each term of a sum to each state; below 0: not yet
-    plain = jnp.asarray(age >= 0, dtype=controls.dtype)
-    fading = plain * (1 - dynamics.drag * dt) ** np.maximum(age, 0)
-
-    def accumulate(weights: Float[jax.Array, "states terms"], initial: jax.Array, changes: jax.Array) -> jax.Array:
-        """An initial value and its sums with the changes so far; unlike a small matrix product, fused with the rest."""
-        return jnp.sum(weights * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
-
-    speed = accumulate(fading, state[..., 3], controls[..., 1] * dt)
+    dt, plain = dynamics.time_step, _plain(controls.shape[-2], controls.dtype)[0]
+    speed = speeds(dynamics, state[..., 3], controls[..., 1])
     before = speed[..., :-1]
     yaw_rate = before * controls[..., 0] if dynamics.steering == "curvature" else controls[..., 0]
-    heading = accumulate(plain, state[..., 2], yaw_rate * dt)
+    heading = _accumulate(plain, state[..., 2], yaw_rate * dt)
     # The barrier keeps XLA from working out sines and cosines again wherever they are used.
     direction = jax.lax.optimization_barrier(jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=-2))
     distance = before * dt + (controls[..., 1] - _resistance(dynamics, before)) * dt**2 / 2
-    position = accumulate(plain[1:], state[..., :2], distance[..., None, :] * direction[..., :-1])
+    position = _accumulate(plain[1:], state[..., :2], distance[..., None, :] * direction[..., :-1])
     x, y, cosine, sine = (pair[..., i, :] for pair in (position, direction[..., 1:]) for i in range(2))
     return Motion(x, y, cosine, sine, speed[..., 1:])
+
+
+def speeds(
+    dynamics: Dynamics, speed: Float[jax.Array, "*cars"], accelerations: Float[jax.Array, "*cars steps"]
+) -> Float[jax.Array, "*cars states"]:
+    """Speeds now and after each of a sequence of accelerations, with linear friction, see `rollout`."""
+    plain, age = _plain(accelerations.shape[-1], accelerations.dtype)
+    fading = plain * (1 - dynamics.drag * dynamics.time_step) ** np.maximum(age, 0)
+    return _accumulate(fading, speed, accelerations * dynamics.time_step)
+
+
+def _plain(steps: int, dtype: np.dtype) -> tuple[Float[jax.Array, "states terms"], Int[np.ndarray, "states terms"]]:
+    """Weights of plain sums, 1 for each term that counts for a state, and the steps from each term to each state."""
+    terms = np.arange(steps + 1)
+    age = terms[:, None] - terms  # below 0: not yet
+    return jnp.asarray(age >= 0, dtype=dtype), age
+
+
+def _accumulate(weights: Float[jax.Array, "states terms"], initial: jax.Array, changes: jax.Array) -> jax.Array:
+    """An initial value and its sums with the changes so far; unlike a small matrix product, fused with the rest."""
+    return jnp.sum(weights * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
+
+
+def within_grip(
+    dynamics: Dynamics,
+    grip: float | Float[SameArray, ""],
+    speed: Float[SameArray, "*cars"],
+    control: Float[SameArray, "*cars 2"],
+    bend: float | Float[SameArray, ""] = 0.0,
+) -> Float[SameArray, "*cars 2"]:
+    """The nearest control that tyres hold and that does not reverse, in one step of a car of this speed.
+
+    Tyres hold ``(v^2 k)^2 + v'^2 <= grip^2``, the friction circle: k is the curvature of the path, the road's included,
+    and v' the acceleration less friction. What leaves it is scaled down, to the side and along the path alike.
+
+    Args:
+        dynamics: the law of motion and the duration of the step.
+        grip: the total acceleration that the tyres hold [m/s^2].
+        speed: before the step; a car that rolls backwards is stopped.
+        control: in the coordinates of the road.
+        bend: curvature of the road [1/m], which such coordinates leave out.
+    """
+    xp = control.__array_namespace__()
+    turn = bend if dynamics.steering == "curvature" else bend * speed
+    per_omega = speed**2 if dynamics.steering == "curvature" else speed
+    friction = _resistance(dynamics, speed)
+    omega, acceleration = control[..., 0] + turn, xp.maximum(control[..., 1] - friction, -speed / dynamics.time_step)
+    total = xp.hypot(per_omega * omega, acceleration)
+    share = xp.minimum(grip / xp.maximum(total, 1e-6), 1.0)
+    return xp.stack([share * omega - turn, share * acceleration + friction], axis=-1)
 
 
 def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) -> Motion:

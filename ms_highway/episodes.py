@@ -13,11 +13,12 @@ from gymnasium.utils import seeding
 from jax.sharding import Mesh
 from jaxtyping import Float, Int
 
-from ms_highway.envs import SCENARIOS, environment_id
-from ms_highway.envs.configuration import controller_config, game_of, known_costs, switching_of
+from ms_highway.envs import ENVIRONMENTS, environment_id
+from ms_highway.envs.base import InteractionEnv
+from ms_highway.envs.configuration import controller_config, draw_models, known_costs, named_models, switching_of
 from ms_highway.experiment import Comparison, columns
-from ms_highway.human_models import MODELS, ladder
-from ms_highway.scenario import Scenario, draw_starts
+from ms_highway.human_models import MODELS
+from ms_highway.scenario import Scenario
 from ms_highway.simulation import DECIDES, STATUSES, Episodes, Loop, Records, simulate, usual_chunk
 
 __all__ = [
@@ -35,6 +36,9 @@ __all__ = [
 
 Key = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
+
+ASKED = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render"}
+"""What an environment may have of its own and be simulated: the rest a simulation does by itself, or not at all."""
 
 CARS = ("robot", "human")
 STATE = ("x", "y", "heading", "speed")
@@ -55,12 +59,14 @@ class Batch:
         scenario: where.
         loop: what all episodes have in common.
         costs: T(M) by model [s], as far as it is known.
+        environment: what is simulated; it draws the starts.
     """
 
     comparison: Comparison
     scenario: Scenario
     loop: Loop
     costs: dict[str, float]
+    environment: InteractionEnv
 
     @property
     def models(self) -> list[str]:
@@ -71,6 +77,11 @@ class Batch:
     def size(self) -> int:
         """The number of all episodes."""
         return self.comparison.seeds * len(self.comparison.controllers[self.scenario.name])
+
+    @property
+    def steps(self) -> int:
+        """The length of an episode."""
+        return self.environment.episode_steps
 
     def keys(self, first: int = 0, last: int | None = None) -> list[Key]:
         """Episodes from the first to before the last, seed by seed, so that all parts hold controllers alike."""
@@ -91,7 +102,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 
     Raises:
         ValueError: for anything unknown or impossible; for costs that are to be measured, as nothing is timed here; and
-            for environments that start plans from the last ones, or end before or after the scenario's steps.
+            for environments that start plans from the last ones, end early, or do something of their own in a step.
     """
     environment_id(scenario)
     controllers = comparison.controllers.get(scenario, [])
@@ -102,57 +113,63 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     if costs is None:
         remedy = "say 'published', or give seconds by model"
         raise ValueError(f"costs are {comparison.costs!r}, and a simulation cannot measure plans; {remedy}")
-    place, config = SCENARIOS[scenario], configs[0]
-    whole = round(config["duration"] * config["policy_frequency"]) == place.steps
-    if config["warm_start"] or config["terminate_on_collision"] or not whole:
-        told = ", ".join(f"{key} {config[key]!r}" for key in ("warm_start", "terminate_on_collision", "duration"))
-        raise ValueError(
-            f"{scenario} is configured with {told}; a simulation starts plans anew and runs all {place.steps} steps"
-        )
-    rungs = ladder(config["ladder"])
-    used = {name for config in configs for name in _scheduled(config["controller"])}
+    config = configs[0]
+    if config["warm_start"] or config["terminate_on_collision"]:
+        told = ", ".join(f"{key} {config[key]!r}" for key in ("warm_start", "terminate_on_collision"))
+        raise ValueError(f"{scenario} is configured with {told}; a simulation starts plans anew and runs all steps")
+    kind = ENVIRONMENTS[scenario]
+    classes = kind.__mro__[: kind.__mro__.index(InteractionEnv)]
+    own = {name for one in classes for name in vars(one) if hasattr(InteractionEnv, name) and name[:2] != "__"}
+    if own - ASKED:
+        told = f"{kind.__name__} has its own {', '.join(sorted(own - ASKED))}, which a simulation does not call"
+        raise ValueError(f"{told}; change its scenario, its game (in `configure`) or `draw_starts`, or use `compare`")
+    environment = kind(config)
+    rungs = environment.models
+    used = {name for config in configs for name in named_models(config["controller"])}
     others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
     seconds = np.array([costs[model.name] for model in rungs], np.float32)
     switching = switching_of(config, seconds, 0.0, rungs)
-    loop = Loop(game_of(place, config), switching, others, usual_chunk())
-    return Batch(comparison, place, loop, dict(costs))
+    loop = Loop(environment.game, switching, others, usual_chunk())
+    return Batch(comparison, environment.scenario, loop, dict(costs), environment)
 
 
-def _scheduled(controller: dict[str, Any]) -> list[str]:
-    """The models that a controller's configuration names, the last of which goes on; none where Algorithm 1 decides."""
-    return [controller["model"]] if controller["type"] == "fixed" else list(controller.get("models", []))
-
-
-def start(scenario: Scenario, seed: int) -> Float[np.ndarray, "cars 4"]:
-    """The start that the scenario's environment draws for a seed, in SI units.
+def start(batch: Batch, seed: int) -> Float[np.ndarray, "cars 4"]:
+    """The start that the environment draws for a seed, in SI units.
 
     Raises:
         ValueError: for a negative seed.
     """
+    return batch.environment.draw_starts(_random(seed))
+
+
+def _random(seed: int) -> np.random.Generator:
+    """What the environment draws an episode from."""
     if seed < 0:
         raise ValueError(f"the seed is {seed}; it must not be negative")
-    return draw_starts(scenario, seeding.np_random(seed)[0])
+    return seeding.np_random(seed)[0]
 
 
 def episodes_of(batch: Batch, keys: Sequence[Key]) -> Episodes:
     """What is to be simulated, see `run_episodes`."""
-    starts = {seed: start(batch.scenario, seed) for _, seed in keys}
-    drivers = {name: _driver(batch, name) for name, _ in keys}
+    configs = {name: controller_config(name) for name, _ in keys}
+    drawn = [_drawn(batch, configs[name], seed) for name, seed in keys]
     weights = (np.asarray(reward.weights) for reward in (batch.loop.game.robot, batch.loop.game.human))
     return Episodes(
-        np.array([starts[seed] for _, seed in keys], np.float32),
-        np.array([drivers[name][0] for name, _ in keys], np.float32),
-        np.array([drivers[name][1] for name, _ in keys], np.int32),
+        np.array([start for start, _ in drawn], np.float32),
+        np.array([configs[name].get("lambda", 0.0) for name, _ in keys], np.float32),
+        np.array([schedule for _, schedule in drawn], np.int32),
         *(np.broadcast_to(row, (len(keys), len(row))) for row in weights),
     )
 
 
-def _driver(batch: Batch, controller: str) -> tuple[float, Int[np.ndarray, "steps"]]:
-    """A controller's lambda, 0 where it decides nothing, and its schedule."""
-    config = controller_config(controller)
-    scheduled = [batch.models.index(name) for name in _scheduled(config)] or [DECIDES]
-    places = np.minimum(np.arange(batch.scenario.steps), len(scheduled) - 1)
-    return config.get("lambda", 0.0), np.array(scheduled)[places]
+def _drawn(
+    batch: Batch, controller: dict[str, Any], seed: int
+) -> tuple[Float[np.ndarray, "cars 4"], Int[np.ndarray, "steps"]]:
+    """What the environment draws at a reset, in its order: the start, and the models of a random controller."""
+    random, steps, models = _random(seed), batch.steps, batch.models
+    states = batch.environment.draw_starts(random)
+    scheduled = [models.index(name) for name in draw_models(controller, steps, random)] or [DECIDES]
+    return states, np.array(scheduled)[np.minimum(np.arange(steps), len(scheduled) - 1)]
 
 
 def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None) -> Records:
@@ -184,7 +201,7 @@ def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
 
 def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:
     """A row per step: `columns_simulated`."""
-    steps = batch.scenario.steps
+    steps = batch.steps
     models, costs = np.array(batch.models), _costs(batch)
     cells: dict[str, Any] = {
         "scenario": batch.scenario.name,

@@ -3,9 +3,8 @@
 import csv
 import io
 import json
-import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -17,18 +16,22 @@ from ms_highway.compiled import measure_costs
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import HUMAN_REWARDS, controller_config, merged
-from ms_highway.files import replacing
+from ms_highway.files import PART, append, read_json, replacing
 from ms_highway.human_models import MODELS
 from ms_highway.planner import Solver
 
 __all__ = [
     "GROWING",
+    "MAY_LACK",
+    "NEEDED",
     "SETTINGS_FILE",
     "STEPS_FILE",
     "Comparison",
+    "check_numbers",
     "check_settings",
     "columns",
     "episode",
+    "episode_steps",
     "make_environment",
     "paper_controllers",
     "read",
@@ -39,6 +42,12 @@ __all__ = [
 STEPS_FILE, SETTINGS_FILE = "steps.csv", "settings.json"
 GROWING = ("measured", "asked")  # of the settings, what comparisons in the same directory add to
 KEYS = ["scenario", "controller", "seed"]
+TEXTS, NUMBERS = (
+    ("scenario", "controller", "model"),
+    ("seed", "step", "reward", "planning_seconds", "decision_seconds"),
+)
+NEEDED = {*TEXTS, *NUMBERS, "collision"}  # of the columns, those that are never empty
+MAY_LACK = "counted_seconds"  # numbers, where they are
 
 
 def columns() -> list[str]:
@@ -63,6 +72,17 @@ def columns() -> list[str]:
     ]
 
 
+def check_numbers(records: pd.DataFrame) -> None:
+    """Look for texts in the columns of numbers that results are made from.
+
+    Raises:
+        ValueError: naming the column.
+    """
+    for name in (*NUMBERS, MAY_LACK, *(column for column in records if column.startswith("gain_"))):
+        if not pd.api.types.is_numeric_dtype(records[name]):
+            raise ValueError(f"has texts where numbers belong, in column {name}")
+
+
 @dataclass(frozen=True)
 class Comparison:
     """What is compared.
@@ -77,6 +97,7 @@ class Comparison:
             the semantics.
         ladder: names of the human models that switching chooses from; without it, the scenario's own.
         first_seed: of the first episode, from which all others count on.
+        planning: what differs from the scenarios' own of the keys `ms_highway.envs.configuration.PLANNING`, by key.
     """
 
     controllers: dict[str, list[str]]
@@ -87,6 +108,7 @@ class Comparison:
     human_reward: str | dict[str, float] | None = None
     ladder: list[str] | None = None
     first_seed: int = 0
+    planning: Mapping[str, Any] = field(default_factory=dict)
 
     def episodes(self) -> Iterator[tuple[str, str, int]]:
         """Every (scenario, controller, seed)."""
@@ -115,11 +137,30 @@ class Comparison:
         changes = {**self.common_config(), "costs": self.costs, "controller": controller_config(controller)}
         return merged(ENVIRONMENTS[scenario].default_config(), changes)
 
+    def steps(self, scenario: str) -> int:
+        """The length of a scenario's episodes.
+
+        Raises:
+            ValueError: as `check`.
+        """
+        return episode_steps(scenario, self.common_config())
+
     def common_config(self) -> dict[str, Any]:
         """The configuration that all environments have in common."""
         reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
         config = {"semantics": self.semantics, "solver": self.solver, "human_reward": reward}
-        return config if self.ladder is None else {**config, "ladder": list(self.ladder)}
+        return {**config, **self.planning} | ({} if self.ladder is None else {"ladder": list(self.ladder)})
+
+
+def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
+    """The number of steps in an episode of a scenario that nothing ends early.
+
+    Raises:
+        ValueError: for an unknown scenario or an impossible configuration.
+    """
+    environment_id(scenario)
+    whole = merged(ENVIRONMENTS[scenario].default_config(), config)
+    return round(whole["duration"] * whole["policy_frequency"])
 
 
 def paper_controllers(scenario: str) -> list[str]:
@@ -158,7 +199,8 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
     while not done:
         _, reward, terminated, truncated, info = env.step(0)
         done = terminated or truncated
-        record = {key: info[key] for key in wanted if key in info} | {"step": step, "reward": reward}
+        told = {**info, **asdict(info["timing"])}
+        record = {key: told[key] for key in wanted if key in told} | {"step": step, "reward": reward}
         record |= {f"gain_{name}": gain for name, gain in info["gains"].items()}
         for car, state in zip(("robot", "human"), inner.car_states, strict=False):
             record |= {
@@ -181,23 +223,20 @@ def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
     wanted = list(comparison.episodes())
     count = sum(key in done for key in wanted)
     yield count
-    with (directory / STEPS_FILE).open("a", newline="") as file:
-        for (scenario, controller), group in groupby(wanted, key=lambda key: key[:2]):
-            missing = [seed for _, _, seed in group if (scenario, controller, seed) not in done]
-            if not missing:
-                continue
-            env = make_environment(scenario, controller, costs=costs[scenario], **comparison.common_config())
-            for seed in missing:
-                text = io.StringIO()
-                writer = csv.DictWriter(text, columns(), lineterminator="\n")
-                for record in episode(env, seed):
-                    writer.writerow({"scenario": scenario, "controller": controller, "seed": seed, **record})
-                file.write(text.getvalue())
-                file.flush()
-                os.fsync(file.fileno())
-                count += 1
-                yield count
-            env.close()
+    for (scenario, controller), group in groupby(wanted, key=lambda key: key[:2]):
+        missing = [seed for _, _, seed in group if (scenario, controller, seed) not in done]
+        if not missing:
+            continue
+        env = make_environment(scenario, controller, costs=costs[scenario], **comparison.common_config())
+        for seed in missing:
+            text = io.StringIO()
+            writer = csv.DictWriter(text, columns(), lineterminator="\n")
+            for record in episode(env, seed):
+                writer.writerow({"scenario": scenario, "controller": controller, "seed": seed, **record})
+            append(directory / STEPS_FILE, text.getvalue())
+            count += 1
+            yield count
+        env.close()
 
 
 def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, str, int]], dict[str, Any]]:
@@ -213,7 +252,7 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     known = read_settings(settings_file) if settings_file.exists() or steps.exists() else settings
     known = {**known, **{key: known.get(key, {}) for key in GROWING}}
     _refuse_others(directory, {key: value for key, value in known.items() if key not in GROWING}, settings)
-    done = _whole_episodes(steps) if steps.exists() else set()
+    done = _whole_episodes(steps, comparison.common_config()) if steps.exists() else set()
     if comparison.costs == "measured":
         for scenario in comparison.controllers.keys() - known["measured"].keys():
             known["measured"][scenario] = _measured(scenario, comparison.common_config())
@@ -235,7 +274,7 @@ def read_settings(file: Path) -> dict[str, Any]:
         ValueError: if the file cannot be read.
     """
     try:
-        return dict(json.loads(file.read_text()))
+        return dict(read_json(file))
     except (OSError, ValueError, TypeError) as error:
         raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
 
@@ -250,7 +289,7 @@ def check_settings(directory: Path, settings: Mapping[str, Any]) -> None:
         raise ValueError(f"--out is {directory}, which is a file; name a directory, there already or not")
     if (directory / SETTINGS_FILE).exists():
         _refuse_others(directory, read_settings(directory / SETTINGS_FILE), json.loads(json.dumps(settings)))
-    elif directory.exists() and any(not file.name.startswith(".part.") for file in directory.iterdir()):
+    elif directory.exists() and any(not file.name.startswith(PART) for file in directory.iterdir()):
         raise ValueError(f"{directory} is not empty, and has no {SETTINGS_FILE}; choose another directory with --out")
 
 
@@ -270,7 +309,7 @@ def _measured(scenario: str, config: dict[str, Any]) -> dict[str, float]:
     return {model.name: float(cost) for model, cost in zip(env.models, seconds, strict=True)}
 
 
-def _whole_episodes(steps: Path) -> set[tuple[str, str, int]]:
+def _whole_episodes(steps: Path, config: Mapping[str, Any]) -> set[tuple[str, str, int]]:
     """The episodes that a file of records holds whole; anything after them, from a run that was stopped, is removed.
 
     Raises:
@@ -282,14 +321,16 @@ def _whole_episodes(steps: Path) -> set[tuple[str, str, int]]:
         records = pd.read_csv(io.StringIO(whole_lines))
         if list(records) != columns():
             raise ValueError(f"its columns are not {', '.join(columns())}")
+        check_numbers(records)
         unknown = set(records["scenario"]) - set(SCENARIOS)
         if unknown:
             raise ValueError(f"it holds unknown scenarios, {', '.join(map(str, unknown))}")
     except ValueError as error:
         remedy = "choose another directory, or --import the modules that its scenarios and models are from"
         raise ValueError(f"{steps} cannot be gone on with ({error}); {remedy}") from error
-    lengths = {name: SCENARIOS[name].steps for name in records["scenario"].unique()}
-    done = {key for key, length in records.groupby(KEYS).size().items() if length == lengths[key[0]]}
+    lengths = {name: episode_steps(name, config) for name in records["scenario"].unique()}
+    sizes = records.dropna(subset=list(NEEDED)).groupby(KEYS).size()
+    done = {key for key, length in sizes.items() if length == lengths[key[0]]}
     whole = [tuple(key) in done for key in records[KEYS].itertuples(index=False)]
     if whole_lines != text or not all(whole):
         lines = whole_lines.splitlines(keepends=True)

@@ -8,9 +8,10 @@ from ms_highway.report import bars, timeline
 from ms_highway.story import common_seeds, decisions, one_episode
 from ms_highway.tradeoff import curve, reference
 
-__all__ = ["CAPTIONS", "figures"]
+__all__ = ["CAPTIONS", "few", "figures"]
 
 MOST_CONTROLLERS = 8  # in bars and timelines
+FEWEST_LAMBDAS = 3  # that make a curve
 EPISODES_BESIDE = 2  # whose decisions are drawn
 
 CAPTIONS = {
@@ -20,29 +21,35 @@ CAPTIONS = {
     "of every episode of the controllers that switch.",
     "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
     "and deciding as measured. Whiskers are the 90 % intervals. Switching is labelled by lambda. Where "
-    "schedules were compared, a dashed line joins the best of all that was fixed, chosen by these very episodes.",
+    "schedules were compared, a dashed line joins the best of all that was fixed, chosen by these very episodes. "
+    "Crosses draw their models at random.",
     "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model, before the "
     "step that it is drawn at; one above zero is taken. Below, the reward. The background is the model in use.",
 }
 """What the figures of `figures` show."""
 
 
+def few(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
+    """The summary of a scenario; of more than 8 controllers, of those that the paper compares, or of the first 8."""
+    rows = summaries[summaries["scenario"] == scenario]
+    if len(rows) <= MOST_CONTROLLERS:
+        return rows
+    paper = rows["controller"].isin(paper_controllers(scenario))
+    return rows[paper] if paper.any() else rows[:MOST_CONTROLLERS]
+
+
 def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Figure]:
     """All figures of a scenario, by the names that `CAPTIONS` explains.
 
-    Of more than 8 controllers, bars, timeline and decisions show those that the paper compares, or the first 8.
+    Reward and computation are a curve where there are three lambdas, and else bars; bars, timeline and decisions are of
+    a `few` controllers.
     """
-    rows = summaries[summaries["scenario"] == scenario]
-    if len(rows) > MOST_CONTROLLERS:
-        paper = rows["controller"].isin(paper_controllers(scenario))
-        rows = rows[paper] if paper.any() else rows[:MOST_CONTROLLERS]
-    few = records[records["controller"].isin(rows["controller"])]
-    drawn = {
-        "bars": bars(rows, scenario),
-        "timeline": timeline(few, scenario),
-        "curve": curve(summaries, scenario),
-    }
-    return {**drawn, **_decisions(records, rows, reference(summaries, scenario), scenario)}
+    rows = few(summaries, scenario)
+    driven = records[records["controller"].isin(rows["controller"])]
+    lambdas = summaries.loc[summaries["scenario"] == scenario, "price"].nunique()
+    outcome = {"curve": curve(summaries, scenario)} if lambdas >= FEWEST_LAMBDAS else {"bars": bars(rows, scenario)}
+    decided = _decisions(records, rows, reference(summaries, scenario), scenario)
+    return {**outcome, "timeline": timeline(driven, scenario), **decided}
 
 
 def _decisions(records: pd.DataFrame, rows: pd.DataFrame, dearest: str | None, scenario: str) -> dict[str, Figure]:

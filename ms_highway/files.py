@@ -1,19 +1,184 @@
 """Files that are either whole or not there."""
 
+import errno
+import json
+import os
+import shutil
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
+from typing import Any
 
-__all__ = ["replacing"]
+__all__ = [
+    "PART",
+    "append",
+    "held",
+    "naming",
+    "part_of",
+    "read_json",
+    "remove_temporary",
+    "replacing",
+    "temporary",
+    "temporary_directory",
+    "tidy",
+]
+
+PART = ".part."
+"""How the names of files begin that are being written, or were when a process was killed."""
+
+LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # names of `part_of`, and of nobody else
+
+_temporary: set[Path] = set()  # what `temporary` is to remove
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path``, which takes its place when the block ends well and is removed when it fails."""
+    """A temporary path beside ``path``, which takes its place when the block ends well and is removed when it fails.
+
+    Its name cannot be foreseen, so that several may write the same file, and whichever is last stays, whole.
+
+    Raises:
+        OSError: naming the file, if it cannot be written.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(f"{path} is a directory or a device; name a file")
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".part.{path.name}")
+    with naming(path), temporary(part_of(path)) as part:
+        yield part
+        _synchronise(part)
+        part.replace(path)
+
+
+def part_of(path: Path) -> Path:
+    """A new name beside a file or directory, for what is to take its place; it cannot be foreseen."""
+    return path.with_name(f"{PART}{token_hex(8)}.{path.name}")
+
+
+def tidy(*directories: Path) -> None:
+    """Remove what killed commands left half written in directories that are `held`."""
+    for directory in directories:
+        for part in directory.glob(LEFT_BEHIND):
+            _remove(part)
+
+
+@contextmanager
+def held(directory: Path) -> Iterator[None]:
+    """Let no other command write to a directory while the block runs; it is made, and removed if it stays empty.
+
+    Windows and some shared disks know no such locks; there it is up to the user.
+
+    Raises:
+        ValueError: if another command is writing to it.
+    """
+    made = not directory.exists()
+    directory.mkdir(parents=True, exist_ok=True)
+    lock = _lock(directory)
     try:
-        yield temporary
-        temporary.replace(path)
+        yield
     finally:
-        temporary.unlink(missing_ok=True)
+        if made:
+            with suppress(OSError):
+                directory.rmdir()
+        if lock is not None:
+            os.close(lock)
+
+
+def _lock(directory: Path) -> int | None:
+    """A descriptor that holds the directory until it is closed, if only by the end of the process."""
+    try:
+        import fcntl
+    except ImportError:
+        return None
+    lock = os.open(directory, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(lock)
+        if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
+            return None
+        raise ValueError(f"another command is writing to {directory}; wait for its end, or choose another") from error
+    return lock
+
+
+def append(path: Path, text: str) -> None:
+    """Write at the end of a file and wait until the disk has it; all, or, where that fails, nothing.
+
+    Raises:
+        OSError: naming the file, if it cannot be written.
+    """
+    with naming(path), path.open("rb+", buffering=0) as file:
+        before, rest = file.seek(0, os.SEEK_END), memoryview(text.encode())
+        try:
+            while rest:  # a disk may take a part, and say at the next that it is full
+                rest = rest[file.write(rest) :]
+            os.fsync(file.fileno())
+        except OSError:
+            file.truncate(before)
+            raise
+
+
+@contextmanager
+def temporary(path: Path) -> Iterator[Path]:
+    """A file or directory that is removed when the block ends, and when an interrupt ends the process."""
+    _temporary.add(path)
+    try:
+        yield path
+    finally:
+        _remove(path)
+        _temporary.discard(path)
+
+
+@contextmanager
+def temporary_directory() -> Iterator[Path]:
+    """A new directory, `temporary` as well, where the system keeps such."""
+    with temporary(Path(tempfile.mkdtemp())) as path:
+        yield path
+
+
+def remove_temporary() -> None:
+    """Remove all that is `temporary` now."""
+    for path in tuple(_temporary):
+        _remove(path)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let errors of the system name the file that the block writes; that of a full disk does not.
+
+    Raises:
+        OSError: in place of any other.
+    """
+    try:
+        yield
+    except OSError as error:
+        told = error.strerror or str(error)
+        raise OSError(f"{path} cannot be written: {told}; see to it, or choose another place") from error
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds.
+
+    Raises:
+        ValueError: if that is no JSON, or nested too deeply to be read.
+        OSError: if there is no such file.
+    """
+    try:
+        return json.loads(path.read_text())
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def _synchronise(path: Path) -> None:
+    """Wait until the disk has a file, or else it may be empty after a power failure, under its own name."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from ms_highway.colors import color_of
 from ms_highway.regret import best
+from ms_highway.scenario import title
 
 __all__ = ["figure", "regret_tables"]
 
@@ -71,7 +72,7 @@ def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequ
     rows = behind[behind["scenario"] == scenario]
     frame = Figure(figsize=(7, 4.4), layout="constrained")
     axes = frame.subplots()
-    orders = table[~table.index.get_level_values("controller").str.startswith("switching:")]
+    orders = table[~table.index.get_level_values("controller").str.startswith(("switching:", "random:"))]
     shared = {name: orders[name].unstack("seed")[list(seeds)].dropna().mean(axis=1) for name in MEANS}
     _points(axes, pd.DataFrame(shared), ".", SCHEDULE_COLOR, "other orders")
     found = pd.DataFrame([best(table, seeds, price)[MEANS].mean() for price in DRAWN_PRICES])
@@ -86,7 +87,7 @@ def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequ
         _points(axes, row.to_frame().T, "s", color_of(str(name)), str(name))
     axes.set(xlabel="planning per step, counted at T(M) [ms]", ylabel="reward per step", xlim=(0, None))
     _label_lambdas(axes, switching)
-    frame.suptitle(f"{scenario}: the best orders of models, {len(seeds)} starts")
+    frame.suptitle(f"{title(scenario)}: the best orders of models, {len(seeds)} starts")
     axes.set_title(f"diamonds, from the right: a second of planning costs {prices}", fontsize="small")
     axes.grid(color="#eeeeee")
     axes.set_axisbelow(True)

@@ -11,14 +11,15 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.derivatives import Influence, Path
-from ms_highway.dynamics import Dynamics, Motion, coast, keep_velocity, rollout
-from ms_highway.planner import Planner
+from ms_highway.dynamics import Dynamics, Motion, coast, keep_velocity, rollout, speeds, within_grip
+from ms_highway.planner import Planner, project
 from ms_highway.reward import Reward, motion_reward
 from ms_highway.scene import Scene
 from ms_highway.sums import total
 
 __all__ = [
     "Game",
+    "bounded",
     "constant_velocity",
     "discomfort",
     "driven_reward",
@@ -68,6 +69,24 @@ def constant_velocity(game: Game, car: Float[jax.Array, "4"]) -> Float[jax.Array
     """The scaled controls of a car that keeps speed and heading over the horizon."""
     control = keep_velocity(game.dynamics, car) / game.planner.control_scale
     return jnp.broadcast_to(control, (game.planner.horizon, 2))
+
+
+def bounded(
+    game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "*batch steps 2"]
+) -> Float[jax.Array, "*batch steps 2"]:
+    """Scaled controls cut down to the limits of plans and, where they are looked at, to what tyres hold.
+
+    What tyres hold depends on the speed, which is taken from the accelerations before they are cut down: the first
+    control is exact, and later ones may ask for a quarter more than tyres hold. What is executed never does.
+    """
+    controls, planner = project(game.planner, controls), game.planner
+    if planner.grip is None:
+        return controls
+    physical = controls * planner.control_scale
+    now = jnp.broadcast_to(car[3], physical.shape[:-2])
+    speed = jnp.maximum(speeds(game.dynamics, now, physical[..., 1])[..., :-1], 0.0)
+    grip, bend = jnp.asarray(planner.grip), jnp.asarray(0.0 if game.scene.bend is None else game.scene.bend)
+    return within_grip(game.dynamics, grip, speed, physical, bend) / planner.control_scale
 
 
 def discomfort(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:

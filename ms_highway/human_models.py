@@ -13,7 +13,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.derivatives import expand, response
-from ms_highway.game import Game, constant_velocity, discomfort, move, path_reward, swap
+from ms_highway.game import Game, bounded, constant_velocity, discomfort, move, path_reward, swap
 from ms_highway.planner import ascend, climb
 
 __all__ = [
@@ -135,7 +135,10 @@ class TheoryOfMind:
             )
             return JointPlan(eased, earned.gradient.reshape(plan.human.shape))
 
-        return ascend(game.planner, direction, start or cold_start(game))
+        def within_limits(plan: JointPlan) -> JointPlan:
+            return JointPlan(bounded(game, state[0], plan.robot), bounded(game, state[1], plan.human))
+
+        return ascend(game.planner, direction, start or cold_start(game), within_limits)
 
 
 def cold_start(game: Game) -> JointPlan:
@@ -154,6 +157,7 @@ def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | 
         lambda robot: path_reward(game, state, robot, expected),
         partial(discomfort, game, state[0]),
         (start or cold_start(game)).robot,
+        partial(bounded, game, state[0]),
     )
     return JointPlan(robot, human)
 

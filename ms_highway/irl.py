@@ -27,12 +27,12 @@ from jaxtyping import Float
 from scipy import optimize
 
 from ms_highway.batches import in_batches
-from ms_highway.compiled import QUICKLY
+from ms_highway.compiled import jit_quickly
 from ms_highway.derivatives import slope_and_bend
 from ms_highway.dynamics import Array
 from ms_highway.game import Game, move
 from ms_highway.irl_model import Model
-from ms_highway.reward import COMFORT, FEATURES
+from ms_highway.reward import COMFORT
 from ms_highway.windows import Window, Windows, features_at, template, unease
 
 __all__ = ["Fit", "Slopes", "fit", "floored", "log_likelihoods", "most_likely", "slopes_of"]
@@ -108,7 +108,8 @@ def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
     Raises:
         ValueError: if they are not finite somewhere.
     """
-    game, places = template(windows, {}), np.array([(*FEATURES, *COMFORT).index(name) for name in names])
+    game = template(windows, {}, names)
+    places = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
 
     def named(batch: Windows) -> Slopes:
         return Slopes(*(np.asarray(part)[:, places] for part in _slopes(game, batch)))
@@ -122,9 +123,9 @@ def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
     return slopes
 
 
-@partial(jax.jit, compiler_options=QUICKLY)
+@jit_quickly
 def _slopes(game: Game, windows: Windows) -> Slopes:
-    """The derivatives of `FEATURES` and `COMFORT`: one compilation serves whatever is to be learnt."""
+    """The derivatives of the game's features and of `COMFORT`: one compilation serves whatever is learnt of them."""
 
     def derivatives(window: Window) -> Slopes:
         def path(controls: Float[jax.Array, "d"]) -> Float[jax.Array, "fields K"]:
@@ -279,7 +280,7 @@ def most_likely(
     return Fit(model, top, covariance, converged, int(found.nit), float(each.mean()))
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=QUICKLY)
+@partial(jit_quickly, static_argnums=(0,))
 @partial(jax.value_and_grad, argnums=1, has_aux=True)
 def _loss(
     likelihoods: Likelihoods,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.reward import COMFORT, FEATURES
+from ms_highway.reward import COMFORT, weight_names
 
 __all__ = ["NO_GRADIENT", "PENALTIES", "Model"]
 
@@ -24,7 +24,7 @@ class Model:
     """What is to be learnt, and what is given.
 
     Attributes:
-        learnt: names of the weights to learn, of `FEATURES` and `COMFORT`.
+        learnt: names of the weights to learn, of `weight_names`.
         given: weights that are fixed, by name; comfort's set the scale of all others.
 
     Raises:
@@ -35,7 +35,7 @@ class Model:
     given: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        known = [name for name in (*FEATURES, *COMFORT) if name not in NO_GRADIENT]
+        known = [name for name in weight_names() if name not in NO_GRADIENT]
         for name in self.names:
             if name not in known:
                 raise ValueError(f"{name!r} cannot be learnt; the weights to learn are {', '.join(known)}")

@@ -1,6 +1,5 @@
 """Tables and figures of what was learnt from driving; they show data, and learn nothing themselves."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from matplotlib.ticker import LogFormatter, NullFormatter, NullLocator, PercentF
 from rich.box import SIMPLE
 from rich.table import Table
 
+from ms_highway.files import read_json
 from ms_highway.learnt import LearntReward
 from ms_highway.prediction import HORIZONS, MISS, STEPS, Cases, constant_velocity
 from ms_highway.road_figure import car_outline, draw_road
@@ -355,7 +355,7 @@ def load_evaluation(path: Path) -> dict[str, Any]:
         ValueError: if there is no such file, or it is no evaluation, naming what it lacks.
     """
     try:
-        evaluation = json.loads(path.read_text())
+        evaluation = read_json(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as an evaluation: {error}") from error
     remedy = "write it anew with `ms-highway irl evaluate --json`"

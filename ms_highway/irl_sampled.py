@@ -15,12 +15,12 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.batches import in_batches
-from ms_highway.compiled import QUICKLY
+from ms_highway.compiled import jit_quickly
 from ms_highway.dynamics import Array
 from ms_highway.game import Game
 from ms_highway.irl import Fit, most_likely
 from ms_highway.learning import best_controls, curvatures
-from ms_highway.reward import COMFORT, FEATURES
+from ms_highway.reward import COMFORT
 from ms_highway.windows import Window, Windows, features_along, template
 
 __all__ = ["Candidates", "draw_candidates", "fit_sampled", "sampled_log_likelihoods"]
@@ -51,8 +51,9 @@ def draw_candidates(windows: Windows, found: Fit, number: int, seed: int = 0) ->
         number: M, of candidates in each window.
         seed: of the random numbers.
     """
-    game, names = template(windows, {}), found.model.names
-    places = np.array([(*FEATURES, *COMFORT).index(name) for name in names])
+    names = found.model.names
+    game = template(windows, {}, names)
+    places = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
     scale = np.asarray(game.planner.control_scale, dtype=float)
     best = best_controls(windows, found.sharp_weights)
     values, vectors = curvatures(windows, best, found)
@@ -67,7 +68,7 @@ def draw_candidates(windows: Windows, found: Fit, number: int, seed: int = 0) ->
     return Candidates(phi[:, 0], phi[:, 1:], log_density)
 
 
-@partial(jax.jit, compiler_options=QUICKLY)
+@jit_quickly
 def _features(game: Game, items: tuple[Windows, Float[jax.Array, "n M d"]]) -> Float[jax.Array, "n M features"]:
     def along(window: Window, controls: Float[jax.Array, "M d"]) -> Float[jax.Array, "M features"]:
         return jax.vmap(lambda u: features_along(game, window, u.reshape(-1, 2)))(controls)

@@ -11,9 +11,9 @@ from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.batches import in_batches
-from ms_highway.compiled import QUICKLY
+from ms_highway.compiled import jit_quickly
 from ms_highway.dynamics import Motion, observe
-from ms_highway.game import Game, constant_velocity, discomfort, move
+from ms_highway.game import Game, bounded, constant_velocity, discomfort, move
 from ms_highway.irl import Fit, Slopes, fit, log_likelihoods, slopes_of
 from ms_highway.irl_model import Model
 from ms_highway.learnt import LearntReward
@@ -157,7 +157,7 @@ def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float
     return in_batches(partial(_best_controls, game), windows)
 
 
-@partial(jax.jit, compiler_options=QUICKLY)
+@jit_quickly
 def _best_controls(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
     def best(window: Window) -> Float[jax.Array, "K 2"]:
         here, others = at_window(game, window), observe(window.others)
@@ -167,6 +167,7 @@ def _best_controls(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
             lambda path: total(motion_reward(here.scene, here.robot, Motion(*path), others)),
             partial(discomfort, here, window.start),
             constant_velocity(here, window.start),
+            partial(bounded, here, window.start),
         )
         return scaled * here.planner.control_scale
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.files import replacing
+from ms_highway.files import read_json, replacing
 from ms_highway.irl_model import Model
 from ms_highway.reward import linear_reward
 
@@ -110,7 +110,7 @@ def load(path: Path) -> LearntReward:
         ValueError: if there is no such file, or it is damaged or of another version.
     """
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as a learnt reward: {error}") from error
     return _checked(content, str(path))

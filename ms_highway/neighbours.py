@@ -5,8 +5,9 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.dynamics import SameArray
 
-__all__ = ["NEIGHBOURS", "far_behind", "neighbours", "places"]
+__all__ = ["NEIGHBOURS", "far_behind", "headways", "neighbours", "places"]
 
+SLOWEST = 1.0  # m/s, of a follower whose headway is measured
 FAR_AWAY = 1000.0  # m behind, where absent cars are
 
 SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, of each place
@@ -55,6 +56,24 @@ def neighbours(
     cars, taken = places(driver, others, present, lane_width)
     found = xp.take_along_axis(others, cars[..., None], axis=-2)
     return xp.where(taken[..., None], found, far_behind(driver)[..., None, :])
+
+
+def headways(
+    driver: Float[SameArray, "*batch 4"],
+    around: Float[SameArray, "*batch 6 4"],
+    length: float,
+) -> Float[SameArray, "*batch 6"]:
+    """Time gaps to the neighbours of a driver [s]: until whichever is behind is where the one ahead ends now.
+
+    Args:
+        driver: state of the driver.
+        around: states of its `neighbours`.
+        length: of cars [m].
+    """
+    xp = driver.__array_namespace__()
+    along = around[..., 0] - driver[..., :1]
+    follower = xp.where(along > 0, driver[..., 3:], around[..., 3])
+    return xp.maximum(xp.abs(along) - length, 0.0) / xp.maximum(follower, SLOWEST)
 
 
 def far_behind(driver: Float[SameArray, "*batch 4"]) -> Float[SameArray, "*batch 4"]:

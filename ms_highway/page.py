@@ -2,25 +2,27 @@
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 from PIL import Image
 
-from ms_highway import report, video
+from ms_highway import video
+from ms_highway.answer import answer, in_order, worth_seeing
 from ms_highway.envs.graphics import MODEL_MEANINGS
-from ms_highway.experiment import paper_controllers
-from ms_highway.figures import CAPTIONS, figures
+from ms_highway.figures import CAPTIONS, few, figures
 from ms_highway.human_models import MODELS
+from ms_highway.overview import overview
 from ms_highway.results import Results
+from ms_highway.safety import Safety, safety_cells, safety_told
+from ms_highway.scenario import title
 from ms_highway.side_by_side import side_by_side
 from ms_highway.story import common_seeds
 
-__all__ = ["Section", "Shown", "draw", "render", "worth_seeing"]
+__all__ = ["Section", "Shown", "draw", "render"]
 
 DPI = 160
 POSTER = 0.4  # of the video, from which the picture is taken that stands for it
@@ -32,46 +34,58 @@ SEMANTICS = {
 
 @dataclass(frozen=True)
 class Shown:
-    """A picture or video: its content as a data URI, its caption, and for a video the poster's data URI."""
+    """A picture or video: its content as a data URI, and its caption; of a video, its poster and its size [px]."""
 
     source: str
     caption: str
     poster: str = ""
+    size: tuple[int, int] = (1, 1)
 
 
 @dataclass(frozen=True)
 class Section:
-    """One scenario's part of the page: texts of the table, figures by name, and videos."""
+    """One scenario's part of the page.
+
+    Attributes:
+        scenario: its name.
+        answer: what was found, see `ms_highway.answer.answer`.
+        rows: texts of the `overview`, from the controller on, of few controllers.
+        others: those of the other controllers.
+        figures: by name.
+        videos: what was filmed.
+    """
 
     scenario: str
-    cells: pd.DataFrame
+    answer: str
+    rows: list[list[str]]
+    others: list[list[str]]
     figures: dict[str, Shown]
     videos: list[Shown]
 
+    @property
+    def title(self) -> str:
+        """What people call the scenario."""
+        return title(self.scenario)
 
-def worth_seeing(summaries: pd.DataFrame, scenario: str) -> list[str]:
-    """The two controllers of a scenario that say most beside each other.
-
-    The fixed model of the highest mean reward, and switching, at the paper's conservative lambda or else at the
-    smallest; where either is missing, the first two; the only one where there is one.
-    """
-    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    fixed, switching = (rows[rows["kind"] == kind] for kind in ("fixed", "switching"))
-    if fixed.empty or switching.empty:
-        return list(rows.index[:2])
-    usual = paper_controllers(scenario)[-1]
-    return [str(fixed["reward"].idxmax()), usual if usual in switching.index else str(switching["price"].idxmin())]
+    @property
+    def group(self) -> tuple[str, list[list[str]]]:
+        """The rows under their title."""
+        return self.title, self.rows
 
 
-def draw(results: Results, videos: bool = True) -> Iterator[str | list[Section]]:
+def draw(several: Sequence[Results], videos: bool = True) -> Iterator[str | list[Section]]:
     """Everything that takes time to draw; yields what it is doing, then a section per scenario.
+
+    Args:
+        several: comparisons, of which the first one is shown, and the others beside it in tables.
+        videos: whether films are made.
 
     Raises:
         ImportError: for videos without the packages of the extra ``video``.
-        ValueError: if episodes cannot be run again under the settings of the results.
+        ValueError: if two comparisons are the same, or episodes cannot be run again under the settings of the results.
     """
-    sections = []
-    for scenario in results.scenarios:
+    results, table, sections = several[0], overview(several), []
+    for scenario in in_order(results.scenarios):
         yield f"drawing {scenario}"
         drawn = figures(results.records, results.summaries, scenario)
         shown = {name: Shown(_png(figure), CAPTIONS.get(name, name)) for name, figure in drawn.items()}
@@ -79,12 +93,17 @@ def draw(results: Results, videos: bool = True) -> Iterator[str | list[Section]]
         if videos:
             yield f"filming {scenario}"
             films.append(_film(results, scenario))
-        sections.append(Section(scenario, _cells(results, scenario), shown, films))
+        own = table[table["scenario"] == scenario].drop(columns="scenario")
+        chosen = own["controller"].isin(few(results.summaries, scenario)["controller"])
+        rows, others = (part.to_numpy().tolist() for part in (own[chosen], own[~chosen]))
+        told = answer(results.records, results.summaries, scenario)
+        sections.append(Section(scenario, told, rows, others, shown, films))
     yield sections
 
 
-def render(results: Results, sections: list[Section]) -> str:
-    """The page, as HTML."""
+def render(several: Sequence[Results], sections: list[Section], safeties: Sequence[Safety] = ()) -> str:
+    """The page, as HTML, of what `draw` has drawn of the same comparisons, and of collisions that were counted."""
+    results = several[0]
     shares = results.summaries.filter(like="share_").max()
     shown = set(shares[shares > 0].index)
     environment = Environment(
@@ -92,26 +111,32 @@ def render(results: Results, sections: list[Section]) -> str:
     )
     return environment.get_template("report.html.jinja").render(
         sections=sections,
+        headings=list(overview(several)),
+        safeties=[_counted(safety) for safety in safeties],
         episodes=sorted(set(results.summaries["episodes"])),
         models={name: MODEL_MEANINGS.get(name, "a model of one's own") for name in MODELS if f"share_{name}" in shown},
         kinds=set(results.summaries["kind"]),
-        semantics=SEMANTICS.get(results.settings["semantics"], results.settings["semantics"]),
-        settings={name: _text(value) for name, value in results.settings.items() if name != "asked" and value != {}},
-        missing=results.missing,
-        runs=[{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in results.runs],
+        semantics={
+            name: SEMANTICS[name] for name in SEMANTICS if name in [one.settings["semantics"] for one in several]
+        },
+        made=[*map(_made, several), *map(_made, safeties)],
+        missing=sum(one.missing for one in several),
     )
 
 
-def _cells(results: Results, scenario: str) -> pd.DataFrame:
-    """The table's texts with what the paper published beside ours, where it did."""
-    cells = report.cells(results.summaries, scenario)
-    published = [results.published(scenario, name) for name in cells["controller"]]
-    if any(published):
-        rewards = [f"{numbers.reward:.2f}" if numbers else "" for numbers in published]
-        times = [f"{1e3 * numbers.seconds:.0f}" if numbers else "" for numbers in published]
-        cells.insert(list(cells).index("90 % interval") + 1, "published reward", rewards)
-        cells.insert(list(cells).index("decide ms") + 1, "published ms", times)
-    return cells
+def _counted(safety: Safety) -> dict[str, Any]:
+    """Collisions that were counted: what they say, and the texts of the table by the scenario's title."""
+    cells = safety_cells(safety)
+    order = cells.groupby("scenario", sort=False)
+    groups = {title(name): order.get_group(name).iloc[:, 1:].to_numpy().tolist() for name in in_order(order.groups)}
+    return {"told": " ".join(safety_told(safety)), "headings": list(cells), "groups": groups}
+
+
+def _made(results: Results | Safety) -> dict[str, Any]:
+    """What made some results, in texts."""
+    settings = {name: _text(value) for name, value in results.settings.items() if name != "asked" and value != {}}
+    runs = [{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in results.runs]
+    return {"directory": str(results.directory), "settings": settings, "runs": runs}
 
 
 def _film(results: Results, scenario: str) -> Shown:
@@ -125,7 +150,8 @@ def _film(results: Results, scenario: str) -> Shown:
     Image.fromarray(pictures[int(POSTER * len(pictures))]).save(picture, "PNG", optimize=True)
     places = " above, ".join(controllers) + (" below" if len(controllers) > 1 else "")
     caption = f"Episode {seed}, at true speed: {places}. Times are as measured while filming; other episodes differ."
-    return Shown(_data("video/mp4", content), caption, _data("image/png", picture.getvalue()))
+    height, width, _ = pictures[0].shape
+    return Shown(_data("video/mp4", content), caption, _data("image/png", picture.getvalue()), (width, height))
 
 
 def _png(figure: Figure) -> str:

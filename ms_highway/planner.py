@@ -32,6 +32,8 @@ class Planner:
         control_scale: the unit of each control; a step is taken in ``u / control_scale``, so that a larger scale
             means a bolder step in that control. ``(1, 1)`` in the units of the reward is the plain gradient.
         control_limit: bound on the magnitude of each control, infinite for none.
+        grip: the total acceleration that tyres hold [m/s^2], within which plans stay without reversing, see
+            `ms_highway.dynamics.within_grip`; None where neither is looked at.
         step_size: length of a gradient step per unit of gradient.
         horizon: number of controls that are planned, K in the paper (static).
         iterations: number of gradient steps (static).
@@ -40,6 +42,7 @@ class Planner:
 
     control_scale: Float[Array, "2"]
     control_limit: Float[Array, "2"]
+    grip: float | Float[Array, ""] | None = None
     step_size: float | Float[Array, ""] = 0.03
     horizon: int = field(default=5, metadata={"static": True})
     iterations: int = field(default=20, metadata={"static": True})
@@ -47,27 +50,32 @@ class Planner:
 
 
 def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[jax.Array, "*batch 2"]:
-    """The nearest scaled controls within the limits."""
+    """The nearest scaled controls within the limits of each control; for all limits see `ms_highway.game.bounded`."""
     limit = jnp.asarray(planner.control_limit) / jnp.asarray(planner.control_scale)
     return jnp.clip(controls, -limit, limit)
 
 
-def ascend(planner: Planner, direction: Callable[[Controls], Controls], start: Controls) -> Controls:
-    """Controls after ``iterations`` projected steps, ``z <- clip(z + step_size * direction(z))``.
+def ascend(
+    planner: Planner,
+    direction: Callable[[Controls], Controls],
+    start: Controls,
+    bounded: Callable[[Controls], Controls],
+) -> Controls:
+    """Controls after ``iterations`` projected steps, ``z <- bounded(z + step_size * direction(z))``.
 
     Args:
-        planner: step size, number of steps and limits.
+        planner: step size and number of steps.
         direction: the direction of ascent at given controls; the gradient of the objective for plain ascent.
         start: the first controls, an array [..., 2] or a pytree of them, in units of ``control_scale``.
+        bounded: the nearest controls within the limits.
 
     Returns:
         The improved controls, like ``start``, in units of ``control_scale`` and within the limits.
     """
 
     def improve(_: int, controls: Controls) -> Controls:
-        return jax.tree.map(
-            lambda u, slope: project(planner, u + planner.step_size * slope), controls, direction(controls)
-        )
+        slopes = direction(controls)
+        return bounded(jax.tree.map(lambda u, slope: u + planner.step_size * slope, controls, slopes))
 
     return jax.lax.fori_loop(0, planner.iterations, improve, start)
 
@@ -78,6 +86,7 @@ def climb(
     reward: Callable[[Path], Float[jax.Array, ""]],
     cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]],
     start: Float[jax.Array, "steps 2"],
+    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
 ) -> Float[jax.Array, "steps 2"]:
     """Controls whose path earns more, found by the planner's solver.
 
@@ -88,28 +97,29 @@ def climb(
       is taken, or none. Unlike the gradient, this search sees the reward's jumps, such as the cost of a collision.
 
     Args:
-        planner: solver, step size and limits.
+        planner: solver and step size.
         path: the path under scaled controls.
         reward: what a path earns; no step may look at another.
         cost: what is paid for the controls themselves, a sum over them.
         start: the first controls, scaled.
+        bounded: the nearest controls within the limits.
     """
 
     def earned(controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
         return reward(path(controls)) - cost(controls)
 
     if planner.solver == "gradient":
-        return ascend(planner, jax.grad(earned), start)
+        return ascend(planner, jax.grad(earned), start, bounded)
 
     def with_hessian(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
         metric = damped_inverse(expand(path, reward, controls, cost).hessian, NEWTON_FLOOR)
 
         def improve(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
             step = (metric @ jax.grad(earned)(controls).ravel()).reshape(controls.shape)
-            candidates = project(planner, controls + SHARES[:, None, None] * step)
+            candidates = bounded(controls + SHARES[:, None, None] * step)
             rewards = jax.vmap(earned)(candidates)
             return candidates[jnp.argmax(jnp.where(jnp.isfinite(rewards), rewards, -jnp.inf))]
 
         return jax.lax.fori_loop(0, HESSIAN_EVERY, improve, controls)
 
-    return jax.lax.fori_loop(0, NEWTON_STEPS // HESSIAN_EVERY, with_hessian, project(planner, start))
+    return jax.lax.fori_loop(0, NEWTON_STEPS // HESSIAN_EVERY, with_hessian, bounded(start))

@@ -20,13 +20,13 @@ from jaxtyping import Bool, Float, Int
 from scipy import stats
 
 from ms_highway.batches import in_batches
-from ms_highway.compiled import QUICKLY
+from ms_highway.compiled import jit_quickly
 from ms_highway.dynamics import recover_control, step
 from ms_highway.game import Game
 from ms_highway.human_models import Naive
 from ms_highway.neighbours import neighbours, places
 from ms_highway.recording import Recording, number_groups
-from ms_highway.reward import FEATURES
+from ms_highway.reward import FEATURES, features_for
 from ms_highway.scenario import PAPER_DYNAMICS, driving_game
 from ms_highway.scene import Scene
 from ms_highway.windows import Windows, coasting, most_lanes, scene_of, template
@@ -145,12 +145,13 @@ def drive(cases: Cases, weights: Mapping[str, float], horizon: int) -> Float[np.
         horizon: of the plans, in steps.
     """
     scene = jax.tree.map(lambda numbers: numbers[0], cases.scenes)
-    game = driving_game(scene, float(cases.speed_limit[0]), weights, FEATURES, solver="newton")
+    names = features_for(weights, least=FEATURES)
+    game = driving_game(scene, float(cases.speed_limit[0]), weights, names, "newton", grip=None)
     game, start = replace(game, planner=replace(game.planner, horizon=horizon)), cases.recorded[:, 0]
     return in_batches(partial(_drive, game), (cases.scenes, cases.speed_limit, start, cases.others, cases.present))
 
 
-@partial(jax.jit, compiler_options=QUICKLY)
+@jit_quickly
 def _drive(game: Game, cases: tuple[Any, ...]) -> Float[jax.Array, "n 50 2"]:
     def one(
         scene: Scene, limit: jax.Array, start: jax.Array, others: jax.Array, present: jax.Array

@@ -1,6 +1,7 @@
 """What made a directory of results: the command, the versions, the machine and the time of every run."""
 
 import json
+import os
 import platform
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -8,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway.compiled import cores
-from ms_highway.files import replacing
+from ms_highway.files import read_json, replacing
 
-__all__ = ["PROVENANCE_FILE", "add_run", "read_runs", "this_run"]
+__all__ = ["PROVENANCE_FILE", "add_run", "differing_versions", "read_runs", "this_run"]
 
 PROVENANCE_FILE = "provenance.json"
 PACKAGES = ("ms-highway", "jax", "jaxlib", "highway-env", "gymnasium", "numpy")
@@ -25,13 +26,15 @@ def this_run(command: str) -> dict[str, Any]:
 
     Returns:
         ``command``; ``time``, UTC in ISO 8601; ``versions`` of Python and of the packages that results depend on;
-        ``machine``: ``processor``, ``cores`` that the process may use, and ``platform``.
+        ``machine``: ``processor``, ``cores`` that the process may use, and ``platform``; ``xla_flags``, which XLA
+        compiles by.
     """
     return {
         "command": command,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
         "machine": {"processor": _processor(), "cores": cores(), "platform": platform.platform()},
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
     }
 
 
@@ -45,7 +48,7 @@ def read_runs(directory: Path) -> list[dict[str, Any]]:
     if not file.exists():
         return []
     try:
-        runs = json.loads(file.read_text())
+        runs = read_json(file)
     except (OSError, ValueError) as error:
         raise ValueError(f"{file} cannot be read ({error}); move it away or choose another directory") from error
     if not isinstance(runs, list) or not all(_is_run(run) for run in runs):
@@ -62,6 +65,20 @@ def add_run(directory: Path, run: dict[str, Any]) -> None:
     runs = [*read_runs(directory), run]
     with replacing(directory / PROVENANCE_FILE) as path:
         path.write_text(json.dumps(runs, indent=2) + "\n")
+
+
+def differing_versions(directory: Path, run: dict[str, Any]) -> str:
+    """In which versions and flags a run differs from the last one of a directory; empty if in none.
+
+    Raises:
+        ValueError: if the runs before cannot be read.
+    """
+    runs = read_runs(directory)
+    if not runs:
+        return ""
+    before, now = ({**one["versions"], "XLA_FLAGS": one.get("xla_flags", "")} for one in (runs[-1], run))
+    differing = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+    return ", ".join(f"{name} {now.get(name) or 'none'} instead of {before.get(name) or 'none'}" for name in differing)
 
 
 def _is_run(run: Any) -> bool:

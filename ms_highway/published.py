@@ -5,8 +5,17 @@ Planning" (ICRA 2021), from the logs that its authors released; seconds are thos
 """
 
 from dataclasses import dataclass
+from typing import Any
 
-__all__ = ["PUBLISHED", "Published"]
+__all__ = ["PUBLISHED", "PUBLISHED_WITH", "Published"]
+
+PUBLISHED_WITH: dict[str, Any] = {
+    "semantics": "released",
+    "solver": "gradient",
+    "human_reward": "published",
+    "costs": "published",
+}
+"""Settings of a comparison that may be compared with the paper's; all others are the usual ones."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 from scipy import optimize
 
-from ms_highway.compiled import QUICKLY
+from ms_highway.compiled import jit_quickly
 from ms_highway.demonstrators import DRIVER_WEIGHTS, optimal
 from ms_highway.dynamics import keep_velocity, observe
 from ms_highway.game import Game
@@ -109,7 +109,7 @@ def true_rewards(windows: Windows) -> Callable[[Float[np.ndarray, "n K 2"]], Flo
     theta = jnp.array([DRIVER_WEIGHTS.get(name, 0.0) for name in (*FEATURES, *COMFORT)])
     single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
 
-    @partial(jax.jit, compiler_options=QUICKLY)
+    @jit_quickly
     @jax.vmap
     def rewards(window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, ""]:
         return theta @ features_along(game, window, controls / game.planner.control_scale)
@@ -122,7 +122,7 @@ def _planning(windows: Windows) -> Callable[[Mapping[str, float]], Float[np.ndar
     ahead = windows.start[:, :1] * [1.0, 0.0, 0.0, 0.0]  # in coordinates that begin at the driver, as for them
     near = replace(windows, start=windows.start - ahead, others=windows.others - ahead[:, None, None])
 
-    @partial(jax.jit, compiler_options=QUICKLY)
+    @jit_quickly
     def plan(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
         def best(window: Window) -> Float[jax.Array, "K 2"]:
             here = at_window(game, window)
@@ -132,7 +132,7 @@ def _planning(windows: Windows) -> Callable[[Mapping[str, float]], Float[np.ndar
 
     def plans(weights: Mapping[str, float]) -> Float[np.ndarray, "n K 2"]:
         scene = jax.tree.map(lambda numbers: numbers[0], windows.scenes)
-        game = driving_game(scene, float(windows.speed_limit[0]), weights)
+        game = driving_game(scene, float(windows.speed_limit[0]), weights, grip=None)
         game = replace(game, planner=replace(game.planner, horizon=windows.controls.shape[1]))
         return np.asarray(plan(*jax.tree.map(partial(jnp.asarray, dtype=jnp.float32), (game, near))), dtype=float)
 

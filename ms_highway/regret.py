@@ -38,7 +38,7 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
 def best_for_all(table: pd.DataFrame, seeds: Sequence[int], price: float) -> str:
     """The order with the highest mean meta-reward among those that were tried from every start; see `best`."""
     earned = meta_reward(table, price).unstack("seed")[list(seeds)].dropna()
-    fixed = [name for name in earned.index if controller_config(name)["type"] != "switching"]
+    fixed = [name for name in earned.index if controller_config(name)["type"] in ("fixed", "schedule")]
     return str(earned.loc[fixed].mean(axis=1).idxmax())
 
 

@@ -19,6 +19,7 @@ from scipy import stats
 from ms_highway.colors import color_of
 from ms_highway.envs.configuration import controller_config
 from ms_highway.human_models import MODELS
+from ms_highway.scenario import title
 
 __all__ = ["CONFIDENCE", "bars", "cells", "earned", "episodes_told", "interval", "summary", "table", "timeline"]
 
@@ -80,7 +81,8 @@ def interval(values: pd.Series) -> tuple[float, float]:
     """The 90 % interval of the mean, by Student's t; NaN of less than two values."""
     if len(values) < 2:
         return np.nan, np.nan
-    return stats.t.interval(CONFIDENCE, len(values) - 1, values.mean(), stats.sem(values))
+    half = stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * stats.sem(values)
+    return values.mean() - half, values.mean() + half
 
 
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
@@ -155,7 +157,7 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     for axes in (left, right):
         axes.tick_params(axis="x", rotation=20)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(f"{scenario}: {episodes_told(rows)}")
+    figure.suptitle(f"{title(scenario)}: {episodes_told(rows)}")
     return figure
 
 
@@ -176,7 +178,9 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
         seconds = (steps["planning_seconds"] + steps["decision_seconds"]).groupby(steps["step"]).mean()
         style = "-" if name in switching else "--"
         axes[0].plot(seconds.index, 1e3 * seconds, style, color=color, label=name, linewidth=2)
-    axes[0].set(title=f"{scenario}: computation along the episode", ylabel="planning + deciding [ms]", yscale="log")
+    axes[0].set(
+        title=f"{title(scenario)}: computation along the episode", ylabel="planning + deciding [ms]", yscale="log"
+    )
     axes[0].yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes[0].yaxis.set_minor_formatter(NullFormatter())

@@ -1,5 +1,6 @@
 """A directory of results of ``ms-highway compare``, read and checked."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,19 +9,22 @@ import pandas as pd
 
 from ms_highway import report
 from ms_highway.envs import SCENARIOS
-from ms_highway.experiment import GROWING, SETTINGS_FILE, STEPS_FILE, read_settings
+from ms_highway.experiment import (
+    GROWING,
+    MAY_LACK,
+    NEEDED,
+    SETTINGS_FILE,
+    STEPS_FILE,
+    check_numbers,
+    episode_steps,
+    read_settings,
+)
 from ms_highway.human_models import MODELS
 from ms_highway.provenance import read_runs
-from ms_highway.published import PUBLISHED, Published
+from ms_highway.published import PUBLISHED, PUBLISHED_WITH, Published
 
 __all__ = ["Results", "read_results"]
 
-TEXTS, NUMBERS = (
-    ("scenario", "controller", "model"),
-    ("seed", "step", "reward", "planning_seconds", "decision_seconds"),
-)
-NEEDED = {*TEXTS, *NUMBERS, "collision"}  # never empty
-MAY_LACK = "counted_seconds"  # numbers, where they are
 UNKNOWN = "if it is of your own, --import the module that adds it"
 REMEDY = "name a directory that `ms-highway compare` wrote"
 
@@ -60,14 +64,16 @@ class Results:
         )
 
     def published(self, scenario: str, controller: str) -> Published | None:
-        """What the paper published of a controller; nothing but with its ladders, its T(M), and gradient steps."""
-        alike = self.settings["costs"] == "published" and self.settings.get("solver") == "gradient"
-        return PUBLISHED.get((scenario, controller)) if alike and "ladder" not in self.settings else None
+        """What the paper published of a controller, where these results may be compared with it."""
+        chosen = {key: value for key, value in self.settings.items() if key not in GROWING and value is not None}
+        return PUBLISHED.get((scenario, controller)) if chosen == PUBLISHED_WITH else None
 
     def config(self, scenario: str) -> dict[str, Any]:
         """The configuration that a scenario's environment had, but for the controller."""
-        common = {key: value for key, value in self.settings.items() if key not in ("costs", *GROWING)}
-        return {**common, "costs": self.settings.get("measured", {}).get(scenario, self.settings["costs"])}
+        return {
+            **common_config(self.settings),
+            "costs": self.settings.get("measured", {}).get(scenario, self.settings["costs"]),
+        }
 
 
 def read_results(directory: Path) -> Results:
@@ -85,7 +91,7 @@ def read_results(directory: Path) -> Results:
     missing = {"semantics", "costs"} - settings.keys()
     if missing or not isinstance(settings.get("measured", {}), dict):
         raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
-    records = _read_records(directory / STEPS_FILE)
+    records = _read_records(directory / STEPS_FILE, common_config(settings))
     try:
         summaries = report.summary(records)
     except ValueError as error:
@@ -93,7 +99,12 @@ def read_results(directory: Path) -> Results:
     return Results(directory, records, summaries, settings, read_runs(directory))
 
 
-def _read_records(file: Path) -> pd.DataFrame:
+def common_config(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Of the settings, the configuration that all environments had in common."""
+    return {key: value for key, value in settings.items() if key not in ("costs", *GROWING)}
+
+
+def _read_records(file: Path, config: Mapping[str, Any]) -> pd.DataFrame:
     try:
         records = pd.read_csv(file)
     except (OSError, ValueError) as error:
@@ -103,15 +114,17 @@ def _read_records(file: Path) -> pd.DataFrame:
         raise ValueError(f"{file} has no column {', '.join(missing)}; {REMEDY}")
     if records.empty:
         raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
-    for name in (*NUMBERS, MAY_LACK, *(column for column in records if column.startswith("gain_"))):
-        if not pd.api.types.is_numeric_dtype(records[name]):
-            raise ValueError(f"{file} has texts where numbers belong, in column {name}; {REMEDY}")
+    try:
+        check_numbers(records)
+    except ValueError as error:
+        raise ValueError(f"{file} {error}; {REMEDY}") from error
     for column, known in (("scenario", SCENARIOS), ("model", MODELS)):
         for name in records[column].dropna().unique():
             if name not in known:
                 raise ValueError(f"{file} holds {column} {name!r}, not one of {', '.join(known)}; {UNKNOWN}")
     lengths = records.dropna(subset=list(NEEDED)).groupby(["scenario", "controller", "seed"]).size()
-    whole = [length == SCENARIOS[scenario].steps for (scenario, *_), length in lengths.items()]
+    wanted = {name: episode_steps(name, config) for name in records["scenario"].unique()}
+    whole = [length == wanted[scenario] for (scenario, *_), length in lengths.items()]
     if not all(whole) or lengths.sum() != len(records):
         raise ValueError(f"{file} holds an unfinished episode; run the same `ms-highway compare` again, which goes on")
     return records

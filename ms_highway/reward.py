@@ -4,9 +4,10 @@ Everything is written for car 0 with car 1 as its partner; swap the two to look 
 eyes. Lengths enter the features in the scene's ``length_unit`` U, so that weights do not depend on metres.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial, reduce
+from typing import TypeAlias
 
 import jax
 import numpy as np
@@ -20,14 +21,18 @@ from ms_highway.sums import fold, total
 __all__ = [
     "COMFORT",
     "FEATURES",
+    "OWN_FEATURES",
     "PAPER_FEATURES",
+    "Feature",
     "Reward",
+    "add_feature",
     "features",
     "features_for",
     "linear_reward",
     "motion_features",
     "motion_reward",
     "reward",
+    "weight_names",
 ]
 
 PAPER_FEATURES = (
@@ -47,11 +52,19 @@ PAPER_FEATURES = (
 TRAFFIC_FEATURES = ("direction", "headway", "closing_speed", "induced_braking")
 
 FEATURES = (*PAPER_FEATURES, *TRAFFIC_FEATURES)
-"""Names of all features: the paper's, and those that real traffic needs, whose weight is zero in the paper."""
+"""Names of the package's features: the paper's, and those that real traffic needs, which weigh nothing in the paper."""
 
 COMFORT = ("comfort_steering", "comfort_acceleration")
 """Names of the weights of comfort, which belongs to controls rather than to states, see `Reward`."""
 
+Feature: TypeAlias = Callable[[Scene, Motion, Motion], Float[jax.Array, ""]]
+"""A feature of one's own, one number at one moment: of the scene, the motion of car 0, and that of all others, arrays
+[others], its partner first."""
+
+OWN_FEATURES: dict[str, Feature] = {}
+"""Features of one's own by name, see `add_feature`."""
+
+COMPUTATION = "computation"  # what environments call the price of planning, beside features
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
 OBSTACLE_SHARE = 0.5  # an obstacle's risk counts half of a car's
@@ -77,7 +90,9 @@ class Reward:
         gap: how far behind the leader the gap feature is highest [m].
         comfort: what plans pay, beside the features, for half the square of each scaled control's difference from
             keeping the velocity.
-        names: of the features, `PAPER_FEATURES` or `FEATURES`; others are not even computed (static).
+        names: of the features, `PAPER_FEATURES` or `FEATURES`, and then those of one's own; others are not even
+            computed (static).
+        own: the functions of the features of one's own, which the last names belong to (static).
     """
 
     weights: Float[Array, "features"]
@@ -85,6 +100,52 @@ class Reward:
     gap: float | Float[Array, ""]
     comfort: Float[Array, "2"]
     names: tuple[str, ...] = field(metadata={"static": True})
+    own: tuple[Feature, ...] = field(default=(), metadata={"static": True})
+
+
+def add_feature(name: str, function: Feature) -> None:
+    """Make a feature of one's own known by its name, to rewards, configurations and commands of this process.
+
+    It is computed where a reward weighs it, and then Algorithm 1 leaves nothing out of its derivatives, see
+    `ms_highway.switching.decide`. A weight that is learnt is positive, so that it tells what drivers want more of.
+    Added again, it takes the place of the one that had its name, in rewards that are made from then on.
+
+    Args:
+        name: one word.
+        function: see `Feature`; written with `jax.numpy`, and twice differentiable where plans shall climb it. It is
+            told one moment, and mapped over all of them. Lengths are metres, and may be divided by
+            ``scene.length_unit`` for weights of the size of the others. To be pickled, it must be one of a module.
+            It is tried out on a straight scene without a leader: ``scene.bend`` and ``scene.leader`` may be None. Any
+            number of others may be there, one at least.
+
+    Raises:
+        ValueError: if the name is taken by the package or no word; if the function is not hashable, cannot be computed,
+            or does not return one number.
+    """
+    taken = (*FEATURES, *COMFORT, COMPUTATION)
+    if not isinstance(name, str) or not name.isidentifier() or name in taken:
+        raise ValueError(f"a feature cannot be called {name!r}; choose one word other than {', '.join(taken)}")
+    own, others = (Motion(*np.zeros((5, *shape), np.float32)) for shape in ((), (3,)))
+    scene = Scene(np.zeros(3), 0.0, np.zeros((2, 2)), np.ones(2), np.ones(2), 0.5, 0.0, 1.0)
+    try:
+        hash(function)
+        value = jax.eval_shape(function, scene, own, others)
+    except Exception as error:  # a user's function may fail in any way
+        told = str(error).partition("\n")[0]
+        raise ValueError(
+            f"the feature {name!r} cannot be computed: {type(error).__name__}: {told}; "
+            "give a function of (scene, own, others), written with jax.numpy"
+        ) from error
+    number = isinstance(value, jax.ShapeDtypeStruct)
+    if not number or value.shape or jnp.iscomplexobj(value):
+        told = f"{value.dtype} of shape {value.shape}" if number else f"{type(value).__name__}"
+        raise ValueError(f"the feature {name!r} returns {told} for one moment; it must return one number")
+    OWN_FEATURES[name] = function
+
+
+def weight_names() -> tuple[str, ...]:
+    """Names of all weights that are known: of features, the package's and one's own, and of comfort."""
+    return (*FEATURES, *OWN_FEATURES, *COMFORT)
 
 
 def linear_reward(
@@ -93,33 +154,48 @@ def linear_reward(
     gap: float = 0.0,
     names: tuple[str, ...] | None = None,
 ) -> Reward:
-    """A reward from weights by name, of `FEATURES` and `COMFORT`; what is without a weight gets 0.
+    """A reward from weights by name, of `weight_names`; what is without a weight gets 0.
 
     Args:
         values: the weights.
         speed_limit: see `Reward` [m/s].
         gap: see `Reward` [m].
-        names: of the features to compute; without, the paper's if those are all that is weighed.
+        names: of the features to compute; without, see `features_for`.
 
     Raises:
-        ValueError: for a name that is no feature, or a weight that is not finite.
+        ValueError: for a name that is no feature, or a weight that is not finite, or whose feature is not computed.
     """
-    known = (*FEATURES, *COMFORT)
-    unknown = sorted(map(str, set(values) - set(known)))
+    known = weight_names()
+    unknown = sorted(map(str, {*values, *(names or ())} - set(known)))
     if unknown:
-        raise ValueError(f"unknown reward features {unknown}; the features are {', '.join(known)}")
+        raise ValueError(
+            f"unknown reward features {unknown}; the features are {', '.join(known)}; "
+            "add one of your own with ms_highway.reward.add_feature, or --import the module that does"
+        )
     for name, value in values.items():
         if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.isfinite(value):
             raise ValueError(f"the weight of {name} is {value!r}; it must be a finite number")
     names = names or features_for(values)
-    weights, comfort = ([values.get(name, 0.0) for name in group] for group in (names, COMFORT))
-    return Reward(np.array(weights, np.float32), speed_limit, gap, np.array(comfort, np.float32), names)
+    if names != tuple(name for name in (*FEATURES, *OWN_FEATURES) if name in names):
+        raise ValueError(f"the features {', '.join(names)} are not in the order of FEATURES, then those of one's own")
+    left_out = [name for name, value in values.items() if value != 0 and name not in (*names, *COMFORT)]
+    if left_out:
+        raise ValueError(f"{', '.join(left_out)} would not be computed; add them to the names of the features")
+    weights, comfort = (np.array([values.get(name, 0.0) for name in group], np.float32) for group in (names, COMFORT))
+    own = tuple(OWN_FEATURES[name] for name in names if name in OWN_FEATURES)
+    return Reward(weights, speed_limit, gap, comfort, names, own)
 
 
-def features_for(*rewards: Mapping[str, float]) -> tuple[str, ...]:
-    """Names of the features that have to be computed for all of these weights by name."""
-    paper = all(value == 0 for values in rewards for name, value in values.items() if name in TRAFFIC_FEATURES)
-    return PAPER_FEATURES if paper else FEATURES
+def features_for(*rewards: Mapping[str, float], least: tuple[str, ...] = PAPER_FEATURES) -> tuple[str, ...]:
+    """Names of the features that have to be computed for all of these weights by name.
+
+    Args:
+        rewards: the weights; what all of them weigh with 0 is left out.
+        least: what is computed in any case, `PAPER_FEATURES` or `FEATURES`.
+    """
+    weighed = {name for values in rewards for name, value in values.items() if value != 0}
+    packaged = least if weighed.isdisjoint(TRAFFIC_FEATURES) else FEATURES
+    return (*packaged, *(name for name in OWN_FEATURES if name in weighed))
 
 
 def reward(scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]) -> Float[jax.Array, "*batch"]:
@@ -139,7 +215,8 @@ def features(
     * target_lane: ``-(y - y_target)^2 / U^2``; gap: ``-(x - (x_leader - gap))^2 / U^2``;
     * merged: 1 if ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane;
     * partner_target_lane, partner_merged: the same of the partner;
-    * direction, headway, closing_speed, induced_braking: see `_traffic`.
+    * direction, headway, closing_speed, induced_braking: see `_traffic`;
+    * those of one's own: see `add_feature`.
 
     ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient. Nor has ``collision_risk`` in
     where the points of the body are: derivatives are those in states, not in the shape of cars.
@@ -179,7 +256,7 @@ def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motio
     leader_x = own.x if scene.leader is None else others.x[scene.leader - 1]
     gap_error = jnp.zeros_like(own.x) if scene.leader is None else (own.x - (leader_x - parameters.gap)) * per_unit
     partner = Motion(*(field[0] for field in others))
-    traffic = [] if parameters.names == PAPER_FEATURES else _traffic(scene, parameters, own, others)
+    traffic = _traffic(scene, parameters, own, others) if TRAFFIC_FEATURES[0] in parameters.names else []
     return [
         -forward * (forward - 2),
         -(((own.y - lane) * per_unit) ** 2) + HEADING_SHARE * own.cosine,
@@ -192,7 +269,16 @@ def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motio
         -(((partner.y - scene.target_lane) * per_unit) ** 2),
         _merged(scene, partner),
         *traffic,
+        *(_at_every_moment(function, scene, own, others) for function in parameters.own),
     ]
+
+
+def _at_every_moment(function: Feature, scene: Scene, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
+    """A feature of one's own along a motion; as it is told one moment at a time, no moment looks at another."""
+    mapped: Callable[[Motion, Motion], jax.Array] = partial(function, scene)
+    for _ in range(own.x.ndim):
+        mapped = jax.vmap(mapped, in_axes=-1, out_axes=-1)
+    return jnp.asarray(mapped(own, others), own.x.dtype)
 
 
 def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:

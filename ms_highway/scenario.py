@@ -5,14 +5,14 @@ car of 0.15 x 0.075 is 5 m x 2.5 m and a speed of 0.6 per second is 20 m/s.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import jax
 import numpy as np
-from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.ascent import PAPER_ASCENT, Ascent, gradient_steps
 from ms_highway.derivatives import Influence
 from ms_highway.dynamics import Dynamics
 from ms_highway.game import Game
@@ -22,13 +22,16 @@ from ms_highway.scene import Scene
 
 __all__ = [
     "COMMON_WEIGHTS",
+    "GRIP",
     "PAPER_UNIT",
     "PHYSICAL_LIMIT",
+    "TIME_STEP",
     "Scenario",
     "Semantics",
     "build_game",
     "draw_starts",
     "driving_game",
+    "title",
 ]
 
 Semantics: TypeAlias = Literal["paper", "released"]
@@ -52,6 +55,9 @@ PHYSICAL_LIMIT = (0.2, 50.0)  # 1/m and m/s^2
 The paper's scenes do not work within what tyres hold: at 20 m/s a horizon of half a second sees a cone only 10 m
 ahead, so that gradient plans in Stay Back need 50 m/s^2, and the human in Merger yields with up to 21 m/s^2.
 """
+
+GRIP = 8.0  # m/s^2
+"""What tyres hold on a dry road, steering and acceleration together; plans outside the paper's scenes keep to it."""
 
 COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
 """Weights that every driver of every scenario has."""
@@ -94,6 +100,11 @@ class Scenario:
     corner: float = 0.5
 
 
+def title(name: str) -> str:
+    """What people call the scenario of a name: ``Stay Back`` for ``stay_back``."""
+    return name.replace("_", " ").title()
+
+
 def build_game(
     scenario: Scenario,
     semantics: Semantics = "paper",
@@ -102,6 +113,7 @@ def build_game(
     unit: float = PAPER_UNIT,
     solver: Solver = "gradient",
     human_driving: Mapping[str, float] | None = None,
+    ascent: Ascent = PAPER_ASCENT,
 ) -> Game:
     """The game of a scenario.
 
@@ -115,6 +127,7 @@ def build_game(
         solver: how plans are improved, see `ms_highway.planner.climb`.
         human_driving: weights by name that take the place of `COMMON_WEIGHTS` in the human's reward; what the human is
             after in this scenario beyond driving stays, unless it is named here.
+        ascent: how far ahead and by which gradient steps both plan, and the time step of plans and world.
     """
     human_weights = scenario.human_weights
     if human_driving is not None:
@@ -139,8 +152,8 @@ def build_game(
     else:
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
-    game = _game(scene, robot, human, plans, world, control_limit, influence, solver)
-    return jax.tree.map(lambda number: jnp.asarray(number, dtype=jnp.float32), game)
+    game = _game(scene, robot, human, plans, world, control_limit, influence, solver, ascent)
+    return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
 
 
 def driving_game(
@@ -149,6 +162,8 @@ def driving_game(
     weights: Mapping[str, float] = COMMON_WEIGHTS,
     names: tuple[str, ...] | None = None,
     solver: Solver = "gradient",
+    ascent: Ascent = PAPER_ASCENT,
+    grip: float | None = GRIP,
 ) -> Game:
     """A game on any scene in which both cars only drive, with the paper's dynamics.
 
@@ -161,9 +176,12 @@ def driving_game(
         weights: of the reward of both, by name.
         names: of the features to compute, see `ms_highway.reward.linear_reward`.
         solver: how plans are improved, see `ms_highway.planner.climb`.
+        ascent: see `build_game`.
+        grip: what tyres hold [m/s^2], see `ms_highway.planner.Planner`; None for plans that only have `PHYSICAL_LIMIT`.
     """
     driver = linear_reward(weights, speed_limit, names=names)
-    return _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", solver)
+    game = _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", solver, ascent)
+    return replace(game, planner=replace(game.planner, grip=grip))
 
 
 def _game(
@@ -175,16 +193,22 @@ def _game(
     control_limit: tuple[float, float] | None,
     influence: Influence,
     solver: Solver,
+    ascent: Ascent,
 ) -> Game:
     """A game with the control scale that makes a step of 0.03 what it is in the paper.
 
     A unit of acceleration is one length unit; a unit of omega is one rad/s of yaw rate. With steering by curvature
     that is taken at the paper's speed limit, ``omega = yaw_rate / v``; omega's gradient step is scaled by 1/v^2.
     """
+    plans, world = (replace(motion, time_step=ascent.time_step) for motion in (plans, world))
+    iterations, step_size = gradient_steps(ascent)
     turn_scale = 1 / (SPEED_LIMIT * scene.length_unit) if plans.steering == "curvature" else 1.0
     planner = Planner(
         control_scale=np.array([turn_scale, scene.length_unit]),
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
+        step_size=step_size,
+        horizon=ascent.horizon,
+        iterations=iterations,
         solver=solver,
     )
     return Game(scene, robot, human, plans, world, planner, influence)

@@ -25,6 +25,8 @@ class Scene:
             and width (1/2 is the very corner).
         target_lane: lateral position of the lane that a merging car is heading for.
         length_unit: the length that features count in [m]; 100/3 in the paper's units.
+        bend: curvature of the road [1/m], positive to the right, which straightened coordinates leave out; None on a
+            straight road.
         leader: index of the car in whose gap a car may settle, None without one (static).
     """
 
@@ -36,4 +38,5 @@ class Scene:
     corner: float | Float[Array, ""]
     target_lane: float | Float[Array, ""]
     length_unit: float | Float[Array, ""]
+    bend: float | Float[Array, ""] | None = None
     leader: int | None = field(default=None, metadata={"static": True})

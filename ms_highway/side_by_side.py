@@ -6,13 +6,14 @@ import numpy as np
 import pygame
 from jaxtyping import UInt8
 
-from ms_highway.envs.graphics import INK, MARGIN, PAPER, font, model_color
+from ms_highway.envs.graphics import INK, MARGIN, PAPER, model_color, words
 from ms_highway.video import Film, Picture
 
 __all__ = ["HEADING_HEIGHT", "side_by_side"]
 
 HEADING_HEIGHT = 56  # px
 BAR_HEIGHT = 10  # px
+NAME_SIZE, NUMBERS_SIZE = 26, 20  # px, of texts
 
 
 def side_by_side(films: Sequence[Film]) -> list[Picture]:
@@ -49,10 +50,10 @@ def _heading(film: Film, place: int, width: int, longest: float) -> UInt8[np.nda
     surface.fill(INK)
     taken, middle = _seconds(film)[: place + 1], (HEADING_HEIGHT - BAR_HEIGHT) // 2
     reward = np.mean([record["reward"] for record in film.records[: place + 1]])
-    name = font(40).render(film.controller, True, PAPER)
+    name = words(film.controller, NAME_SIZE, PAPER)
     surface.blit(name, name.get_rect(midleft=(MARGIN, middle)))
     told = f"reward per step {reward:+.2f}      computing {1e3 * taken[-1]:.1f} ms"
-    numbers = font(30).render(told, True, PAPER)
+    numbers = words(told, NUMBERS_SIZE, PAPER)
     surface.blit(numbers, numbers.get_rect(midright=(width - MARGIN, middle)))
     ends = np.concatenate([[0], taken]) / longest * width
     for record, start, end in zip(film.records, ends, ends[1:], strict=False):

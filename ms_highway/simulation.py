@@ -18,7 +18,7 @@ from jax import numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, Int
 
-from ms_highway.compiled import QUICKLY, cores
+from ms_highway.compiled import cores, jit_quickly
 from ms_highway.controller import Status, braking_control
 from ms_highway.dynamics import Array, keep_velocity, recover_control, step
 from ms_highway.game import Game, swap
@@ -192,7 +192,8 @@ def _simulate_shares(loop: Loop, episodes: Episodes, shares: list[np.ndarray], m
     leaves, structure = jax.tree.flatten(given)
     own = zip(*([shard.data for shard in leaf.addressable_shards] for leaf in leaves), strict=True)
     with ThreadPoolExecutor(len(shares)) as threads:  # a device's first computation compiles its program
-        done = threads.map(lambda parts: jax.device_get(_simulate(loop, *jax.tree.unflatten(structure, parts))), own)
+        each = threads.map(lambda parts: jax.device_get(_simulate(loop, *jax.tree.unflatten(structure, parts))), own)
+        done = list(each)  # wait here: Python 3.11 forgets a thread if it is interrupted while it waits for its end
     return [jax.tree.map(lambda part, n=n: part[:n], records) for records, n in zip(done, counts, strict=True)]
 
 
@@ -222,7 +223,7 @@ class _Own(NamedTuple):
     human_weights: Float[jax.Array, "features"]
 
 
-@partial(jax.jit, compiler_options=QUICKLY | IN_ONE_MODULE)
+@partial(jit_quickly, options=IN_ONE_MODULE)
 def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Records:
     """Run the first episodes of as many as `CHUNKS` chunks hold; the records of others are of no use."""
     size = len(episodes)

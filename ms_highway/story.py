@@ -14,6 +14,7 @@ from matplotlib.ticker import NullLocator, StrMethodFormatter
 from ms_highway.colors import color_of
 from ms_highway.envs.graphics import PANEL_HEIGHT
 from ms_highway.human_models import MODELS
+from ms_highway.scenario import title
 
 __all__ = ["common_seeds", "decisions", "one_episode", "storyboard", "switches"]
 
@@ -81,7 +82,7 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
 
 def _title(episode: pd.DataFrame) -> str:
     first = episode.iloc[0]
-    return f"{first['scenario']}, {first['controller']}, seed {first['seed']}"
+    return f"{title(first['scenario'])}, {first['controller']}, seed {first['seed']}"
 
 
 def _gains(axes: Axes, episode: pd.DataFrame) -> None:

@@ -17,7 +17,6 @@ import pyarrow as pa
 from jax.sharding import Mesh
 from pyarrow import parquet
 
-from ms_highway.envs import SCENARIOS
 from ms_highway.episodes import Batch, make_batch, run_episodes, summarised, tabulated
 from ms_highway.experiment import SETTINGS_FILE, Comparison, check_settings
 from ms_highway.files import replacing
@@ -43,6 +42,8 @@ EPISODES, STEPS = "episodes", "steps"
 
 PART = 1024
 """Usual number of episodes in a part."""
+
+MOST_PRICES = 10_000
 
 PAUSE = 0.2  # s, between looks at what other processes have written
 
@@ -98,7 +99,7 @@ class Sweep:
     def rows(self, part: int) -> dict[str, int]:
         """The number of rows of a part in each of the directories."""
         rows = {EPISODES: self.size(part)}
-        return rows | {STEPS: self.size(part) * SCENARIOS[self.scenario].steps} if self.steps else rows
+        return rows | {STEPS: self.size(part) * self.comparison.steps(self.scenario)} if self.steps else rows
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ def prices(text: str) -> list[float]:
     try:
         if ":" in text:
             low, high, count = text.split(":")
-            if not 0 < float(low) < float(high) < np.inf or int(count) < 2:
+            if not 0 < float(low) < float(high) < np.inf or not 2 <= int(count) <= MOST_PRICES:
                 raise ValueError
             values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
             if len(set(values)) < int(count):

@@ -10,6 +10,7 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
@@ -66,9 +67,9 @@ class Switching:
 class Memory(NamedTuple):
     """What the algorithm remembers between steps: the rung in use, the step, and each rung's last downward check."""
 
-    rung: Int[jax.Array, ""]
-    step: Int[jax.Array, ""]
-    last_check: Int[jax.Array, "rungs"]
+    rung: Int[Array, ""]
+    step: Int[Array, ""]
+    last_check: Int[Array, "rungs"]
 
 
 class Decision(NamedTuple):
@@ -92,9 +93,8 @@ class _Expansion(NamedTuple):
 
 def first_memory(switching: Switching, rung: int = 0) -> Memory:
     """The memory before the first step; every rung may be checked at once."""
-    never = -jnp.asarray(switching.cooldown, dtype=jnp.int32)
-    rungs = len(switching.ladder)
-    return Memory(jnp.int32(rung), jnp.int32(0), jnp.broadcast_to(never, (rungs,)))
+    never = -np.ones(len(switching.ladder), np.int32) * switching.cooldown
+    return Memory(np.asarray(rung, np.int32), np.zeros((), np.int32), never)
 
 
 @jax.jit
@@ -150,7 +150,7 @@ def decide(
     up, down = jax.lax.cond(climbs | checks, estimate, lambda: (not_estimated, not_estimated))
     goes_up = up > 0
     chosen = jnp.where(goes_up, top, jnp.where(down > 0, rung - 1, rung))
-    last_check = jnp.where(checks & ~goes_up, memory.last_check.at[rung].set(now), memory.last_check)
+    last_check = jnp.where(checks & ~goes_up, jnp.asarray(memory.last_check).at[rung].set(now), memory.last_check)
     return Decision(Memory(chosen, now, last_check), up, down)
 
 
@@ -174,9 +174,12 @@ def _expand(
     """Derivatives of the one-step rewards at the executed controls, and J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R.
 
     Robot's and human's reward are expanded together, each as the own one. What obstacles, other cars and another
-    leader add to a reward does not depend on the partner's control, and is left out of derivatives in that.
+    leader add to a reward does not depend on the partner's control, and is left out of derivatives in that; unless
+    there is a feature of one's own, which may look at everything at once.
     """
-    pair = replace(game.scene, obstacles=game.scene.obstacles[:0], leader=1 if game.scene.leader == 1 else None)
+    pair, cars = game.scene, len(state)
+    if not game.robot.own:
+        pair, cars = replace(pair, obstacles=pair.obstacles[:0], leader=1 if pair.leader == 1 else None), 2
 
     def derivatives(
         parameters: Reward,
@@ -185,7 +188,7 @@ def _expand(
         partner: Float[jax.Array, "2"],
     ) -> tuple[jax.Array, ...]:
         def in_partner(both: Float[jax.Array, "2 2"]) -> tuple[jax.Array, jax.Array]:
-            slope = jax.jacfwd(lambda partner: _earned(game, pair, parameters, state[:2], both[0], partner))(both[1])
+            slope = jax.jacfwd(lambda partner: _earned(game, pair, parameters, state[:cars], both[0], partner))(both[1])
             return slope, slope
 
         own_slope, own_bend = slope_and_bend(lambda own: _earned(game, game.scene, parameters, state, own, partner))(

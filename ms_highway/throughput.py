@@ -1,8 +1,10 @@
 """How many steps of the closed loop the environments take in a second, and the simulation of many episodes at once."""
 
 import resource
-from collections.abc import Iterator, Sequence
+import signal
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
@@ -15,7 +17,6 @@ from jax.sharding import Mesh
 
 from ms_highway.bench import one_core
 from ms_highway.compiled import high_throughput, keep_compilations
-from ms_highway.envs import SCENARIOS
 from ms_highway.episodes import Batch, Key, make_batch, run_episodes
 from ms_highway.experiment import Comparison, episode, make_environment
 from ms_highway.simulation import use_devices
@@ -33,6 +34,7 @@ def throughput(
     sizes: Sequence[int],
     devices: int | None = None,
     modules: Sequence[str] = (),
+    planning: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Measure the closed loop, warm: in the environment in this process, and in batches in another that it starts.
 
@@ -42,6 +44,7 @@ def throughput(
         sizes: numbers of episodes in a batch.
         devices: how many to use, see `ms_highway.simulation.use_devices`.
         modules: to import in the other process, for scenarios and models that they add.
+        planning: how robot and human plan, see `ms_highway.experiment.Comparison`.
 
     Yields:
         For every controller its name and:
@@ -58,24 +61,27 @@ def throughput(
     for size in sizes:
         if size < 1:
             raise ValueError(f"a batch has size {size}; it must be 1 or more")
-    Comparison({scenario: list(controllers)}).check()
+    every = [Comparison({scenario: [controller]}, planning=planning or {}) for controller in controllers]
+    for comparison in every:
+        comparison.check()
     cache = jax.config.values["jax_compilation_cache_dir"]
     with ProcessPoolExecutor(1, get_context("spawn"), _prepare, (cache, modules)) as process:
         used = process.submit(_devices, devices).result()
-        for controller in controllers:
-            result: dict[str, Any] = {"environment": _environment(scenario, controller), "devices": used}
+        for controller, comparison in zip(controllers, every, strict=True):
+            result: dict[str, Any] = {"environment": _environment(scenario, comparison), "devices": used}
             result |= {"batch": {}, "memory_mib": {}}
             for size in sorted(sizes):
-                measured = process.submit(_batch, scenario, controller, size, devices).result()
+                measured = process.submit(_batch, scenario, replace(comparison, seeds=size), devices).result()
                 result.setdefault("first_seconds", measured["first_seconds"])
                 result["batch"][str(size)] = measured["steps_per_second"]
                 result["memory_mib"][str(size)] = measured["memory_mib"]
             yield controller, result
 
 
-def _environment(scenario: str, controller: str) -> float:
-    """Steps per second, after an episode that compiles."""
-    env = make_environment(scenario, controller)
+def _environment(scenario: str, comparison: Comparison) -> float:
+    """Steps per second with the comparison's only controller, after an episode that compiles."""
+    (controller,) = comparison.controllers[scenario]
+    env = make_environment(scenario, controller, **comparison.common_config())
     with one_core():
         list(episode(env, 0))
         start = perf_counter()
@@ -86,6 +92,7 @@ def _environment(scenario: str, controller: str) -> float:
 
 
 def _prepare(cache: str | None, modules: Sequence[str]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command tells of interrupts
     high_throughput()
     if cache is not None:
         keep_compilations(Path(cache))
@@ -98,14 +105,14 @@ def _devices(count: int | None) -> str:
     return f"{devices.size} of kind {devices[0].device_kind}"
 
 
-def _batch(scenario: str, controller: str, size: int, devices: int | None) -> dict[str, float]:
+def _batch(scenario: str, comparison: Comparison, devices: int | None) -> dict[str, float]:
     """One batch, after one of a chunk on every device that it needs, which may compile."""
-    batch = make_batch(Comparison({scenario: [controller]}, size), scenario)
+    batch = make_batch(comparison, scenario)
     keys, mesh = batch.keys(), use_devices(devices)
     times = [_seconds(batch, keys[: batch.loop.chunk * mesh.size], mesh)]
     while len(times) < 2 or (len(times) <= RUNS and sum(times[1:]) < SECONDS):
         times.append(_seconds(batch, keys, mesh))
-    steps = size * SCENARIOS[scenario].steps
+    steps = len(keys) * batch.steps
     return {"first_seconds": times[0], "steps_per_second": steps / median(times[1:]), "memory_mib": _most_memory()}
 
 

@@ -8,10 +8,12 @@ from matplotlib.ticker import PercentFormatter
 from ms_highway.colors import color_of
 from ms_highway.human_models import MODELS
 from ms_highway.report import episodes_told
+from ms_highway.scenario import title
 
-__all__ = ["best_schedules", "curve", "meta_rewards", "reference", "shares"]
+__all__ = ["best_schedules", "coin", "curve", "meta_rewards", "reference", "shares"]
 
-SWITCHING_COLOR, SCHEDULE_COLOR = "#1b1f27", "#8a93a5"
+SWITCHING_COLOR, SCHEDULE_COLOR, RANDOM_COLOR = "#1b1f27", "#8a93a5", "#2e8b57"
+DIGITS = 3  # of a share
 LABEL = 0.08, 0.05  # width and height of a label, as shares of the axes
 
 
@@ -41,6 +43,28 @@ def shares(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     reward, computation = rows.loc[name, "reward"], rows.loc[name, "counted_ms"]
     earned = rows["reward"] / (reward if reward > 0 else float("nan"))
     return pd.DataFrame({"reward": earned, "computation": rows["counted_ms"] / computation})
+
+
+def coin(summaries: pd.DataFrame, scenario: str, controller: str) -> str:
+    """The short name of a random controller that has a controller's own shares of the models, and looks at nothing.
+
+    What decides well earns more than this with the same planning.
+
+    Args:
+        summaries: of `ms_highway.report.summary`.
+        scenario: its name.
+        controller: its short name.
+
+    Raises:
+        ValueError: if the controller was not compared in the scenario.
+    """
+    rows = summaries[(summaries["scenario"] == scenario) & (summaries["controller"] == controller)]
+    if rows.empty:
+        raise ValueError(f"{controller!r} was not compared in {scenario!r}; add it to the controllers")
+    parts = {name: round(float(rows[f"share_{name}"].iloc[0]), DIGITS) for name in MODELS if f"share_{name}" in rows}
+    most = max(parts, key=lambda name: parts[name])
+    parts[most] = round(1 - sum(part for name, part in parts.items() if name != most), DIGITS)
+    return "random:" + ",".join(f"{name}={part:g}" for name, part in parts.items() if part)
 
 
 def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "counted_ms") -> pd.DataFrame:
@@ -90,7 +114,7 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
 
     On the left, planning is counted at the seconds T(M) that decisions count; on the right, where they were measured,
     planning and deciding are as on this machine. Switching is joined in the order of lambda; the dashed line joins
-    `best_schedules`.
+    `best_schedules`; crosses are random controllers.
     """
     rows = summaries[summaries["scenario"] == scenario]
     measured = {"planning_ms", "decision_ms"} <= set(rows)
@@ -104,7 +128,7 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
         axes.set(xlabel="planning + deciding per step, measured [ms]")
     _share_axes(left, summaries, scenario)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
-    figure.suptitle(f"{scenario}: reward against computation, {episodes_told(rows)}")
+    figure.suptitle(f"{title(scenario)}: reward against computation, {episodes_told(rows)}")
     return figure
 
 
@@ -129,6 +153,9 @@ def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) 
         axes.plot(best[computation], best["reward"], "--", color=SCHEDULE_COLOR, label="best fixed schedules")
     if len(switching):
         _points(axes, switching, computation, "o-", SWITCHING_COLOR, "switching, by lambda")
+    chance = rows[rows["kind"] == "random"]
+    if len(chance):
+        _points(axes, chance, computation, "x", RANDOM_COLOR, "random")
     for price, place in _apart(switching, rows, computation):
         axes.annotate(f"{price:.3g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
     for name, one in rows[rows["kind"] == "fixed"].groupby("controller", sort=False):

@@ -9,7 +9,6 @@ and ``ladder`` [rungs].
 import re
 import zipfile
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.compiled import QUICKLY, pack, plan_function
+from ms_highway.compiled import jit_quickly, pack, plan_function
 from ms_highway.envs import SCENARIOS
 from ms_highway.game import Game, swap_roles
 from ms_highway.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, cold_start, ladder
@@ -30,6 +29,8 @@ __all__ = ["read_episodes", "validate", "validate_file"]
 
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
 SWITCHING = "switching_lambda_"
+KINDS = {"models": "iu", "ladder": "iu"}  # of numbers, where they have to be integers
+MOST_BYTES = 2**27
 ARRAYS = ("states", "robot_controls", "human_controls", "rewards", "models", "ladder")
 
 
@@ -92,12 +93,17 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
             f"and a kind of {', '.join(PAPER_MODELS)} or {SWITCHING}NUMBER"
         )
     try:
-        with np.load(file, allow_pickle=False) as archive:
-            episodes = {name: archive[name] for name in ARRAYS}
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{file} is no reference file: {error}") from error
-    if episodes["states"].ndim != 4:
-        raise ValueError(f"{file}: states has shape {episodes['states'].shape} instead of [episode, step, car, 4]")
+        episodes = _arrays(file)
+    except Exception as error:  # of many kinds: whatever unpacking and NumPy stumble over
+        raise ValueError(f"{file} is no reference file: {type(error).__name__}: {error}") from error
+    for name, array in episodes.items():
+        if array.dtype.kind not in KINDS.get(name, "fiu"):
+            raise ValueError(
+                f"{file}: {name} holds {array.dtype}; it must hold {'integers' if name in KINDS else 'numbers'}"
+            )
+    if episodes["states"].ndim != 4 or min(episodes["states"].shape[:2]) < 1 or episodes["states"].shape[1] < 2:
+        shape = episodes["states"].shape
+        raise ValueError(f"{file}: states has shape {shape} instead of [episode, step, car, 4] with two steps or more")
     count, steps = episodes["states"].shape[:2]
     wanted = {
         "states": (count, steps, len(SCENARIOS[scenario].cars), 4),
@@ -109,11 +115,14 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
     for name, shape in wanted.items():
         if episodes[name].shape != shape:
             raise ValueError(f"{file}: {name} has shape {episodes[name].shape} instead of {shape}")
-        if not np.isfinite(episodes[name]).all():
-            raise ValueError(f"{file}: {name} is not finite")
+        with np.errstate(over="ignore"):
+            finite = np.isfinite(episodes[name].astype(np.float32)).all()
+        if not finite:
+            raise ValueError(f"{file}: {name} is not finite, in single precision")
     rungs = episodes["ladder"]
     if (
         rungs.ndim != 1
+        or len(set(rungs.tolist())) < len(rungs)
         or not np.isin(rungs, range(len(PAPER_MODELS))).all()
         or not np.isin(episodes["models"], rungs).all()
     ):
@@ -121,7 +130,19 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
     return scenario, episodes
 
 
-_rewards = jax.jit(reward, compiler_options=QUICKLY)
+def _arrays(file: Path) -> dict[str, np.ndarray]:
+    """The arrays of a reference file, as far as they can be read safely."""
+    if not file.is_file():
+        raise ValueError("it is a directory or a device")
+    with zipfile.ZipFile(file) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > MOST_BYTES:
+        raise ValueError(f"it unpacks to {size} bytes; no log is larger than {MOST_BYTES}")
+    with np.load(file, allow_pickle=False) as archive:
+        return {name: archive[name] for name in ARRAYS}
+
+
+_rewards = jit_quickly(reward)
 
 
 def _first_controls(model: HumanModel, game: Game, states: Float[np.ndarray, "n cars 4"]) -> Float[np.ndarray, "n 2"]:
@@ -146,7 +167,7 @@ def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> 
     return {"agree": agree, "all": int(logged[:, 1:].size)}
 
 
-@partial(jax.jit, compiler_options=QUICKLY)
+@jit_quickly
 def _choices(
     switching: Switching,
     game: Game,
@@ -158,7 +179,7 @@ def _choices(
 ) -> Int[jax.Array, "steps"]:
     """The rung that is chosen after each step, each of which was driven with the logged one."""
 
-    def choose(memory: Memory, step: tuple[jax.Array, ...]) -> tuple[Memory, jax.Array]:
+    def choose(memory: Memory, step: tuple[jax.Array, ...]) -> tuple[Memory, Any]:
         rung, *happened = step
         memory = decide(switching, game, memory._replace(rung=rung), *happened).memory
         return memory, memory.rung

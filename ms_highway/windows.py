@@ -12,12 +12,12 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.batches import in_batches
-from ms_highway.compiled import QUICKLY
+from ms_highway.compiled import jit_quickly
 from ms_highway.dynamics import Motion, keep_velocity, observe
 from ms_highway.game import Game, move
 from ms_highway.neighbours import far_behind, places
 from ms_highway.recording import Recording, number_groups
-from ms_highway.reward import FEATURES, motion_features
+from ms_highway.reward import FEATURES, features_for, motion_features
 from ms_highway.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT, driving_game
 from ms_highway.scene import Scene
 from ms_highway.tracks import track_of
@@ -193,7 +193,7 @@ def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
     return ~at_kink & ~saturated
 
 
-@partial(jax.jit, compiler_options=QUICKLY)
+@jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
 def _edge(game: Game, window: Window) -> tuple[jax.Array, jax.Array]:
     """Whether the driver is off the road, and the size of its heading's sine, after each step."""
@@ -202,10 +202,14 @@ def _edge(game: Game, window: Window) -> tuple[jax.Array, jax.Array]:
     return phi[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
 
 
-def template(windows: Windows, weights: Mapping[str, float]) -> Game:
-    """A game in which a driver drives for these weights; `at_window` puts it where a window is."""
+def template(windows: Windows, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
+    """A game in which a driver drives for these weights; `at_window` puts it where a window is.
+
+    Computed are `FEATURES`, and features of one's own that are weighed or among the names.
+    """
     scene = jax.tree.map(lambda numbers: numbers[0], windows.scenes)
-    game = driving_game(scene, float(windows.speed_limit[0]), weights, FEATURES)
+    computed = features_for(weights, dict.fromkeys(names, 1.0), least=FEATURES)
+    game = driving_game(scene, float(windows.speed_limit[0]), weights, computed, grip=None)
     horizon = windows.controls.shape[1]
     return replace(game, planner=replace(game.planner, horizon=horizon))
 
@@ -218,7 +222,7 @@ def at_window(game: Game, window: Window) -> Game:
 def features_at(
     game: Game, window: Window, own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]
 ) -> Float[jax.Array, "features"]:
-    """The features `FEATURES` at one step of a window.
+    """The features that the game computes at one step of a window.
 
     Args:
         game: as `template` makes it.
@@ -236,7 +240,7 @@ def unease(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Flo
 
 
 def features_along(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "features"]:
-    """The features `FEATURES` summed over a window's steps, and then those of comfort, under scaled controls."""
+    """The game's features summed over a window's steps, and then those of comfort, under scaled controls."""
     path = move(game, jnp.asarray(window.start), controls)
     steps = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
     return jnp.concatenate([steps.sum(axis=0), -jnp.sum(unease(game, window, controls) ** 2, axis=0) / 2])

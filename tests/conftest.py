@@ -10,6 +10,7 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.commonroad import read_directory
+from ms_highway.compiled import keep_compilations
 from ms_highway.envs import SCENARIOS
 from ms_highway.game import Game
 from ms_highway.recording import Recording
@@ -23,7 +24,7 @@ def shared_compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     settings = {"jax_compilation_cache_dir": cache, "jax_persistent_cache_min_compile_time_secs": 0.1}
     for name, value in settings.items():
         os.environ[name.upper()] = str(value)
-        jax.config.update(name, value)
+    keep_compilations(Path(cache))
 
 
 @pytest.fixture(scope="session")

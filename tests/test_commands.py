@@ -14,6 +14,7 @@ from ms_highway.bench import bench
 from ms_highway.cli import main
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS
 from ms_highway.experiment import columns
+from ms_highway.files import held
 from ms_highway.learnt import save, shipped
 
 COMPARE = ["compare", "stay_back", "--controllers", "naive", "switching:0.4", "--seeds", "2", "--out"]
@@ -75,6 +76,7 @@ def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(compare
         "stay_back",
         "--controllers",
         "schedule:turn=2,naive",
+        "random:naive=0.5,turn=0.5",
         "--seeds",
         "1",
         "--out",
@@ -83,9 +85,10 @@ def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(compare
     assert main(arguments) == 0
     assert "switching:0.4" not in capsys.readouterr().out
     summary = pd.read_csv(tmp_path / "summary.csv")
-    assert summary["controller"].tolist() == ["naive", "switching:0.4", "schedule:turn=2,naive"]
-    assert summary["kind"].tolist() == ["fixed", "switching", "schedule"]
-    assert summary["episodes"].tolist() == [2, 2, 1]
+    added = arguments[3:5]
+    assert summary["controller"].tolist() == ["naive", "switching:0.4", *added]
+    assert summary["kind"].tolist() == ["fixed", "switching", "schedule", "random"]
+    assert summary["episodes"].tolist() == [2, 2, 1, 1]
 
 
 def test_a_controller_named_twice_runs_once(compared, tmp_path):
@@ -102,6 +105,21 @@ def test_compare_keeps_measured_costs_with_the_results(tmp_path):
     assert 0 < costs["naive"] < 0.1
     assert main([*arguments, "--out", str(tmp_path)]) == 0
     assert (tmp_path / "settings.json").read_text() == settings
+
+
+def test_compare_says_that_it_goes_on_with_other_versions(compared, tmp_path, capsys):
+    for name in ("settings.json", "steps.csv", "provenance.json"):
+        (tmp_path / name).write_text((compared / name).read_text())
+    (run,) = json.loads((compared / "provenance.json").read_text())
+    older = [run | {"versions": run["versions"] | {"jax": "0.1"}, "xla_flags": "--other"}]
+    (tmp_path / "provenance.json").write_text(json.dumps(older))
+    arguments = [*COMPARE[:2], "--controllers", "turn", "--seeds", "1", "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    said = capsys.readouterr().err
+    assert f"goes on with jax {run['versions']['jax']} instead of 0.1, XLA_FLAGS" in said
+    assert "instead of --other; results may not agree" in said
+    assert main([*arguments[:4], "naive", *arguments[4:]]) == 0
+    assert "instead of" not in capsys.readouterr().err
 
 
 def test_compare_refuses_records_of_another_version(compared, tmp_path, capsys):
@@ -139,6 +157,45 @@ def test_compare_keeps_results_among_other_humans_apart(compared, tmp_path, caps
     assert "choose another directory" in failure(capsys, *arguments[:-3], "--out", str(tmp_path / "out"))
 
 
+def test_of_two_commands_that_write_to_a_directory_the_second_is_refused(compared, capsys):
+    before = (compared / "steps.csv").read_text()
+    with held(compared):
+        assert "another command is writing to" in failure(capsys, *COMPARE, str(compared), "--seeds", "3")
+    assert (compared / "steps.csv").read_text() == before
+
+
+def test_compare_refuses_texts_where_numbers_belong_before_it_drives(compared, tmp_path, capsys):
+    (tmp_path / "settings.json").write_text((compared / "settings.json").read_text())
+    damaged = (compared / "steps.csv").read_text().replace("stay_back,naive,0,0,", "stay_back,naive,nought,0,")
+    (tmp_path / "steps.csv").write_text(damaged)
+    assert "texts where numbers belong, in column seed" in failure(capsys, *COMPARE, str(tmp_path))
+    assert (tmp_path / "steps.csv").read_text() == damaged
+
+
+def test_compare_drives_episodes_anew_whose_records_have_holes(compared, tmp_path):
+    (tmp_path / "settings.json").write_text((compared / "settings.json").read_text())
+    head, first, *others = (compared / "steps.csv").read_text().splitlines(keepends=True)
+    cells = dict(zip(head.split(","), first.split(","), strict=True)) | {"reward": ""}
+    (tmp_path / "steps.csv").write_text("".join([head, ",".join(cells.values()), *others]))
+    assert main([*COMPARE, str(tmp_path)]) == 0
+    order = ["controller", "seed", "step"]
+    again, before = (untimed(directory).sort_values(order, ignore_index=True) for directory in (tmp_path, compared))
+    pd.testing.assert_frame_equal(again, before)
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, '{"a":' * 100_000])
+def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, tmp_path, capsys):
+    for name in ("settings.json", "provenance.json", "learnt.json"):
+        (tmp_path / name).write_text(content)
+    learnt = str(tmp_path / "learnt.json")
+    arguments = ["compare", "merger", "--controllers", "naive", "--seeds", "1"]
+    assert "nested too deeply" in failure(capsys, *arguments, "--out", str(tmp_path))
+    assert "nested too deeply" in failure(capsys, "sweep", *arguments[1:4], "--out", str(tmp_path))
+    assert "nested too deeply" in failure(capsys, *arguments, "--human-reward", learnt, "--out", str(tmp_path / "out"))
+    report = ["irl", "report", "--evaluation", learnt, "--theta", "us101", "--data", str(tmp_path)]
+    assert "nested too deeply" in failure(capsys, *report, "--out", str(tmp_path / "out"))
+
+
 def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys):
     (tmp_path / "settings.json").write_text((compared / "settings.json").read_text())
     (tmp_path / "steps.csv").write_text("these are\nno, records\n")
@@ -157,10 +214,27 @@ def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys
         (["compare", "merger", "--controllers", "schedule:oracle"], "['oracle']; give a list of human models"),
         (["compare", "merger", "--controllers", "schedule:tmo=3,naive"], "unknown human model 'tmo'"),
         (["compare", "merger", "--controllers", "schedule:tom=5"], "the last model goes on, so name it without steps"),
+        (
+            ["compare", "merger", "--controllers", "random:tom"],
+            "'tom' where a share belongs; say it like random:naive=0.7",
+        ),
+        (["compare", "merger", "--controllers", "random:tom=0.5,tom=0.5"], "names 'tom' twice"),
+        (["compare", "merger", "--controllers", "random:naive=0.7,tom=0.2"], "['shares'] sum to 0.9; change one"),
         (["--import", "brief.py", "compare"], "--import brief.py: give the name of a module, such as brief"),
         (["compare", "merger", "--ladder", "tom", "naive"], "cheapest first"),
         (["--import", "no_such_module", "compare"], "--import no_such_module: ModuleNotFoundError: No module named"),
         (["compare", "merger", "--seeds", "0"], "--seeds is 0"),
+        (["compare", "merger", "--out", "caf\udce9"], "'caf\\udce9' is not UTF-8"),
+        (
+            ["compare", "merger", "--seeds", "9223372036854775808"],
+            "--seeds is 9223372036854775808; it must be 1000000 or",
+        ),
+        (["compare", "merger", "--controllers", "schedule:tom=10000000000,naive"], "no episode has 10000000000 steps"),
+        (["compare", "merger", "--controllers", "switching:0.1\n"], "needs its lambda as a number"),
+        (["frontier", "merger", "--seeds", "1000000000000"], "--seeds is 1000000000000; it must be 1000000 or less"),
+        (["frontier", "merger", "--population", "1000000"], "is 30000000 orders in a round"),
+        (["irl", "record", "--driver", "mpc", "--dataset", "a/b-v0", "--episodes", "1000000000000"], "1000000 or less"),
+        (["bench", "merger", "--batches", "1000000000000"], "--batches has 1000000000000"),
         (["compare", "merger", "--costs", "naive=cheap"], "--costs"),
         (["compare", "merger", "--costs", "naive=0.1"], "'turn'"),
         (["compare", "merger", "--human-reward", "learnt"], "--human-reward is neither learned nor published"),
@@ -168,6 +242,9 @@ def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys
         (["video", "merger", "--out", "film.avi"], ".mp4 or .gif"),
         (["video", "merger", "--out", "film.mp4", "--speed", "0"], "--speed"),
         (["video", "merger", "--out", "film.mp4", "--speed", "nan"], "--speed"),
+        (["video", "merger", "--out", "film.mp4", "--speed", "1e300"], "--speed is 1e+300; it must be between"),
+        (["video", "merger", "--out", "film.gif", "--speed", "1e-300"], "--speed is 1e-300; it must be between"),
+        (["irl", "record", "--driver", "mpc", "--dataset", "a/b-v0", "--episodes", "1"], "name it like ms-highway"),
         (["video", "merger", "--out", "film.mp4", "--seed", "-1"], "--seed"),
         (["video", "roundabout", "--out", "film.mp4"], "unknown scenario 'roundabout'"),
         (["video", "merger", "--out", "film.mp4", "--against", "oracle"], "unknown controller 'oracle'"),

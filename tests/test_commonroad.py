@@ -246,3 +246,33 @@ def test_a_us101_file_under_another_name_adds_no_drivers(us101_directory: Path, 
     assert len(first.drivers) == 27
     assert len(second.drivers) == 0
     np.testing.assert_array_equal(first.states, second.states)
+
+
+def test_a_scenario_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
+    with gzip.open(tmp_path / "bomb.xml.gz", "wb", compresslevel=1) as bomb:
+        for _ in range(101):
+            bomb.write(bytes(1_000_000))
+    with pytest.raises(ValueError, match=r"bomb\.xml\.gz is no CommonRoad scenario.*more than 100000000 bytes"):
+        read_directory(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        ({"lanelets": lanelet(1, 0.0, straight(0, 1e9))}, "lanelets are up to 8.25e\\+08 m apart"),
+        ({"lanelets": re.sub("<x>[^<]*", "<x>inf", two_lanes(), count=1)}, "coordinates of lanelets are not finite"),
+        ({"cars": car(100, 20, 0).replace(f"<exact>{TURN}", "<exact>inf")}, "an orientation of inf rad"),
+        ({"cars": car(100, 20, 0).replace(f"<exact>{TURN}", "<exact>1e15")}, "an orientation of 1e15 rad"),
+        ({"cars": car(100, 20, 0).replace("<length>4.5", "<length>inf")}, "is longer than 100 m, or faster"),
+        ({"cars": car(100, 20, 0).replace(f"<exact>{SPEED}", "<exact>1e9")}, "is longer than 100 m, or faster"),
+        ({"cars": car(100, 20, 0) + car(101, 1e9, 0)}, "obstacles are up to .* m apart"),
+        (
+            {"cars": car(100, 20, 0).replace("<time><exact>3<", "<time><exact>9<")},
+            "times of obstacle 100 do not follow each other",
+        ),
+        ({"cars": car(100, 20, 0).replace("<time><exact>19<", "<time><exact>1000000000<")}, "in 1000000001 time steps"),
+    ],
+)
+def test_what_is_on_no_road_and_at_no_time_is_named(damage, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        read(tmp_path, scenario(**damage))

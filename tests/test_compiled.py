@@ -3,13 +3,20 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.compiled import decide_function, in_one_kernel, keep_compilations, observation, pack, packed_memory
+from ms_highway.compiled import (
+    decide_function,
+    in_one_kernel,
+    jit_quickly,
+    known_options,
+    observation,
+    pack,
+    packed_memory,
+)
 from ms_highway.dynamics import keep_velocity, step
 from ms_highway.human_models import MODELS, ladder
 from ms_highway.reward import reward
@@ -48,6 +55,13 @@ def run_with_low_latency(**environment):
     run = subprocess.run(command, capture_output=True, text=True, check=True, env=clean | environment)
     flags, *numbers, controls = run.stdout.splitlines()
     return flags, *(int(number) for number in numbers), np.array(controls.split(), dtype=float)
+
+
+def test_compiler_options_that_this_xla_does_not_know_are_left_out():
+    kept = {"xla_cpu_parallel_codegen_split_count": 1}
+    assert known_options({**kept, "xla_cpu_no_such_option": True}) == kept
+    doubled = jit_quickly(lambda number: 2 * number, options={"xla_cpu_no_such_option": True})
+    assert doubled(3.0) == 6.0
 
 
 def test_low_latency_makes_a_plan_and_a_decision_one_kernel_each_that_plans_the_same(played):
@@ -108,17 +122,3 @@ def test_a_compiled_decision_is_the_decision_about_what_was_observed(played):
         *remembered, up, down = np.asarray(decide_function(layout)(observed, numbers))
         np.testing.assert_array_equal(remembered, packed_memory(Memory(*expected.memory)))
         np.testing.assert_allclose([up, down], [expected.gain_up, expected.gain_down], rtol=1e-2, atol=1e-3)
-
-
-def test_compilations_are_kept_where_the_environment_says(tmp_path, monkeypatch):
-    names = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
-    before = {name: getattr(jax.config, name) for name in names}
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    try:
-        assert keep_compilations() == Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
-        monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
-        assert keep_compilations() == tmp_path / "cache" / "ms_highway" / "compiled"
-        assert keep_compilations(tmp_path / "own") == tmp_path / "own"
-    finally:
-        for name, value in before.items():
-            jax.config.update(name, value)

@@ -7,7 +7,7 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.compiled import decide_function, measure_costs, pack, plan_function
-from ms_highway.controller import FixedModel, ModelSwitching, brake
+from ms_highway.controller import FixedModel, ModelSwitching, ScheduledModels, brake
 from ms_highway.dynamics import step as move
 from ms_highway.human_models import MODELS, ladder
 from ms_highway.switching import Switching
@@ -130,3 +130,70 @@ def test_switching_without_a_known_cost_stays_on_its_rung_and_drives_on(played):
     steps = [controller.step(np.asarray(state)) for _ in range(3)]
     assert [step.model for step in steps] == ["naive"] * 3
     assert all(step.status == "planned" and not step.gains for step in steps)
+
+
+@pytest.mark.parametrize("costs", [[0.09], [0.09, 0.17, 0.37], 0.09])
+def test_switching_needs_a_cost_for_each_rung(played, costs):
+    game, _ = played("stay_back")
+    with pytest.raises(ValueError, match="give one for each of naive, turn"):
+        ModelSwitching(game, Switching(np.array(costs), 0.1, ladder(("naive", "turn"))))
+
+
+def slower(game):
+    """The game with another speed limit."""
+    return replace(game, robot=replace(game.robot, speed_limit=game.robot.speed_limit / 2))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda game: FixedModel(game, MODELS["turn"]),
+        lambda game: ScheduledModels(game, ladder(("naive", "turn"))),
+        lambda game: ModelSwitching(game, Switching(np.array([0.09, 0.17]), 0.0, ladder(("naive", "turn")))),
+    ],
+)
+def test_a_controller_plays_another_game_of_the_same_shapes_without_compiling(played, make):
+    game, state = played("merger")
+    state = np.asarray(state)
+    controller, fresh = make(game), make(slower(game))
+    first = controller.step(state)
+    controller.reset()
+    controller.game = slower(game)
+    again = controller.step(state)
+    assert again.compile_seconds == 0
+    np.testing.assert_array_equal(again.plan, fresh.step(state).plan)
+    assert abs(again.plan - first.plan).max() > 1e-3
+
+
+def test_who_meets_another_partner_starts_again_at_the_bottom_with_its_own_plan(played):
+    game, state = played("merger")
+    state = np.asarray(state)
+    switching = Switching(np.array([0.0, 0.0]), 0.0, ladder(("naive", "turn")))
+    controller = ModelSwitching(game, switching, warm_start=True)
+    moved = [state + np.outer(state[:, 3], [0.1 * count, 0, 0, 0]) for count in range(4)]
+    models = [controller.step(now).model for now in moved]
+    assert models[-1] == "turn"
+    own = controller._last.plan.copy()
+    controller.meet()
+    np.testing.assert_array_equal(controller._last.plan, own)
+    assert (controller._last.human == 0).all()
+    step = controller.step(moved[-1])
+    assert (step.model, dict(step.gains)) == ("naive", {})
+    assert controller.step(moved[-1]).gains
+
+
+def test_what_was_before_may_be_told_in_the_coordinates_of_now(played):
+    """Where coordinates begin at the car, as they do for those that drive by themselves."""
+    game, state = played("stay_back")
+    state = np.asarray(state) + np.array([game.scene.obstacles[0, 0] - 5.0 - state[0, 0], 0, 0, 0])
+    switching = Switching(np.array([0.0, 0.0]), 0.0, ladder(("naive", "turn")))
+    still, told, untold = (ModelSwitching(game, switching) for _ in range(3))
+    for controller in (still, told, untold):
+        controller.step(state)
+    later = state + np.outer(state[:, 3] * 0.1, [1, 0, 0, 0])
+    back = np.array([-2.0, 0, 0, 0])  # where the coordinates of now begin
+    for controller in (told, untold):
+        controller.game = replace(game, scene=replace(game.scene, obstacles=game.scene.obstacles + back[:2]))
+    expected = still.step(later).gains
+    assert told.step(later + back, state + back).gains == pytest.approx(expected, rel=1e-2, abs=1e-3)
+    assert untold.step(later + back).gains != pytest.approx(expected, rel=1e-2, abs=1e-3)

@@ -352,10 +352,27 @@ def test_a_killed_recording_keeps_its_episodes_and_goes_on(recorded, datasets, m
 def test_an_episode_that_the_metadata_do_not_count_yet_is_not_lost(files):
     metadata = json.loads((files / "metadata.json").read_text())
     (files / "metadata.json").write_text(json.dumps({**metadata, "total_episodes": 2, "total_steps": 100}))
-    (files.parent / ".part").mkdir()  # where the killed recording worked
+    (files.parent / ".part.0123456789abcdef.data").mkdir()  # where the killed recording worked
     assert list(record("mpc", 4, NAME)) == [3, 4]
     assert minari.load_dataset(NAME).total_steps == 200
     assert [path.name for path in files.parent.iterdir()] == ["data"]
+
+
+def test_a_disk_without_room_for_another_episode_is_named_before_it_is_driven(files):
+    with (files / "padding").open("wb") as padding:
+        padding.truncate(10**13)  # takes no room, but a copy of it would
+    with pytest.raises(OSError, match="mpc-v0/data needs 10000002 MB for another episode; its disk has"):
+        list(record("mpc", 4, NAME))
+    assert [path.name for path in files.parent.iterdir()] == ["data"]
+    assert len(load(NAME)) == 3
+
+
+def test_two_recordings_into_one_data_set_do_not_mix(files):
+    counts = record("mpc", 4, NAME)
+    assert next(counts) == 3
+    with pytest.raises(ValueError, match="another command is writing to"):
+        next(record("mpc", 5, NAME))
+    assert list(counts) == [4]
 
 
 def test_a_recording_that_is_complete_is_left_alone(files):

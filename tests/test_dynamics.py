@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.dynamics import Dynamics, coast, keep_velocity, observe, recover_control, rollout, step
+from ms_highway.dynamics import Dynamics, coast, keep_velocity, observe, recover_control, rollout, step, within_grip
 
 PAPER = Dynamics("curvature", "linear", 0.2, 0.1)
 RELEASED_PLAN = Dynamics("yaw_rate", "linear", 0.0, 0.1)
@@ -75,3 +75,26 @@ def test_a_car_that_keeps_its_velocity_coasts(dynamics, batch):
     for field, expected in zip(coast(dynamics, jnp.asarray(state), 4), observe(moved), strict=True):
         assert field.shape == (*batch, 4)
         np.testing.assert_allclose(field[..., -1], expected, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("dynamics", [PAPER, RELEASED_PLAN])
+def test_controls_within_the_grip_are_kept_and_others_scaled_onto_the_friction_circle(dynamics):
+    random = np.random.default_rng(0)
+    speed, control = random.uniform(0, 30, 500), random.normal(0, [0.05, 8], (500, 2))
+    bend = 0.02
+    held = within_grip(dynamics, 8.0, speed, control, bend)
+    states = np.stack([0 * speed, 0 * speed, 0 * speed, speed], axis=-1)
+    after = step(dynamics, states, held)
+    turned = after[:, 2] / dynamics.time_step * speed + bend * speed**2  # m/s^2 to the side, the road's bend included
+    total = np.hypot(turned, (after[:, 3] - speed) / dynamics.time_step)
+    assert total.max() <= 8.0 + 1e-6
+    assert after[:, 3].min() >= -1e-12
+    free = (held == control).all(axis=1) | np.isclose(held, control, atol=1e-12).all(axis=1)
+    assert 0.1 < free.mean() < 0.9
+    stops = np.isclose(after[:, 3], 0, atol=1e-9)
+    np.testing.assert_allclose(total[~free & ~stops], 8.0)
+
+
+def test_a_car_that_rolls_backwards_is_stopped():
+    held = within_grip(PAPER, 8.0, np.array(-0.3), np.array([0.0, -5.0]))
+    assert step(PAPER, np.array([0.0, 0.0, 0.0, -0.3]), held)[3] == pytest.approx(0.0)

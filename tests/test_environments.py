@@ -1,17 +1,20 @@
 """The environments as a Gymnasium user meets them."""
 
+import pickle
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AsyncVectorEnv
 
 import ms_highway
 from ms_highway.envs import SCENARIOS, MergerEnv, add_scenario, environment_id
-from ms_highway.envs.base import Seconds
+from ms_highway.envs.base import Timing
 from ms_highway.learnt import shipped
 from ms_highway.reward import COMFORT, FEATURES
 from ms_highway.scenario import COMMON_WEIGHTS, PAPER_UNIT
@@ -130,7 +133,7 @@ def test_info_tells_reward_by_feature_and_measured_times():
     for reward, info in zip(rewards, infos, strict=True):
         assert sum(info["rewards"].values()) == pytest.approx(reward)
         assert info["status"] == info["human_status"] == "planned"
-        assert 0 < info["planning_seconds"] < 1
+        assert 0 < info["timing"].planning_seconds < 1
         assert info["collision"] is False
 
 
@@ -152,7 +155,7 @@ def test_the_agent_that_chooses_the_model_pays_for_its_time():
 def test_the_agent_that_chooses_the_model_waits_for_compilation_only_once():
     env = make("merger", action={"type": "HumanModelAction", "lambda": 0.1})
     env.reset(seed=0)
-    assert [env.step(place)[4]["compile_seconds"] for place in (0, 1, 2)][1:] == [0.0, 0.0]
+    assert [env.step(place)[4]["timing"].compile_seconds for place in (0, 1, 2)][1:] == [0.0, 0.0]
 
 
 def test_the_autopilot_refuses_other_actions():
@@ -167,6 +170,27 @@ def test_a_continuous_action_drives_the_robot():
     speed = env.unwrapped.robot.speed
     env.step(np.array([1.0, 0.0]))  # 5 m/s^2 against 0.2 1/s of friction
     assert env.unwrapped.robot.speed == pytest.approx(speed + 0.1 * (5.0 - 0.2 * speed))
+
+
+def test_a_horizon_of_a_second_is_planned_with_steps_that_hold():
+    env = make("merger", controller={"type": "fixed", "model": "turn"}, horizon=10)
+    _, rewards, infos = drive(env)
+    planner = env.unwrapped.game.planner
+    assert (planner.horizon, planner.iterations) == (10, 58)
+    assert len(env.unwrapped.robot.last_step.plan) == len(env.unwrapped.human.last_step.plan) == 10
+    assert rewards.mean() > 1.3
+    assert not any(info["collision"] for info in infos)
+    with pytest.warns(UserWarning, match=r"step_size'\] is 0.03: plans of 10 steps of 0.1 s overshoot"):
+        make("merger", horizon=10, step_size=0.03)
+
+
+def test_a_longer_time_step_makes_fewer_steps_of_the_same_episode():
+    env = make("merger", controller=FIXED, time_step=0.2, horizon=3)
+    states, rewards, _ = drive(env)
+    assert len(rewards) == 20
+    assert env.unwrapped.metadata["render_fps"] == 5
+    travelled = states[-1, 2, 0] - states[0, 2, 0]
+    assert travelled == pytest.approx(4.0 * states[0, 2, 3], rel=1e-3)
 
 
 def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked():
@@ -221,6 +245,17 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"controller": {"type": "fixed"}}, "'model'"),
         ({"controller": {"type": "schedule", "models": []}}, r"\['models'\] is \[\]; give a list of human models"),
         ({"controller": {"type": "schedule", "models": ["tom", "oracle"]}}, "'oracle'.*of naive, turn, tom"),
+        ({"controller": {"type": "random"}}, r"\['shares'\] is None; give the share of each model, such as"),
+        (
+            {"controller": {"type": "random", "shares": {"oracle": 1.0}}},
+            r"\['shares'\] names 'oracle'; the human models",
+        ),
+        ({"controller": {"type": "random", "shares": {"tom": -0.5, "naive": 1.5}}}, r"\['shares'\]\['tom'\] is -0.5"),
+        ({"controller": {"type": "random", "shares": {"tom": np.inf}}}, r"\['tom'\] is inf; a share must be a number"),
+        (
+            {"controller": {"type": "random", "shares": {"tom": 0.3, "naive": 0.6}}},
+            r"\['shares'\] sum to 0.9; change one",
+        ),
         ({"controller": "tom"}, "'type' must be one of"),
         ({"ladder": ["tom", "naive"]}, "cheapest first"),
         ({"ladder": []}, "impossible ladder"),
@@ -239,6 +274,15 @@ def test_frame_rates_do_not_leak_between_environments():
         ),
         ({"human_reward": {"speed": "2"}}, r"\['speed'\] is '2'"),
         ({"policy_frequency": 5}, "must be 10"),
+        ({"horizon": 0}, r"\['horizon'\] is 0"),
+        ({"horizon": 10**6}, "must be a whole number from 1 to 100"),
+        ({"iterations": 2.5}, r"\['iterations'\] is 2.5; it must be a whole number from 1 to 5000"),
+        ({"iterations": 10**12}, "from 1 to 5000"),
+        ({"horizon": 50}, "need 36385 gradient steps"),
+        ({"time_step": 1e-320}, "from 0.01 to 1 s"),
+        ({"duration": 0.01}, "one time step at least"),
+        ({"step_size": -0.1}, r"\['step_size'\] is -0.1"),
+        ({"time_step": 0.2, "policy_frequency": 10}, "steps of 0.2 s, so it must be 5"),
         ({"duration": -1}, "'duration'"),
         ({"control_limit": [1.0]}, "'control_limit'"),
         ({"control_limit": ["a", "b"]}, "'control_limit'"),
@@ -341,7 +385,7 @@ def test_other_weights_of_the_human_compile_nothing():
     env.step(0)
     for reward in ("published", {"speed": 1.0, "lane_alignment": 10.0, "comfort_acceleration": 0.3}):
         env.reset(seed=0, options={"config": {"human_reward": reward}})
-        assert env.step(0)[4]["compile_seconds"] == 0.0
+        assert env.step(0)[4]["timing"].compile_seconds == 0.0
 
 
 def test_theory_of_mind_opens_the_gap_with_a_learnt_human_and_naive_does_not():
@@ -367,24 +411,94 @@ def test_an_unknown_scenario_is_refused_by_name():
         environment_id("roundabout")
 
 
-def test_spawned_workers_find_and_step_the_environments():
-    def worker():
-        return gym.make("ms_highway:ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
+VECTOR = """
+import gymnasium as gym
+import numpy as np
 
-    envs = AsyncVectorEnv([worker] * 2, context="spawn")
-    try:
-        envs.reset(seed=[3, 3])
-        observations, rewards, _, _, infos = envs.step(np.zeros(2, dtype=int))
-    finally:
-        envs.close()
-    np.testing.assert_array_equal(observations[0], observations[1])
+if __name__ == "__main__":
+    envs = gym.make_vec(
+        "ms_highway:ms-highway/merger-v0",
+        num_envs=2,
+        vectorization_mode="async",
+        vector_kwargs={{"context": {context!r}}},
+        config={{"controller": {{"type": "fixed", "model": "naive"}}}},
+    )
+    envs.reset(seed=[3, 3])
+    observations, rewards, _, _, infos = envs.step(np.zeros(2, dtype=int))
+    envs.close()
+    assert (observations[0] == observations[1]).all()
     assert rewards[0] == rewards[1] != 0
     assert list(infos["model"]) == ["naive", "naive"]
+"""
 
 
-def test_measured_seconds_are_floats_that_only_differ_from_other_numbers():
-    assert Seconds(0.25) == Seconds(0.5)
-    assert (Seconds(0.25) != Seconds(0.5)) is False
-    assert Seconds(0.25) != 0.5
-    assert Seconds(0.25) + 1 == 1.25
-    assert np.asarray([Seconds(0.25)]).dtype == float
+@pytest.mark.parametrize("context", [None, "spawn", "forkserver"])
+def test_workers_of_a_vector_environment_find_and_step_the_environments(context, tmp_path):
+    script = tmp_path / "vector.py"
+    script.write_text(VECTOR.format(context=context))
+    done = subprocess.run([sys.executable, script], timeout=120, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+FORKED = """
+import os
+import warnings
+
+import gymnasium as gym
+import ms_highway
+from jax import numpy as jnp
+
+jnp.ones(3).sum()
+warnings.simplefilter("ignore")  # JAX and Python warn of the fork
+if os.fork() == 0:
+    env = gym.make("ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
+    env.reset(seed=0)
+    try:
+        env.step(0)
+    except RuntimeError as error:
+        print(error)
+else:
+    os.wait()
+"""
+
+
+def test_a_worker_that_was_forked_after_jax_had_begun_says_so_instead_of_waiting_for_ever():
+    done = subprocess.run([sys.executable, "-c", FORKED], timeout=120, capture_output=True, text=True)
+    assert "start it with context='forkserver' or 'spawn'" in done.stdout
+
+
+def test_stable_baselines_workers_step_the_environments():
+    vectors = pytest.importorskip("stable_baselines3.common.vec_env", reason="stable-baselines3 is not installed")
+    envs = vectors.SubprocVecEnv([worker] * 2)
+    try:
+        envs.seed(3)
+        envs.reset()
+        _, rewards, _, infos = envs.step(np.zeros(2, dtype=int))
+    finally:
+        envs.close()
+    assert rewards.shape == (2,)
+    assert [info["model"] for info in infos] == ["naive", "naive"]
+
+
+def worker():
+    return gym.make("ms_highway:ms-highway/merger-v0", config={"controller": FIXED})
+
+
+@pytest.mark.parametrize("controller", [FIXED, {"type": "switching", "lambda": 0.1}])
+def test_a_copy_through_pickle_goes_on_like_the_original(controller):
+    env = make("merger", controller=controller)
+    env.reset(seed=0)
+    env.step(0)
+    twin = pickle.loads(pickle.dumps(env))
+    for _ in range(8):
+        (observation, reward, *_), (other, others, *_) = env.step(0), twin.step(0)
+        np.testing.assert_array_equal(observation, other)
+        assert reward == others
+
+
+def test_measured_times_are_floats_and_no_part_of_what_makes_two_infos_equal():
+    _, _, infos = drive(make("merger", controller=FIXED))
+    times = pd.Series([info["timing"].planning_seconds for info in infos])
+    assert times.dtype == float
+    assert len(times.drop_duplicates()) > 5
+    assert infos[0]["timing"] == infos[1]["timing"] == Timing(1.0, 2.0, 3.0)

@@ -73,7 +73,9 @@ def after_one_step(game):
 def test_theory_of_mind_without_influence_steps_like_turn(played):
     """Where the human's reward does not depend on the robot, ToM's step is Turn's against the same human controls."""
     game, state = played("merger")
-    blind = replace(game.human, weights=game.human.weights.at[PAPER_FEATURES.index("collision_risk")].set(0.0))
+    blind = replace(
+        game.human, weights=jnp.asarray(game.human.weights).at[PAPER_FEATURES.index("collision_risk")].set(0.0)
+    )
     game = after_one_step(replace(game, human=blind))
     still = jnp.zeros((5, 2))  # where both start
     slope_robot, slope_human = slopes(game, state, still, still)
@@ -148,6 +150,7 @@ def test_ascent_climbs_a_concave_hill_to_its_top():
         planner,
         lambda plan: JointPlan(top - plan.robot, top - plan.human),
         JointPlan(jnp.zeros((2, 2)), jnp.zeros((2, 2))),
+        lambda plan: plan,
     )
     np.testing.assert_allclose(reached.robot, top, atol=1e-4)
 

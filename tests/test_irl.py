@@ -10,7 +10,7 @@ import pytest
 from jax import numpy as jnp
 from scipy import stats
 
-from ms_highway.compiled import QUICKLY
+from ms_highway.compiled import jit_quickly
 from ms_highway.demonstrations import actions
 from ms_highway.demonstrators import DRIVER_WEIGHTS, TEMPERATURE
 from ms_highway.envs import DEMONSTRATION_ID
@@ -20,7 +20,7 @@ from ms_highway.irl_sampled import fit_sampled
 from ms_highway.learning import SIMULATED, best_controls, expected_features
 from ms_highway.recording import Recording
 from ms_highway.recovery import recover
-from ms_highway.reward import COMFORT, FEATURES
+from ms_highway.reward import COMFORT, FEATURES, OWN_FEATURES
 from ms_highway.windows import Windows, cut, features_along, regular, regular_windows, template
 
 DENSITIES = ("sparse", "medium", "dense")
@@ -57,7 +57,7 @@ def recorded(states: np.ndarray, scene, name: str) -> Recording:
 
 def quickly(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
     """The function of many at once, compiled."""
-    return jax.jit(jax.vmap(function), compiler_options=QUICKLY)
+    return jit_quickly(jax.vmap(function))
 
 
 def symmetric(seed: int, eigenvalues: Sequence[float]) -> np.ndarray:
@@ -77,11 +77,13 @@ def test_floored_eigenvalues_have_exact_derivatives_also_where_they_meet(eigenva
         np.testing.assert_allclose(slope, difference, atol=1e-7)
 
 
-def test_slopes_of_features_are_those_of_automatic_differentiation(demonstrated):
-    names = tuple(name for name in (*FEATURES, *COMFORT) if name not in NO_GRADIENT)
-    places = np.array([(*FEATURES, *COMFORT).index(name) for name in names])
+def test_slopes_of_features_also_of_ones_own_are_those_of_automatic_differentiation(demonstrated, monkeypatch):
+    monkeypatch.setitem(OWN_FEATURES, "crowd", lambda scene, own, others: jnp.sum(jnp.cos((own.x - others.x) / 20)))
+    computed = (*FEATURES, "crowd", *COMFORT)
+    names = Model(tuple(name for name in computed[:-1] if name not in NO_GRADIENT), {COMFORT[1]: 0.1}).names
+    places = np.array([computed.index(name) for name in names])
     few = demonstrated.of(np.arange(len(demonstrated)) % 40 == 0)
-    slopes, game = slopes_of(few, names), template(few, {})
+    slopes, game = slopes_of(few, names), template(few, {}, names)
     single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), few)
 
     def along(window, controls):

@@ -12,6 +12,7 @@ from nbformat import NotebookNode
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 QUICK = {
+    "COIN_LAMBDAS": [0.01],
     "CONTROLLER": "naive",
     "CONTROLLERS": {"stay_back": "turn", "merger": "tom", "give_way": "turn"},
     "DEMONSTRATIONS": [2],

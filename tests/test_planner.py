@@ -1,5 +1,6 @@
 """Solvers: derivatives, Newton steps, limits, and rewards that they reach."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -12,6 +13,7 @@ from ms_highway.experiment import episode, make_environment
 from ms_highway.game import move, path_reward, total_reward
 from ms_highway.human_models import MODELS
 from ms_highway.planner import Planner, climb
+from ms_highway.scenario import PHYSICAL_LIMIT
 
 
 @pytest.mark.parametrize("scenario", ["merger", "stay_back"])
@@ -47,7 +49,7 @@ def test_newton_climbs_a_steep_hill_that_gradient_steps_overshoot():
 
     unlimited = jnp.full(2, jnp.inf)
     reached = {
-        solver: climb(Planner(jnp.ones(2), unlimited, solver=solver), path, hill, free, jnp.zeros((2, 2)))
+        solver: climb(Planner(jnp.ones(2), unlimited, solver=solver), path, hill, free, jnp.zeros((2, 2)), lambda u: u)
         for solver in ("gradient", "newton")
     }
     assert not abs(reached["gradient"]).max() < 10  # it has left the hill
@@ -81,3 +83,19 @@ def test_newton_passes_the_cones_of_stay_back_where_gradient_steps_collide():
     assert collisions["gradient"].any()
     assert not collisions["newton"].any()
     assert rewards["newton"].mean() > max(2.6, rewards["gradient"].mean())
+
+
+@pytest.mark.parametrize("name", ["naive", "tom"])
+def test_plans_within_the_grip_keep_to_the_friction_circle_and_do_not_reverse(played, name):
+    game, state = played("merger", control_limit=PHYSICAL_LIMIT)
+    tyres = replace(game, planner=replace(game.planner, grip=np.float32(8.0)))
+    state = np.asarray(state) * [1, 1, 1, 0.05] + [0, 0, 0.3, 0]  # slow, and across the road
+    free, held = (MODELS[name].plan(each, jnp.asarray(state, dtype=jnp.float32)) for each in (game, tyres))
+    for car, plan in enumerate(held if name == "tom" else held[:1]):
+        controls = np.asarray(plan) * np.asarray(game.planner.control_scale)
+        speed = [state[car, 3]]
+        for _, acceleration in controls:
+            speed.append(speed[-1] + 0.1 * (acceleration - 0.2 * speed[-1]))
+        assert np.hypot(np.square(speed[:-1]) * controls[:, 0], np.diff(speed) / 0.1).max() <= 8.1
+        assert min(speed) > -1e-3
+    assert abs(np.asarray(free.robot) * np.asarray(game.planner.control_scale))[:, 1].max() > 8.1

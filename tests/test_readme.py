@@ -12,10 +12,11 @@ from markdown_it import MarkdownIt
 from ms_highway.cli import build_parser
 from ms_highway.cli_compare import comparison
 from ms_highway.experiment import SETTINGS_FILE, read_settings
-from ms_highway.markdown import markdown_table
+from ms_highway.overview import markdown, overview
 from ms_highway.provenance import read_runs
 from ms_highway.regret import EACH
 from ms_highway.results import Results
+from ms_highway.safety import read_safety, safety_cells
 from ms_highway.tradeoff import meta_rewards, shares
 
 ROOT = Path(__file__).parents[1]
@@ -98,7 +99,7 @@ def kept(name):
 @pytest.mark.parametrize("names", [("compare", "released"), ("compare", "published")])
 def test_tables_of_results_are_those_of_the_summaries_they_come_from(names):
     results = [kept(name) for name in names]
-    assert markdown_table(results) in TEXT
+    assert markdown(overview(results)) in TEXT
     assert all(result.runs for result in results)
 
 
@@ -117,6 +118,16 @@ def test_tables_of_results_are_those_of_the_summaries_they_come_from(names):
 def test_shares_of_reward_and_planning_are_those_of_the_summary_they_come_from(scenario, controller):
     share = shares(kept("curve").summaries, scenario).loc[controller]
     assert f"{100 * share['reward']:.0f} % at {100 * share['computation']:.0f} %" in " ".join(TEXT.split())
+
+
+def test_the_table_of_collisions_is_that_of_what_was_counted():
+    safety = read_safety(ROOT / "notebooks" / "results" / "safety")
+    assert markdown(safety_cells(safety)) in TEXT
+    assert safety.runs
+    counts = safety.table.set_index(["scenario", "controller", "acceleration"])["collision_episodes"]
+    assert f"in {counts['merger', 'tom', 9.0]} of 300 episodes of Merger" in " ".join(TEXT.split())
+    assert (counts[["merger", "give_way"]].xs(50.0, level="acceleration") == 0).all()
+    assert (counts["stay_back"].xs(9.0, level="acceleration") == 300).all()
 
 
 def test_always_tom_is_better_than_switching_by_the_meta_reward_as_the_text_says():

@@ -2,12 +2,13 @@
 
 import json
 import shutil
+import zipfile
 
 import numpy as np
 import pytest
 
 from ms_highway.cli import main
-from ms_highway.validation import read_episodes, validate, validate_file
+from ms_highway.validation import ARRAYS, read_episodes, validate, validate_file
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +87,14 @@ def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
         ({"states": np.zeros(3)}, "states has shape"),
         ({"rewards": arrays["rewards"][:, 1:]}, "rewards has shape"),
         ({"robot_controls": arrays["robot_controls"] * np.nan}, "robot_controls is not finite"),
+        ({"states": arrays["states"] * 1e300}, "states is not finite, in single precision"),
+        ({"states": arrays["states"] > 0}, "states holds bool; it must hold numbers"),
+        ({"rewards": arrays["rewards"] * 1j}, "rewards holds complex128"),
+        ({"robot_controls": arrays["robot_controls"].astype("M8[s]")}, "robot_controls holds datetime64"),
+        ({"models": arrays["models"] * 1.0}, "models holds float64; it must hold integers"),
+        ({"ladder": np.zeros(3, dtype=[("a", float)])}, "ladder holds"),
+        ({"ladder": np.repeat(arrays["ladder"], 2)}, "no places in naive, turn, tom"),
+        ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, "with two steps or more"),
     ):
         np.savez(tmp_path / "merger__tom.npz", **{**arrays, **change})
         with pytest.raises(ValueError, match=message):
@@ -93,3 +102,28 @@ def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
     shutil.copy(reference / "merger__tom.npz", tmp_path / "merger__switching_aggressive.npz")
     with pytest.raises(ValueError, match="switching_lambda_NUMBER"):
         validate_file(tmp_path / "merger__switching_aggressive.npz")
+
+
+def test_files_that_are_empty_endless_or_unpack_without_end_are_refused(tmp_path):
+    file = tmp_path / "merger__naive.npz"
+    file.touch()
+    with pytest.raises(ValueError, match="is no reference file"):
+        validate_file(file)
+    file.unlink()
+    file.symlink_to("/dev/zero")
+    with pytest.raises(ValueError, match="a directory or a device"):
+        validate_file(file)
+    file.unlink()
+    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }".ljust(117) + "\n"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("states.npy", b"\x93NUMPY\x01\x00v\x00" + header.encode())
+    with pytest.raises(ValueError, match="is no reference file"):
+        validate_file(file)
+    with (
+        zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("states.npy", "w") as entry,
+    ):
+        for _ in range(140):
+            entry.write(bytes(1_000_000))
+    with pytest.raises(ValueError, match="it unpacks to 140000000 bytes"):
+        validate_file(file)

@@ -9,7 +9,7 @@ import pytest
 
 from ms_highway.cli import main
 from ms_highway.compiled import low_latency
-from ms_highway.envs.graphics import CONE, MODEL_COLORS, PANEL_HEIGHT, PAPER, TEXT_WIDTH
+from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PANEL_HEIGHT, PAPER, TEXT_WIDTH, words
 from ms_highway.experiment import make_environment
 from ms_highway.side_by_side import HEADING_HEIGHT, side_by_side
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
@@ -59,6 +59,25 @@ def test_no_planning_time_is_charted_where_an_agent_drives():
     env.step([0.0, 0.0])
     chart = env.render()[-PANEL_HEIGHT:-90, TEXT_WIDTH:]
     assert (chart == PAPER).all()
+
+
+def test_texts_are_kerned_and_stand_on_one_line():
+    apart = sum(words(letter, 26, INK).get_width() for letter in "AV")
+    assert words("AV", 26, INK).get_width() < apart
+    assert len({words(text, 15, INK).get_height() for text in ("x", "planning", "Ap")}) == 1
+
+
+@pytest.mark.parametrize("controller", ["tom", "switching:0.1"])
+def test_only_where_the_model_is_chosen_the_panel_says_why(controller):
+    reason = filmed("merger", controller, 2)[-42:, : TEXT_WIDTH - 60]
+    assert (reason == PAPER).all() == (controller == "tom")
+
+
+@pytest.mark.parametrize("rows", [slice(-134, -74), slice(-64, None)])
+def test_both_charts_of_the_panel_have_a_scale_beside_them(rows):
+    scale = filmed("merger", "naive", 2)[rows, TEXT_WIDTH - 40 : TEXT_WIDTH]
+    for half in np.array_split(scale, 2):
+        assert (half != PAPER).any()
 
 
 def test_cones_stand_on_the_road_of_stay_back():

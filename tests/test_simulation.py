@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.envs import ENVIRONMENTS, SCENARIOS
+from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
 from ms_highway.episodes import columns_simulated, episodes_of, make_batch, run_episodes, simulated, start
 from ms_highway.experiment import Comparison, episode, make_environment
 from ms_highway.report import interval
@@ -16,7 +17,8 @@ from ms_highway.throughput import throughput
 from ms_highway.validation import read_episodes
 
 KEYS = ["controller", "seed", "step"]
-CONTROLLERS = ["naive", "turn", "schedule:turn=5,naive=3,turn", "tom", "switching:0.1"]
+COIN = "random:naive=0.25,turn=0.75"
+CONTROLLERS = ["naive", "turn", "schedule:turn=5,naive=3,turn", COIN, "tom", "switching:0.1"]
 STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
 COMPARISON = Comparison({"merger": CONTROLLERS}, seeds=6)
 
@@ -41,7 +43,7 @@ def test_records_are_those_of_an_experiment_without_measured_times(records):
     assert set(records["status"]) == {"planned"}
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS[:3])
+@pytest.mark.parametrize("controller", CONTROLLERS[:4])
 def test_whole_episodes_agree_with_the_environment_step_by_step(records, controller):
     expected = driven(COMPARISON, "merger", controller)
     found = records.set_index(KEYS).loc[expected.index]
@@ -51,7 +53,16 @@ def test_whole_episodes_agree_with_the_environment_step_by_step(records, control
         assert (found[name] == expected[name]).all()
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS[3:])
+def test_a_random_controller_draws_the_models_of_each_seed_anew_with_its_shares_from_the_same_starts(records):
+    models = records.query(f"controller == '{COIN}'").pivot(index="seed", columns="step", values="model")
+    assert len(models.drop_duplicates()) == 6
+    assert set(np.unique(models)) == {"naive", "turn"}
+    assert abs((models == "turn").to_numpy().mean() - 0.75) < 3 * np.sqrt(0.75 * 0.25 / 240)
+    batch = make_batch(COMPARISON, "merger")
+    np.testing.assert_array_equal(*(episodes_of(batch, [(name, 5)]).starts for name in (COIN, "naive")))
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS[4:])
 def test_means_of_theory_of_mind_and_switching_lie_in_the_intervals_of_the_environment(records, controller):
     expected = driven(COMPARISON, "merger", controller)
     found = records.set_index(KEYS).loc[expected.index]
@@ -92,7 +103,47 @@ def test_a_plan_that_is_not_finite_gives_way_to_braking_and_leaves_the_other_epi
 def test_starts_are_those_of_the_environment(scenario):
     env = make_environment(scenario, "naive")
     env.reset(seed=3)
-    np.testing.assert_array_equal(start(SCENARIOS[scenario], 3), env.unwrapped.car_states)
+    batch = make_batch(Comparison({scenario: ["naive"]}), scenario)
+    np.testing.assert_array_equal(start(batch, 3), env.unwrapped.car_states)
+
+
+class NearsightedEnv(MergerEnv):
+    """Merger among drivers who plan 0.3 s ahead, from starts of its own."""
+
+    scenario = replace(MergerEnv.scenario, name="nearsighted")
+
+    def configure(self, config):
+        super().configure(config)
+        self.game = replace(self.game, planner=replace(self.game.planner, horizon=3))
+
+    def draw_starts(self, random):
+        return super().draw_starts(random) + [[0, 0, 0, 1.0]] * 3
+
+
+@pytest.fixture
+def nearsighted():
+    add_scenario(NearsightedEnv)
+    yield "nearsighted"
+    del ENVIRONMENTS["nearsighted"], SCENARIOS["nearsighted"]
+    gym.registry.pop("ms-highway/nearsighted-v0")
+
+
+def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(nearsighted, monkeypatch):
+    comparison = Comparison({nearsighted: ["naive"]}, seeds=2)
+    expected, found = driven(comparison, nearsighted, "naive"), simulated(comparison).set_index(KEYS)
+    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
+    assert found.loc[("naive", 0, 0), "human_speed"] > 20.4
+    monkeypatch.setattr(NearsightedEnv, "_is_terminated", lambda self: self.steps > 3)
+    with pytest.raises(ValueError, match="NearsightedEnv has its own _is_terminated, which a simulation does not call"):
+        make_batch(comparison, nearsighted)
+
+
+def test_a_batch_plans_as_far_ahead_and_as_often_as_the_environment():
+    planning = {"horizon": 3, "time_step": 0.2, "control_limit": [0.2, 9.0]}
+    comparison = Comparison({"merger": ["turn"]}, seeds=2, planning=planning)
+    expected, found = driven(comparison, "merger", "turn"), simulated(comparison).set_index(KEYS)
+    assert len(found) == 2 * 20
+    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
 
 
 def test_a_batch_without_controllers_episodes_known_costs_or_devices_is_refused():
@@ -103,7 +154,7 @@ def test_a_batch_without_controllers_episodes_known_costs_or_devices_is_refused(
     with pytest.raises(ValueError, match="cannot measure plans"):
         make_batch(Comparison({"merger": ["naive"]}, costs="measured"), "merger")
     with pytest.raises(ValueError, match="the seed is -1"):
-        start(SCENARIOS["merger"], -1)
+        start(make_batch(COMPARISON, "merger"), -1)
     with pytest.raises(ValueError, match="1000 devices are wanted"):
         use_devices(1000)
 
@@ -120,5 +171,5 @@ def test_the_throughput_of_environment_and_batches_is_measured(monkeypatch):
 def test_a_scenario_whose_environment_ends_early_is_not_simulated(monkeypatch):
     config = {**ENVIRONMENTS["merger"].default_config(), "terminate_on_collision": True}
     monkeypatch.setattr(ENVIRONMENTS["merger"], "default_config", classmethod(lambda cls: config))
-    with pytest.raises(ValueError, match=r"terminate_on_collision True.*runs all 40 steps"):
+    with pytest.raises(ValueError, match=r"terminate_on_collision True.*runs all steps"):
         make_batch(COMPARISON, "merger")

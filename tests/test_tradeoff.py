@@ -6,7 +6,7 @@ import pytest
 
 from ms_highway.envs.configuration import controller_config
 from ms_highway.report import episodes_told
-from ms_highway.tradeoff import best_schedules, curve, meta_rewards, reference, shares
+from ms_highway.tradeoff import best_schedules, coin, curve, meta_rewards, reference, shares
 
 ROWS = [
     ("naive", 1.0, 90.0),
@@ -16,6 +16,7 @@ ROWS = [
     ("schedule:tom=4,naive", 3.0, 118.0),
     ("schedule:tom=6,naive", 5.7, 132.0),
     ("schedule:tom=2,turn", 2.0, 160.0),
+    ("random:naive=0.5,tom=0.5", 5.8, 100.0),
 ]
 
 
@@ -59,6 +60,15 @@ def test_shares_need_a_fixed_model(summaries):
 def test_the_best_schedules_are_those_that_nothing_fixed_beats_with_less(summaries):
     best = best_schedules(summaries, "merger")
     assert best["controller"].tolist() == ["naive", "schedule:tom=4,naive", "schedule:tom=6,naive", "tom"]
+
+
+def test_a_coin_has_a_controllers_own_shares(summaries):
+    thirds = summaries.assign(share_naive=1 / 3, share_turn=1 / 3, share_tom=1 / 3)
+    assert coin(thirds, "merger", "switching:0.1") == "random:naive=0.334,turn=0.333,tom=0.333"
+    fixed = summaries.assign(share_naive=0.0, share_turn=0.0, share_tom=1.0)
+    assert controller_config(coin(fixed, "merger", "tom")) == {"type": "random", "shares": {"tom": 1.0}}
+    with pytest.raises(ValueError, match="'switching:3' was not compared in 'merger'; add it"):
+        coin(thirds, "merger", "switching:3")
 
 
 def test_meta_rewards_take_off_the_price_of_planning(summaries):

@@ -9,10 +9,11 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.utils import are_polygons_intersecting
 from highway_env.vehicle.objects import Landmark
 
-from ms_highway.controller import ModelSwitching
+from ms_highway.ascent import Ascent
+from ms_highway.controller import FixedModel, ModelSwitching
 from ms_highway.dynamics import step
 from ms_highway.envs.base import Cone
-from ms_highway.human_models import ladder
+from ms_highway.human_models import MODELS, ladder
 from ms_highway.road_view import look
 from ms_highway.scenario import driving_game
 from ms_highway.switching import Switching
@@ -105,6 +106,22 @@ def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
     assert human.last_step.status == "planned"
 
 
+def test_a_human_that_plans_a_second_ahead_brakes_in_time_for_a_slower_car():
+    class FarsightedHuman(HumanVehicle):
+        ascent = Ascent(horizon=10)
+
+    road = straight_road()
+    human = FarsightedHuman(road, [0.0, 4.0], speed=20.0)
+    leader = ScriptedVehicle(road, [60.0, 4.0], speed=12.0)
+    road.vehicles = [human, leader]
+    for _ in range(100):
+        road.act()
+        road.step(0.1)
+    assert len(human.last_step.plan) == 10
+    assert not human.crashed
+    assert human.speed == pytest.approx(12.0, abs=0.5)
+
+
 @pytest.mark.parametrize(("leader_speed", "gaps"), [(0.0, (2, 6)), (10.0, (4, 12)), (20.0, (10, 35))])
 def test_a_commuter_follows_at_the_distances_of_real_drivers_and_stops_behind_a_standing_car(leader_speed, gaps):
     road = straight_road(lanes=1)
@@ -134,6 +151,60 @@ def test_a_robot_drives_in_a_foreign_scene_with_its_own_game():
     assert robot.last_step.status == "planned"
     assert robot.speed > 18.5
     assert not robot.crashed
+
+
+def test_a_robot_told_no_companions_takes_the_nearest_in_time_for_its_partner_and_keeps_to_it():
+    road = straight_road()
+    robot = RobotVehicle(road, [0.0, 4.0], speed=18.0)
+    ahead, beside = (
+        ScriptedVehicle(road, [x, y], speed=speed) for x, y, speed in ((30.0, 4.0, 20.0), (-8.0, 0.0, 20.0))
+    )
+    road.vehicles = [robot, ahead, beside]
+    controller = FixedModel(driving_game(look(robot).scene, speed_limit=20.0), MODELS["naive"])
+    robot.drive_with(controller)
+    partners = []
+    for x in (-8.0, 14.0, 17.0, 40.0):  # of the car beside it: the other is 1.4 s ahead
+        beside.position[0] = x
+        robot.act()
+        partners.append(robot.partner)
+    assert partners == [beside, beside, beside, ahead]
+    np.testing.assert_allclose(robot.last_state[1], look(robot).states[1])
+    road.vehicles.remove(ahead)
+    robot.act()
+    assert robot.partner is beside
+    road.vehicles.remove(beside)
+    robot.act()
+    assert robot.partner is None
+    assert robot.last_step.status == "planned"
+
+
+def test_a_car_that_is_told_to_stop_brakes_within_its_grip_and_stands():
+    road = straight_road()
+    human = HumanVehicle(road, [0.0, 0.0], speed=15.0)
+    road.vehicles = [human]
+    human.target_speed = 0
+    speeds = [human.speed]
+    for _ in range(45):
+        road.act()
+        road.step(1 / 15)
+        speeds.append(human.speed)
+    assert abs(np.diff(speeds)).max() <= 8.0 / 15 + 1e-9
+    assert min(speeds) >= -1e-9
+    assert speeds[-1] == pytest.approx(0.0, abs=1e-6)
+    human.target_speed = None
+    for _ in range(15):
+        road.act()
+        road.step(1 / 15)
+    assert human.speed > 2.0
+
+
+def test_a_car_that_plans_takes_no_action_by_name_but_idle():
+    road = straight_road()
+    human = HumanVehicle(road, [0.0, 0.0], speed=15.0)
+    human.act("IDLE")
+    assert human.last_step is None
+    with pytest.raises(ValueError, match=r"'FASTER'.*'IDLE'"):
+        human.act("FASTER")
 
 
 def test_vehicle_at_a_stock_lane_is_created_like_any_other():

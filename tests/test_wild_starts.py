@@ -1,12 +1,15 @@
 """Plans and decisions from states that no scenario would start in."""
 
+from functools import partial
+
+import jax
 import numpy as np
 import pytest
 
-from ms_highway.controller import FixedModel, ModelSwitching
+from ms_highway.controller import BRAKING, FixedModel, ModelSwitching, brake, braking_control
 from ms_highway.dynamics import step as move
 from ms_highway.envs import SCENARIOS
-from ms_highway.human_models import ladder
+from ms_highway.human_models import MODELS, ladder
 from ms_highway.scenario import PHYSICAL_LIMIT
 from ms_highway.switching import PUBLISHED_COSTS, Switching
 
@@ -59,3 +62,42 @@ def test_switching_goes_on_from_wild_starts(scenario, wild):
             state = move(game.world, state, controls)
     assert models == set(SCENARIOS[scenario].ladder)
     assert estimated == models
+
+
+@pytest.fixture(params=["paper", "released"])
+def semantics(request):
+    return request.param
+
+
+def absurd_states(number, cars, largest):
+    """Finite states whose numbers are of every magnitude and either sign."""
+    random = np.random.default_rng(2)
+    shape = number, cars, 4
+    return random.choice([-1, 1], shape) * 10.0 ** random.uniform(-largest, largest, shape)
+
+
+def test_braking_is_finite_and_within_the_limits_in_any_finite_state(played, semantics):
+    game, _ = played("merger", semantics=semantics)
+    compiled = jax.jit(jax.vmap(partial(braking_control, game)))
+    for car in absurd_states(2000, 1, 308)[:, 0]:
+        controls = brake(game, car)
+        assert np.isfinite(controls).all()
+        assert (abs(controls[:, 1]) <= BRAKING).all()
+    single = absurd_states(2000, 1, 38)[:, 0].astype(np.float32)
+    assert np.isfinite(compiled(single)).all()
+
+
+def test_controls_are_finite_in_any_state_that_is_so_in_single_precision_and_others_are_refused(played, semantics):
+    game, state = played("merger", semantics=semantics)
+    controller, random = FixedModel(game, MODELS["naive"]), np.random.default_rng(3)
+    for states in absurd_states(300, len(state), 38):
+        wild = np.where(random.random(states.shape) < 0.3, states, np.asarray(state))
+        controller.reset()
+        step = controller.step(wild)
+        assert np.isfinite(step.plan).all()
+        assert np.isfinite(step.human).all()
+    for value in (1e39, -1e308):
+        states = np.array(state, dtype=float)
+        states[1, 3] = value
+        with pytest.raises(ValueError, match=r"car 1 is not finite: speed is .*, too large for single precision"):
+            controller.step(states)
