@@ -1,7 +1,8 @@
 """The environments: three scenarios of human and robot, and one to record driving in, as highway-env environments.
 
-Importing this package registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
-``ms-highway/give-way-v0`` and ``ms-highway/demonstration-v0`` with Gymnasium.
+Importing `ms_highway` registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
+``ms-highway/give-way-v0`` and ``ms-highway/demonstration-v0`` with Gymnasium. Imports `ms_highway.vehicle` and what
+stands below it.
 """
 
 from typing import cast
@@ -13,7 +14,7 @@ from ms_highway.envs.demonstration import DemonstrationEnv
 from ms_highway.envs.give_way import GiveWayEnv
 from ms_highway.envs.merger import MergerEnv
 from ms_highway.envs.stay_back import StayBackEnv
-from ms_highway.scenario import Scenario
+from ms_highway.game.scenario import Scenario
 
 __all__ = [
     "DEMONSTRATION_ID",
@@ -87,15 +88,3 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
     registry.pop(bare_id, None)
     register(bare_id, entry_point=cast(EnvCreator, environment))
     return environment_id(name)
-
-
-def _register() -> None:
-    """Register every id once, however often this runs; by name, for workers that are spawned."""
-    classes = {environment_id(name): environment for name, environment in ENVIRONMENTS.items()}
-    for identity, environment in {**classes, DEMONSTRATION_ID: DemonstrationEnv}.items():
-        bare_id = identity.removeprefix("ms_highway:")
-        if bare_id not in registry:
-            register(bare_id, entry_point=f"{environment.__module__}:{environment.__name__}")
-
-
-_register()

@@ -13,18 +13,20 @@ from highway_env.road.road import Road
 from highway_env.vehicle.objects import Obstacle
 from jaxtyping import Float
 
-from ms_highway.ascent import PAPER_ASCENT
-from ms_highway.compiled import measure_costs
-from ms_highway.controller import Controller, FixedModel, ModelSwitching, ScheduledModels
+from ms_highway.control.controller import Controller
+from ms_highway.control.fixed import FixedModel, ScheduledModels
+from ms_highway.control.switching import ModelSwitching
 from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.configuration import draw_models, game_of, known_costs, merged, switching_of
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
 from ms_highway.envs.stage import StageEnv, straight_road
-from ms_highway.game import swap_roles
-from ms_highway.human_models import MODELS, HumanModel, Naive, ladder
-from ms_highway.reward import COMPUTATION
-from ms_highway.scenario import CONE_SIZE, PAPER_UNIT, TIME_STEP, Scenario, draw_starts
+from ms_highway.game.game import swap_roles
+from ms_highway.game.reward import COMPUTATION
+from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT, TIME_STEP, Scenario, draw_starts
+from ms_highway.optimization.gradient_steps import PAPER_ASCENT
+from ms_highway.planning.compiled import measure_costs
+from ms_highway.planning.human_models import MODELS, HumanModel, Naive, ladder
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
 __all__ = ["Cone", "InteractionEnv", "Timing"]
@@ -73,20 +75,21 @@ class InteractionEnv(StageEnv):
       "random", "shares": {"naive": 0.7, "tom": 0.3}}``, a model per step that is drawn when the episode starts.
     * ``ladder``: names of the human models to choose from, cheapest first.
     * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model.
-    * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.scenario.build_game`.
+    * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
-      demonstrations; ``"published"``; weights by name, of `ms_highway.reward.weight_names`; None for what
+      demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
       belongs to the semantics (learned and published). What a human is after in the scenario beyond driving, such as
-      its lane, stays unless weights name it. A learnt reward has no weight of ``collision``, which would change
+      its lane, stays unless weights name it. A learned reward has no weight of ``collision``, which would change
       nothing: it is an indicator, and humans climb by gradients.
     * ``influence``: ``"damped"``, ``"exact"``, or None for what belongs to the semantics (damped and exact).
     * ``control_limit``: bounds (omega, acceleration) on plans; ``"unlimited"``; or None for what belongs to the
-      semantics: `ms_highway.scenario.PHYSICAL_LIMIT` in paper semantics, unlimited in released semantics.
+      semantics: `ms_highway.game.scenario.PHYSICAL_LIMIT` in paper semantics, unlimited in released semantics.
     * ``solver``: how the robot improves its plans under naive and turn: ``"gradient"``, the paper's, or ``"newton"``.
     * ``warm_start``: whether the robot's plans start from the rest of the last plan rather than from zero controls.
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
-      robot and human plan, see `ms_highway.ascent.Ascent`. Where iterations and step size are None, what suits the
-      horizon is chosen; steps that are longer than `ms_highway.ascent.longest_step` are warned of.
+      robot and human plan, see `ms_highway.optimization.gradient_steps.Ascent`. Where iterations and step size are
+      None, what suits the horizon is chosen; steps that are longer than
+      `ms_highway.optimization.gradient_steps.longest_step` are warned of.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push
@@ -228,7 +231,7 @@ class InteractionEnv(StageEnv):
         self.collision = False
 
     def draw_starts(self, random: np.random.Generator) -> Float[np.ndarray, "cars 4"]:
-        """A start of every car, robot first, then the human, in SI units; see `ms_highway.scenario.draw_starts`."""
+        """A start of every car, robot first, then the human, in SI units; see `draw_starts`."""
         return draw_starts(self.scenario, random)
 
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:

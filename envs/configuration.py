@@ -16,15 +16,15 @@ from highway_env.envs.common.observation import (
 )
 from jaxtyping import Float
 
-from ms_highway.ascent import Ascent, gradient_steps, longest_step
-from ms_highway.derivatives import Influence
-from ms_highway.game import Game
-from ms_highway.human_models import MODELS, HumanModel, ladder
-from ms_highway.learnt import shipped
-from ms_highway.reward import weight_names
-from ms_highway.routes import DENSITIES
-from ms_highway.scenario import COMMON_WEIGHTS, PHYSICAL_LIMIT, TIME_STEP, Scenario, build_game
-from ms_highway.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
+from ms_highway.envs.routes import DENSITIES
+from ms_highway.game.game import Game
+from ms_highway.game.learned_reward import shipped
+from ms_highway.game.reward import weight_names
+from ms_highway.game.scenario import COMMON_WEIGHTS, PHYSICAL_LIMIT, TIME_STEP, Scenario, build_game
+from ms_highway.metareasoning.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
+from ms_highway.optimization.gradient_steps import Ascent, gradient_steps, longest_step
+from ms_highway.optimization.second_derivatives import Influence
+from ms_highway.planning.human_models import MODELS, HumanModel, ladder
 
 __all__ = [
     "HUMAN_REWARDS",
@@ -448,7 +448,8 @@ def _check_human_reward(reward: Any) -> None:
     if not isinstance(reward, Mapping):
         raise ValueError(
             f"config['human_reward'] is {reward!r}; say 'learned', 'published', or give weights by name, such as "
-            "{'speed': 2, 'lane_alignment': 75}; weights that were learnt are in ms_highway.learnt.load(path).weights"
+            "{'speed': 2, 'lane_alignment': 75}; weights that were learned are in "
+            "ms_highway.game.learned_reward.load(path).weights"
         )
     _refuse_unknown("config['human_reward']", reward, weight_names())
     for name, weight in reward.items():

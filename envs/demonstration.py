@@ -13,11 +13,19 @@ from jaxtyping import Bool, Float
 from ms_highway.envs.configuration import changed
 from ms_highway.envs.graphics import Viewer
 from ms_highway.envs.observations import CarTracks
+from ms_highway.envs.routes import DENSITIES, draw_routes
 from ms_highway.envs.stage import StageEnv, straight_road
-from ms_highway.game import Game
-from ms_highway.routes import DENSITIES, draw_routes
-from ms_highway.scenario import CAR_SIZE, COMMON_WEIGHTS, LANE_WIDTH, PAPER_UNIT, SPEED_LIMIT, TIME_STEP, driving_game
-from ms_highway.scene import Scene
+from ms_highway.game.game import Game
+from ms_highway.game.scenario import (
+    CAR_SIZE,
+    COMMON_WEIGHTS,
+    LANE_WIDTH,
+    PAPER_UNIT,
+    SPEED_LIMIT,
+    TIME_STEP,
+    driving_game,
+)
+from ms_highway.game.scene import Scene
 from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RoutedVehicle, states_of
 
 __all__ = ["KEYBOARD_ACTION", "DemonstrationEnv", "demonstration_game"]
@@ -31,7 +39,7 @@ OFF_ROAD_SHARE, OFF_ROAD_DEPTH = 0.2, 1.0  # of episodes start with the car's si
 HEADING_SPREAD, SPEED_SPREAD = 0.04, 2.5  # rad and m/s, standard deviations
 
 ACTION = {"type": "ContinuousAction", "acceleration_range": [-50.0, 50.0], "steering_range": [-pi / 4, pi / 4]}
-"""Actions that reach all controls within the limits of plans, see `ms_highway.scenario.PHYSICAL_LIMIT`."""
+"""Actions that reach all controls within the limits of plans, see `ms_highway.game.scenario.PHYSICAL_LIMIT`."""
 
 KEYBOARD_ACTION = {"type": "ContinuousAction", "acceleration_range": [-6.0, 14.0], "steering_range": [-0.07, 0.07]}
 """Actions to be chosen by arrow keys, which highway-env takes for 0.7 of the range.
@@ -62,13 +70,13 @@ class DemonstrationEnv(StageEnv):
 
     Configuration, beside highway-env's own:
 
-    * ``density``: of the traffic, ``sparse``, ``medium`` or ``dense``, see `ms_highway.routes.DENSITIES`.
+    * ``density``: of the traffic, ``sparse``, ``medium`` or ``dense``, see `ms_highway.envs.routes.DENSITIES`.
     * ``action``: ranges of highway-env's ``ContinuousAction``; `KEYBOARD_ACTION` suits a person.
     * ``duration``: length of an episode [s].
 
     With highway-env's ``manual_control`` the arrow keys drive, and ``action_type.last_action`` is what they ask for.
 
-    The reward is the driver's after the step, under `ms_highway.scenario.COMMON_WEIGHTS`. A collision only costs
+    The reward is the driver's after the step, under `ms_highway.game.scenario.COMMON_WEIGHTS`. A collision only costs
     reward: cars neither push each other nor stop, and ``info["collision_effect"]`` says so.
 
     Attributes:

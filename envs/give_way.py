@@ -3,7 +3,7 @@
 from math import sqrt
 
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.scenario import COMMON_WEIGHTS, Scenario
+from ms_highway.game.scenario import COMMON_WEIGHTS, Scenario
 
 __all__ = ["GIVE_WAY", "GiveWayEnv"]
 

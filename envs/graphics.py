@@ -15,10 +15,10 @@ from highway_env.road.graphics import LaneGraphics
 from highway_env.vehicle.graphics import VehicleGraphics
 from jaxtyping import Float
 
-from ms_highway.controller import ModelSwitching
-from ms_highway.dynamics import step
-from ms_highway.human_models import MODELS
-from ms_highway.scenario import title
+from ms_highway.control.switching import ModelSwitching
+from ms_highway.game.dynamics import step
+from ms_highway.game.scenario import title
+from ms_highway.planning.human_models import MODELS
 
 __all__ = [
     "INK",

@@ -1,7 +1,7 @@
 """Merger: the gap in the left lane is too small for the robot unless the human behind it yields."""
 
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.scenario import COMMON_WEIGHTS, Scenario
+from ms_highway.game.scenario import COMMON_WEIGHTS, Scenario
 
 __all__ = ["MERGER", "MergerEnv"]
 

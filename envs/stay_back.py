@@ -1,7 +1,7 @@
 """Stay Back: cones narrow the road, and two cars side by side do not fit between them."""
 
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.scenario import COMMON_WEIGHTS, Scenario
+from ms_highway.game.scenario import COMMON_WEIGHTS, Scenario
 
 __all__ = ["STAY_BACK", "StayBackEnv"]
 

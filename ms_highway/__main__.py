@@ -2,6 +2,6 @@
 
 import sys
 
-from ms_highway.cli import main
+from ms_highway.cli.main import main
 
 sys.exit(main())

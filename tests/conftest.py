@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.commonroad import read_directory
-from ms_highway.compiled import keep_compilations
 from ms_highway.envs import SCENARIOS
-from ms_highway.game import Game
-from ms_highway.recording import Recording
-from ms_highway.scenario import build_game, draw_starts
+from ms_highway.game.game import Game
+from ms_highway.game.scenario import build_game, draw_starts
+from ms_highway.irl.recordings.commonroad import read_directory
+from ms_highway.irl.recordings.recording import Recording
+from ms_highway.runtime.jax_settings import keep_compilations
 
 
 @pytest.fixture(scope="session", autouse=True)

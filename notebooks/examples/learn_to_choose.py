@@ -14,9 +14,9 @@ import numpy as np
 from stable_baselines3 import DQN
 from stable_baselines3.common.monitor import Monitor
 
-from ms_highway.compiled import keep_compilations, low_latency
 from ms_highway.envs import SCENARIOS, environment_id
-from ms_highway.experiment import episode, make_environment
+from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.runtime.jax_settings import keep_compilations, low_latency
 
 BESIDE = ("switching:0.1", "tom")  # controllers that the agent is compared with
 LEARNER = {
@@ -37,7 +37,7 @@ def choosing(scenario: str, price: float) -> gym.Env:
 
 
 def learn(scenario: str, price: float, steps: int, seed: int) -> DQN:
-    """An agent that has learnt to choose, from episodes whose starts follow from the seed."""
+    """An agent that has learned to choose, from episodes whose starts follow from the seed."""
     agent = DQN("MlpPolicy", Monitor(choosing(scenario, price)), seed=seed, device="cpu", **LEARNER)
     return agent.learn(steps)
 

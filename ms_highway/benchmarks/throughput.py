@@ -1,0 +1,131 @@
+"""How many steps of the closed loop the environments take in a second, and the simulation of many episodes at once."""
+
+import resource
+import signal
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from importlib import import_module
+from multiprocessing import get_context
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+import jax
+from jax.sharding import Mesh
+
+from ms_highway.benchmarks.latency import one_core
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.experiments.simulated import Batch, Key, make_batch, run_episodes
+from ms_highway.runtime.jax_settings import high_throughput, keep_compilations
+from ms_highway.simulation.loop import use_devices
+
+__all__ = ["throughput"]
+
+EPISODES = 5  # of the environment
+SECONDS, RUNS = 2.0, 5  # of one batch, at most
+KIBIBYTE = 1024
+
+
+def throughput(
+    scenario: str,
+    controllers: Sequence[str],
+    sizes: Sequence[int],
+    devices: int | None = None,
+    modules: Sequence[str] = (),
+    planning: Mapping[str, Any] | None = None,
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Measure the closed loop, warm: in the environment in this process, and in batches in another that it starts.
+
+    Args:
+        scenario: its name.
+        controllers: short names of controllers.
+        sizes: numbers of episodes in a batch.
+        devices: how many to use, see `ms_highway.simulation.loop.use_devices`.
+        modules: to import in the other process, for scenarios and models that they add.
+        planning: how robot and human plan, see `ms_highway.experiments.comparison.Comparison`.
+
+    Yields:
+        For every controller its name and:
+
+        * ``environment``: steps per second of the environment's loop, with resets, on one core;
+        * ``batch``: steps per second by batch size;
+        * ``memory_mib``: the most memory that the process with the batches has had until then, by batch size;
+        * ``first_seconds``: what the first episodes took, which may compile;
+        * ``devices``: how many, and of what kind.
+
+    Raises:
+        ValueError: for anything unknown or impossible.
+    """
+    for size in sizes:
+        if size < 1:
+            raise ValueError(f"a batch has size {size}; it must be 1 or more")
+    every = [Comparison({scenario: [controller]}, planning=planning or {}) for controller in controllers]
+    for comparison in every:
+        comparison.check()
+    cache = jax.config.values["jax_compilation_cache_dir"]
+    with ProcessPoolExecutor(1, get_context("spawn"), _prepare, (cache, modules)) as process:
+        used = process.submit(_devices, devices).result()
+        for controller, comparison in zip(controllers, every, strict=True):
+            result: dict[str, Any] = {"environment": _environment(scenario, comparison), "devices": used}
+            result |= {"batch": {}, "memory_mib": {}}
+            for size in sorted(sizes):
+                measured = process.submit(_batch, scenario, replace(comparison, seeds=size), devices).result()
+                result.setdefault("first_seconds", measured["first_seconds"])
+                result["batch"][str(size)] = measured["steps_per_second"]
+                result["memory_mib"][str(size)] = measured["memory_mib"]
+            yield controller, result
+
+
+def _environment(scenario: str, comparison: Comparison) -> float:
+    """Steps per second with the comparison's only controller, after an episode that compiles."""
+    (controller,) = comparison.controllers[scenario]
+    env = make_environment(scenario, controller, **comparison.common_config())
+    with one_core():
+        list(episode(env, 0))
+        start = perf_counter()
+        steps = sum(1 for seed in range(1, 1 + EPISODES) for _ in episode(env, seed))
+        seconds = perf_counter() - start
+    env.close()
+    return steps / seconds
+
+
+def _prepare(cache: str | None, modules: Sequence[str]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command tells of interrupts
+    high_throughput()
+    if cache is not None:
+        keep_compilations(Path(cache))
+    for module in modules:
+        import_module(module)
+
+
+def _devices(count: int | None) -> str:
+    devices = use_devices(count).devices
+    return f"{devices.size} of kind {devices[0].device_kind}"
+
+
+def _batch(scenario: str, comparison: Comparison, devices: int | None) -> dict[str, float]:
+    """One batch, after one of a chunk on every device that it needs, which may compile."""
+    batch = make_batch(comparison, scenario)
+    keys, mesh = batch.keys(), use_devices(devices)
+    times = [_seconds(batch, keys[: batch.loop.chunk * mesh.size], mesh)]
+    while len(times) < 2 or (len(times) <= RUNS and sum(times[1:]) < SECONDS):
+        times.append(_seconds(batch, keys, mesh))
+    steps = len(keys) * batch.steps
+    return {"first_seconds": times[0], "steps_per_second": steps / median(times[1:]), "memory_mib": _most_memory()}
+
+
+def _most_memory() -> float:
+    """The most memory that this process has had [MiB]."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIBIBYTE  # of its parent, too, if that had more
+    return int(status.read_text().partition("VmHWM:")[2].split()[0]) / KIBIBYTE
+
+
+def _seconds(batch: Batch, keys: Sequence[Key], mesh: Mesh) -> float:
+    start = perf_counter()
+    run_episodes(batch, keys, mesh)
+    return perf_counter() - start

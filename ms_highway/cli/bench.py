@@ -1,0 +1,120 @@
+"""The command ``ms-highway bench``."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.progress import Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from ms_highway.benchmarks.latency import bench
+from ms_highway.benchmarks.throughput import throughput
+from ms_highway.cli.console import add_command, print_tables
+from ms_highway.cli.options import MOST, add_devices, add_planning, planning
+from ms_highway.envs import SCENARIOS, environment_id
+from ms_highway.experiments.comparison import paper_controllers
+from ms_highway.runtime.files import replacing
+
+__all__ = ["add_bench"]
+
+HELP = """\
+Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for every
+scenario and human model. With --peer casadi, the same plans are also written in CasADi, compiled to C, checked to give
+the same controls, and measured in the same run (needs the extra "bench" and gcc).
+
+With --batches, measure the closed loop instead: how many steps of the robot per second the environments take, on one
+core, and the simulation of many episodes at once, by batch size, on --devices; for every model of the ladder and for
+switching. MiB is the most memory that the batches have taken until then."""
+
+EXAMPLES = """\
+examples:
+  ms-highway bench merger
+  ms-highway bench --peer casadi --json bench.json
+  ms-highway bench merger --batches 1 16 64 256 1024 8192"""
+
+
+def add_bench(commands: Any) -> None:
+    """Add the command ``bench`` to a parser's subparsers."""
+    parser = add_command(commands, "bench", "measure planning time, and the closed loop", HELP, EXAMPLES)
+    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: all)")
+    parser.add_argument("--peer", choices=["casadi"], help="measure the same plans in CasADi's C code as well")
+    parser.add_argument(
+        "--batches", nargs="+", type=int, metavar="SIZE", help="measure the closed loop in such batches"
+    )
+    add_devices(parser)
+    add_planning(parser)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
+    parser.set_defaults(run=_bench)
+
+
+def _bench(options: argparse.Namespace) -> None:
+    if (options.batches and options.peer) or (options.devices and not options.batches):
+        raise ValueError("--peer is about plans, and --devices about --batches; leave one out")
+    if options.batches and max(options.batches) > MOST:
+        raise ValueError(f"--batches has {max(options.batches)}; a batch may have {MOST} episodes")
+    scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
+    for scenario in scenarios:
+        environment_id(scenario)  # refuses unknown ones before anything is measured
+    columns = TextColumn("{task.description}"), TimeElapsedColumn()
+    results: dict[str, dict[str, Any]] = {}
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("measuring", total=None)
+        for scenario in scenarios:
+            measured = (
+                throughput(
+                    scenario,
+                    paper_controllers(scenario),
+                    options.batches,
+                    options.devices,
+                    options.modules,
+                    planning(options),
+                )
+                if options.batches
+                else bench(scenario, peer=options.peer == "casadi", **planning(options))
+            )
+            for name, result in measured:
+                progress.update(task, description=f"measured {scenario}, {name}")
+                results.setdefault(scenario, {})[name] = result
+    print_tables(*map(_batches, results, results.values()) if options.batches else [_plans(results)])
+    if options.json:
+        with replacing(options.json) as path:
+            path.write_text(json.dumps(results, indent=2) + "\n")
+
+
+def _plans(results: dict[str, dict[str, Any]]) -> Table:
+    """What plans, decisions and steps of the environment take."""
+    grid = Table(box=SIMPLE, title="medians, on one core; us: microseconds", title_justify="left")
+    names = "plan us", "p99", "C us", "ratio", "decision us", "of mean plan", "step us", "compile s", "cached"
+    for column in ("scenario", "model", *names):
+        grid.add_column(column, justify="left" if column in ("scenario", "model") else "right")
+    for scenario, models in results.items():
+        mean_plan = sum(result["plan_us"]["p50"] for result in models.values()) / len(models)
+        for model, result in models.items():
+            ours, theirs = result["plan_us"], result.get("peer_us", {}).get("p50")
+            against = [f"{theirs:.0f}", f"{ours['p50'] / theirs:.2f}"] if theirs else ["", ""]
+            decision = [f"{result['decision_us']:.0f}", f"{result['decision_us'] / mean_plan:.0%}"]
+            compiling = [f"{result['compile_s'][kind]:.1f}" for kind in ("cold", "cached")]
+            rest = [*against, *decision, f"{result['step_us']:.0f}", *compiling]
+            grid.add_row(scenario, model, f"{ours['p50']:.0f}", f"{ours['p99']:.0f}", *rest)
+    return grid
+
+
+def _batches(scenario: str, controllers: dict[str, Any]) -> Table:
+    """Steps per second of a scenario's closed loop, and how many times those of the environment; a row per size."""
+    first = next(iter(controllers.values()))
+    title = f"{scenario}: steps of the closed loop per second; batches on {first['devices']}"
+    grid = Table(box=SIMPLE, title=title, title_justify="left")
+    for column in ("", *controllers, "MiB"):
+        grid.add_column(column, justify="right" if column else "left", no_wrap=True)
+    grid.add_row("environment", *(f"{result['environment']:,.0f}" for result in controllers.values()), "")
+    for size in first["batch"]:
+        cells = [
+            f"{result['batch'][size]:,.0f} ({result['batch'][size] / result['environment']:.1f}x)"
+            for result in controllers.values()
+        ]
+        memory = max(result["memory_mib"][size] for result in controllers.values())
+        grid.add_row(f"batch of {size}", *cells, f"{memory:,.0f}")
+    return grid

@@ -1,0 +1,103 @@
+"""What is compared: scenarios, controllers, seeds and the configuration that all environments have in common."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
+from ms_highway.envs.configuration import HUMAN_REWARDS, controller_config, merged
+from ms_highway.optimization.ascent import Solver
+
+__all__ = ["Comparison", "episode_steps", "paper_controllers"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is compared.
+
+    Attributes:
+        controllers: short names of the controllers of each scenario, by scenario.
+        seeds: number of episodes of each controller; episode k is seeded with k more than the first.
+        semantics: ``paper`` or ``released``.
+        costs: T(M) in the decisions: ``published``, ``measured``, or seconds by model.
+        solver: how the robot improves its plans, ``gradient`` or ``newton``, see
+            `ms_highway.optimization.ascent.climb`.
+        human_reward: what humans drive for: ``learned``, ``published``, weights by name, or None for what belongs to
+            the semantics.
+        ladder: names of the human models that switching chooses from; without it, the scenario's own.
+        first_seed: of the first episode, from which all others count on.
+        planning: what differs from the scenarios' own of the keys `ms_highway.envs.configuration.PLANNING`, by key.
+    """
+
+    controllers: dict[str, list[str]]
+    seeds: int = 30
+    semantics: str = "paper"
+    costs: Any = "published"
+    solver: Solver = "gradient"
+    human_reward: str | dict[str, float] | None = None
+    ladder: list[str] | None = None
+    first_seed: int = 0
+    planning: Mapping[str, Any] = field(default_factory=dict)
+
+    def episodes(self) -> Iterator[tuple[str, str, int]]:
+        """Every (scenario, controller, seed)."""
+        for scenario, controllers in self.controllers.items():
+            for controller in controllers:
+                for seed in range(self.first_seed, self.first_seed + self.seeds):
+                    yield scenario, controller, seed
+
+    def check(self) -> None:
+        """Look for mistakes before anything is run or written.
+
+        Raises:
+            ValueError: for an unknown scenario, controller or solver, or impossible costs or weights.
+        """
+        for scenario, controllers in self.controllers.items():
+            for controller in controllers:
+                self.config(scenario, controller)
+
+    def config(self, scenario: str, controller: str) -> dict[str, Any]:
+        """The whole configuration of the environment of a scenario and a controller.
+
+        Raises:
+            ValueError: as `check`.
+        """
+        environment_id(scenario)
+        changes = {**self.common_config(), "costs": self.costs, "controller": controller_config(controller)}
+        return merged(ENVIRONMENTS[scenario].default_config(), changes)
+
+    def steps(self, scenario: str) -> int:
+        """The length of a scenario's episodes.
+
+        Raises:
+            ValueError: as `check`.
+        """
+        return episode_steps(scenario, self.common_config())
+
+    def common_config(self) -> dict[str, Any]:
+        """The configuration that all environments have in common."""
+        reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
+        config = {"semantics": self.semantics, "solver": self.solver, "human_reward": reward}
+        return {**config, **self.planning} | ({} if self.ladder is None else {"ladder": list(self.ladder)})
+
+
+def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
+    """The number of steps in an episode of a scenario that nothing ends early.
+
+    Raises:
+        ValueError: for an unknown scenario or an impossible configuration.
+    """
+    environment_id(scenario)
+    whole = merged(ENVIRONMENTS[scenario].default_config(), config)
+    return round(whole["duration"] * whole["policy_frequency"])
+
+
+def paper_controllers(scenario: str) -> list[str]:
+    """The controllers that the paper compares in a scenario: every rung, then switching, aggressive and conservative.
+
+    Raises:
+        ValueError: for an unknown scenario.
+    """
+    environment_id(scenario)
+    choice = SCENARIOS[scenario]
+    return [*choice.ladder, *(f"switching:{price:g}" for price in choice.prices)]

@@ -1,0 +1,263 @@
+"""Episodes of a comparison, computed many at a time rather than in the environments: the same starts, the same records.
+
+`ms_highway.experiments.comparison` runs the same `Comparison` in the environments.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from gymnasium.utils import seeding
+from jax.sharding import Mesh
+from jaxtyping import Float, Int
+
+from ms_highway.control.fallback import STATUSES
+from ms_highway.envs import ENVIRONMENTS, environment_id
+from ms_highway.envs.base import InteractionEnv
+from ms_highway.envs.configuration import controller_config, draw_models, known_costs, named_models, switching_of
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.records import columns
+from ms_highway.game.scenario import Scenario
+from ms_highway.planning.human_models import MODELS
+from ms_highway.simulation.loop import DECIDES, Episodes, Loop, Records, simulate, usual_chunk
+
+__all__ = [
+    "Batch",
+    "Key",
+    "columns_simulated",
+    "episodes_of",
+    "make_batch",
+    "run_episodes",
+    "simulated",
+    "start",
+    "summarised",
+    "tabulated",
+]
+
+Key = tuple[str, int]
+"""Which episode of a scenario: its controller's short name, and its seed."""
+
+ASKED = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render"}
+"""What an environment may have of its own and be simulated: the rest a simulation does by itself, or not at all."""
+
+CARS = ("robot", "human")
+STATE = ("x", "y", "heading", "speed")
+
+
+def columns_simulated() -> list[str]:
+    """Columns of a record of steps, `ms_highway.experiments.records.columns` without the measured times."""
+    measured = {"planning_seconds", "decision_seconds", "compile_seconds"}
+    return [name for name in columns() if name not in measured]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """One scenario of a comparison, ready to be simulated.
+
+    Attributes:
+        comparison: what is compared.
+        scenario: where.
+        loop: what all episodes have in common.
+        costs: T(M) by model [s], as far as it is known.
+        environment: what is simulated; it draws the starts.
+    """
+
+    comparison: Comparison
+    scenario: Scenario
+    loop: Loop
+    costs: dict[str, float]
+    environment: InteractionEnv
+
+    @property
+    def models(self) -> list[str]:
+        """Names of the models, in the order of their numbers."""
+        return [model.name for model in self.loop.models]
+
+    @property
+    def size(self) -> int:
+        """The number of all episodes."""
+        return self.comparison.seeds * len(self.comparison.controllers[self.scenario.name])
+
+    @property
+    def steps(self) -> int:
+        """The length of an episode."""
+        return self.environment.episode_steps
+
+    def keys(self, first: int = 0, last: int | None = None) -> list[Key]:
+        """Episodes from the first to before the last, seed by seed, so that all parts hold controllers alike."""
+        controllers = self.comparison.controllers[self.scenario.name]
+        places = range(self.size)[first:last]
+        return [
+            (controllers[place % len(controllers)], self.comparison.first_seed + place // len(controllers))
+            for place in places
+        ]
+
+
+def make_batch(comparison: Comparison, scenario: str) -> Batch:
+    """One scenario of a comparison, ready to be simulated.
+
+    Args:
+        comparison: what is compared.
+        scenario: its name.
+
+    Raises:
+        ValueError: for anything unknown or impossible; for costs that are to be measured, as nothing is timed here; and
+            for environments that start plans from the last ones, end early, or do something of their own in a step.
+    """
+    environment_id(scenario)
+    controllers = comparison.controllers.get(scenario, [])
+    if not controllers:
+        raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")
+    configs = [comparison.config(scenario, controller) for controller in controllers]
+    costs = known_costs(configs[0])
+    if costs is None:
+        remedy = "say 'published', or give seconds by model"
+        raise ValueError(f"costs are {comparison.costs!r}, and a simulation cannot measure plans; {remedy}")
+    config = configs[0]
+    if config["warm_start"] or config["terminate_on_collision"]:
+        told = ", ".join(f"{key} {config[key]!r}" for key in ("warm_start", "terminate_on_collision"))
+        raise ValueError(f"{scenario} is configured with {told}; a simulation starts plans anew and runs all steps")
+    kind = ENVIRONMENTS[scenario]
+    classes = kind.__mro__[: kind.__mro__.index(InteractionEnv)]
+    own = {name for one in classes for name in vars(one) if hasattr(InteractionEnv, name) and name[:2] != "__"}
+    if own - ASKED:
+        told = f"{kind.__name__} has its own {', '.join(sorted(own - ASKED))}, which a simulation does not call"
+        raise ValueError(f"{told}; change its scenario, its game (in `configure`) or `draw_starts`, or use `compare`")
+    environment = kind(config)
+    rungs = environment.models
+    used = {name for config in configs for name in named_models(config["controller"])}
+    others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
+    seconds = np.array([costs[model.name] for model in rungs], np.float32)
+    switching = switching_of(config, seconds, 0.0, rungs)
+    loop = Loop(environment.game, switching, others, usual_chunk())
+    return Batch(comparison, environment.scenario, loop, dict(costs), environment)
+
+
+def start(batch: Batch, seed: int) -> Float[np.ndarray, "cars 4"]:
+    """The start that the environment draws for a seed, in SI units.
+
+    Raises:
+        ValueError: for a negative seed.
+    """
+    return batch.environment.draw_starts(_random(seed))
+
+
+def _random(seed: int) -> np.random.Generator:
+    """What the environment draws an episode from."""
+    if seed < 0:
+        raise ValueError(f"the seed is {seed}; it must not be negative")
+    return seeding.np_random(seed)[0]
+
+
+def episodes_of(batch: Batch, keys: Sequence[Key]) -> Episodes:
+    """What is to be simulated, see `run_episodes`."""
+    configs = {name: controller_config(name) for name, _ in keys}
+    drawn = [_drawn(batch, configs[name], seed) for name, seed in keys]
+    weights = (np.asarray(reward.weights) for reward in (batch.loop.game.robot, batch.loop.game.human))
+    return Episodes(
+        np.array([start for start, _ in drawn], np.float32),
+        np.array([configs[name].get("lambda", 0.0) for name, _ in keys], np.float32),
+        np.array([schedule for _, schedule in drawn], np.int32),
+        *(np.broadcast_to(row, (len(keys), len(row))) for row in weights),
+    )
+
+
+def _drawn(
+    batch: Batch, controller: dict[str, Any], seed: int
+) -> tuple[Float[np.ndarray, "cars 4"], Int[np.ndarray, "steps"]]:
+    """What the environment draws at a reset, in its order: the start, and the models of a random controller."""
+    random, steps, models = _random(seed), batch.steps, batch.models
+    states = batch.environment.draw_starts(random)
+    scheduled = [models.index(name) for name in draw_models(controller, steps, random)] or [DECIDES]
+    return states, np.array(scheduled)[np.minimum(np.arange(steps), len(scheduled) - 1)]
+
+
+def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None) -> Records:
+    """Simulate episodes; for ``mesh`` see `ms_highway.simulation.loop.simulate`.
+
+    Raises:
+        ValueError: without an episode, or for a negative seed.
+    """
+    return simulate(batch.loop, episodes_of(batch, keys), mesh)
+
+
+def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
+    """All records of a comparison, a row per step, in the comparison's order: `columns_simulated`.
+
+    Args:
+        comparison: what to simulate.
+        mesh: see `ms_highway.simulation.loop.simulate`.
+
+    Raises:
+        ValueError: for anything unknown or impossible, and for costs that are to be measured.
+    """
+    tables = []
+    for batch in [make_batch(comparison, scenario) for scenario in comparison.controllers]:
+        names = comparison.controllers[batch.scenario.name]
+        keys = sorted(batch.keys(), key=lambda key: names.index(key[0]))
+        tables.append(tabulated(batch, keys, run_episodes(batch, keys, mesh)))
+    return pd.concat(tables, ignore_index=True)
+
+
+def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:
+    """A row per step: `columns_simulated`."""
+    steps = batch.steps
+    models, costs = np.array(batch.models), _costs(batch)
+    cells: dict[str, Any] = {
+        "scenario": batch.scenario.name,
+        "controller": np.repeat([name for name, _ in keys], steps),
+        "seed": np.repeat([seed for _, seed in keys], steps),
+        "step": np.tile(np.arange(steps), len(keys)),
+        "model": models[records.model].ravel(),
+        "reward": np.asarray(records.reward, float).ravel(),
+        "collision": records.collision.ravel(),
+        "counted_seconds": costs[records.model].ravel(),
+        "status": np.array(STATUSES)[records.status].ravel(),
+    }
+    cells |= {f"gain_{name}": gain.ravel() for name, gain in _gains(batch, records).items()}
+    for place, car in enumerate(CARS):
+        states = np.asarray(records.states[:, :, place], float).reshape(-1, len(STATE))
+        cells |= {f"{car}_{name}": states[:, number] for number, name in enumerate(STATE)}
+    return pd.DataFrame(cells, columns=columns_simulated())
+
+
+def _costs(batch: Batch) -> Float[np.ndarray, "models"]:
+    """T(M) by number of the model [s], NaN where it is not known."""
+    return np.array([batch.costs.get(name, np.nan) for name in batch.models])
+
+
+def _gains(batch: Batch, records: Records) -> dict[str, Float[np.ndarray, "episodes steps"]]:
+    """Estimated gains of switching to each model: up, that is to the top rung, or down by one, from the rung before."""
+    gains = {name: np.full(records.reward.shape, np.nan) for name in MODELS}
+    rungs = [model.name for model in batch.loop.switching.ladder]
+    before = np.concatenate([records.model[:, :1], records.model[:, :-1]], axis=1)
+    for rung, name in enumerate(rungs[:-1]):
+        gains[name] = np.where(before == rung + 1, records.gain_down, np.nan)
+    gains[rungs[-1]] = np.where(before < len(rungs) - 1, records.gain_up, np.nan)
+    return gains
+
+
+def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:
+    """A row per episode.
+
+    Columns: ``scenario``, ``controller`` and ``seed``; ``price``, that is lambda, empty where nothing is decided;
+    ``reward`` and ``counted_seconds``, planning at T(M), as means over the steps; ``share_MODEL`` of the steps;
+    ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed.
+    """
+    configs = {name: controller_config(name) for name, _ in keys}
+    shares = {f"share_{name}": np.mean(records.model == number, axis=1) for number, name in enumerate(batch.models)}
+    return pd.DataFrame(
+        {
+            "scenario": batch.scenario.name,
+            "controller": [name for name, _ in keys],
+            "seed": [seed for _, seed in keys],
+            "price": [configs[name].get("lambda", np.nan) for name, _ in keys],
+            "reward": np.mean(records.reward, axis=1, dtype=float),
+            "counted_seconds": np.mean(_costs(batch)[records.model], axis=1),
+            **shares,
+            "collisions": np.sum(records.collision, axis=1),
+            "fallbacks": np.sum(np.not_equal(records.status, STATUSES.index("planned")), axis=1),
+        }
+    )

@@ -1,0 +1,69 @@
+"""Summarise records: a row per scenario and controller, with intervals."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from ms_highway.envs.configuration import controller_config
+from ms_highway.planning.human_models import MODELS
+
+__all__ = ["CONFIDENCE", "earned", "interval", "summary"]
+
+CONFIDENCE = 0.9
+
+
+def summary(records: pd.DataFrame) -> pd.DataFrame:
+    """One row per scenario and controller, in the order of the records.
+
+    Columns: ``kind``, the type of the controller, and ``price``, its lambda; ``episodes``; ``reward`` per step with
+    ``reward_low`` and ``reward_high``, the 90 % interval of the mean over episodes (Student's t), and ``reward_std``
+    over episodes; ``planning_ms`` and ``decision_ms`` per step as measured; ``counted_ms`` per step, planning at the
+    seconds T(M) that decisions count, empty where one is not known; ``share_MODEL`` of steps; ``collision_episodes``,
+    in which the robot collided at least once.
+
+    Raises:
+        ValueError: for an unknown controller.
+    """
+    rows = []
+    for (scenario, controller), steps in records.groupby(["scenario", "controller"], sort=False):
+        rows.append(
+            {
+                "scenario": scenario,
+                **earned(controller, steps.groupby("seed")["reward"].mean()),
+                "planning_ms": 1e3 * steps["planning_seconds"].mean(),
+                "counted_ms": 1e3 * steps["counted_seconds"].mean(skipna=False),
+                "decision_ms": 1e3 * steps["decision_seconds"].mean(),
+                **{f"share_{model}": (steps["model"] == model).mean() for model in MODELS},
+                "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def earned(controller: str, rewards: pd.Series) -> dict[str, Any]:
+    """What a summary says of a controller's rewards, each the mean of an episode; see `summary`.
+
+    Raises:
+        ValueError: for an unknown controller.
+    """
+    driver, (low, high) = controller_config(controller), interval(rewards)
+    return {
+        "controller": controller,
+        "kind": driver["type"],
+        "price": driver.get("lambda", np.nan),
+        "episodes": len(rewards),
+        "reward": rewards.mean(),
+        "reward_low": low,
+        "reward_high": high,
+        "reward_std": rewards.std(),
+    }
+
+
+def interval(values: pd.Series) -> tuple[float, float]:
+    """The 90 % interval of the mean, by Student's t; NaN of less than two values."""
+    if len(values) < 2:
+        return np.nan, np.nan
+    half = stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * stats.sem(values)
+    return values.mean() - half, values.mean() + half

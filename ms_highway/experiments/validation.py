@@ -1,0 +1,198 @@
+"""Replay of the reference episodes: does this implementation do what the paper's released code did?
+
+A reference file SCENARIO__KIND.npz holds the logged run of one controller in paper units, with released semantics:
+``states`` [episode, step, car, 4] before each step, ``robot_controls`` [episode, step, 2], ``human_controls`` [episode,
+step - 1, 2], ``rewards`` [episode, step] after each step, ``models`` [episode, step] as indices into naive, turn, tom,
+and ``ladder`` [rungs].
+"""
+
+import re
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Float, Int
+
+from ms_highway.envs import SCENARIOS
+from ms_highway.game.game import Game, swap_roles
+from ms_highway.game.reward import reward
+from ms_highway.game.scenario import build_game
+from ms_highway.metareasoning.switching import (
+    PUBLISHED_COSTS,
+    RELEASED_TRUST_TOLERANCE,
+    Memory,
+    Switching,
+    decide,
+    first_memory,
+)
+from ms_highway.planning.compiled import CompiledPlans
+from ms_highway.planning.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, ladder
+from ms_highway.runtime.compilation import jit_quickly
+
+__all__ = ["read_episodes", "validate", "validate_file"]
+
+QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
+SWITCHING = "switching_lambda_"
+KINDS = {"models": "iu", "ladder": "iu"}  # of numbers, where they have to be integers
+MOST_BYTES = 2**27
+ARRAYS = ("states", "robot_controls", "human_controls", "rewards", "models", "ladder")
+
+
+def validate(directory: Path) -> dict[str, Any]:
+    """Every reference file of a directory, checked: ``{"files": {NAME: ...}}``, see `validate_file`.
+
+    Raises:
+        FileNotFoundError: if there is no such directory or no ``*.npz`` in it.
+        ValueError: for a file that is no reference file.
+    """
+    files = sorted(directory.glob("*.npz")) if directory.is_dir() else []
+    if not files:
+        raise FileNotFoundError(f"no reference episodes (*.npz) in {directory}; name the directory that holds them")
+    return {"files": {file.name: validate_file(file) for file in files}}
+
+
+def validate_file(file: Path) -> dict[str, Any]:
+    """Errors of one file, in the units of the logs, each as quantiles over all steps of all episodes.
+
+    ``action_error``: largest component of planned minus logged robot control, planning from each logged state with the
+    logged model; ``human_error``: the same of the human; ``reward_error``; and where the run was switching,
+    ``decisions``: how many choices of the model agree, out of how many.
+
+    Raises:
+        ValueError: if the file is no reference file.
+    """
+    scenario, episodes = read_episodes(file)
+    game = build_game(SCENARIOS[scenario], "released", "exact", unit=1.0)
+    states = episodes["states"].astype(np.float32)
+    planned = np.full(episodes["robot_controls"].shape, np.nan)
+    for index in np.unique(episodes["models"]):
+        chosen = episodes["models"] == index
+        planned[chosen] = _first_controls(MODELS[PAPER_MODELS[index]], game, states[chosen])
+    swapped = np.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2)
+    human = _first_controls(Naive(), swap_roles(game), swapped.reshape(-1, *states.shape[2:])).reshape(
+        *swapped.shape[:2], 2
+    )
+    rewards = _rewards(game.scene, game.robot, states[:, 1:])
+    report: dict[str, Any] = {
+        "action_error": _quantiles(np.abs(planned - episodes["robot_controls"]).max(axis=-1)),
+        "reward_error": _quantiles(np.abs(np.asarray(rewards) - episodes["rewards"][:, :-1])),
+        "human_error": _quantiles(np.abs(human - episodes["human_controls"]).max(axis=-1)),
+    }
+    kind = file.stem.partition("__")[2]
+    if kind.startswith(SWITCHING):
+        report["decisions"] = _decisions(game, episodes, float(kind.removeprefix(SWITCHING)))
+    return report
+
+
+def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
+    """Scenario and arrays of a reference file, checked.
+
+    Raises:
+        ValueError: if the name, the arrays or their shapes are not those of a reference file.
+    """
+    scenario, _, kind = file.stem.partition("__")
+    if scenario not in SCENARIOS or not re.fullmatch(rf"{'|'.join(PAPER_MODELS)}|{SWITCHING}\d+(\.\d+)?", kind):
+        raise ValueError(
+            f"{file}: the name should be SCENARIO__KIND.npz with a scenario of {', '.join(SCENARIOS)} "
+            f"and a kind of {', '.join(PAPER_MODELS)} or {SWITCHING}NUMBER"
+        )
+    try:
+        episodes = _arrays(file)
+    except Exception as error:  # of many kinds: whatever unpacking and NumPy stumble over
+        raise ValueError(f"{file} is no reference file: {type(error).__name__}: {error}") from error
+    for name, array in episodes.items():
+        if array.dtype.kind not in KINDS.get(name, "fiu"):
+            raise ValueError(
+                f"{file}: {name} holds {array.dtype}; it must hold {'integers' if name in KINDS else 'numbers'}"
+            )
+    if episodes["states"].ndim != 4 or min(episodes["states"].shape[:2]) < 1 or episodes["states"].shape[1] < 2:
+        shape = episodes["states"].shape
+        raise ValueError(f"{file}: states has shape {shape} instead of [episode, step, car, 4] with two steps or more")
+    count, steps = episodes["states"].shape[:2]
+    wanted = {
+        "states": (count, steps, len(SCENARIOS[scenario].cars), 4),
+        "robot_controls": (count, steps, 2),
+        "human_controls": (count, steps - 1, 2),
+        "rewards": (count, steps),
+        "models": (count, steps),
+    }
+    for name, shape in wanted.items():
+        if episodes[name].shape != shape:
+            raise ValueError(f"{file}: {name} has shape {episodes[name].shape} instead of {shape}")
+        with np.errstate(over="ignore"):
+            finite = np.isfinite(episodes[name].astype(np.float32)).all()
+        if not finite:
+            raise ValueError(f"{file}: {name} is not finite, in single precision")
+    rungs = episodes["ladder"]
+    if (
+        rungs.ndim != 1
+        or len(set(rungs.tolist())) < len(rungs)
+        or not np.isin(rungs, range(len(PAPER_MODELS))).all()
+        or not np.isin(episodes["models"], rungs).all()
+    ):
+        raise ValueError(f"{file}: ladder {rungs.tolist()} or models are no places in {', '.join(PAPER_MODELS)}")
+    return scenario, episodes
+
+
+def _arrays(file: Path) -> dict[str, np.ndarray]:
+    """The arrays of a reference file, as far as they can be read safely."""
+    if not file.is_file():
+        raise ValueError("it is a directory or a device")
+    with zipfile.ZipFile(file) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > MOST_BYTES:
+        raise ValueError(f"it unpacks to {size} bytes; no log is larger than {MOST_BYTES}")
+    with np.load(file, allow_pickle=False) as archive:
+        return {name: archive[name] for name in ARRAYS}
+
+
+_rewards = jit_quickly(reward)
+
+
+def _first_controls(model: HumanModel, game: Game, states: Float[np.ndarray, "n cars 4"]) -> Float[np.ndarray, "n 2"]:
+    plans = CompiledPlans(game)
+    return np.array([plans.plan(model, state)[0].robot[0] for state in states])
+
+
+def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> dict[str, int]:
+    """Choices that agree with the logged ones, each taken from the logged step before it."""
+    names = PAPER_MODELS
+    rungs = ladder([names[index] for index in episodes["ladder"]])
+    costs = np.array([PUBLISHED_COSTS[model.name] for model in rungs])
+    switching = jax.tree.map(jnp.asarray, Switching(costs, price, rungs, trust_tolerance=RELEASED_TRUST_TOLERANCE))
+    place = {index: rung for rung, index in enumerate(episodes["ladder"].tolist())}
+    logged = np.vectorize(place.__getitem__)(episodes["models"])
+    arrays = [episodes[name].astype(np.float32) for name in ("states", "robot_controls", "human_controls", "rewards")]
+    agree = 0
+    for run, *happened in zip(logged, *arrays, strict=True):
+        before = [numbers[: len(run) - 1] for numbers in (run.astype(np.int32), *happened)]
+        agree += int(np.sum(np.asarray(_choices(switching, game, *before)) == run[1:]))
+    return {"agree": agree, "all": int(logged[:, 1:].size)}
+
+
+@jit_quickly
+def _choices(
+    switching: Switching,
+    game: Game,
+    rungs: Int[jax.Array, "steps"],
+    states: Float[jax.Array, "steps cars 4"],
+    robot: Float[jax.Array, "steps 2"],
+    human: Float[jax.Array, "steps 2"],
+    rewards: Float[jax.Array, "steps"],
+) -> Int[jax.Array, "steps"]:
+    """The rung that is chosen after each step, each of which was driven with the logged one."""
+
+    def choose(memory: Memory, step: tuple[jax.Array, ...]) -> tuple[Memory, Any]:
+        rung, *happened = step
+        memory = decide(switching, game, memory._replace(rung=rung), *happened).memory
+        return memory, memory.rung
+
+    return jax.lax.scan(choose, first_memory(switching), (rungs, states, robot, human, rewards))[1]
+
+
+def _quantiles(errors: Float[np.ndarray, "*shape"]) -> dict[str, float]:
+    return {name: float(np.quantile(errors, share)) for name, share in QUANTILES.items()}

@@ -1,0 +1,217 @@
+"""How a car moves: one step, a rollout of several, and the inverse of a step.
+
+A car's state is ``(x, y, heading, speed)`` and its control ``(omega, acceleration)``. What a control does to the car
+is told by two words:
+
+* steering ``curvature``: omega is the curvature of the path [1/m], ``heading' = v omega`` (Sec. IV-A of the paper);
+  ``yaw_rate``: omega is the yaw rate [rad/s], ``heading' = omega`` (the paper's released code).
+* friction ``linear``: ``v' = a - drag v`` with drag in 1/s (Sec. IV-A); ``quadratic``: ``v' = a - drag v^2`` with drag
+  in 1/m (the released code's world).
+
+`step`, `keep_velocity` and `recover_control` take NumPy arrays as well as JAX arrays and answer in kind, so that
+vehicles (float64, NumPy) and planners (float32, JAX) share the equations.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Float, Int
+
+from ms_highway.runtime.arrays import Array, SameArray
+
+__all__ = [
+    "Dynamics",
+    "Motion",
+    "coast",
+    "keep_velocity",
+    "observe",
+    "recover_control",
+    "rollout",
+    "speeds",
+    "step",
+    "within_grip",
+]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Dynamics:
+    """A law of motion with its numbers.
+
+    Attributes:
+        steering: what omega is, ``curvature`` or ``yaw_rate`` (static).
+        friction: how drag depends on speed, ``linear`` or ``quadratic`` (static).
+        drag: coefficient of friction, in 1/s or 1/m.
+        time_step: duration of one step [s].
+    """
+
+    steering: Literal["curvature", "yaw_rate"] = field(metadata={"static": True})
+    friction: Literal["linear", "quadratic"] = field(metadata={"static": True})
+    drag: float | Float[Array, ""]
+    time_step: float | Float[Array, ""]
+
+
+class Motion(NamedTuple):
+    """What rewards look at: where cars are, where they point, how fast they are; arrays of one shape [*cars, *times].
+
+    Attributes:
+        x, y: position [m].
+        cosine, sine: of the heading.
+        speed: [m/s].
+    """
+
+    x: jax.Array
+    y: jax.Array
+    cosine: jax.Array
+    sine: jax.Array
+    speed: jax.Array
+
+
+def observe(states: Float[Array, "*shape 4"]) -> Motion:
+    """The motion, arrays [*shape], that an array of states describes."""
+    x, y, heading, speed = jnp.moveaxis(jnp.asarray(states), -1, 0)
+    return Motion(x, y, jnp.cos(heading), jnp.sin(heading), speed)
+
+
+def _resistance(dynamics: Dynamics, speed: SameArray) -> SameArray:
+    """Deceleration by friction [m/s^2]."""
+    return (speed if dynamics.friction == "linear" else speed**2) * dynamics.drag
+
+
+def step(
+    dynamics: Dynamics, state: Float[SameArray, "*cars 4"], control: Float[SameArray, "*cars 2"]
+) -> Float[SameArray, "*cars 4"]:
+    """The state one time step later.
+
+    With a' the acceleration less friction, ``d = v dt + a' dt^2 / 2``, and old values on the right-hand side::
+
+        x += d cos(heading);  y += d sin(heading);  heading += yaw_rate dt;  v += a' dt
+    """
+    xp = state.__array_namespace__()
+    heading, speed = state[..., 2], state[..., 3]
+    yaw_rate = speed * control[..., 0] if dynamics.steering == "curvature" else control[..., 0]
+    acceleration = control[..., 1] - _resistance(dynamics, speed)
+    dt = dynamics.time_step
+    distance = speed * dt + acceleration * dt**2 / 2
+    return xp.stack(
+        [
+            state[..., 0] + distance * xp.cos(heading),
+            state[..., 1] + distance * xp.sin(heading),
+            heading + yaw_rate * dt,
+            speed + acceleration * dt,
+        ],
+        axis=-1,
+    )
+
+
+def rollout(
+    dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], controls: Float[jax.Array, "*cars steps 2"]
+) -> Motion:
+    """The motion after each of a sequence of controls, arrays [*cars, steps] (the initial state is left out).
+
+    The same as as many calls of `step`, but all steps at once: with linear friction, speeds are a weighted sum of the
+    accelerations, ``v_k = (1 - drag dt)^k v_0 + dt sum_j (1 - drag dt)^(k-1-j) a_j``, and headings and positions are
+    cumulative sums. A few array operations compile and run many times faster than a chain of small ones.
+
+    Raises:
+        ValueError: for quadratic friction, which has no such form.
+    """
+    if dynamics.friction != "linear":
+        raise ValueError("a rollout needs linear friction; with quadratic friction, repeat `step`")
+    dt, plain = dynamics.time_step, _plain(controls.shape[-2], controls.dtype)[0]
+    speed = speeds(dynamics, state[..., 3], controls[..., 1])
+    before = speed[..., :-1]
+    yaw_rate = before * controls[..., 0] if dynamics.steering == "curvature" else controls[..., 0]
+    heading = _accumulate(plain, state[..., 2], yaw_rate * dt)
+    # The barrier keeps XLA from working out sines and cosines again wherever they are used.
+    direction = jax.lax.optimization_barrier(jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=-2))
+    distance = before * dt + (controls[..., 1] - _resistance(dynamics, before)) * dt**2 / 2
+    position = _accumulate(plain[1:], state[..., :2], distance[..., None, :] * direction[..., :-1])
+    x, y, cosine, sine = (pair[..., i, :] for pair in (position, direction[..., 1:]) for i in range(2))
+    return Motion(x, y, cosine, sine, speed[..., 1:])
+
+
+def speeds(
+    dynamics: Dynamics, speed: Float[jax.Array, "*cars"], accelerations: Float[jax.Array, "*cars steps"]
+) -> Float[jax.Array, "*cars states"]:
+    """Speeds now and after each of a sequence of accelerations, with linear friction, see `rollout`."""
+    plain, age = _plain(accelerations.shape[-1], accelerations.dtype)
+    fading = plain * (1 - dynamics.drag * dynamics.time_step) ** np.maximum(age, 0)
+    return _accumulate(fading, speed, accelerations * dynamics.time_step)
+
+
+def _plain(steps: int, dtype: np.dtype) -> tuple[Float[jax.Array, "states terms"], Int[np.ndarray, "states terms"]]:
+    """Weights of plain sums, 1 for each term that counts for a state, and the steps from each term to each state."""
+    terms = np.arange(steps + 1)
+    age = terms[:, None] - terms  # below 0: not yet
+    return jnp.asarray(age >= 0, dtype=dtype), age
+
+
+def _accumulate(weights: Float[jax.Array, "states terms"], initial: jax.Array, changes: jax.Array) -> jax.Array:
+    """An initial value and its sums with the changes so far; unlike a small matrix product, fused with the rest."""
+    return jnp.sum(weights * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
+
+
+def within_grip(
+    dynamics: Dynamics,
+    grip: float | Float[SameArray, ""],
+    speed: Float[SameArray, "*cars"],
+    control: Float[SameArray, "*cars 2"],
+    bend: float | Float[SameArray, ""] = 0.0,
+) -> Float[SameArray, "*cars 2"]:
+    """The nearest control that tyres hold and that does not reverse, in one step of a car of this speed.
+
+    Tyres hold ``(v^2 k)^2 + v'^2 <= grip^2``, the friction circle: k is the curvature of the path, the road's included,
+    and v' the acceleration less friction. What leaves it is scaled down, to the side and along the path alike.
+
+    Args:
+        dynamics: the law of motion and the duration of the step.
+        grip: the total acceleration that the tyres hold [m/s^2].
+        speed: before the step; a car that rolls backwards is stopped.
+        control: in the coordinates of the road.
+        bend: curvature of the road [1/m], which such coordinates leave out.
+    """
+    xp = control.__array_namespace__()
+    turn = bend if dynamics.steering == "curvature" else bend * speed
+    per_omega = speed**2 if dynamics.steering == "curvature" else speed
+    friction = _resistance(dynamics, speed)
+    omega, acceleration = control[..., 0] + turn, xp.maximum(control[..., 1] - friction, -speed / dynamics.time_step)
+    total = xp.hypot(per_omega * omega, acceleration)
+    share = xp.minimum(grip / xp.maximum(total, 1e-6), 1.0)
+    return xp.stack([share * omega - turn, share * acceleration + friction], axis=-1)
+
+
+def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) -> Motion:
+    """The motion over ``steps`` steps at constant velocity, arrays [*cars, steps] (the initial state is left out)."""
+    now = Motion(*(field[..., None] for field in observe(state)))
+    distance = now.speed * jnp.arange(1, steps + 1) * dynamics.time_step
+    moved = now._replace(x=now.x + distance * now.cosine, y=now.y + distance * now.sine)
+    return Motion(*jnp.broadcast_arrays(*moved))
+
+
+def keep_velocity(dynamics: Dynamics, state: Float[SameArray, "*cars 4"]) -> Float[SameArray, "*cars 2"]:
+    """The control that keeps speed and heading: it only makes up for friction."""
+    xp = state.__array_namespace__()
+    speed = state[..., 3]
+    return xp.stack([xp.zeros_like(speed), _resistance(dynamics, speed)], axis=-1)
+
+
+def recover_control(
+    dynamics: Dynamics, state: Float[SameArray, "*cars 4"], next_state: Float[SameArray, "*cars 4"]
+) -> Float[SameArray, "*cars 2"]:
+    """The control that led from one state to the next: the inverse of `step`.
+
+    A standing car does not turn, so its curvature is unobservable at speed 0 and reported as 0.
+    """
+    xp = state.__array_namespace__()
+    speed = state[..., 3]
+    yaw_rate = (next_state[..., 2] - state[..., 2]) / dynamics.time_step
+    acceleration = (next_state[..., 3] - speed) / dynamics.time_step + _resistance(dynamics, speed)
+    if dynamics.steering == "yaw_rate":
+        return xp.stack([yaw_rate, acceleration], axis=-1)
+    moving = speed != 0
+    omega = xp.where(moving, yaw_rate / xp.where(moving, speed, 1.0), 0.0)
+    return xp.stack([omega, acceleration], axis=-1)

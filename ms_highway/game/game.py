@@ -1,0 +1,149 @@
+"""The game that robot and human play: a scene, two rewards, and the motion that plans assume.
+
+A plan's controls are kept in units of the planner's ``control_scale`` throughout the core ("scaled"); only the
+controllers turn them into curvatures and accelerations.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.dynamics import Dynamics, Motion, coast, keep_velocity, rollout, speeds, within_grip
+from ms_highway.game.reward import Reward, motion_reward
+from ms_highway.game.scene import Scene
+from ms_highway.optimization.ascent import Planner, project
+from ms_highway.optimization.second_derivatives import Influence, Path
+from ms_highway.runtime.unrolled import total
+
+__all__ = [
+    "Game",
+    "bounded",
+    "constant_velocity",
+    "discomfort",
+    "driven_reward",
+    "move",
+    "path_reward",
+    "swap",
+    "swap_roles",
+    "total_reward",
+]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Game:
+    """All that a planner has to know. Changing a number in it never recompiles a plan.
+
+    Attributes:
+        scene: road, obstacles and bodies.
+        robot: the reward of car 0.
+        human: the reward of car 1.
+        dynamics: the motion that plans assume.
+        world: the motion of the real cars, from which executed controls are recovered.
+        planner: horizon, steps and limits of every plan.
+        influence: how the human's response to the robot is computed, see
+            `ms_highway.optimization.second_derivatives.response` (static).
+    """
+
+    scene: Scene
+    robot: Reward
+    human: Reward
+    dynamics: Dynamics
+    world: Dynamics
+    planner: Planner
+    influence: Influence = field(default="damped", metadata={"static": True})
+
+
+def swap(game: Game, state: Float[jax.Array, "cars 4"]) -> tuple[Game, Float[jax.Array, "cars 4"]]:
+    """The game and its state through the human's eyes: cars 0 and 1 change places."""
+    return swap_roles(game), jnp.concatenate([state[1::-1], state[2:]])
+
+
+def swap_roles(game: Game) -> Game:
+    """The game in which the human is the one to plan; humans use the paper's solver, whatever the robot's."""
+    return replace(game, robot=game.human, human=game.robot, planner=replace(game.planner, solver="gradient"))
+
+
+def constant_velocity(game: Game, car: Float[jax.Array, "4"]) -> Float[jax.Array, "steps 2"]:
+    """The scaled controls of a car that keeps speed and heading over the horizon."""
+    control = keep_velocity(game.dynamics, car) / game.planner.control_scale
+    return jnp.broadcast_to(control, (game.planner.horizon, 2))
+
+
+def bounded(
+    game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "*batch steps 2"]
+) -> Float[jax.Array, "*batch steps 2"]:
+    """Scaled controls cut down to the limits of plans and, where they are looked at, to what tyres hold.
+
+    What tyres hold depends on the speed, which is taken from the accelerations before they are cut down: the first
+    control is exact, and later ones may ask for a quarter more than tyres hold. What is executed never does.
+    """
+    controls, planner = project(game.planner, controls), game.planner
+    if planner.grip is None:
+        return controls
+    physical = controls * planner.control_scale
+    now = jnp.broadcast_to(car[3], physical.shape[:-2])
+    speed = jnp.maximum(speeds(game.dynamics, now, physical[..., 1])[..., :-1], 0.0)
+    grip, bend = jnp.asarray(planner.grip), jnp.asarray(0.0 if game.scene.bend is None else game.scene.bend)
+    return within_grip(game.dynamics, grip, speed, physical, bend) / planner.control_scale
+
+
+def discomfort(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
+    """What car 0 pays for not keeping the velocity that it has now, ``sum comfort (u - u_keep)^2 / 2``, u scaled."""
+    kept = keep_velocity(game.dynamics, car) / game.planner.control_scale
+    return jnp.sum(game.robot.comfort * (controls - kept) ** 2) / 2
+
+
+@jax.jit  # traced once, like `path_reward`
+def move(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Path:
+    """The path of a car under scaled controls."""
+    return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
+
+
+@jax.jit  # traced and differentiated once for all plans that look at it
+def path_reward(game: Game, state: Float[jax.Array, "cars 4"], robot: Path, human: Path) -> Float[jax.Array, ""]:
+    """The robot's reward, summed over the steps of both players' paths.
+
+    Args:
+        game: whose rewards and motion.
+        state: all cars now; those beyond the first two keep their velocity.
+        robot: path of car 0.
+        human: path of car 1.
+    """
+    rest = coast(game.dynamics, state[2:], robot.shape[-1])
+    others = Motion(*(jnp.concatenate([first[None], more]) for first, more in zip(human, rest, strict=True)))
+    return total(motion_reward(game.scene, game.robot, Motion(*robot), others))
+
+
+def driven_reward(
+    game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"], others: Motion
+) -> Float[jax.Array, ""]:
+    """What car 0 earns by driving among others whose motion is given, its discomfort taken off.
+
+    Args:
+        game: whose reward and motion.
+        car: car 0 now.
+        controls: its scaled controls.
+        others: the motion of all others after each step, arrays [others, steps].
+    """
+    own = Motion(*move(game, car, controls))
+    return jnp.sum(motion_reward(game.scene, game.robot, own, others)) - discomfort(game, car, controls)
+
+
+def total_reward(
+    game: Game,
+    state: Float[jax.Array, "cars 4"],
+    robot: Float[jax.Array, "steps 2"],
+    human: Float[jax.Array, "steps 2"],
+) -> Float[jax.Array, ""]:
+    """The robot's reward, summed over the states after each step, R_R(x, u_R, u_H).
+
+    Args:
+        game: whose rewards and motion.
+        state: all cars now; cars beyond the first two keep their velocity.
+        robot: scaled controls of car 0, of any number of steps.
+        human: scaled controls of car 1, as many.
+    """
+    return path_reward(game, state, move(game, state[0], robot), move(game, state[1], human))

@@ -1,0 +1,139 @@
+"""A learned reward as a file: the weights, how sure they are, and where they come from."""
+
+import json
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.game.reward import linear_reward
+from ms_highway.game.reward_model import Model
+from ms_highway.runtime.files import read_json, replacing
+
+__all__ = ["SHIPPED", "VERSION", "LearnedReward", "load", "save", "shipped"]
+
+VERSION = 2
+"""Of the file format; a file of another version is refused."""
+
+ANEW = "learn it anew with `ms-highway irl fit`"
+
+SHIPPED = {"demonstrations": "learned from simulated demonstrations", "us101": "learned from drivers on US-101"}
+"""The learned rewards that come with the package."""
+
+
+@dataclass(frozen=True)
+class LearnedReward:
+    """What `ms-highway irl fit` writes.
+
+    Attributes:
+        weights: by name, of features and comfort; in units in which the given comfort weights are what they are.
+        temperature: T of maximum entropy, in the same units.
+        learned: names of the weights that were learned; the others were given.
+        covariance: of the logarithms of the learned weights' sizes and, at the end, of the temperature.
+        horizon: K, number of steps of 0.1 s in the windows it was learned from.
+        converged: whether the optimiser reached the top.
+        iterations: how many the optimiser took.
+        windows: how many it was learned from.
+        log_likelihood: mean per window: ``train``, and ``held_out``, cross-validated by group of recordings (None where
+            there is one group only).
+        feature_counts: mean sums of the features over a window: ``human``, and ``model``, expected under the reward.
+        provenance: data, groups of recordings, and versions of the software.
+    """
+
+    weights: dict[str, float]
+    temperature: float
+    learned: tuple[str, ...]
+    covariance: list[list[float]]
+    horizon: int
+    converged: bool
+    iterations: int
+    windows: int
+    log_likelihood: dict[str, float | None]
+    feature_counts: dict[str, dict[str, float]]
+    provenance: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        """Check it.
+
+        Raises:
+            ValueError: naming what is wrong with it.
+        """
+        if not isinstance(self.weights, dict):
+            raise ValueError(f"the weights are {self.weights}; they must be given by name")
+        linear_reward(self.weights, 1.0)
+        if missing := sorted(set(self.learned) - set(self.weights)):
+            raise ValueError(f"there is no weight for {missing}")
+        if set(self.model.names) != set(self.weights):
+            raise ValueError(f"what was learned and given, {self.model.names}, are not the weights")
+        covariance, parameters = np.array(self.covariance, dtype=float), len(self.learned) + 1
+        finite = covariance.shape == (parameters, parameters) and np.isfinite(covariance).all()
+        if not finite or (np.diag(covariance) < 0).any():
+            raise ValueError(f"the covariance is no finite array of shape {(parameters, parameters)} with variances")
+        if isinstance(self.temperature, bool) or not (np.isfinite(self.temperature) and self.temperature > 0):
+            raise ValueError(f"the temperature is {self.temperature}; it must be positive")
+        if type(self.horizon) is not int or self.horizon < 1:
+            raise ValueError(f"the horizon is {self.horizon!r}; it must be a number of steps")
+        if set(self.feature_counts) != {"human", "model"}:
+            raise ValueError("the feature counts are not those of human and model")
+
+    @property
+    def sharp_weights(self) -> dict[str, float]:
+        """The weights over the temperature: the reward in units of log-probability."""
+        return {name: weight / self.temperature for name, weight in self.weights.items()}
+
+    @property
+    def model(self) -> Model:
+        """What was learned and what was given."""
+        return Model(self.learned, {name: value for name, value in self.weights.items() if name not in self.learned})
+
+    def interval(self, name: str, deviations: float = 1.645) -> Float[np.ndarray, "2"]:
+        """The weight at so many standard deviations of its logarithm below and above; 1.645 span 90 %."""
+        place = self.learned.index(name)
+        spread = deviations * np.sqrt(self.covariance[place][place])
+        return self.weights[name] * np.exp([-spread, spread])
+
+
+def save(learned: LearnedReward, path: Path) -> None:
+    """Write a learned reward as JSON, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps({"version": VERSION, **asdict(learned)}, indent=2) + "\n")
+
+
+def load(path: Path) -> LearnedReward:
+    """Read what `save` wrote.
+
+    Raises:
+        ValueError: if there is no such file, or it is damaged or of another version.
+    """
+    try:
+        content = read_json(path)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read as a learned reward: {error}") from error
+    return _checked(content, str(path))
+
+
+@cache
+def shipped(name: str) -> LearnedReward:
+    """One of the learned rewards that come with the package, see `SHIPPED`.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if name not in SHIPPED:
+        raise ValueError(f"no learned reward {name!r} comes with ms_highway; there are {', '.join(SHIPPED)}")
+    return _checked(json.loads((resources.files("ms_highway") / "data" / f"{name}.json").read_text()), name)
+
+
+def _checked(content: Any, place: str) -> LearnedReward:
+    version = content.get("version") if isinstance(content, dict) else None
+    if version != VERSION:
+        raise ValueError(f"{place} holds a learned reward of version {version}, not {VERSION}; {ANEW}")
+    fields = {name: value for name, value in content.items() if name != "version"}
+    try:
+        return LearnedReward(**{**fields, "learned": tuple(content["learned"])})
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{place} is damaged: {error}; {ANEW}") from error

@@ -1,0 +1,83 @@
+"""Which cars around a driver count: the nearest ahead and behind, in its own lane and in those beside it."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.runtime.arrays import SameArray
+
+__all__ = ["NEIGHBOURS", "far_behind", "headways", "neighbours", "places"]
+
+SLOWEST = 1.0  # m/s, of a follower whose headway is measured
+FAR_AWAY = 1000.0  # m behind, where absent cars are
+
+SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, of each place
+AHEAD = np.array([True, False] * 3)  # whether a place is for the car ahead, or for the one behind
+
+NEIGHBOURS = len(SIDES)
+"""Places for neighbours: ahead and behind, in the own lane, in the left one and in the right one, in this order."""
+
+
+def places(
+    driver: Float[SameArray, "*batch 4"],
+    others: Float[SameArray, "*batch cars 4"],
+    present: Bool[SameArray, "*batch cars"],
+    lane_width: float | Float[SameArray, "*batch"],
+) -> tuple[Int[SameArray, "*batch 6"], Bool[SameArray, "*batch 6"]]:
+    """Which of the others takes each of the six places around a driver, and whether any does.
+
+    A car is in the own lane if it is less than half a lane's width to the side.
+
+    Args:
+        driver: state of the driver.
+        others: states of the other cars, in the same coordinates, along the road.
+        present: which of the others are there; the states of those that are not may be anything, even NaN.
+        lane_width: of a lane [m].
+    """
+    xp = driver.__array_namespace__()
+    offset = others[..., :2] - driver[..., None, :2]
+    lane = xp.round(offset[..., 1] / xp.asarray(lane_width)[..., None])
+    ahead = offset[..., 0] > 0
+    fits = (lane[..., None] == SIDES) & (ahead[..., None] == AHEAD) & present[..., None]
+    distance = xp.where(fits, xp.abs(offset[..., :1]), xp.inf)
+    return xp.argmin(distance, axis=-2), xp.any(fits, axis=-2)
+
+
+def neighbours(
+    driver: Float[SameArray, "*batch 4"],
+    others: Float[SameArray, "*batch cars 4"],
+    present: Bool[SameArray, "*batch cars"],
+    lane_width: float | Float[SameArray, "*batch"],
+) -> Float[SameArray, "*batch 6 4"]:
+    """States of the neighbours of a driver, one for each of the six places; takes what `places` takes.
+
+    A place that no car takes holds a standing car far behind, so that the shape never changes.
+    """
+    xp = driver.__array_namespace__()
+    cars, taken = places(driver, others, present, lane_width)
+    found = xp.take_along_axis(others, cars[..., None], axis=-2)
+    return xp.where(taken[..., None], found, far_behind(driver)[..., None, :])
+
+
+def headways(
+    driver: Float[SameArray, "*batch 4"],
+    around: Float[SameArray, "*batch 6 4"],
+    length: float,
+) -> Float[SameArray, "*batch 6"]:
+    """Time gaps to the neighbours of a driver [s]: until whichever is behind is where the one ahead ends now.
+
+    Args:
+        driver: state of the driver.
+        around: states of its `neighbours`.
+        length: of cars [m].
+    """
+    xp = driver.__array_namespace__()
+    along = around[..., 0] - driver[..., :1]
+    follower = xp.where(along > 0, driver[..., 3:], around[..., 3])
+    return xp.maximum(xp.abs(along) - length, 0.0) / xp.maximum(follower, SLOWEST)
+
+
+def far_behind(driver: Float[SameArray, "*batch 4"]) -> Float[SameArray, "*batch 4"]:
+    """The state of a standing car that is too far behind a driver to matter."""
+    xp = driver.__array_namespace__()
+    zero = xp.zeros_like(driver[..., 0])
+    return xp.stack([driver[..., 0] - FAR_AWAY, driver[..., 1], zero, zero], axis=-1)

@@ -1,0 +1,65 @@
+"""Which weights of a reward are learned, and which are given."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.game.reward import COMFORT, weight_names
+
+__all__ = ["NO_GRADIENT", "PENALTIES", "Model"]
+
+PENALTIES = ("collision_risk", "collision", "off_road")
+"""Features whose weights are negative; those of all others are positive."""
+
+NO_GRADIENT = ("collision", "merged", "partner_merged")
+"""Indicators: a driver's slopes tell nothing about their weights."""
+
+FLOOR = 0.5  # of the least comfort weight that is given: the least curvature of -R that is believed
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is to be learned, and what is given.
+
+    Attributes:
+        learned: names of the weights to learn, of `weight_names`.
+        given: weights that are fixed, by name; comfort's set the scale of all others.
+
+    Raises:
+        ValueError: for unknown names, an indicator, a weight both learned and given, or none for comfort.
+    """
+
+    learned: tuple[str, ...]
+    given: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        known = [name for name in weight_names() if name not in NO_GRADIENT]
+        for name in self.names:
+            if name not in known:
+                raise ValueError(f"{name!r} cannot be learned; the weights to learn are {', '.join(known)}")
+        twice = sorted(set(self.learned) & set(self.given))
+        if twice or len(set(self.learned)) < len(self.learned):
+            raise ValueError(f"weights {twice or list(self.learned)} are named twice")
+        if not any(self.given.get(name, 0.0) > 0 for name in COMFORT):
+            raise ValueError(f"one of {', '.join(COMFORT)} must be given: it sets the scale of all weights")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names: the learned ones, then the given ones."""
+        return (*self.learned, *self.given)
+
+    @property
+    def floor(self) -> float:
+        """The least curvature of -R in any direction that a fit believes."""
+        return FLOOR * min(value for name, value in self.given.items() if name in COMFORT and value > 0)
+
+    def signs(self) -> Float[np.ndarray, "learned"]:
+        """Signs of the learned weights, which are fixed."""
+        return np.array([-1.0 if name in PENALTIES else 1.0 for name in self.learned])
+
+    def weights(self, logarithms: Float[np.ndarray, "parameters"]) -> dict[str, float]:
+        """All weights by name, from the logarithms of the learned ones' sizes and, at the end, of the temperature."""
+        learned = (self.signs() * np.exp(logarithms[:-1])).tolist()
+        return {**dict(zip(self.learned, learned, strict=True)), **self.given}

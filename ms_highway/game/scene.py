@@ -1,0 +1,42 @@
+"""The scene that cars drive in: lanes, obstacles, the cars' bodies, and who follows whom."""
+
+from dataclasses import dataclass, field
+
+import jax
+from jaxtyping import Float
+
+from ms_highway.runtime.arrays import Array
+
+__all__ = ["Scene"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Scene:
+    """A straight road along x with obstacles on it. All lengths are in metres, y points to the right.
+
+    Attributes:
+        lanes: lateral position of each lane's centre.
+        lane_width: width of a lane; the road ends half of it beyond the outermost centres.
+        obstacles: centres (x, y) of the static obstacles, which lie along the axes.
+        obstacle_size: length and width of every obstacle.
+        car_size: length and width of every car.
+        corner: position of the outermost body points that the collision feature looks at, as a share of length
+            and width (1/2 is the very corner).
+        target_lane: lateral position of the lane that a merging car is heading for.
+        length_unit: the length that features count in [m]; 100/3 in the paper's units.
+        bend: curvature of the road [1/m], positive to the right, which straightened coordinates leave out; None on a
+            straight road.
+        leader: index of the car in whose gap a car may settle, None without one (static).
+    """
+
+    lanes: Float[Array, "lanes"]
+    lane_width: float | Float[Array, ""]
+    obstacles: Float[Array, "obstacles 2"]
+    obstacle_size: Float[Array, "2"]
+    car_size: Float[Array, "2"]
+    corner: float | Float[Array, ""]
+    target_lane: float | Float[Array, ""]
+    length_unit: float | Float[Array, ""]
+    bend: float | Float[Array, ""] | None = None
+    leader: int | None = field(default=None, metadata={"static": True})

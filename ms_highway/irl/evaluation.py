@@ -1,0 +1,128 @@
+"""What a learned reward is worth on recorded drivers, beside constant velocity and highway-env's IDM.
+
+An evaluation is a dictionary of plain numbers: for ``model``, ``constant_velocity`` and ``idm`` the `errors` of
+prediction by horizon and the mean ``log_likelihood`` of a window's scaled controls; the number of ``windows`` that were
+predicted, of ``tracks`` that they are from, and of ``likelihood_windows``; errors by what drivers were doing
+(``situations``, see `ms_highway.irl.situations`); and what the predicted drivers met (``others``).
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.learned_reward import LearnedReward
+from ms_highway.game.reward_model import Model
+from ms_highway.game.scenario import PAPER_DYNAMICS
+from ms_highway.irl.learning import converged, folds, likelihoods
+from ms_highway.irl.maximum_entropy import fit, slopes_of
+from ms_highway.irl.prediction import (
+    STEPS,
+    Cases,
+    Others,
+    cases_of,
+    constant_velocity,
+    drive,
+    errors,
+    gaussian,
+    idm,
+    idm_controls,
+)
+from ms_highway.irl.recordings.recording import Recording
+from ms_highway.irl.situations import by_situation
+from ms_highway.irl.windows import Windows, regular_windows
+
+__all__ = ["cross_validate", "evaluate"]
+
+
+def evaluate(
+    recordings: Sequence[Recording], learned: LearnedReward, others: Others = "recorded"
+) -> Iterator[str | dict[str, Any]]:
+    """Evaluate a learned reward on recordings.
+
+    Yields:
+        What is being done; at the end, the evaluation.
+
+    Raises:
+        ValueError: if no driver was seen for long enough.
+    """
+    yield "cutting windows"
+    cases, windows = cases_of(recordings, others), regular_windows(recordings, learned.horizon)
+    yield f"driving {len(cases)} stretches of road"
+    paths = drive(cases, learned.sharp_weights, learned.horizon)
+    yield f"differentiating {len(windows)} windows"
+    slopes = slopes_of(windows, learned.model.names)
+    likely = likelihoods(slopes, learned.model, learned.weights, learned.temperature)
+    yield "driving IDM vehicles"
+    yield _beside(cases, paths, windows, likely, others)
+
+
+def cross_validate(
+    recordings: Sequence[Recording], model: Model, horizon: int, parts: int, others: Others = "recorded"
+) -> Iterator[str | dict[str, Any]]:
+    """Evaluate rewards that are learned from the other groups of recordings, fold after fold.
+
+    Args:
+        recordings: all of them.
+        model: what to learn.
+        horizon: K, the length of windows and plans.
+        parts: the number of folds.
+        others: what the predicted drivers meet.
+
+    Yields:
+        What is being done; at the end, the evaluation, over all folds, with the weights of each (``folds``).
+
+    Raises:
+        ValueError: if there is one group only, no driver was seen for long enough, or a fit does not converge.
+    """
+    yield "cutting windows"
+    cases, windows = cases_of(recordings, others), regular_windows(recordings, horizon)
+    if len(np.unique(windows.group)) < 2 or parts < 2:
+        raise ValueError(
+            "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
+        )
+    yield f"differentiating {len(windows)} windows"
+    slopes = slopes_of(windows, model.names)
+    paths, likely, weights = np.empty((len(cases), STEPS, 2)), np.empty(len(windows)), []
+    held_out = folds(np.union1d(windows.group, cases.group), parts)
+    found = None
+    for number, names in enumerate(held_out, 1):
+        held, driven = np.isin(windows.group, names), np.isin(cases.group, names)
+        yield f"learning, fold {number} of {len(held_out)}"
+        found = converged(fit(slopes.of(~held), model, found))
+        weights.append({"weights": found.weights, "temperature": found.temperature})
+        if held.any():
+            likely[held] = likelihoods(slopes.of(held), model, found.weights, found.temperature)
+        if driven.any():
+            yield f"driving, fold {number} of {len(held_out)}"
+            paths[driven] = drive(cases.of(driven), found.sharp_weights, horizon)
+    yield "driving IDM vehicles"
+    yield {**_beside(cases, paths, windows, likely, others), "folds": weights}
+
+
+def _beside(
+    cases: Cases,
+    paths: Float[np.ndarray, "n 50 2"],
+    windows: Windows,
+    likely: Float[np.ndarray, "windows"],
+    others: Others,
+) -> dict[str, Any]:
+    """The evaluation of predicted paths and likelihoods, beside those of constant velocity and IDM."""
+    kept = np.repeat(
+        keep_velocity(PAPER_DYNAMICS, np.asarray(windows.start))[:, None], windows.controls.shape[1], axis=1
+    )
+    rows = {
+        "model": (paths, likely),
+        "constant_velocity": (constant_velocity(cases), gaussian(windows, kept)),
+        "idm": (idm(cases), gaussian(windows, idm_controls(windows))),
+    }
+    return {
+        **{name: {**errors(path, cases), "log_likelihood": float(log.mean())} for name, (path, log) in rows.items()},
+        "situations": by_situation({name: path for name, (path, _) in rows.items()}, cases),
+        "windows": len(cases),
+        "tracks": len(np.unique(cases.track)),
+        "likelihood_windows": len(windows),
+        "others": others,
+    }

@@ -1,0 +1,295 @@
+"""Maximum-entropy inverse reinforcement learning: the reward that makes recorded driving likely.
+
+A driver is taken to draw the controls u of a window, in the planner's scaled units, from
+
+    p(u) = exp(R(u) / T) / integral of exp(R(u') / T) du',    R(u) = theta . phi(u)
+
+with the features along the window, comfort among them, and the others moving as they were recorded. Laplace's
+approximation of the integral around what the driver did gives, with the gradient g and the Hessian H of R / T there
+(Levine and Koltun 2012, Eq. 4),
+
+    log p(u) = g^T H^-1 g / 2 + log det(-H) / 2 - (d / 2) log 2 pi
+
+so that a reward is likely under which the driver was near an optimum (the first term), and a sharp one (the second).
+g and H are linear in theta: the features' derivatives are worked out once, and then a fit takes seconds.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jax.scipy.linalg import cho_solve
+from jaxtyping import Float
+from scipy import optimize
+
+from ms_highway.game.game import Game, move
+from ms_highway.game.reward import COMFORT
+from ms_highway.game.reward_model import Model
+from ms_highway.irl.windows import Window, Windows, features_at, template, unease
+from ms_highway.optimization.second_derivatives import slope_and_bend
+from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.batches import in_batches
+from ms_highway.runtime.compilation import jit_quickly
+
+__all__ = ["Fit", "Slopes", "fit", "floored", "log_likelihoods", "most_likely", "slopes_of"]
+
+PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
+MANY = 600  # windows, of which half as many are fitted first
+DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
+TOLERANCE = 1e-3  # of the slope of the objective per window, in a fit that has converged
+TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
+
+
+class Slopes(NamedTuple):
+    """The features' derivatives in the scaled controls of n windows, at what the drivers did.
+
+    Attributes:
+        features: phi along each window.
+        gradients: first derivatives.
+        hessians: second derivatives.
+    """
+
+    features: Float[Array, "n names"]
+    gradients: Float[Array, "n names d"]
+    hessians: Float[Array, "n names d d"]
+
+    def of(self, chosen: np.ndarray) -> "Slopes":
+        """Those of some windows."""
+        return Slopes(*(part[chosen] for part in self))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit found.
+
+    Attributes:
+        model: what was learned and what was given.
+        logarithms: of the learned weights' sizes and, at the end, of the temperature T.
+        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior. It takes
+            windows for independent; of real drivers, whose windows are alike, it tells too narrow intervals.
+        converged: whether the optimiser reached the top.
+        iterations: how many the optimiser took.
+        log_likelihood: mean over the windows.
+    """
+
+    model: Model
+    logarithms: Float[np.ndarray, "parameters"]
+    covariance: Float[np.ndarray, "parameters parameters"]
+    converged: bool
+    iterations: int
+    log_likelihood: float
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """All weights by name."""
+        return self.model.weights(self.logarithms)
+
+    @property
+    def temperature(self) -> float:
+        """T, how far from the optimum the drivers strayed, in the units of the reward."""
+        return float(np.exp(self.logarithms[-1]))
+
+    @property
+    def sharp_weights(self) -> dict[str, float]:
+        """The weights over the temperature: the reward in units of log-probability."""
+        return {name: weight / self.temperature for name, weight in self.weights.items()}
+
+
+def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
+    """The derivatives of these features in every window.
+
+    A feature looks at the motion one step at a time: with s_k the motion at step k, ``J_k = ds_k / du``, and g_k and
+    Q_k the feature's derivatives in s_k, its Hessian in the controls is ``sum_k J_k^T Q_k J_k + g_k d2s_k / du2``.
+
+    Raises:
+        ValueError: if they are not finite somewhere.
+    """
+    game = template(windows, {}, names)
+    places = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
+
+    def named(batch: Windows) -> Slopes:
+        return Slopes(*(np.asarray(part)[:, places] for part in _slopes(game, batch)))
+
+    slopes = Slopes(*(part.astype(np.float64) for part in in_batches(named, windows)))
+    for part in slopes:
+        if not np.isfinite(part).all():
+            window = int(np.argwhere(~np.isfinite(part))[0][0])
+            start = windows.start[window]
+            raise ValueError(f"the features of window {window} have no finite derivatives; it starts at {start}")
+    return slopes
+
+
+@jit_quickly
+def _slopes(game: Game, windows: Windows) -> Slopes:
+    """The derivatives of the game's features and of `COMFORT`: one compilation serves whatever is learned of them."""
+
+    def derivatives(window: Window) -> Slopes:
+        def path(controls: Float[jax.Array, "d"]) -> Float[jax.Array, "fields K"]:
+            return move(game, window.start, controls.reshape(-1, 2))
+
+        def at_step(own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]) -> Slopes:
+            function = partial(features_at, game, window, others=others)
+            return Slopes(function(own), *slope_and_bend(function)(own))
+
+        controls = (window.controls / game.planner.control_scale).ravel()
+        steps = path(controls)
+        first, second = slope_and_bend(path)(controls)
+        phi, slope, bend = jax.vmap(at_step, in_axes=(1, 1))(steps, window.others)
+        bent = jnp.einsum("knfg,gkd->knfd", bend, first)
+        gradients = jnp.einsum("knf,fkd->nd", slope, first)
+        hessians = jnp.einsum("knfd,fke->nde", bent, first) + jnp.einsum("knf,fkde->nde", slope, second)
+        uneasy = unease(game, window, controls.reshape(-1, 2))
+        of_kind = jnp.eye(2)[:, None, :]  # one of the two controls at every step
+        kinds = jnp.broadcast_to(of_kind, (2, *uneasy.shape)).reshape(2, -1)
+        ease = Slopes(-jnp.sum(uneasy**2, axis=0) / 2, -(of_kind * uneasy).reshape(2, -1), -jax.vmap(jnp.diag)(kinds))
+        everything = Slopes(phi.sum(axis=0), gradients, hessians)
+        return jax.tree.map(lambda paid, felt: jnp.concatenate([paid, felt]), everything, ease)
+
+    return jax.vmap(derivatives)(windows)
+
+
+@jax.custom_jvp
+def floored(symmetric: Float[jax.Array, "d d"], floor: Float[jax.Array, ""]) -> Float[jax.Array, "d d"]:
+    """The symmetric matrix with eigenvalues below a floor set to the floor.
+
+    Its derivative is exact also where eigenvalues meet, where those of the eigenvectors are not finite: with divided
+    differences F of max(., floor), ``d floored = V (F * (V^T dA V)) V^T``.
+    """
+    values, vectors = jnp.linalg.eigh(symmetric)
+    return (vectors * jnp.maximum(values, floor)) @ vectors.T
+
+
+@floored.defjvp
+def _floored_jvp(
+    primals: tuple[jax.Array, jax.Array], tangents: tuple[jax.Array, jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    (symmetric, floor), (change, of_floor) = primals, tangents
+    values, vectors = jnp.linalg.eigh(symmetric)
+    high = values > floor
+    above, below = jnp.where(high, values, floor)[:, None], jnp.where(high, floor - 1.0, values)[None, :]
+    mixed = (above - floor) / (above - below)
+    one_of_two = high[:, None] ^ high[None, :]
+    shares = jnp.where(one_of_two, jnp.where(high[:, None], mixed, mixed.T), high[:, None] & high[None, :])
+    turned = vectors.T @ change @ vectors
+    back = vectors @ (shares * turned) @ vectors.T + of_floor * (vectors * ~high) @ vectors.T
+    return (vectors * jnp.maximum(values, floor)) @ vectors.T, back
+
+
+@jax.jit
+def log_likelihoods(
+    slopes: Slopes, theta: Float[Array, "names"], temperature: float | Float[Array, ""], floor: float
+) -> Float[jax.Array, "n"]:
+    """Laplace's log p of every window's scaled controls; eigenvalues of -H are floored at ``floor / T``."""
+
+    def window(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
+        slope, bend = pair
+        lowest = floor / temperature
+        high = jnp.isfinite(jnp.linalg.cholesky(bend - lowest * jnp.eye(len(bend)))).all()  # then nothing is floored
+        root = jnp.linalg.cholesky(jax.lax.cond(high, lambda bend: bend, lambda bend: floored(bend, lowest), bend))
+        off = slope @ cho_solve((root, True), slope)
+        return -off / 2 + jnp.sum(jnp.log(jnp.diagonal(root))) - len(slope) / 2 * jnp.log(2 * jnp.pi)
+
+    slope = jnp.einsum("f,nfd->nd", theta, slopes.gradients) / temperature
+    bend = -jnp.einsum("f,nfde->nde", theta, slopes.hessians) / temperature
+    return jax.lax.map(window, (slope, bend))
+
+
+def fit(slopes: Slopes, model: Model, near: Fit | None = None) -> Fit:
+    """The most likely weights and temperature, see `most_likely`.
+
+    Args:
+        slopes: of the features `Model.names`, in their order.
+        model: what to learn.
+        near: a fit to begin with; without, one of a few of the windows, where there are many.
+
+    Raises:
+        ValueError: if the weights diverge.
+    """
+    windows = len(slopes.features)
+    if near is None and windows > MANY:
+        near = fit(slopes.of(np.arange(0, windows, windows * 2 // MANY)), model)
+    begin = None if near is None else near.logarithms
+    return most_likely(_above_floor, (slopes, model.floor), model, begin)
+
+
+def _above_floor(
+    data: tuple[Slopes, jax.Array], theta: Float[jax.Array, "names"], temperature: Float[jax.Array, ""]
+) -> Float[jax.Array, "n"]:
+    """`log_likelihoods` of slopes and a floor."""
+    slopes, floor = data
+    return log_likelihoods(slopes, theta, temperature, floor)
+
+
+Likelihoods: TypeAlias = Callable[[Any, Float[jax.Array, "names"], Float[jax.Array, ""]], Float[jax.Array, "n"]]
+"""Log p of each of n data, of (data, theta, temperature)."""
+
+
+def most_likely(
+    likelihoods: Likelihoods,
+    data: Any,
+    model: Model,
+    begin: Float[np.ndarray, "parameters"] | None = None,
+) -> Fit:
+    """The weights and the temperature that make data most likely, under a weak prior, in double precision.
+
+    The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
+    deviation 4. Where the data tell nothing about a weight, the prior is what is left, and the covariance says so.
+
+    Args:
+        likelihoods: log p of each of n data, of (data, theta in the order of `Model.names`, temperature); a function of
+            a module, so that it is compiled once for data of the same shapes.
+        data: a pytree of arrays.
+        model: what to learn.
+        begin: the logarithms to begin with.
+
+    Raises:
+        ValueError: if the weights diverge.
+    """
+    with jax.enable_x64(True):
+        given = jnp.array([float(value) for value in model.given.values()])
+        signs, data = jnp.asarray(model.signs()), jax.tree.map(jnp.asarray, data)
+
+        def loss(logarithms: np.ndarray) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+            return _loss(likelihoods, jnp.asarray(logarithms), data, signs, given)
+
+        def value(logarithms: np.ndarray) -> float:
+            return float(loss(logarithms)[0][0])
+
+        def slope(logarithms: np.ndarray) -> np.ndarray:
+            return np.asarray(loss(logarithms)[1])
+
+        def bend(logarithms: np.ndarray) -> np.ndarray:
+            steps = DIFFERENCE * np.eye(len(logarithms))
+            rows = [slope(logarithms + step) - slope(logarithms - step) for step in steps]
+            if not np.isfinite(rows).all():
+                weights = model.weights(logarithms)
+                raise ValueError(f"the weights diverge, at {weights}; learn fewer of them, or from more driving")
+            return np.stack(rows) / (2 * DIFFERENCE)
+
+        first = np.zeros(len(model.learned) + 1) if begin is None else begin
+
+        found = optimize.minimize(value, first, jac=slope, hess=bend, method="trust-exact", options=TRUST_REGION)
+        top = np.asarray(found.x)
+        hessian, converged = bend(top), bool(np.abs(slope(top)).max() < TOLERANCE)
+        each = np.asarray(loss(top)[0][1])
+    covariance = np.linalg.pinv(len(each) * (hessian + hessian.T) / 2, hermitian=True)
+    return Fit(model, top, covariance, converged, int(found.nit), float(each.mean()))
+
+
+@partial(jit_quickly, static_argnums=(0,))
+@partial(jax.value_and_grad, argnums=1, has_aux=True)
+def _loss(
+    likelihoods: Likelihoods,
+    logarithms: Float[jax.Array, "parameters"],
+    data: Any,
+    signs: Float[jax.Array, "learned"],
+    given: Float[jax.Array, "given"],
+) -> tuple[Float[jax.Array, ""], Float[jax.Array, "n"]]:
+    """Minus the mean log p under the prior, and log p of each of the data."""
+    sizes = jnp.exp(logarithms)
+    each = likelihoods(data, jnp.concatenate([signs * sizes[:-1], given]), sizes[-1])
+    return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each), each

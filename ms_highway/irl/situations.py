@@ -1,0 +1,57 @@
+"""What recorded drivers were doing, to see where predictions of them fail."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ms_highway.game.neighbours import places
+from ms_highway.irl.prediction import Cases
+
+__all__ = ["HORIZON", "by_situation", "situations"]
+
+HORIZON = 3  # s, at which situations are told apart and errors compared
+LANE_CHANGE = 1.5  # m to the side
+HARD = 1.0  # m/s^2, on average
+SLOW = 5.0  # m/s
+LEADER = 50.0  # m ahead, from centre to centre
+
+
+def situations(cases: Cases) -> dict[str, Bool[np.ndarray, "n"]]:
+    """Which cases are of each situation, by name; a case may be of several, or of none.
+
+    A *lane change* is 1.5 m to the side within 3 s; *braking* and *accelerating* are more than 1 m/s^2 on average over
+    these; *slow* is below 5 m/s at the start; *no leader* means none within 50 m in the own lane at the start;
+    *following* is what has a leader and is none of the others.
+    """
+    recorded = np.asarray(cases.recorded)
+    start, later = recorded[:, 0], recorded[:, 10 * HORIZON]
+    change = (later[:, 3] - start[:, 3]) / HORIZON
+    others, present, width = map(np.asarray, (cases.others[:, 0], cases.present[:, 0], cases.scenes.lane_width))
+    cars, taken = places(start, others, present, width)
+    leader = np.take_along_axis(others, cars[:, :1, None], axis=1)[:, 0]
+    led = taken[:, 0] & (leader[:, 0] - start[:, 0] < LEADER)
+    found = {
+        "lane change": np.abs(later[:, 1] - start[:, 1]) > LANE_CHANGE,
+        "braking": change < -HARD,
+        "accelerating": change > HARD,
+        "slow": start[:, 3] < SLOW,
+        "no leader": ~led,
+    }
+    return {**found, "following": ~np.any(list(found.values()), axis=0)}
+
+
+def by_situation(paths: dict[str, Float[np.ndarray, "n 50 2"]], cases: Cases) -> dict[str, dict[str, float]]:
+    """Mean distance [m] between predicted and recorded driver after 3 s, by situation and predictor.
+
+    Args:
+        paths: predicted, by name of the predictor.
+        cases: of which; those that end before are left out.
+    """
+    recorded = np.asarray(cases.recorded)[:, 10 * HORIZON, :2]
+    reached, found = np.isfinite(recorded).all(axis=-1), {}
+    for name, chosen in situations(cases).items():
+        some = chosen & reached
+        if some.any():
+            off = {who: path[some, 10 * HORIZON - 1] - recorded[some] for who, path in paths.items()}
+            errors = {who: float(np.linalg.norm(difference, axis=-1).mean()) for who, difference in off.items()}
+            found[name] = {"windows": int(some.sum()), **errors}
+    return found

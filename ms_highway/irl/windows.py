@@ -1,0 +1,246 @@
+"""Recorded driving cut into windows: a driver's controls over a plan's horizon, and what went on around it."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, TypeAlias
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.game.dynamics import Motion, keep_velocity, observe
+from ms_highway.game.game import Game, move
+from ms_highway.game.neighbours import far_behind, places
+from ms_highway.game.reward import FEATURES, features_for, motion_features
+from ms_highway.game.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT, driving_game
+from ms_highway.game.scene import Scene
+from ms_highway.irl.recordings.recording import Recording, number_groups
+from ms_highway.irl.recordings.tracks import track_of
+from ms_highway.runtime.batches import in_batches
+from ms_highway.runtime.compilation import jit_quickly
+
+__all__ = [
+    "Window",
+    "Windows",
+    "at_window",
+    "coasting",
+    "cut",
+    "features_along",
+    "features_at",
+    "first_step",
+    "most_lanes",
+    "regular",
+    "regular_windows",
+    "scene_of",
+    "template",
+    "unease",
+]
+
+KINK = 0.05  # sine of the heading, within which noise may turn the car to either side
+SATURATED = 0.8  # of the limits of plans
+LANES = 6  # that scenes have at least: one compilation serves most roads
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Windows:
+    """n windows of K steps, all arrays, of NumPy or JAX, in SI units.
+
+    Attributes:
+        scenes: the road and the driver's own size, every array with a leading axis [n].
+        speed_limit: of the road [m/s].
+        start: the driver before the first step.
+        controls: what it did.
+        others: its six neighbours (see `ms_highway.game.neighbours`) after each step, wherever they went.
+        group: number of the recording's group, to split by.
+    """
+
+    scenes: Scene
+    speed_limit: Float[Any, "n"]
+    start: Float[Any, "n 4"]
+    controls: Float[Any, "n K 2"]
+    others: Float[Any, "n 6 K 4"]
+    group: Int[Any, "n"]
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def of(self, chosen: Bool[np.ndarray, "n"]) -> "Windows":
+        """Some of the windows."""
+        return jax.tree.map(lambda numbers: numbers[chosen], self)
+
+
+Window: TypeAlias = Windows
+"""One of them: the same arrays without the axis [n]."""
+
+
+def scene_of(recording: Recording, driver: int, lanes: int) -> Scene:
+    """The scene that a driver is in: its own size stands for that of all cars, and lanes are padded to a number.
+
+    The last lane is repeated, which changes no feature.
+    """
+    missing = lanes - len(recording.lanes)
+    return Scene(
+        lanes=np.pad(np.asarray(recording.lanes, dtype=float), (0, missing), mode="edge"),
+        lane_width=float(recording.lane_width),
+        obstacles=np.empty((0, 2)),
+        obstacle_size=np.ones(2),
+        car_size=np.asarray(recording.sizes[driver], dtype=float),
+        corner=0.5,
+        target_lane=float(recording.lanes[0]),
+        length_unit=PAPER_UNIT,
+    )
+
+
+def most_lanes(recordings: Sequence[Recording]) -> int:
+    """The number to pad lanes to, see `scene_of`."""
+    return max((LANES, *(len(item.lanes) for item in recordings)))
+
+
+def cut(recordings: Sequence[Recording], steps: int) -> Windows:
+    """All windows of the drivers' tracks, one after the other, without overlap.
+
+    Args:
+        recordings: where to look.
+        steps: K, the length of a window.
+
+    Raises:
+        ValueError: if there is none, or a recording's time step is not that of the planners.
+    """
+    groups = number_groups(recordings)
+    lanes = most_lanes(recordings)
+    rows = []
+    for recording in recordings:
+        everyone = coasting(recording.states, recording.time_step)
+        for driver in map(int, recording.drivers):
+            track = track_of(recording, driver, PAPER_DYNAMICS)
+            scene = scene_of(recording, driver, lanes)
+            for first in range(0, len(track.controls) - steps + 1, steps):
+                start, now = track.states[first], first_step(recording, driver) + first
+                others = _around(start, everyone[now : now + steps + 1], _others(recording, driver, now), recording)
+                group = np.int64(groups[recording.group])
+                controls = track.controls[first : first + steps]
+                rows.append(Windows(scene, np.float64(recording.speed_limit), start, controls, others, group))
+    if not rows:
+        raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {steps + 1} samples on end")
+    return jax.tree.map(lambda *parts: np.stack(parts), *rows)
+
+
+def first_step(recording: Recording, car: int) -> int:
+    """When a car was first seen."""
+    return int(recording.seen[:, car].argmax())
+
+
+def coasting(states: Float[np.ndarray, "times cars 4"], time_step: float) -> Float[np.ndarray, "times cars 4"]:
+    """The states; a car that gets lost (NaN) keeps its velocity from there."""
+    states = states.copy()
+    for before, after in itertools.pairwise(states):
+        lost = np.isnan(after).any(axis=-1)
+        heading, distance = before[lost, 2], before[lost, 3] * time_step
+        after[lost] = before[lost]
+        after[lost, :2] += np.stack([distance * np.cos(heading), distance * np.sin(heading)], axis=-1)
+    return states
+
+
+def _others(recording: Recording, driver: int, time: int) -> Bool[np.ndarray, "cars"]:
+    """Which cars, beside the driver, are seen at a time."""
+    others = recording.seen[time].copy()
+    others[driver] = False
+    return others
+
+
+def _around(
+    driver: Float[np.ndarray, "4"],
+    everyone: Float[np.ndarray, "K+1 cars 4"],
+    present: Bool[np.ndarray, "cars"],
+    recording: Recording,
+) -> Float[np.ndarray, "6 K 4"]:
+    """Where those go who are the driver's neighbours at first."""
+    cars, taken = places(driver, everyone[0], present, recording.lane_width)
+    paths = np.moveaxis(everyone[1:, cars], 0, 1)
+    return np.where(taken[:, None, None], paths, far_behind(driver))
+
+
+def regular_windows(recordings: Sequence[Recording], steps: int) -> Windows:
+    """The windows of recordings, see `cut`, that can be learned from, see `regular`.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    windows = cut(recordings, steps)
+    windows = windows.of(regular(windows))
+    if not len(windows):
+        raise ValueError(
+            f"nothing can be learned from the {len(recordings)} recordings: in all windows of {steps} steps, drivers "
+            "are at the limits of control or at the edge of the road"
+        )
+    return windows
+
+
+def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
+    """Where the slope of a reward at the driver's controls can tell what the driver is after.
+
+    It cannot where a control is at its limit, as what holds the driver back there is no reward; nor where the car is
+    off the road and points along it: there ``off_road`` has a kink, as another corner becomes the outermost, and
+    whoever slides along the edge stays at the kink whatever the weight is.
+    """
+    off_road, slant = in_batches(partial(_edge, template(windows, {})), windows)
+    at_kink = (off_road & (slant < KINK)).any(axis=1)
+    saturated = (np.abs(windows.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(axis=(1, 2))
+    return ~at_kink & ~saturated
+
+
+@jit_quickly
+@partial(jax.vmap, in_axes=(None, 0))
+def _edge(game: Game, window: Window) -> tuple[jax.Array, jax.Array]:
+    """Whether the driver is off the road, and the size of its heading's sine, after each step."""
+    path = move(game, window.start, window.controls / game.planner.control_scale)
+    phi = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
+    return phi[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
+
+
+def template(windows: Windows, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
+    """A game in which a driver drives for these weights; `at_window` puts it where a window is.
+
+    Computed are `FEATURES`, and features of one's own that are weighed or among the names.
+    """
+    scene = jax.tree.map(lambda numbers: numbers[0], windows.scenes)
+    computed = features_for(weights, dict.fromkeys(names, 1.0), least=FEATURES)
+    game = driving_game(scene, float(windows.speed_limit[0]), weights, computed, grip=None)
+    horizon = windows.controls.shape[1]
+    return replace(game, planner=replace(game.planner, horizon=horizon))
+
+
+def at_window(game: Game, window: Window) -> Game:
+    """The game in one window."""
+    return replace(game, scene=window.scenes, robot=replace(game.robot, speed_limit=window.speed_limit))
+
+
+def features_at(
+    game: Game, window: Window, own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]
+) -> Float[jax.Array, "features"]:
+    """The features that the game computes at one step of a window.
+
+    Args:
+        game: as `template` makes it.
+        window: which one.
+        own: the driver's motion then, the fields of a `Motion`.
+        others: the neighbours' states then.
+    """
+    here = at_window(game, window)
+    return jnp.stack(motion_features(here.scene, here.robot, Motion(*own), observe(others)))
+
+
+def unease(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "K 2"]:
+    """How far scaled controls are from keeping the velocity; comfort's features are ``-unease^2 / 2``, summed."""
+    return controls - keep_velocity(game.dynamics, jnp.asarray(window.start)) / game.planner.control_scale
+
+
+def features_along(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "features"]:
+    """The game's features summed over a window's steps, and then those of comfort, under scaled controls."""
+    path = move(game, jnp.asarray(window.start), controls)
+    steps = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
+    return jnp.concatenate([steps.sum(axis=0), -jnp.sum(unease(game, window, controls) ** 2, axis=0) / 2])

@@ -1,0 +1,289 @@
+"""Which human model is worth its time: the paper's Algorithm 1 with the one-step estimate of Sec. III-D.
+
+After a step was executed with one rung of the ladder, a quadratic expansion of the one-step rewards around the
+executed controls tells how the robot's control would have changed under another rung and what that would have earned.
+All controls here are scaled, see `ms_highway.game.game`.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.game.dynamics import keep_velocity, step
+from ms_highway.game.game import Game, swap
+from ms_highway.game.reward import Reward, reward
+from ms_highway.game.scene import Scene
+from ms_highway.optimization.second_derivatives import eigenpairs, response, slope_and_bend
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.unrolled import total
+
+__all__ = [
+    "PUBLISHED_COSTS",
+    "RELEASED_TRUST_TOLERANCE",
+    "Decision",
+    "Memory",
+    "Switching",
+    "decide",
+    "first_memory",
+    "trust_region_step",
+]
+
+PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
+"""Planning seconds of each model that the paper's experiments decided with."""
+
+RELEASED_TRUST_TOLERANCE = 0.05
+"""The released code's solver stops within this share of the trust radius."""
+
+HALVINGS = 60  # of the shift's bracket at most: more than float32 can tell apart
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Switching:
+    """The numbers of Algorithm 1.
+
+    Attributes:
+        costs: T(M), planning time of each rung [s].
+        price: lambda, reward per second of planning.
+        trust_radius: the longest change of control that the expansion is trusted with, in scaled units.
+        trust_tolerance: how far the step may end from the radius, as a share of it: 0.001, in the released code 0.05.
+        cooldown: least number of steps between two downward checks of the same rung.
+        ladder: the human models, cheapest first (static).
+    """
+
+    costs: Float[Array, "rungs"]
+    price: float | Float[Array, ""]
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+    trust_radius: float | Float[Array, ""] = 1.5
+    trust_tolerance: float | Float[Array, ""] = 1e-3
+    cooldown: int | Int[Array, ""] = 3
+
+
+class Memory(NamedTuple):
+    """What the algorithm remembers between steps: the rung in use, the step, and each rung's last downward check."""
+
+    rung: Int[Array, ""]
+    step: Int[Array, ""]
+    last_check: Int[Array, "rungs"]
+
+
+class Decision(NamedTuple):
+    """Outcome of one decision: the new memory, and the estimated gains of going up and down, NaN if not estimated."""
+
+    memory: Memory
+    gain_up: Float[jax.Array, ""]
+    gain_down: Float[jax.Array, ""]
+
+
+class _Expansion(NamedTuple):
+    """The robot's one-step reward to second order in both first controls, and the human's response."""
+
+    robot: Float[jax.Array, "2"]  # d r_R / d u_R
+    human: Float[jax.Array, "2"]  # d r_R / d u_H
+    robot_robot: Float[jax.Array, "2 2"]
+    robot_human: Float[jax.Array, "2 2"]
+    human_human: Float[jax.Array, "2 2"]
+    influence: Float[jax.Array, "2 2"]  # J1 = d u_H / d u_R
+
+
+def first_memory(switching: Switching, rung: int = 0) -> Memory:
+    """The memory before the first step; every rung may be checked at once."""
+    never = -np.ones(len(switching.ladder), np.int32) * switching.cooldown
+    return Memory(np.asarray(rung, np.int32), np.zeros((), np.int32), never)
+
+
+@jax.jit
+def decide(
+    switching: Switching,
+    game: Game,
+    memory: Memory,
+    state: Float[jax.Array, "cars 4"],
+    robot: Float[jax.Array, "2"],
+    human: Float[jax.Array, "2"],
+    observed_reward: Float[jax.Array, ""],
+) -> Decision:
+    """Choose the rung for the coming step from what happened in the last one.
+
+    Up, tried at every step below the top: straight to the top rung, as if it had predicted the human control that
+    was observed. Down, tried if not gone up and if this rung's last check is ``cooldown`` steps ago: one rung, with
+    that rung's own prediction and no influence. A positive gain switches.
+
+    Args:
+        switching: ladder, costs, lambda, trust region and cooldown.
+        game: scene, rewards and motion.
+        memory: rung that the last step was planned with, and the checks made so far.
+        state: all cars before the last step.
+        robot: scaled control that the robot executed in it.
+        human: scaled control that the human was observed to execute in it.
+        observed_reward: the robot's reward after it.
+    """
+    ladder, costs = switching.ladder, jnp.asarray(switching.costs)
+    rung, top, now = memory.rung, len(ladder) - 1, memory.step + 1
+    climbs = rung < top
+    checks = (rung > 0) & (now - memory.last_check[rung] >= switching.cooldown)
+    none, not_estimated = jnp.zeros((2, 2)), jnp.float32(jnp.nan)
+
+    def estimate() -> tuple[Float[jax.Array, ""], Float[jax.Array, ""]]:
+        expansion = _expand(game, state, robot, human)
+
+        def gain(
+            expected: Float[jax.Array, "2"], influence: Float[jax.Array, "2 2"], alternative: Int[jax.Array, ""] | int
+        ) -> Float[jax.Array, ""]:
+            change = _change_of_control(expansion, human, expected, influence, switching)
+            earned = _earned(game, game.scene, game.robot, state, robot + change, human + expansion.influence @ change)
+            return earned - observed_reward - switching.price * (costs[alternative] - costs[rung])
+
+        def gain_down() -> Float[jax.Array, ""]:
+            below = jnp.maximum(rung - 1, 0)
+            predictions = [partial(model.predict, game, state) for model in ladder[: max(top, 1)]]
+            return gain(jax.lax.switch(below, predictions)[0], none, below)
+
+        influence = expansion.influence if ladder[top].responds else none
+        up = jax.lax.cond(climbs, lambda: gain(human, influence, top), lambda: not_estimated)
+        return up, jax.lax.cond(checks & ~(up > 0), gain_down, lambda: not_estimated)
+
+    up, down = jax.lax.cond(climbs | checks, estimate, lambda: (not_estimated, not_estimated))
+    goes_up = up > 0
+    chosen = jnp.where(goes_up, top, jnp.where(down > 0, rung - 1, rung))
+    last_check = jnp.where(checks & ~goes_up, jnp.asarray(memory.last_check).at[rung].set(now), memory.last_check)
+    return Decision(Memory(chosen, now, last_check), up, down)
+
+
+def _earned(
+    game: Game,
+    scene: Scene,
+    parameters: Reward,
+    state: Float[jax.Array, "cars 4"],
+    own: Float[jax.Array, "2"],
+    partner: Float[jax.Array, "2"],
+) -> Float[jax.Array, ""]:
+    """Car 0's reward after one step with these controls, in which the others keep their velocity."""
+    controls = jnp.stack([own, partner]) * game.planner.control_scale
+    others = keep_velocity(game.dynamics, state[2:])
+    return reward(scene, parameters, step(game.dynamics, state, jnp.concatenate([controls, others])))
+
+
+def _expand(
+    game: Game, state: Float[jax.Array, "cars 4"], robot: Float[jax.Array, "2"], human: Float[jax.Array, "2"]
+) -> _Expansion:
+    """Derivatives of the one-step rewards at the executed controls, and J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R.
+
+    Robot's and human's reward are expanded together, each as the own one. What obstacles, other cars and another
+    leader add to a reward does not depend on the partner's control, and is left out of derivatives in that; unless
+    there is a feature of one's own, which may look at everything at once.
+    """
+    pair, cars = game.scene, len(state)
+    if not game.robot.own:
+        pair, cars = replace(pair, obstacles=pair.obstacles[:0], leader=1 if pair.leader == 1 else None), 2
+
+    def derivatives(
+        parameters: Reward,
+        state: Float[jax.Array, "cars 4"],
+        own: Float[jax.Array, "2"],
+        partner: Float[jax.Array, "2"],
+    ) -> tuple[jax.Array, ...]:
+        def in_partner(both: Float[jax.Array, "2 2"]) -> tuple[jax.Array, jax.Array]:
+            slope = jax.jacfwd(lambda partner: _earned(game, pair, parameters, state[:cars], both[0], partner))(both[1])
+            return slope, slope
+
+        own_slope, own_bend = slope_and_bend(lambda own: _earned(game, game.scene, parameters, state, own, partner))(
+            own
+        )
+        bend, partner_slope = jax.jacfwd(in_partner, has_aux=True)(jnp.stack([own, partner]))
+        return own_slope, partner_slope, own_bend, bend[:, 0].T, bend[:, 1]
+
+    rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human)
+    states = jnp.stack([state, swap(game, state)[1]])
+    controls = jnp.stack([robot, human])
+    own, partner, own_own, own_partner, partner_partner = jax.vmap(derivatives)(
+        rewards, states, controls, controls[::-1]
+    )
+    human_bend = own_own[1] - jnp.diag(game.human.comfort)
+    influence = response(game.influence, human_bend, own_partner[1])
+    return _Expansion(own[0], partner[0], own_own[0], own_partner[0], partner_partner[0], influence)
+
+
+def _change_of_control(
+    expansion: _Expansion,
+    human: Float[jax.Array, "2"],
+    expected: Float[jax.Array, "2"],
+    influence: Float[jax.Array, "2 2"],
+    switching: Switching,
+) -> Float[jax.Array, "2"]:
+    """The best first control under another model, less the executed one: ``delta u``.
+
+    With d = u' - u_H and J' the model's influence, the expansion is ``du^T A du / 2 + B du`` with
+    ``A = r_RR + r_RH J' + (r_RH J')^T + J'^T r_HH J'`` and ``B = r_R + J'^T r_H + r_RH d + J'^T r_HH d``,
+    subscripts being derivatives of r_R.
+    """
+    surprise = expected - human
+    cross = expansion.robot_human @ influence
+    quadratic = expansion.robot_robot + cross + cross.T + influence.T @ expansion.human_human @ influence
+    linear = expansion.robot + expansion.robot_human @ surprise
+    linear += influence.T @ (expansion.human + expansion.human_human @ surprise)
+    return trust_region_step(quadratic, linear, switching.trust_radius, switching.trust_tolerance)
+
+
+def trust_region_step(
+    quadratic: Float[jax.Array, "n n"],
+    linear: Float[jax.Array, "n"],
+    radius: float | Float[Array, ""],
+    tolerance: float | Float[Array, ""] = 0.0,
+) -> Float[jax.Array, "n"]:
+    """The maximiser of ``x^T A x / 2 + b^T x`` over the ball ``|x| <= radius``.
+
+    In A's eigenbasis, with eigenvalues l, the maximiser is ``x = b / (shift + max(l) - l)`` for the smallest
+    ``shift >= max(0, -max(l))`` that keeps x in the ball (More and Sorensen 1983). The shift is at most
+    ``|b| / radius`` and is bisected until ``|x|`` is within ``tolerance * radius`` of the radius. Where b has no part
+    along the top eigenvector (the "hard case"), the rest of the radius is spent along it.
+    """
+    values, vectors = eigenpairs((quadratic + quadratic.T) / 2)
+    along = vectors.T @ linear
+    gaps = values[-1] - values
+    least = jnp.maximum(0.0, -values[-1])
+
+    def at(shift: Float[jax.Array, ""]) -> Float[jax.Array, "n"]:
+        return jnp.where(along == 0, 0.0, along / (shift + gaps))
+
+    def excess(shift: Float[jax.Array, ""]) -> Float[jax.Array, ""]:
+        return jnp.sqrt(total(at(shift) ** 2)) - radius
+
+    def bracket(low: Float[jax.Array, ""], high: Float[jax.Array, ""], halvings: Int[jax.Array, ""]) -> _Bracket:
+        return _Bracket(low, high, halvings, excess((low + high) / 2))
+
+    def unfinished(found: _Bracket) -> Bool[jax.Array, ""]:
+        return (found.halvings < HALVINGS) & (jnp.abs(found.excess) > tolerance * radius)
+
+    def halve(found: _Bracket) -> _Bracket:
+        outside = found.excess > 0
+        low = jnp.where(outside, found.middle, found.low)
+        high = jnp.where(outside, found.high, found.middle)
+        return bracket(low, high, found.halvings + 1)
+
+    interior = (values[-1] < 0) & (excess(least) <= 0)
+    first = bracket(least, jnp.sqrt(total(along**2)) / radius, jnp.int32(0))
+    found = jax.lax.while_loop(unfinished, halve, first)
+    inside = at(jnp.where(interior, least, found.middle))
+    hard = (values[-1] > 0) & (found.halvings == HALVINGS)
+    left = radius**2 - total(inside**2)
+    rest = jnp.where(hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0)
+    return vectors @ inside.at[-1].add(jnp.where(along[-1] < 0, -rest, rest))
+
+
+class _Bracket(NamedTuple):
+    """Bounds of the shift, how often they were halved, and how far the step at their middle leaves the ball."""
+
+    low: Float[jax.Array, ""]
+    high: Float[jax.Array, ""]
+    halvings: Int[jax.Array, ""]
+    excess: Float[jax.Array, ""]
+
+    @property
+    def middle(self) -> Float[jax.Array, ""]:
+        return (self.low + self.high) / 2

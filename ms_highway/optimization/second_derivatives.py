@@ -1,0 +1,128 @@
+"""Second derivatives of what a path earns, in the controls that make the path, and steps that they tell of."""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple, TypeAlias
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+__all__ = ["Expansion", "Influence", "Path", "damped_inverse", "eigenpairs", "expand", "response", "slope_and_bend"]
+
+Influence: TypeAlias = Literal["exact", "damped"]
+
+Path: TypeAlias = Float[jax.Array, "fields steps"]
+"""The motion of one car over the steps of a plan, the fields of its `ms_highway.game.dynamics.Motion` stacked."""
+
+
+class Expansion(NamedTuple):
+    """A path's reward to second order in its n controls, which are ravelled.
+
+    Attributes:
+        gradient: of the reward in the controls.
+        hessian: of the reward in the controls.
+        jacobian: of the path in the controls.
+    """
+
+    gradient: Float[jax.Array, "n"]
+    hessian: Float[jax.Array, "n n"]
+    jacobian: Float[jax.Array, "fields steps n"]
+
+
+def expand(
+    path: Callable[[Float[jax.Array, "steps 2"]], Path],
+    reward: Callable[[Path], Float[jax.Array, ""]],
+    controls: Float[jax.Array, "steps 2"],
+    cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]] | None = None,
+) -> Expansion:
+    """Gradient and Hessian, by the chain rule, of a reward that is a sum over the steps of the path.
+
+    With s_k the motion at step k, ``J_k = ds_k / du``, and g_k and Q_k the reward's gradient and Hessian at s_k::
+
+        gradient = sum_k J_k^T g_k;  H = sum_k J_k^T Q_k J_k + sum_k g_k d2s_k / du2
+
+    The reward, which is dear, is differentiated twice in as many directions as a motion has fields, whatever the
+    number of controls; only the path, which is cheap, is differentiated in every control.
+
+    Args:
+        path: the path under the controls.
+        reward: what a path earns; no step may look at another.
+        controls: where to expand.
+        cost: what is paid for the controls themselves, a sum over them; it is taken off the reward.
+    """
+
+    def ravelled(controls: Float[jax.Array, "n"]) -> Path:
+        return path(controls.reshape(-1, 2))
+
+    point = controls.ravel()
+    steps, slope = ravelled(point), jax.grad(reward)
+    jacobian = jax.jacfwd(ravelled)(point)
+    fields = len(steps)
+    directions = jnp.broadcast_to(jnp.eye(fields)[..., None], (fields, *steps.shape))
+    bent_along = jax.vmap(lambda direction: jax.jvp(slope, (steps,), (direction,)), out_axes=(None, 0))
+    along_path, blocks = bent_along(directions)
+    bent = jnp.einsum("dfk,dkn->fkn", blocks, jacobian)
+    bending = jax.jacfwd(lambda controls: jax.vjp(ravelled, controls)[1](along_path)[0])(point)
+    hessian = jacobian.reshape(-1, point.size).T @ bent.reshape(-1, point.size) + bending
+    gradient = jnp.sum(jacobian * along_path[..., None], axis=(0, 1))
+    if cost is not None:  # of a sum over controls, the derivative along all at once is the diagonal of the Hessian
+        marginal, diagonal = jax.jvp(jax.grad(cost), (controls,), (jnp.ones_like(controls),))
+        gradient, hessian = gradient - marginal.ravel(), hessian - jnp.diag(diagonal.ravel())
+    return Expansion(gradient, hessian, jacobian)
+
+
+def slope_and_bend(
+    function: Callable[[Float[jax.Array, "*shape"]], jax.Array],
+) -> Callable[[Float[jax.Array, "*shape"]], tuple[jax.Array, jax.Array]]:
+    """First and second derivative, [*value, *shape] and [*value, *shape, *shape], forward over forward.
+
+    For few variables that takes fewer operations than going back through the function.
+    """
+    slope = jax.jacfwd(function)
+
+    def both(variables: Float[jax.Array, "*shape"]) -> tuple[jax.Array, jax.Array]:
+        value = slope(variables)
+        return value, value
+
+    def derivatives(variables: Float[jax.Array, "*shape"]) -> tuple[jax.Array, jax.Array]:
+        bend, value = jax.jacfwd(both, has_aux=True)(variables)
+        return value, bend
+
+    return derivatives
+
+
+def response(
+    influence: Influence, hessian: Float[jax.Array, "n n"], vector: Float[jax.Array, "n *columns"]
+) -> Float[jax.Array, "n *columns"]:
+    """``-H^-1 vector``: where a human moves the optimum of its reward, whose Hessian is H, under a push ``vector``.
+
+    * ``exact`` takes H as it is, like the paper and its released code; H need not be negative definite along the way
+      nor invertible, and then the answer is wild or not finite.
+    * ``damped`` first sets H's eigenvalues l to ``-max(|l|, 1)``, which makes every response an ascent and bounds it.
+    """
+    if influence == "damped":
+        return damped_inverse(hessian, 1.0) @ vector
+    if len(hessian) == 2:
+        (a, b), (c, d) = hessian
+        return jnp.array([[-d, b], [c, -a]]) @ vector / (a * d - b * c)
+    return -jnp.linalg.solve(hessian, vector)
+
+
+def damped_inverse(hessian: Float[jax.Array, "n n"], floor: float) -> Float[jax.Array, "n n"]:
+    """``-H^-1`` with the eigenvalues l of H set to ``-max(|l|, floor)``: a metric in which every slope leads up."""
+    values, vectors = eigenpairs(hessian)
+    return (vectors / jnp.maximum(jnp.abs(values), floor)) @ vectors.T
+
+
+def eigenpairs(symmetric: Float[jax.Array, "n n"]) -> tuple[Float[jax.Array, "n"], Float[jax.Array, "n n"]]:
+    """Eigenvalues, ascending, and eigenvectors in columns.
+
+    Two by two they are written out, which XLA compiles together with what stands around it; a call of LAPACK it cannot.
+    """
+    if len(symmetric) != 2:
+        return jnp.linalg.eigh(symmetric)
+    (a, b), (_, d) = symmetric
+    mean, half = (a + d) / 2, (a - d) / 2
+    spread, angle = jnp.hypot(half, b), jnp.arctan2(b, half) / 2
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([mean - spread, mean + spread]), jnp.array([[-sine, cosine], [cosine, sine]])

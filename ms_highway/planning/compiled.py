@@ -1,0 +1,119 @@
+"""Plans as a car needs them live: compiled once, called with few arguments, timed warm."""
+
+from collections.abc import Sequence
+from functools import cache
+from statistics import median
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.game import Game
+from ms_highway.planning.human_models import HumanModel, JointPlan
+from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
+from ms_highway.runtime.jax_settings import refuse_after_fork
+from ms_highway.runtime.packing import Layout, pack
+from ms_highway.runtime.timing import timed, warm_up
+
+__all__ = ["CompiledPlans", "checked_state", "measure_costs", "plan_function"]
+
+State = Float[jax.Array, "cars 4"]
+
+
+class CompiledPlans:
+    """The plans of a game under each human model, compiled once for all games of the same shapes.
+
+    Args:
+        game: what is played.
+    """
+
+    def __init__(self, game: Game) -> None:
+        self._numbers, self._layout = pack(game)
+        self._cold = _still(game.planner.horizon)
+
+    def plan(
+        self, model: HumanModel, state: Float[np.ndarray, "cars 4"], start: JointPlan | None = None
+    ) -> tuple[JointPlan, float]:
+        """The scaled plan in a `checked_state`, in NumPy arrays, and the seconds that it took.
+
+        Args:
+            model: the human model that plans.
+            state: all cars now.
+            start: the scaled plan to improve; zero controls without.
+        """
+        plan, seconds = timed(self.function(model), *self.arguments(state, start))
+        return JointPlan(*np.asarray(plan)), seconds
+
+    def warm_up(self, models: Sequence[HumanModel], state: Float[np.ndarray, "cars 4"]) -> float:
+        """Compile and run once those models' plans that have not run before; seconds spent, 0 if all were warm."""
+        arguments = self.arguments(state)
+        return sum((warm_up(self.function(model), *arguments) for model in models), 0.0)
+
+    def function(self, model: HumanModel) -> jax.stages.Wrapped:
+        """The compiled function of a model's plans, which takes `arguments`; see `plan_function`."""
+        return plan_function(model, self._layout)
+
+    def arguments(
+        self, state: Float[np.ndarray, "cars 4"], start: JointPlan | None = None
+    ) -> tuple[np.ndarray, np.ndarray, jax.Array]:
+        """What a `plan_function` takes."""
+        begin = self._cold if start is None else jnp.asarray(np.asarray(start, dtype=np.float32))
+        return self._numbers, state, begin
+
+
+@cache
+def _still(steps: int) -> Float[jax.Array, "2 steps 2"]:
+    """Zero controls for both players."""
+    return jnp.zeros((2, steps, 2))
+
+
+@cache
+def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
+    """``model.plan``, compiled once for all that plan so.
+
+    The compiled function takes the numbers of a packed game, all cars now, and the plan to start from; plans are arrays
+    [2, steps, 2] of the robot's and the human's scaled controls.
+    """
+
+    def plan(
+        numbers: Float[jax.Array, "n"], state: State, start: Float[jax.Array, "2 steps 2"]
+    ) -> Float[jax.Array, "2 steps 2"]:
+        return jnp.stack(model.plan(layout.unpack(numbers), state, JointPlan(*start)))
+
+    if model.responds:  # through LAPACK (`eigh` or `solve`), whose calls no kernel can hold
+        return jax.jit(plan, compiler_options=known_options(QUICKLY))
+    return jax.jit(in_one_kernel(plan))
+
+
+def checked_state(state: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars 4"]:
+    """A copy of the state in the core's precision; compiled functions take it over faster than JAX converts it.
+
+    Raises:
+        ValueError: if it is not a finite array [cars, 4] of two cars or more, in that precision.
+    """
+    state = np.asarray(state)
+    if state.ndim != 2 or state.shape[0] < 2 or state.shape[1] != 4:
+        raise ValueError(f"a state has shape [cars, 4] with the robot, its partner and any others; got {state.shape}")
+    with np.errstate(over="ignore"):
+        single = state.astype(np.float32)
+    if not np.isfinite(single).all():
+        car, column = np.argwhere(~np.isfinite(single))[0]
+        value, name = state[car, column], ["x", "y", "heading", "speed"][column]
+        why = ", too large for single precision" if np.isfinite(value) else ""
+        raise ValueError(f"the state of car {car} is not finite: {name} is {value}{why}")
+    return single
+
+
+def measure_costs(
+    game: Game, ladder: Sequence[HumanModel], state: Float[np.ndarray, "cars 4"], repeats: int = 20
+) -> Float[np.ndarray, "rungs"]:
+    """T(M) on this machine: the median seconds of a warm plan in this state, for each model.
+
+    Raises:
+        ValueError: if the state is not a finite array [cars, 4] of two cars or more.
+    """
+    refuse_after_fork()
+    plans, now = CompiledPlans(game), checked_state(state)
+    plans.warm_up(ladder, now)
+    return np.array([median(plans.plan(model, now)[1] for _ in range(repeats)) for model in ladder])

@@ -1,0 +1,216 @@
+"""The ladder of human models, cheap to dear, and the robot's plan under each.
+
+A model is a frozen dataclass with a ``name``, a flag ``responds``, and two methods, ``predict`` and ``plan``; anything
+with these is a rung (`HumanModel`). All controls here are scaled, see `ms_highway.game.game`.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import ClassVar, NamedTuple, Protocol
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, path_reward, swap
+from ms_highway.optimization.ascent import ascend, climb
+from ms_highway.optimization.second_derivatives import expand, response
+
+__all__ = [
+    "MODELS",
+    "PAPER_MODELS",
+    "HumanModel",
+    "JointPlan",
+    "Naive",
+    "TheoryOfMind",
+    "Turn",
+    "cold_start",
+    "ladder",
+    "register",
+]
+
+State = Float[jax.Array, "cars 4"]
+Controls = Float[jax.Array, "steps 2"]
+
+
+class JointPlan(NamedTuple):
+    """A plan for the robot and the human controls that it counts on, scaled, [steps, 2] each."""
+
+    robot: Controls
+    human: Controls
+
+
+class HumanModel(Protocol):
+    """A rung of the ladder.
+
+    Attributes:
+        name: how configurations and reports call the model.
+        responds: whether the model lets the human respond to the robot's plan.
+
+    Models are hashable: a plan is compiled once per model.
+    """
+
+    name: ClassVar[str]
+    responds: ClassVar[bool]
+
+    def __hash__(self) -> int: ...
+
+    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+        """The human's controls as this model expects them."""
+
+    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+        """The robot's plan against this model of the human, improved from ``start``; from zero controls without."""
+
+
+@dataclass(frozen=True)
+class Naive:
+    """The human keeps its velocity."""
+
+    name: ClassVar[str] = "naive"
+    responds: ClassVar[bool] = False
+
+    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+        """The controls that keep the human's speed and heading."""
+        return constant_velocity(game, state[1])
+
+    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+        """The robot's best controls against that prediction."""
+        return _plan_against(game, state, self.predict(game, state), start)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """The human optimises its own reward and believes that the robot keeps its velocity; then the robot moves."""
+
+    name: ClassVar[str] = "turn"
+    responds: ClassVar[bool] = False
+
+    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+        """The human's plan against a robot that keeps its velocity."""
+        return Naive().plan(*swap(game, state), start and JointPlan(start.human, start.robot)).robot
+
+    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+        """The robot's best controls against that prediction."""
+        return _plan_against(game, state, self.predict(game, state, start), start)
+
+
+@dataclass(frozen=True)
+class TheoryOfMind:
+    """The human responds optimally to the robot's plan, and the robot knows it.
+
+    Both ascend together. With J = -(d2R_H/du_H2)^-1 d2R_H/du_H du_R at the current controls, the robot steps along
+    ``dR_R/du_R + J^T dR_R/du_H`` and the human along ``dR_H/du_H``. J is never formed: one response of the human to
+    ``dR_R/du_H`` and one derivative of ``dR_H/du_H`` along it give J^T dR_R/du_H. Always ascends by gradient steps,
+    whatever the planner's solver: a joint ascent has no single reward that a line search could look at.
+    """
+
+    name: ClassVar[str] = "tom"
+    responds: ClassVar[bool] = True
+
+    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+        """The human's side of the joint plan."""
+        return self.plan(game, state, start).human
+
+    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+        """The robot's and the human's controls after their joint ascent."""
+        mirrored, mirrored_state = swap(game, state)
+
+        def direction(plan: JointPlan) -> JointPlan:
+            robot, pull_robot = jax.vjp(partial(move, game, state[0]), plan.robot)
+            human, pull_human = jax.vjp(partial(move, game, state[1]), plan.human)
+            along_robot, along_human = jax.grad(path_reward, argnums=(2, 3))(game, state, robot, human)
+            earned = expand(
+                partial(move, game, state[1]),
+                lambda human: path_reward(mirrored, mirrored_state, human, robot),
+                plan.human,
+                partial(discomfort, mirrored, state[1]),
+            )
+            pushed = response(game.influence, earned.hessian, pull_human(along_human)[0].ravel())
+            _, pull_back = jax.vjp(
+                lambda robot: jax.grad(path_reward, argnums=2)(mirrored, mirrored_state, human, robot), robot
+            )
+            through_human = pull_back(jnp.sum(earned.jacobian * pushed, axis=-1))[0]
+            eased = pull_robot(along_robot + through_human)[0] - jax.grad(partial(discomfort, game, state[0]))(
+                plan.robot
+            )
+            return JointPlan(eased, earned.gradient.reshape(plan.human.shape))
+
+        def within_limits(plan: JointPlan) -> JointPlan:
+            return JointPlan(bounded(game, state[0], plan.robot), bounded(game, state[1], plan.human))
+
+        return ascend(game.planner, direction, start or cold_start(game), within_limits)
+
+
+def cold_start(game: Game) -> JointPlan:
+    """The plan that the paper improves: zero controls for both."""
+    still = jnp.zeros((game.planner.horizon, 2))
+    return JointPlan(still, still)
+
+
+@jax.jit  # traced once for the human and the robot, naive and turn
+def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | None) -> JointPlan:
+    """The robot's own ascent of its reward against fixed human controls."""
+    expected = move(game, state[1], human)
+    robot = climb(
+        game.planner,
+        partial(move, game, state[0]),
+        lambda robot: path_reward(game, state, robot, expected),
+        partial(discomfort, game, state[0]),
+        (start or cold_start(game)).robot,
+        partial(bounded, game, state[0]),
+    )
+    return JointPlan(robot, human)
+
+
+MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), Turn(), TheoryOfMind())}
+"""The known models by name, cheapest first."""
+
+PAPER_MODELS = tuple(MODELS)
+"""Names of the paper's models, cheapest first."""
+
+
+def register(model: HumanModel, before: str | None = None) -> None:
+    """Make a model of one's own known by its name, to configurations and commands of this process.
+
+    Args:
+        model: hashable, and with all that a `HumanModel` has; it replaces the one that had its name.
+        before: name of the next dearer model on ladders; without it, the new model is dearer than all others.
+
+    Raises:
+        ValueError: if the name is one of the paper's models, is no name, or ``before`` names no other model; if the
+            model lacks something, or is not hashable.
+    """
+    lacks = [part for part in ("name", "responds", "predict", "plan") if not hasattr(model, part)]
+    if lacks:
+        raise ValueError(f"{model!r} lacks {', '.join(lacks)}; see ms_highway.planning.human_models.HumanModel")
+    try:
+        hash(model)
+    except TypeError as error:
+        raise ValueError(f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass") from None
+    if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in PAPER_MODELS:
+        raise ValueError(
+            f"a model cannot be called {model.name!r}; choose one word other than {', '.join(PAPER_MODELS)}"
+        )
+    others = {name: other for name, other in MODELS.items() if name != model.name}
+    if before is not None and before not in others:
+        raise ValueError(f"unknown human model {before!r} to come before; the models are {', '.join(others)}")
+    place = len(others) if before is None else list(others).index(before)
+    known = list(others.items())
+    MODELS.clear()  # and not replaced: others hold it
+    MODELS.update([*known[:place], (model.name, model), *known[place:]])
+
+
+def ladder(names: tuple[str, ...] | list[str]) -> tuple[HumanModel, ...]:
+    """The models of these names, checked to be a ladder: known, not empty, cheapest first, each once.
+
+    Raises:
+        ValueError: if they are not.
+    """
+    for name in names:
+        if not isinstance(name, str) or name not in MODELS:
+            raise ValueError(f"unknown human model {name!r}; the models are {', '.join(MODELS)}")
+    order = list(MODELS)
+    ranks = [order.index(name) for name in names]
+    if not ranks or ranks != sorted(set(ranks)):
+        raise ValueError(f"impossible ladder {list(names)}: name each model once, cheapest first, out of {order}")
+    return tuple(MODELS[name] for name in names)

@@ -1,0 +1,91 @@
+"""Ctrl-C: it ends the command at once, with one sentence, whatever the command is in the midst of.
+
+Python itself would raise ``KeyboardInterrupt`` in the main thread once it is between two lines: not before a
+compilation or a batch has ended. Where a callback of JAX's or an import is at work, the exception is lost. And where
+it arrives, Python comes to its end while threads of JAX still compute: those that ask for Python then are thrown out
+of C++ code that must not be left so, and the process aborts.
+
+So a thread waits for the signal and ends the process. All results are written under other names and moved when they are
+whole, so that nothing is lost but what had not been written.
+"""
+
+import os
+import signal
+import sys
+from contextlib import suppress
+from types import FrameType
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:  # what takes time is imported once interrupts are waited for
+    from socket import socket
+
+__all__ = ["INTERRUPTED", "STOPPED", "end", "watch"]
+
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit status of a command that was interrupted, as shells have it."""
+
+STOPPED = "ms-highway: stopped; started again in the same way, compare, sweep, frontier and irl record go on"
+
+FLUSHING = 1.0  # s, at most, as nobody may read what is printed
+SHOW_CURSOR = "\x1b[?25h"  # which progress bars hide
+
+
+def watch() -> None:
+    """Let an interrupt end this process, if it is the command ``ms-highway`` and does not ignore interrupts."""
+    if not _is_command() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return
+    signal.signal(signal.SIGINT, _end_early)
+    from socket import socketpair
+    from threading import Thread
+
+    import ms_highway.runtime.files  # noqa: F401  # or else `end` would, and wait for the main thread's imports
+
+    watched, told = socketpair()
+    told.setblocking(False)
+    signal.set_wakeup_fd(told.fileno())
+    Thread(target=_wait, args=(watched, told), daemon=True).start()
+    signal.signal(signal.SIGINT, lambda *_: None)
+
+
+def end(told: str, status: int) -> NoReturn:
+    """End this process from any thread, at once: with a line on standard error, and without temporary files."""
+    from threading import Thread
+
+    from ms_highway.runtime.files import remove_temporary
+
+    _tell(told)
+    if "multiprocessing" in sys.modules:
+        for worker in sys.modules["multiprocessing"].active_children():
+            worker.terminate()
+    flushing = Thread(target=sys.stdout.flush, daemon=True)
+    flushing.start()
+    flushing.join(FLUSHING)
+    remove_temporary()
+    os._exit(status)
+
+
+def _tell(told: str) -> None:
+    after_a_bar = f"{SHOW_CURSOR}\n" if sys.stderr.isatty() else ""
+    with suppress(OSError):
+        os.write(sys.stderr.fileno(), f"{after_a_bar}{told}\n".encode())
+
+
+def _end_early(signal_number: int, frame: FrameType | None) -> NoReturn:
+    """End this process before the thread is there that waits for interrupts, when there is nothing to tidy up yet."""
+    _tell(STOPPED)
+    os._exit(INTERRUPTED)
+
+
+def _is_command() -> bool:
+    """Whether this process was started as ``ms-highway`` or ``python -m ms_highway``, and not as a worker of such."""
+    by_module = sys.argv[0] == "-m" and "ms_highway" in sys.orig_argv
+    by_name = os.path.splitext(os.path.basename(sys.argv[0]))[0] == "ms-highway"
+    return (by_module or by_name) and "--multiprocessing-fork" not in sys.orig_argv
+
+
+def _wait(watched: "socket", told: "socket") -> None:
+    """Wait for the signal and end the process; ``told`` is kept open until then."""
+    with told:
+        while signal.SIGINT not in watched.recv(1):
+            pass
+        end(STOPPED, INTERRUPTED)

@@ -1,0 +1,20 @@
+"""Provide highway-env vehicles and what they see of a road; all classes can be imported from here.
+
+Imports `ms_highway.control` and what stands below it.
+"""
+
+from ms_highway.vehicle.bicycle import BicycleVehicle, RoutedVehicle, ScriptedVehicle
+from ms_highway.vehicle.human import CommuterVehicle, HumanVehicle
+from ms_highway.vehicle.planning import PlanningVehicle, RobotVehicle
+from ms_highway.vehicle.road_view import states_of
+
+__all__ = [
+    "BicycleVehicle",
+    "CommuterVehicle",
+    "HumanVehicle",
+    "PlanningVehicle",
+    "RobotVehicle",
+    "RoutedVehicle",
+    "ScriptedVehicle",
+    "states_of",
+]

@@ -1,0 +1,144 @@
+"""Cars that move like a bicycle with friction: told what to do, or on a script or a route."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import atan, cos, sin, tan
+from typing import Any
+
+import numpy as np
+from highway_env.road.road import Road
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import RoadObject
+from jaxtyping import Float
+
+from ms_highway.game.dynamics import keep_velocity, step
+from ms_highway.game.scenario import PAPER_DYNAMICS
+from ms_highway.vehicle.road_view import states_of
+
+__all__ = ["BicycleVehicle", "RoutedVehicle", "ScriptedVehicle"]
+
+
+def _apart(one: RoadObject, other: RoadObject) -> bool:
+    """Whether a line along or across the first body keeps the two apart."""
+    x, y = (other.position - one.position).tolist()
+    forward, right = cos(one.heading), sin(one.heading)
+    turn = other.heading - one.heading
+    cosine, sine = abs(cos(turn)), abs(sin(turn))
+    return (
+        abs(x * forward + y * right) > (one.LENGTH + other.LENGTH * cosine + other.WIDTH * sine) / 2
+        or abs(y * forward - x * right) > (one.WIDTH + other.LENGTH * sine + other.WIDTH * cosine) / 2
+    )
+
+
+class BicycleVehicle(Vehicle):
+    """A car with the paper's dynamics: ``heading' = v omega``, ``v' = a - alpha v``.
+
+    Actions are highway-env's ``{"steering": delta, "acceleration": a}`` with the front-wheel angle delta [rad], so
+    that ``omega = tan(delta) / LENGTH``. Positions, headings and speeds are updated by `ms_highway.game.dynamics.step`.
+
+    Attributes:
+        dynamics: the law of motion; friction alpha is 0.2 1/s unless replaced.
+        control: what is executed, ``(omega, acceleration)`` in the units of the law.
+    """
+
+    WIDTH = 2.5  # m
+    COLOR: tuple[int, int, int] | None = None
+
+    speed: float
+    crashed: bool
+    impact: Float[np.ndarray, "2"] | None
+
+    def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
+        super().__init__(road, position, heading, speed)
+        self.dynamics = PAPER_DYNAMICS
+        self.control = np.zeros(2)
+        if self.COLOR:
+            self.color = self.COLOR
+
+    @property
+    def state(self) -> Float[np.ndarray, "4"]:
+        """``(x, y, heading, speed)`` in metres, radians and metres per second."""
+        return states_of([self])[0]
+
+    def act(self, action: dict[str, Any] | None = None) -> None:
+        """Take an action, to be executed until the next one; without one, go on with the last."""
+        if action:
+            curvature = tan(float(action["steering"])) / self.LENGTH
+            omega = curvature if self.dynamics.steering == "curvature" else curvature * self.speed
+            self.execute(np.array([omega, float(action["acceleration"])]))
+
+    def execute(self, control: Float[np.ndarray, "2"]) -> None:
+        """Take a control ``(omega, acceleration)`` in the units of the law of motion, until the next one."""
+        self.control = np.asarray(control, dtype=float)
+        omega, acceleration = self.control
+        curvature = omega if self.dynamics.steering == "curvature" else omega / self.speed if self.speed else 0.0
+        self.action = {"steering": atan(curvature * self.LENGTH), "acceleration": float(acceleration)}
+
+    def randomize_behavior(self) -> None:
+        """Nothing to do: highway-env varies its own drivers like this, and nothing about this car is random."""
+
+    def step(self, dt: float) -> None:
+        """Move for ``dt`` seconds; a crashed car brakes to a stop, as highway-env has it."""
+        if self.crashed:
+            self.execute(np.array([0.0, -self.speed]))
+        dynamics = replace(self.dynamics, time_step=dt)
+        x, y, heading, speed = step(dynamics, self.state, self.control)
+        self.position = np.array([x, y])
+        self.heading, self.speed = float(heading), float(speed)
+        if self.impact is not None:
+            self.position += self.impact
+            self.crashed = True
+            self.impact = None
+        self.on_state_update()
+
+    def _is_colliding(self, other: RoadObject, dt: float) -> tuple[bool, bool, Float[np.ndarray, "2"] | None]:
+        """Whether the bodies overlap, will within ``dt``, and how to push them apart; see `RoadObject`.
+
+        Where one of them is not solid, nothing will be pushed: then it only counts whether they overlap now, that is
+        whether no line along or across either body keeps them apart.
+        """
+        if self.solid and other.solid:
+            return super()._is_colliding(other, dt)
+        return not (_apart(self, other) or _apart(other, self)), False, None
+
+
+class ScriptedVehicle(BicycleVehicle):
+    """A car that keeps its velocity, whatever happens."""
+
+    COLOR = (150, 150, 160)
+
+    def act(self, action: dict[str, Any] | None = None) -> None:
+        """Make up for friction; actions are ignored."""
+        self.execute(keep_velocity(self.dynamics, self.state))
+
+
+class RoutedVehicle(BicycleVehicle):
+    """A car on a route that was worked out beforehand, whatever happens; past its end, the car keeps its velocity.
+
+    Args:
+        road: where.
+        route: ``(x, y, heading, speed)`` now and after every step, [times, 4].
+    """
+
+    COLOR = (150, 150, 160)
+
+    def __init__(self, road: Road | None, route: Float[np.ndarray, "times 4"]) -> None:
+        x, y, heading, speed = route[0].tolist()
+        super().__init__(road, [x, y], heading, speed)
+        self.route = route
+        self.place = 0
+
+    def act(self, action: dict[str, Any] | None = None) -> None:
+        """Make up for friction, for after the route; actions are ignored."""
+        self.execute(keep_velocity(self.dynamics, self.state))
+
+    def step(self, dt: float) -> None:
+        """Go to the next state of the route, however long ``dt`` is."""
+        self.place += 1
+        if self.place >= len(self.route):
+            super().step(dt)
+            return
+        x, y, heading, speed = self.route[self.place].tolist()
+        self.position = np.array([x, y])
+        self.heading, self.speed = heading, speed
+        self.on_state_update()

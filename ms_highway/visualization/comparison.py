@@ -1,0 +1,165 @@
+"""Tables and figures of a comparison, from its records of steps and their summary."""
+
+from collections.abc import Sequence
+from textwrap import wrap
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from rich.box import SIMPLE
+from rich.console import JustifyMethod
+from rich.table import Table
+
+from ms_highway.envs.configuration import controller_config
+from ms_highway.game.scenario import title
+from ms_highway.planning.human_models import MODELS
+from ms_highway.visualization.colors import color_of
+
+__all__ = ["bars", "cells", "episodes_told", "table", "timeline"]
+
+MEASURED = {"planning_ms": "plan ms", "decision_ms": "decide ms"}
+LEGEND_COLUMNS = 5
+HEADING_WIDTH = 11  # characters, at which headings of narrow columns go on in another line
+SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
+
+
+def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
+    """The summary of one scenario as people read it: a row per controller, and texts under the columns' headings.
+
+    Planning is told twice: as decisions count it, at T(M), and as it was measured, where it was.
+    """
+    models = [name for name in MODELS if f"share_{name}" in summaries]
+    rows = [
+        {
+            "controller": row["controller"],
+            "reward/step": f"{row['reward']:.2f}",
+            "90 % interval": f"{row['reward_low']:.2f}, {row['reward_high']:.2f}"
+            if row["episodes"] > 1
+            else "one episode",
+            "counted ms": "" if np.isnan(row["counted_ms"]) else f"{row['counted_ms']:.0f}",
+            **{heading: f"{row[name]:.2f}" for name, heading in MEASURED.items() if name in row},
+            f"{' / '.join(models)} %": " / ".join(f"{100 * row[f'share_{name}']:.0f}" for name in models),
+            "collisions": f"{row['collision_episodes']} of {row['episodes']}",
+        }
+        for row in summaries[summaries["scenario"] == scenario].to_dict("records")
+    ]
+    return pd.DataFrame(rows)
+
+
+def table(summaries: pd.DataFrame, scenario: str) -> Table:
+    """The summary of one scenario, to be printed."""
+    texts = cells(summaries, scenario)
+    grid = Table(title=scenario, box=SIMPLE, title_justify="left", title_style="bold")
+    for column in texts:
+        justify: JustifyMethod = "left" if column == "controller" else "right"
+        heading = wrap(column, max(HEADING_WIDTH, int(texts[column].str.len().max())))
+        grid.add_column("\n".join(heading), justify=justify, no_wrap=True)
+    for row in texts.itertuples(index=False):
+        grid.add_row(*row)
+    return grid
+
+
+def episodes_told(rows: pd.DataFrame) -> str:
+    """How many episodes the rows of a summary stand for, as titles tell it."""
+    least, most = rows["episodes"].min(), rows["episodes"].max()
+    return f"{most if least == most else f'{least} to {most}'} episodes per controller"
+
+
+def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
+    """Reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
+    rows = summaries[summaries["scenario"] == scenario]
+    names, colors = list(rows["controller"]), _colors(list(rows["controller"]))
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    ends = rows[["reward_low", "reward_high"]].to_numpy()
+    errors = np.nan_to_num(np.abs(ends - rows[["reward"]].to_numpy())).T.tolist()  # a list, of which one may be alone
+    left.bar(names, rows["reward"], yerr=errors, color=colors, capsize=4)
+    left.axhline(0, color="black", linewidth=0.8)
+    left.set(title="reward", ylabel="mean reward per step")
+    right.bar(names, rows["planning_ms"], color=colors)
+    right.bar(
+        names,
+        rows["decision_ms"],
+        bottom=rows["planning_ms"],
+        color="white",
+        edgecolor="black",
+        hatch="///",
+    )
+    right.use_sticky_edges = False  # else the foot of a last bar without height ends the axes
+    right.margins(y=0.3)  # room for the legend
+    right.set_ylim(bottom=0)
+    right.set(title="computation", ylabel="mean time per step [ms]")
+    right.legend(
+        handles=[Patch(color="grey", label="planning"), Patch(fc="white", ec="black", hatch="///", label="deciding")]
+    )
+    for axes in (left, right):
+        axes.tick_params(axis="x", rotation=20)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(f"{title(scenario)}: {episodes_told(rows)}")
+    return figure
+
+
+def timeline(records: pd.DataFrame, scenario: str) -> Figure:
+    """Time per step along the episode, and which model was in use, like Fig. 2 of the paper.
+
+    The upper axes show the mean over episodes of planning plus deciding; below, a row per episode of each switching
+    controller shows the model of every step.
+    """
+    rows = records[records["scenario"] == scenario]
+    controllers = list(dict.fromkeys(rows["controller"]))
+    switching = [name for name in controllers if controller_config(name)["type"] == "switching"]
+    figure = Figure(figsize=(10, 4 + 1.6 * len(switching)), layout="constrained")
+    heights = [2.5] + [1] * len(switching)
+    axes = np.atleast_1d(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
+    for name, color in zip(controllers, _colors(controllers), strict=True):
+        steps = rows[rows["controller"] == name]
+        seconds = (steps["planning_seconds"] + steps["decision_seconds"]).groupby(steps["step"]).mean()
+        style = "-" if name in switching else "--"
+        axes[0].plot(seconds.index, 1e3 * seconds, style, color=color, label=name, linewidth=2)
+    axes[0].set(
+        title=f"{title(scenario)}: computation along the episode", ylabel="planning + deciding [ms]", yscale="log"
+    )
+    axes[0].yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes[0].yaxis.set_minor_formatter(NullFormatter())
+    axes[0].legend(
+        ncols=min(len(controllers), LEGEND_COLUMNS), loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False
+    )
+    for name, panel in zip(switching, axes[1:], strict=True):
+        _models_in_use(panel, rows[rows["controller"] == name], name)
+    axes[-1].set_xlabel("step (0.1 s)")
+    return figure
+
+
+def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
+    models = list(MODELS)
+    grid = steps.pivot(index="seed", columns="step", values="model").map(
+        lambda model: models.index(model) if model in models else np.nan
+    )
+    colormap = ListedColormap([color_of(model) for model in models])
+    axes.imshow(
+        grid.to_numpy(dtype=float),
+        aspect="auto",
+        cmap=colormap,
+        vmin=-0.5,
+        vmax=len(models) - 0.5,
+        interpolation="nearest",
+    )
+    axes.set_title(name, loc="left", fontsize="medium")
+    axes.set_ylabel("episode")
+    axes.legend(
+        handles=[Patch(color=color_of(model), label=model) for model in models if model in set(steps["model"])],
+        loc="center left",
+        bbox_to_anchor=(1, 0.5),
+        frameon=False,
+    )
+
+
+def _colors(controllers: Sequence[str]) -> list[str]:
+    """A model's own colour for a fixed model, greys for switching."""
+    greys = iter(SWITCHING_COLORS * len(controllers))
+    return [color_of(name) if name in MODELS else next(greys) for name in controllers]

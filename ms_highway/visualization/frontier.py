@@ -1,0 +1,112 @@
+"""What a search for the best orders of models has found: a table, and a figure."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from rich.box import SIMPLE
+from rich.table import Table
+
+from ms_highway.experiments.regret import best
+from ms_highway.game.scenario import title
+from ms_highway.visualization.colors import color_of
+
+__all__ = ["figure", "regret_tables"]
+
+FRONTIER_COLOR, SWITCHING_COLOR, SCHEDULE_COLOR = "#c2185b", "#1b1f27", "#8a93a5"
+MEANS = ["reward", "counted_seconds"]
+LABEL = np.array([0.08, 0.05])  # width and height of a label, as shares of the axes
+NAME_WIDTH = 32  # characters
+DRAWN_PRICES = np.geomspace(1e-3, 1e3, 121)
+
+
+def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
+    """Regrets per step in one scenario, a table for each price: what is fixed, what was found, and switching.
+
+    Switching is told at the best lambda for the scenario, and at the best one that all scenarios have in common.
+
+    Args:
+        behind: rows of `ms_highway.experiments.regret.regrets`, with columns ``scenario`` and ``price``.
+        scenario: its name.
+    """
+    return [_regret_table(rows, scenario, f"{price:g}") for price, rows in behind.groupby("price", sort=False)]
+
+
+def _regret_table(behind: pd.DataFrame, scenario: str, price: str) -> Table:
+    """Regrets at one price in one scenario, out of those in all scenarios."""
+    own = behind[behind["scenario"] == scenario].set_index("controller")
+    told = dict.fromkeys(own.index[own["kind"] != "switching"], "")
+    told[str(own.loc[own["kind"].isin(["fixed", "schedule"]), "regret"].idxmin())] = "best for all starts"
+    switching = behind[behind["kind"] == "switching"].set_index(["controller", "scenario"])["regret"].unstack()
+    if len(switching):
+        here, anywhere = switching[scenario].idxmin(), switching.mean(axis=1).idxmin()
+        told[here] = "best lambda"
+        told[anywhere] = "best lambda, also common" if here == anywhere else "best common lambda"
+    grid = Table(title=f"{scenario}, a second of planning costs {price}", box=SIMPLE, title_justify="left")
+    grid.add_column("controller", overflow="fold", max_width=NAME_WIDTH)
+    grid.add_column("", no_wrap=True)
+    for column in ("reward", "counted ms", "meta-reward", "regret", "90 % interval"):
+        grid.add_column(column, justify="right", no_wrap=True)
+    for name, remark in told.items():
+        row = own.loc[name]
+        interval = "" if np.isnan(row["regret_low"]) else f"{row['regret_low']:.3f}, {row['regret_high']:.3f}"
+        means = f"{row['reward']:.2f}", f"{1e3 * row['counted_seconds']:.0f}", f"{row['meta_reward']:.3f}"
+        grid.add_row(str(name), remark, *means, f"{row['regret']:.3f}", interval)
+    return grid
+
+
+def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequence[int]) -> Figure:
+    """Reward against counted computation: what was found, and the controllers that stay behind it.
+
+    The line joins the means of the best orders of each start from price to price; at prices that were not searched it
+    is a lower bound all the same. Dots are orders that were tried from every start.
+
+    Args:
+        table: of `ms_highway.experiments.frontier.Outcomes`.
+        behind: rows of `ms_highway.experiments.regret.regrets`, with columns ``scenario`` and ``price``.
+        scenario: its name.
+        seeds: of the starts.
+    """
+    rows = behind[behind["scenario"] == scenario]
+    frame = Figure(figsize=(7, 4.4), layout="constrained")
+    axes = frame.subplots()
+    orders = table[~table.index.get_level_values("controller").str.startswith(("switching:", "random:"))]
+    shared = {name: orders[name].unstack("seed")[list(seeds)].dropna().mean(axis=1) for name in MEANS}
+    _points(axes, pd.DataFrame(shared), ".", SCHEDULE_COLOR, "other orders")
+    found = pd.DataFrame([best(table, seeds, price)[MEANS].mean() for price in DRAWN_PRICES])
+    _points(axes, found, "-", FRONTIER_COLOR, None)
+    searched = rows[rows["kind"] == "search"].sort_values("counted_seconds", ascending=False)
+    prices = ", ".join(f"{price:g}" for price in searched["price"])
+    _points(axes, searched, "D", FRONTIER_COLOR, "best order of each start")
+    own = rows.drop_duplicates("controller").set_index("controller")
+    switching = own[own["kind"] == "switching"].sort_values("counted_seconds")
+    _points(axes, switching, "o", SWITCHING_COLOR, "switching, by lambda")
+    for name, row in own[own["kind"] == "fixed"].iterrows():
+        _points(axes, row.to_frame().T, "s", color_of(str(name)), str(name))
+    axes.set(xlabel="planning per step, counted at T(M) [ms]", ylabel="reward per step", xlim=(0, None))
+    _label_lambdas(axes, switching)
+    frame.suptitle(f"{title(scenario)}: the best orders of models, {len(seeds)} starts")
+    axes.set_title(f"diamonds, from the right: a second of planning costs {prices}", fontsize="small")
+    axes.grid(color="#eeeeee")
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    frame.legend(loc="outside lower center", ncols=3, frameon=False)
+    return frame
+
+
+def _points(axes: Axes, rows: pd.DataFrame, form: str, color: str, label: str | None) -> None:
+    axes.plot(1e3 * rows["counted_seconds"].astype(float), rows["reward"].astype(float), form, color=color, label=label)
+
+
+def _label_lambdas(axes: Axes, switching: pd.DataFrame) -> None:
+    """Label those lambdas whose labels do not cover each other."""
+    labelled: list[np.ndarray] = []
+    for name, row in switching.iterrows():
+        place = 1e3 * row["counted_seconds"], row["reward"]
+        spot = axes.transAxes.inverted().transform(axes.transData.transform(place))  # as shares of the axes
+        if all((np.abs(spot - other) > LABEL).any() for other in labelled):
+            labelled.append(spot)
+            text = str(name).removeprefix("switching:")
+            axes.annotate(text, place, xytext=(4, -10), textcoords="offset points", fontsize="x-small")

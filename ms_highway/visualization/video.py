@@ -1,0 +1,142 @@
+"""Videos of episodes."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.runtime.files import replacing
+
+__all__ = ["Film", "Picture", "check_format", "check_width", "encoded", "film", "scaled", "write"]
+
+Picture = UInt8[np.ndarray, "h w 3"]
+
+FORMATS = (".mp4", ".gif")
+NARROWEST = 160  # px
+GIF_COLORS = 48  # enough for flat colours and smooth edges
+PALETTE_PICTURES = 5  # of a video, from which the colours of a GIF are taken
+
+
+@dataclass(frozen=True)
+class Film:
+    """An episode that was filmed.
+
+    Attributes:
+        controller: short name of what drove the robot.
+        pictures: what was seen after each step.
+        records: of each step, see `ms_highway.experiments.runner.episode`.
+        frames_per_second: at which it plays at true speed.
+    """
+
+    controller: str
+    pictures: list[Picture]
+    records: list[dict[str, Any]]
+    frames_per_second: int
+
+
+def film(scenario: str, controller: str, seed: int, **config: Any) -> Film:
+    """Film an episode in a configured environment.
+
+    Raises:
+        ValueError: for an unknown scenario, controller or configuration.
+    """
+    env = make_environment(scenario, controller, render=True, **config)
+    pictures, records = [], []
+    for record in episode(env, seed):
+        records.append(record)
+        pictures.append(np.asarray(env.render()))
+    rate = env.metadata["render_fps"]
+    env.close()
+    return Film(controller, pictures, records, rate)
+
+
+def check_format(path: Path) -> None:
+    """Refuse a file name that says no known format, or one that cannot be written here.
+
+    Raises:
+        ValueError: if the name does not end in .mp4 or .gif.
+        ImportError: for an .mp4 without the packages of the extra ``video``.
+    """
+    if path.suffix not in FORMATS:
+        raise ValueError(f"cannot tell the format of {path}; its name must end in {' or '.join(FORMATS)}")
+    if path.suffix == ".mp4":
+        _imageio()
+
+
+def check_width(width: int, drawn: int) -> None:
+    """Refuse a width [px] to which pictures of the width ``drawn`` cannot be scaled down legibly.
+
+    Raises:
+        ValueError: if it is not from 160 to ``drawn``.
+    """
+    if not NARROWEST <= width <= drawn:
+        raise ValueError(
+            f"the width is {width} px; the pictures are {drawn} px wide, choose from {NARROWEST} to {drawn}"
+        )
+
+
+def scaled(pictures: Sequence[Picture], width: int) -> list[Picture]:
+    """The pictures at a width [px], their proportions kept; sides are even numbers, as mp4 wants them."""
+    height, drawn = pictures[0].shape[:2]
+    size = 2 * round(width / 2), 2 * round(height * width / drawn / 2)
+    if size == (drawn, height):
+        return list(pictures)
+    return [np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS)) for picture in pictures]
+
+
+def write(pictures: Sequence[Picture], path: Path, frames_per_second: float) -> None:
+    """Write a video under a temporary name and move it into place.
+
+    Raises:
+        ValueError: if the name does not end in .mp4 or .gif.
+        ImportError: for an .mp4 without the packages of the extra ``video``.
+    """
+    check_format(path)
+    content = encoded(pictures, path.suffix, frames_per_second)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def encoded(pictures: Sequence[Picture], suffix: str, frames_per_second: float) -> bytes:
+    """The content of a video file, ``.mp4`` or ``.gif``.
+
+    Raises:
+        ImportError: for ``.mp4`` without the packages of the extra ``video``.
+    """
+    return _gif(pictures, frames_per_second) if suffix == ".gif" else _mp4(pictures, frames_per_second)
+
+
+def _imageio() -> Any:
+    """The library that writes .mp4 files."""
+    try:
+        import av  # noqa: F401
+        import imageio.v3 as imageio
+    except ImportError as error:
+        raise ImportError("videos need the extra 'video': pip install 'ms-highway[video]'") from error
+    return imageio
+
+
+def _mp4(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
+    return _imageio().imwrite(
+        "<bytes>", np.stack(pictures), extension=".mp4", plugin="pyav", fps=frames_per_second, codec="libx264"
+    )
+
+
+def _gif(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
+    """One palette for all pictures, and no dithering: what stands still costs nothing."""
+    some = np.linspace(0, len(pictures) - 1, PALETTE_PICTURES).round().astype(int)
+    sample = Image.fromarray(np.concatenate([pictures[place] for place in some]))
+    palette = sample.quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)
+    first, *others = (
+        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures
+    )
+    content = io.BytesIO()
+    duration = 1000 / frames_per_second  # ms
+    first.save(content, "GIF", save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
+    return content.getvalue()

@@ -1,0 +1,172 @@
+"""What a person sees."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+
+from ms_highway.cli.main import main
+from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PANEL_HEIGHT, PAPER, TEXT_WIDTH, words
+from ms_highway.experiments.runner import make_environment
+from ms_highway.runtime.jax_settings import low_latency
+from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
+from ms_highway.visualization.side_by_side import HEADING_HEIGHT, side_by_side
+from ms_highway.visualization.video import film, scaled, write
+
+ROAD = slice(HEADING_HEIGHT, HEADING_HEIGHT + 200)  # rows of a film's part of the picture that show no measured time
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_as_by_the_command():
+    """So that the command finds here what is compiled."""
+    low_latency()
+
+
+@pytest.fixture(scope="module")
+def films():
+    return [film("merger", controller, 1) for controller in ("naive", "turn")]
+
+
+def pixels(frame, color, off=2):
+    return int((np.abs(frame.astype(int) - color).max(axis=-1) <= off).sum())
+
+
+def filmed(scenario, controller, steps):
+    env = make_environment(scenario, controller, render=True)
+    env.reset(seed=0)
+    for _ in range(steps):
+        env.step(0)
+    return env.render()
+
+
+@pytest.mark.parametrize("driver", [None, "dummy"])
+def test_a_frame_shows_cars_plan_and_model_in_their_colours(driver, monkeypatch):
+    if driver:
+        monkeypatch.setenv("SDL_VIDEODRIVER", driver)
+    frame = filmed("merger", "turn", 3)
+    assert frame.shape == (352, 960, 3)
+    for color in (RobotVehicle.COLOR, HumanVehicle.COLOR, ScriptedVehicle.COLOR):
+        assert pixels(frame, color) > 500
+    assert pixels(frame, MODEL_COLORS["turn"]) > 2000
+    assert pixels(frame, MODEL_COLORS["tom"]) == 0
+
+
+def test_no_planning_time_is_charted_where_an_agent_drives():
+    env = gym.make("ms-highway/merger-v0", render_mode="rgb_array", config={"action": {"type": "ContinuousAction"}})
+    env.reset(seed=0)
+    env.step([0.0, 0.0])
+    chart = env.render()[-PANEL_HEIGHT:-90, TEXT_WIDTH:]
+    assert (chart == PAPER).all()
+
+
+def test_texts_are_kerned_and_stand_on_one_line():
+    apart = sum(words(letter, 26, INK).get_width() for letter in "AV")
+    assert words("AV", 26, INK).get_width() < apart
+    assert len({words(text, 15, INK).get_height() for text in ("x", "planning", "Ap")}) == 1
+
+
+@pytest.mark.parametrize("controller", ["tom", "switching:0.1"])
+def test_only_where_the_model_is_chosen_the_panel_says_why(controller):
+    reason = filmed("merger", controller, 2)[-42:, : TEXT_WIDTH - 60]
+    assert (reason == PAPER).all() == (controller == "tom")
+
+
+@pytest.mark.parametrize("rows", [slice(-134, -74), slice(-64, None)])
+def test_both_charts_of_the_panel_have_a_scale_beside_them(rows):
+    scale = filmed("merger", "naive", 2)[rows, TEXT_WIDTH - 40 : TEXT_WIDTH]
+    for half in np.array_split(scale, 2):
+        assert (half != PAPER).any()
+
+
+def test_cones_stand_on_the_road_of_stay_back():
+    assert pixels(filmed("stay_back", "naive", 2), CONE) > 1500
+
+
+def test_closing_one_environment_leaves_the_others_drawing():
+    environments = [make_environment("merger", "naive", render=True) for _ in range(2)]
+    for env in environments:
+        env.reset(seed=0)
+        env.render()
+    environments[0].close()
+    environments[1].step(0)
+    assert environments[1].render().std() > 10
+
+
+def test_the_picture_moves_and_the_history_grows():
+    env = make_environment("merger", "naive", render=True)
+    env.reset(seed=0)
+    first = env.render()
+    for _ in range(5):
+        env.step(0)
+    later = env.render()
+    assert (first != later).any()
+    assert pixels(later, MODEL_COLORS["naive"]) > pixels(first, MODEL_COLORS["naive"])
+
+
+def halves(picture):
+    return np.split(picture, 2)
+
+
+def test_a_video_of_two_controllers_shows_both_at_the_same_time(films):
+    pictures = side_by_side(films)
+    assert np.shape(pictures) == (40, 2 * (HEADING_HEIGHT + 352), 960, 3)
+    for place in (0, 39):
+        for film_, half in zip(films, halves(pictures[place]), strict=True):
+            np.testing.assert_array_equal(half[HEADING_HEIGHT:], film_.pictures[place])
+    above, below = halves(pictures[39])
+    assert (above[:HEADING_HEIGHT] != below[:HEADING_HEIGHT]).any()
+    assert pixels(above[:HEADING_HEIGHT], MODEL_COLORS["naive"]) > pixels(below[:HEADING_HEIGHT], MODEL_COLORS["naive"])
+    assert pixels(below[:HEADING_HEIGHT], MODEL_COLORS["turn"]) > pixels(above[:HEADING_HEIGHT], MODEL_COLORS["turn"])
+
+
+def test_the_same_controller_from_the_same_start_drives_the_same(films):
+    above, below = halves(side_by_side([films[0], film("merger", "naive", 1)])[-1])
+    np.testing.assert_array_equal(above[ROAD], below[ROAD])
+
+
+def test_the_bar_of_computing_time_grows_to_the_full_width_of_the_dearer_one(films):
+    seconds = [sum(float(record["planning_seconds"]) for record in film_.records) for film_ in films]
+    early, late = (side_by_side(films)[place] for place in (3, 39))
+    widths = [
+        [pixels(half[HEADING_HEIGHT - 1 : HEADING_HEIGHT], MODEL_COLORS[film_.controller]) for half, film_ in pairs]
+        for pairs in (zip(halves(picture), films, strict=True) for picture in (early, late))
+    ]
+    assert max(widths[1]) == 960
+    assert widths[1][0] / widths[1][1] == pytest.approx(seconds[0] / seconds[1], rel=0.05)
+    assert 0 < widths[0][0] < widths[1][0]
+
+
+def test_the_shorter_of_two_films_holds_its_last_picture(films):
+    short = replace(films[0], pictures=films[0].pictures[:10], records=films[0].records[:10])
+    pictures = side_by_side([short, films[1]])
+    assert len(pictures) == 40
+    above, _ = halves(pictures[39])
+    np.testing.assert_array_equal(above[HEADING_HEIGHT:], films[0].pictures[9])
+
+
+def test_films_of_several_sizes_are_not_shown_together(films):
+    small = replace(films[0], pictures=scaled(films[0].pictures, 480))
+    with pytest.raises(ValueError, match="several sizes"):
+        side_by_side([small, films[1]])
+
+
+def test_a_small_gif_keeps_the_colours_of_the_models(films, tmp_path):
+    write(scaled(side_by_side(films), 640), tmp_path / "film.gif", 10)
+    assert (tmp_path / "film.gif").stat().st_size < 400_000
+    last = imageio.imread(tmp_path / "film.gif", plugin="pyav")[-1]
+    assert last.shape == (544, 640, 3)
+    for model in ("naive", "turn"):
+        assert pixels(last, MODEL_COLORS[model], off=12) > 1000
+
+
+def test_one_command_films_two_controllers_and_scales_the_video_down(films, tmp_path):
+    out = tmp_path / "film.mp4"
+    arguments = ["video", "merger", "--controller", "naive", "--against", "turn", "--seed", "1", "--width", "480"]
+    assert main([*arguments, "--out", str(out)]) == 0
+    video = imageio.imread(out, plugin="pyav")
+    assert video.shape == (40, 408, 480, 3)
+    expected = scaled(side_by_side(films), 480)[20]
+    road = slice(HEADING_HEIGHT // 2, HEADING_HEIGHT // 2 + 100)
+    assert np.abs(video[20][road].astype(int) - expected[road]).mean() < 4

@@ -1,0 +1,71 @@
+"""What a page says was found, which depends on nothing but the numbers."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ms_highway.experiments.findings import answer
+from ms_highway.experiments.summary import summary
+
+COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185}
+
+
+def records(**rewards):
+    """An episode of one step for every reward of a controller, ``_`` standing for ``:0.`` in its name."""
+    rows = []
+    for name, values in rewards.items():
+        controller = name.replace("_", ":0.")
+        for seed, reward in enumerate(values):
+            rows.append({"controller": controller, "seed": seed, "reward": float(reward), "step": 0})
+    table = pd.DataFrame(rows).assign(scenario="merger", model="naive", collision=False, planning_seconds=0.001)
+    return table.assign(decision_seconds=0.0, counted_seconds=table["controller"].map(COUNTED))
+
+
+def said(table):
+    return answer(table, summary(table), "merger")
+
+
+def test_a_gain_and_what_switching_keeps_of_it_are_told_in_shares():
+    told = said(records(naive=[1, 1.1], tom=[5, 5.1], switching_1=[4, 4.1]))
+    assert told == (
+        "Planning every step with tom earns a reward of 5.05 per step, with naive 1.05. switching:0.1 earns 4.05, 75 % "
+        "of that gain, with 50 % of tom's planning. No controller collides."
+    )
+
+
+def test_a_gain_that_may_be_chance_is_called_no_gain():
+    told = said(records(naive=[1, 4, 2], tom=[3, 1, 4], switching_1=[4, 4, 4]))
+    assert "but 3 episodes do not show that it is better (difference 0.33, 90 % interval -4.53 to 5.20)." in told
+    assert "of that gain" not in told
+
+
+def test_a_gain_is_judged_from_the_starts_that_both_drove_from():
+    apart = np.arange(10.0)  # episodes differ by far more than the controllers
+    assert "do not show" not in said(records(naive=apart, tom=apart + [0.5, 0.6] * 5))
+    assert "do not show" in said(records(naive=apart, tom=apart[::-1] + 0.5))
+
+
+def test_one_episode_shows_no_gain_and_one_controller_is_told_alone():
+    assert "; one episode cannot show that it is better." in said(records(naive=[1], tom=[2]))
+    assert said(records(naive=[1])).startswith("Planning every step with naive earns a reward of 1.00 per step. No")
+    assert said(records(switching_1=[1, 2])).startswith("switching:0.1 earns a reward of 1.50 per step.")
+    assert "earns a reward of 3.00 per step, and no dearer model earns more in these episodes." in said(
+        records(naive=[3], tom=[2])
+    )
+
+
+@pytest.mark.parametrize(
+    ("hit", "said_of_it"),
+    [
+        ({("tom", 0)}, "There are collisions with tom, in 1 of 2 episodes."),
+        ({("tom", 0), ("tom", 1), ("turn", 0)}, "There are collisions with turn and tom, in up to 2 of 2 episodes."),
+        (
+            {("naive", 0), ("turn", 1), ("tom", 1)},
+            "There are collisions with every controller, in up to 1 of 2 episodes.",
+        ),
+    ],
+)
+def test_who_collides_is_told(hit, said_of_it):
+    table = records(naive=[1, 1], turn=[1, 1], tom=[2, 3])
+    table["collision"] = [key in hit for key in zip(table["controller"], table["seed"], strict=True)]
+    assert said(table).endswith(said_of_it)

@@ -1,0 +1,163 @@
+"""The search for the best orders of models, and regrets: `ms-highway frontier`."""
+
+import json
+import shutil
+from itertools import product
+
+import imageio.v3 as imageio
+import numpy as np
+import pandas as pd
+import pytest
+
+from ms_highway.cli.main import main
+from ms_highway.envs.configuration import controller_config
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.frontier import Outcomes, named
+from ms_highway.experiments.regret import EACH
+from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.experiments.simulated import make_batch
+
+LADDER = ["naive", "turn"]
+SEEDS, STEPS, PRICES = 3, 40, (0.03, 0.1)
+LAMBDAS = ["--lambdas", "0.001", "0.1"]
+SEARCH = ["frontier", "merger", "--ladder", *LADDER, "--seeds", "3", "--prices", "0.03", "0.1", *LAMBDAS]
+SMALL = ["--population", "16", "--rounds", "6", "--out"]
+
+
+def failure(capsys, *arguments):
+    """The one line that a refused command prints."""
+    assert main(list(arguments)) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("frontier") / "out"
+    assert main([*SEARCH, *SMALL, str(directory)]) == 0
+    return directory
+
+
+@pytest.fixture(scope="module")
+def tried(searched):
+    """All that was tried, with the meta-reward at each price."""
+    table = pd.read_csv(searched / "merger_episodes.csv")
+    return table.assign(**{str(price): table["reward"] - price * table["counted_seconds"] for price in PRICES})
+
+
+@pytest.mark.parametrize("price", PRICES)
+def test_nothing_that_was_tried_from_a_start_is_better_than_its_best_order(searched, tried, price):
+    found = pd.read_csv(searched / "orders.csv").query("price == @price").set_index("seed")["meta_reward"]
+    assert len(found) == SEEDS
+    np.testing.assert_allclose(found, tried.groupby("seed")[str(price)].max())
+    behind = pd.read_csv(searched / "regrets.csv").query("price == @price").set_index("controller")
+    assert behind.loc[EACH, "regret"] == 0
+    assert behind.loc[EACH, "meta_reward"] == pytest.approx(found.mean())
+    own = tried.groupby("controller")[str(price)].mean()[["naive", "turn", "switching:0.001", "switching:0.1"]]
+    np.testing.assert_allclose(behind.loc[own.index, "regret"], found.mean() - own)
+    assert (behind["regret"] >= 0).all()
+    assert (behind.loc[own.index, "regret_low"] < behind.loc[own.index, "regret"]).all()
+    assert (behind.loc[own.index, "regret"] < behind.loc[own.index, "regret_high"]).all()
+
+
+@pytest.mark.parametrize("price", PRICES)
+def test_the_best_order_for_all_starts_is_the_best_that_was_tried_from_every_one(searched, tried, price):
+    behind = pd.read_csv(searched / "regrets.csv").query("price == @price")
+    orders = tried[~tried["controller"].str.startswith("switching")].groupby("controller")[str(price)]
+    everywhere = orders.mean()[orders.size() == SEEDS]
+    assert 20 < len(everywhere) < len(orders)
+    told = behind[behind["kind"].isin(["fixed", "schedule"])].set_index("controller")["meta_reward"]
+    assert told.idxmax() == everywhere.idxmax()
+    assert told.max() == pytest.approx(everywhere.max())
+
+
+def test_the_search_finds_orders_that_are_better_than_all_with_a_single_switch(searched):
+    """Round 1 tries some of these orders; most it does not."""
+    batch = make_batch(Comparison({"merger": LADDER}, ladder=LADDER), "merger")
+    switches = [(one,) * end + (1 - one,) * (STEPS - end) for one, end in product(range(2), range(STEPS))]
+    keys = [(named(LADDER, order), seed) for order in switches for seed in range(SEEDS)]
+    outcomes = Outcomes(batch).of(keys)
+    orders = pd.read_csv(searched / "orders.csv").set_index("seed")
+    for price in PRICES:
+        single = (outcomes["reward"] - price * outcomes["counted_seconds"]).groupby("seed").max()
+        found = orders.loc[orders["price"] == price, "meta_reward"]
+        assert (found >= single).all()
+        assert (found > single).any()
+
+
+def test_the_best_orders_earn_in_the_environment_what_the_search_says(searched):
+    for row in pd.read_csv(searched / "orders.csv").query("price == 0.03").to_dict("records"):
+        env = make_environment("merger", row["controller"], ladder=LADDER, human_reward="learned")
+        steps = pd.DataFrame(episode(env, row["seed"]))
+        assert steps["reward"].mean() == pytest.approx(row["reward"], abs=1e-3)
+        assert steps["counted_seconds"].mean() == pytest.approx(row["counted_seconds"])
+
+
+def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path, capsys):
+    directory, file = tmp_path / "out", "merger_episodes.csv"
+    directory.mkdir()
+    shutil.copy(searched / "settings.json", directory)
+    lines = (searched / file).read_text().splitlines(keepends=True)
+    (directory / file).write_text("".join(lines[: len(lines) // 2]))
+    assert main([*SEARCH, *SMALL, str(directory)]) == 0
+    for name in (file, "orders.csv", "regrets.csv"):
+        assert (directory / name).read_bytes() == (searched / name).read_bytes()
+    assert len(json.loads((directory / "provenance.json").read_text())) == 1
+    assert imageio.imread(directory / "merger_frontier.png").std() > 5
+    printed = capsys.readouterr().out
+    for price, word in product(PRICES, ("best lambda", "best for all starts", EACH)):
+        assert word in printed.partition(f"a second of planning costs {price:g}")[2]
+
+
+def test_the_name_of_an_order_stands_for_its_models_step_by_step():
+    random = np.random.default_rng(0)
+    for order in random.integers(2, size=(20, STEPS)).tolist():
+        models = controller_config(named(LADDER, tuple(order)))["models"]
+        assert [*models, *[models[-1]] * (STEPS - len(models))] == [LADDER[rung] for rung in order]
+    assert named(LADDER, (1,) * STEPS) == "turn"
+
+
+def test_a_search_refuses_a_directory_of_other_settings_and_one_of_other_things(searched, tmp_path, capsys):
+    before = {file.name: file.read_bytes() for file in searched.iterdir()}
+    line = failure(capsys, *SEARCH, "--human-reward", "published", "--out", str(searched))
+    assert "human_reward 'learned' instead of 'published'" in line
+    assert {file.name: file.read_bytes() for file in searched.iterdir()} == before
+    (tmp_path / "steps.csv").touch()
+    assert "choose another directory" in failure(capsys, *SEARCH, "--out", str(tmp_path))
+
+
+def test_outcomes_that_were_damaged_are_named(searched, tmp_path, capsys):
+    shutil.copytree(searched, tmp_path / "out")
+    (tmp_path / "out" / "merger_episodes.csv").write_text("controller,seed\n")
+    line = failure(capsys, *SEARCH, "--out", str(tmp_path / "out"))
+    assert "merger_episodes.csv cannot be gone on with" in line
+    assert "remove it" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["roundabout"], "unknown scenario 'roundabout'"),
+        (["merger", "--prices", "-1"], "--prices has -1"),
+        (["merger", "--prices", "nan"], "--prices has nan"),
+        (["merger", "--lambdas", "-1"], "'switching:-1'"),
+        (["merger", "--seeds", "0"], "--seeds is 0"),
+        (["merger", "--population", "0"], "--population is 0"),
+        (["merger", "--rounds", "0"], "--rounds is 0"),
+        (["merger", "--devices", "0"], "--devices is 0"),
+        (["merger", "--devices", "1000"], "1000 devices are wanted; this process has"),
+        (["merger", "--ladder", "tom", "naive"], "cheapest first"),
+        (["merger", "--costs", "measured"], "cannot measure plans"),
+        (["merger", "--human-reward", "learned"], "--human-reward is neither"),
+    ],
+)
+def test_a_wrong_search_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert message in failure(capsys, "frontier", *arguments, "--out", "out")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_search_refuses_a_file_as_its_directory(tmp_path, capsys):
+    (tmp_path / "out").touch()
+    assert "out, which is a file" in failure(capsys, *SEARCH, "--out", str(tmp_path / "out"))

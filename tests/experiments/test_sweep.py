@@ -1,0 +1,173 @@
+"""Very many simulated episodes: `ms-highway sweep`."""
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import imageio.v3 as imageio
+import numpy as np
+import pandas as pd
+import pytest
+
+from ms_highway.cli.main import main
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.settings import check_settings
+from ms_highway.experiments.sweep import Sweep, Worker, prices, run_sweep
+
+SWEEP = ["sweep", "stay_back", "--ladder", "naive", "--lambdas", "0.1:10:2", "--episodes", "24", "--part", "16"]
+"""Three controllers of which none thinks hard: 72 episodes in five parts."""
+
+
+def failure(capsys, *arguments):
+    """The one line that a refused command prints."""
+    assert main(list(arguments)) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+def contents(directory):
+    """What the parts and the summary hold, byte for byte."""
+    files = [*directory.rglob("part-*.parquet"), directory / "summary.csv"]
+    return {str(file.relative_to(directory)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+
+
+def begin(*arguments, devices=1):
+    """The command in a process of its own, compiled without much optimisation, as little is computed."""
+    flags = f"--xla_backend_optimization_level=0 --xla_force_host_platform_device_count={devices}"
+    environment = {**os.environ, "XLA_FLAGS": flags}
+    return subprocess.Popen(
+        [sys.executable, "-m", "ms_highway", *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=environment,
+    )
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("sweep") / "out"
+    assert begin(*SWEEP, "--steps", "--out", str(directory), devices=2).wait() == 0
+    return directory
+
+
+def test_a_sweep_is_opened_in_one_line_with_a_row_per_episode_and_per_step(swept):
+    episodes, steps = pd.read_parquet(swept / "episodes"), pd.read_parquet(swept / "steps")
+    assert len(episodes) == 3 * 24
+    assert len(steps) == 35 * len(episodes)
+    keys = ["controller", "seed"]
+    assert not episodes.duplicated(keys).any()
+    means = steps.groupby(keys)["reward"].mean()
+    np.testing.assert_allclose(episodes.set_index(keys)["reward"].sort_index(), means.sort_index(), atol=1e-6)
+    assert set(episodes["price"].dropna()) == {0.1, 10}
+    assert len(list((swept / "episodes").iterdir())) == 5
+    summary = pd.read_csv(swept / "summary.csv").set_index("controller")
+    assert summary["episodes"].tolist() == [24, 24, 24]
+    assert summary.loc["naive", "reward"] == pytest.approx(episodes.query("controller == 'naive'")["reward"].mean())
+    assert imageio.imread(swept / "stay_back_curve.png").std() > 5
+    assert len(json.loads((swept / "provenance.json").read_text())) == 1
+
+
+def test_a_sweep_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one_with_two_devices_gives(
+    swept, tmp_path
+):
+    arguments = [*SWEEP, "--steps", "--out", str(tmp_path / "out")]
+    parts = tmp_path / "out" / "episodes"
+    for wanted in (1, 2, 3):
+        process = begin(*arguments)
+        while process.poll() is None and len(list(parts.glob("part-*"))) < wanted:
+            time.sleep(0.002)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert len(list(parts.glob("part-*"))) >= wanted
+    assert not (tmp_path / "out" / "summary.csv").exists()
+    assert begin(*arguments).wait() == 0
+    assert contents(tmp_path / "out") == contents(swept)
+
+
+def test_two_processes_and_other_parts_give_the_episodes_of_one_with_two_devices(swept, tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        coordinator = f"127.0.0.1:{free.getsockname()[1]}"
+    arguments = [*SWEEP[:-1], "10", "--steps", "--out", str(tmp_path), "--coordinator", coordinator, "--processes", "2"]
+    runs = [begin(*arguments, "--process", place) for place in ("0", "1")]
+    assert [run.wait() for run in runs] == [0, 0]
+    for kind in ("episodes", "steps"):
+        alone, shared = (pd.read_parquet(directory / kind) for directory in (swept, tmp_path))
+        pd.testing.assert_frame_equal(alone, shared, check_exact=True)
+    assert (tmp_path / "summary.csv").read_bytes() == (swept / "summary.csv").read_bytes()
+
+
+def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, capsys):
+    before = contents(swept)
+    assert "seed 0 instead of 5" in failure(capsys, *SWEEP, "--steps", "--seed", "5", "--out", str(swept))
+    assert contents(swept) == before
+    (tmp_path / "steps.csv").touch()
+    assert "choose another directory" in failure(capsys, *SWEEP, "--out", str(tmp_path))
+
+
+def test_processes_that_are_asked_for_different_sweeps_do_not_mix_them(swept, tmp_path):
+    shutil.copytree(swept, tmp_path / "out")
+    shutil.rmtree(tmp_path / "out" / "episodes")
+    job = Sweep(Comparison({"stay_back": ["naive"]}, seeds=24, ladder=["naive"]), part=10)
+    with pytest.raises(ValueError, match="part 16 instead of 10"):
+        next(run_sweep(job, tmp_path / "out", worker=Worker(1, 2)))
+    assert not (tmp_path / "out" / "episodes").exists()
+
+
+def test_a_sweep_that_was_killed_while_it_wrote_its_settings_can_go_on(tmp_path):
+    (tmp_path / ".part.settings.json").write_text("{")
+    check_settings(tmp_path, {})
+    (tmp_path / "other").touch()
+    with pytest.raises(ValueError, match="is not empty"):
+        check_settings(tmp_path, {})
+
+
+def test_a_part_that_was_damaged_is_named(swept, tmp_path, capsys):
+    shutil.copytree(swept, tmp_path / "out")
+    part = tmp_path / "out" / "episodes" / "part-000002.parquet"
+    part.write_bytes(part.read_bytes()[:100])
+    line = failure(capsys, *SWEEP, "--steps", "--out", str(tmp_path / "out"))
+    assert "part-000002.parquet cannot be read" in line
+    assert "remove it" in line
+
+
+def test_lambdas_are_spaced_evenly_in_their_logarithm_or_listed():
+    assert prices("0.001:10:5") == [0.001, 0.01, 0.1, 1, 10]
+    assert prices("0.001:10:4") == [0.001, 0.0215, 0.464, 10]
+    assert prices("0.5,0.1,0.5,-0") == [0.5, 0.1, 0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["roundabout"], "unknown scenario 'roundabout'"),
+        (["merger", "--lambdas", "1:0.1:5"], "lambdas are '1:0.1:5'; give LOW:HIGH:COUNT"),
+        (["merger", "--lambdas", "cheap"], "lambdas are 'cheap'"),
+        (["merger", "--controllers", "oracle"], "unknown controller 'oracle'"),
+        (["merger", "--episodes", "0"], "--episodes is 0"),
+        (["merger", "--episodes", "1000000000000"], "are 4882812500 parts; there may be 1000000 with --part 1024"),
+        (["merger", "--part", "1000000000000"], "--part is 1000000000000; it must be 1000000 or less"),
+        (["merger", "--lambdas", "0.1:10:1000000000000"], "lambdas are '0.1:10:1000000000000'"),
+        (["merger", "--seed", "-1"], "--seed is -1"),
+        (["merger", "--part", "0"], "--part is 0"),
+        (["merger", "--costs", "measured"], "cannot measure plans"),
+        (["merger", "--devices", "1000"], "1000 devices are wanted; this process has"),
+        (["merger", "--lambdas", ""], "lambdas are ''"),
+        (["merger", "--lambdas", "1:1.01:25"], "differ in three digits"),
+        (["merger", "--seed", "9223372036854775000"], "no seed may be"),
+        (["merger", "--processes", "2"], "several need a coordinator"),
+        (["merger", "--processes", "2", "--coordinator", "nonsense"], "--coordinator nonsense"),
+        (["merger", "--process", "1"], "numbered from 0"),
+    ],
+)
+def test_a_wrong_sweep_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert message in failure(capsys, "sweep", *arguments, "--out", "out")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,98 @@
+"""Reward against computation, from summaries."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ms_highway.envs.configuration import controller_config
+from ms_highway.experiments.tradeoff import best_schedules, coin, meta_rewards, reference, shares
+from ms_highway.visualization.comparison import episodes_told
+from ms_highway.visualization.tradeoff import curve
+
+ROWS = [
+    ("naive", 1.0, 90.0),
+    ("tom", 6.0, 370.0),
+    ("switching:0.1", 4.8, 185.0),
+    ("switching:0.01", 5.4, 296.0),
+    ("schedule:tom=4,naive", 3.0, 118.0),
+    ("schedule:tom=6,naive", 5.7, 132.0),
+    ("schedule:tom=2,turn", 2.0, 160.0),
+    ("random:naive=0.5,tom=0.5", 5.8, 100.0),
+]
+
+
+@pytest.fixture
+def summaries():
+    table = pd.DataFrame(ROWS, columns=["controller", "reward", "counted_ms"])
+    return table.assign(
+        scenario="merger",
+        kind=[controller_config(name)["type"] for name in table["controller"]],
+        price=[controller_config(name).get("lambda") for name in table["controller"]],
+        episodes=30,
+        reward_low=table["reward"] - 0.1,
+        reward_high=table["reward"] + 0.1,
+        planning_ms=table["counted_ms"] / 100,
+        decision_ms=table["controller"].str.startswith("switching") * 0.1,
+    )
+
+
+def test_shares_are_those_of_the_dearest_fixed_model(summaries):
+    share = shares(summaries, "merger")
+    assert reference(summaries, "merger") == "tom"
+    assert share.loc["switching:0.1"].tolist() == pytest.approx([0.8, 0.5])
+    assert share.loc["tom"].tolist() == [1, 1]
+
+
+def test_shares_of_a_reward_below_zero_are_left_empty(summaries):
+    summaries.loc[summaries["controller"] == "tom", "reward"] = -1.0
+    share = shares(summaries, "merger")
+    assert share["reward"].isna().all()
+    assert share.loc["switching:0.1", "computation"] == 0.5
+
+
+def test_shares_need_a_fixed_model(summaries):
+    switching = summaries[summaries["kind"] == "switching"]
+    assert reference(switching, "merger") is None
+    with pytest.raises(ValueError, match="no fixed model was compared in 'merger'; add naive, turn, tom"):
+        shares(switching, "merger")
+    assert len(curve(switching, "merger").axes) == 2
+
+
+def test_the_best_schedules_are_those_that_nothing_fixed_beats_with_less(summaries):
+    best = best_schedules(summaries, "merger")
+    assert best["controller"].tolist() == ["naive", "schedule:tom=4,naive", "schedule:tom=6,naive", "tom"]
+
+
+def test_a_coin_has_a_controllers_own_shares(summaries):
+    thirds = summaries.assign(share_naive=1 / 3, share_turn=1 / 3, share_tom=1 / 3)
+    assert coin(thirds, "merger", "switching:0.1") == "random:naive=0.334,turn=0.333,tom=0.333"
+    fixed = summaries.assign(share_naive=0.0, share_turn=0.0, share_tom=1.0)
+    assert controller_config(coin(fixed, "merger", "tom")) == {"type": "random", "shares": {"tom": 1.0}}
+    with pytest.raises(ValueError, match="'switching:3' was not compared in 'merger'; add it"):
+        coin(thirds, "merger", "switching:3")
+
+
+def test_meta_rewards_take_off_the_price_of_planning(summaries):
+    table = meta_rewards(summaries, "merger")
+    assert table.index.tolist() == [0.01, 0.1]
+    assert table.loc[0.1, "switching"] == pytest.approx(4.8 - 0.1 * 0.185)
+    assert table.loc[0.01, "tom"] == pytest.approx(6.0 - 0.01 * 0.37)
+    assert (table["best schedule"] == table["tom"]).all()
+    summaries["reward"] -= summaries["counted_ms"] / 50  # now computation is dear
+    assert meta_rewards(summaries, "merger").loc[0.1, "best schedule"] == pytest.approx(5.7 - 132 / 50 - 0.1 * 0.132)
+
+
+def test_the_curve_shows_every_controller_over_counted_and_over_measured_time(summaries):
+    figure = curve(summaries, "merger")
+    counted, measured = figure.axes
+    points = np.concatenate([line.get_xydata() for line in counted.lines])
+    for _, reward, milliseconds in ROWS:
+        assert (np.abs(points - [milliseconds, reward]).max(axis=1) < 1e-9).any()
+    assert measured.get_xlim()[1] < 5
+    assert {text.get_text() for text in counted.texts} == {"0.1", "0.01"}
+
+
+def test_a_title_tells_that_controllers_have_several_numbers_of_episodes(summaries):
+    assert episodes_told(summaries) == "30 episodes per controller"
+    summaries.loc[0, "episodes"] = 5
+    assert episodes_told(summaries) == "5 to 30 episodes per controller"

@@ -1,0 +1,129 @@
+"""The released code's logs, replayed."""
+
+import json
+import shutil
+import zipfile
+
+import numpy as np
+import pytest
+
+from ms_highway.cli.main import main
+from ms_highway.experiments.validation import ARRAYS, read_episodes, validate, validate_file
+
+
+@pytest.fixture(scope="module")
+def errors(reference):
+    return validate(reference)["files"]
+
+
+def test_rewards_and_human_controls_are_the_logged_ones(errors):
+    for name, file in errors.items():
+        assert file["reward_error"]["max"] < 1e-4, name
+        assert file["human_error"]["q99"] < 1e-4, name
+
+
+@pytest.mark.parametrize("model", ["naive", "turn"])
+def test_naive_and_turn_plan_the_logged_controls(errors, model):
+    for scenario in ("merger", "give_way"):
+        error = errors[f"{scenario}__{model}.npz"]["action_error"]
+        assert error["q50"] < 1e-6
+        assert error["q99"] < 1e-4
+    assert errors[f"stay_back__{model}.npz"]["action_error"]["q90"] < 1e-5
+    assert errors["stay_back__naive.npz"]["action_error"]["q99"] < 1e-4
+
+
+def test_theory_of_mind_plans_the_logged_controls_where_the_reference_is_not_chaotic(errors):
+    for scenario in ("merger", "give_way"):
+        error = errors[f"{scenario}__tom.npz"]["action_error"]
+        assert error["q50"] < 1e-6
+        assert error["q90"] < 1e-4
+
+
+def test_every_switching_decision_agrees(errors):
+    decisions = [file["decisions"] for file in errors.values() if "decisions" in file]
+    assert sum(file["all"] for file in decisions) == 2240
+    assert all(file["agree"] == file["all"] for file in decisions)
+
+
+def test_a_perturbed_log_is_noticed(reference, tmp_path):
+    with np.load(reference / "merger__naive.npz") as archive:
+        arrays = dict(archive)
+    arrays["rewards"] = arrays["rewards"] + 0.01
+    arrays["robot_controls"] = arrays["robot_controls"] * 1.1
+    np.savez(tmp_path / "merger__naive.npz", **arrays)
+    error = validate_file(tmp_path / "merger__naive.npz")
+    assert error["reward_error"]["q50"] == pytest.approx(0.01, rel=1e-2)
+    assert error["action_error"]["q50"] > 1e-3
+
+
+def test_validate_prints_json_for_any_directory_of_such_files(reference, tmp_path, capsys):
+    shutil.copy(reference / "stay_back__switching_lambda_5.npz", tmp_path)
+    assert main(["validate", str(tmp_path), "--json"]) == 0
+    file = json.loads(capsys.readouterr().out)["files"]["stay_back__switching_lambda_5.npz"]
+    assert file["decisions"] == {"agree": 340, "all": 340}
+    assert set(file["action_error"]) == {"q50", "q90", "q99", "max"}
+
+
+def test_files_that_are_no_reference_files_are_refused_by_name(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no reference episodes"):
+        validate(tmp_path / "absent")
+    (tmp_path / "merger__naive.npz").write_bytes(b"not an archive")
+    with pytest.raises(ValueError, match=r"merger__naive\.npz is no reference file"):
+        validate(tmp_path)
+    np.savez(tmp_path / "merger__naive.npz", states=np.zeros((1, 2, 3, 4)))
+    with pytest.raises(ValueError, match="robot_controls"):
+        validate(tmp_path)
+    np.savez(tmp_path / "highway__naive.npz")
+    with pytest.raises(ValueError, match="SCENARIO__KIND"):
+        read_episodes(tmp_path / "highway__naive.npz")
+
+
+def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
+    with np.load(reference / "merger__tom.npz") as archive:
+        arrays = dict(archive)
+    for change, message in (
+        ({"models": arrays["models"] + 5}, "no places in naive, turn, tom"),
+        ({"ladder": np.array([0])}, "no places in naive, turn, tom"),
+        ({"states": np.zeros(3)}, "states has shape"),
+        ({"rewards": arrays["rewards"][:, 1:]}, "rewards has shape"),
+        ({"robot_controls": arrays["robot_controls"] * np.nan}, "robot_controls is not finite"),
+        ({"states": arrays["states"] * 1e300}, "states is not finite, in single precision"),
+        ({"states": arrays["states"] > 0}, "states holds bool; it must hold numbers"),
+        ({"rewards": arrays["rewards"] * 1j}, "rewards holds complex128"),
+        ({"robot_controls": arrays["robot_controls"].astype("M8[s]")}, "robot_controls holds datetime64"),
+        ({"models": arrays["models"] * 1.0}, "models holds float64; it must hold integers"),
+        ({"ladder": np.zeros(3, dtype=[("a", float)])}, "ladder holds"),
+        ({"ladder": np.repeat(arrays["ladder"], 2)}, "no places in naive, turn, tom"),
+        ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, "with two steps or more"),
+    ):
+        np.savez(tmp_path / "merger__tom.npz", **{**arrays, **change})
+        with pytest.raises(ValueError, match=message):
+            validate_file(tmp_path / "merger__tom.npz")
+    shutil.copy(reference / "merger__tom.npz", tmp_path / "merger__switching_aggressive.npz")
+    with pytest.raises(ValueError, match="switching_lambda_NUMBER"):
+        validate_file(tmp_path / "merger__switching_aggressive.npz")
+
+
+def test_files_that_are_empty_endless_or_unpack_without_end_are_refused(tmp_path):
+    file = tmp_path / "merger__naive.npz"
+    file.touch()
+    with pytest.raises(ValueError, match="is no reference file"):
+        validate_file(file)
+    file.unlink()
+    file.symlink_to("/dev/zero")
+    with pytest.raises(ValueError, match="a directory or a device"):
+        validate_file(file)
+    file.unlink()
+    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }".ljust(117) + "\n"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("states.npy", b"\x93NUMPY\x01\x00v\x00" + header.encode())
+    with pytest.raises(ValueError, match="is no reference file"):
+        validate_file(file)
+    with (
+        zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("states.npy", "w") as entry,
+    ):
+        for _ in range(140):
+            entry.write(bytes(1_000_000))
+    with pytest.raises(ValueError, match="it unpacks to 140000000 bytes"):
+        validate_file(file)

@@ -1,0 +1,79 @@
+"""Learned rewards as files."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ms_highway.game.learned_reward import SHIPPED, load, save, shipped
+from ms_highway.game.scenario import COMMON_WEIGHTS
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_learned_reward_is_read_as_it_was_written(name, tmp_path):
+    save(shipped(name), tmp_path / "theta.json")
+    assert load(tmp_path / "theta.json") == shipped(name)
+    assert [path.name for path in tmp_path.iterdir()] == ["theta.json"]
+
+
+def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
+    simulated, real = (shipped(name) for name in SHIPPED)
+    for learned in (simulated, real):
+        assert learned.converged
+        assert 0 <= learned.log_likelihood["train"] - learned.log_likelihood["held_out"] < 0.5
+    for name in simulated.learned:
+        assert 1 / 1.05 < simulated.weights[name] / COMMON_WEIGHTS[name] < 1.05
+        low, high = simulated.interval(name)
+        assert abs(low) < abs(simulated.weights[name]) < abs(high)
+    assert set(real.learned) > {"headway", "closing_speed", "comfort_steering"}
+    assert real.sharp_weights["comfort_acceleration"] == pytest.approx(0.1 / real.temperature)
+
+
+def broken(tmp_path, **changes):
+    path = tmp_path / "theta.json"
+    save(shipped("demonstrations"), path)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"version": 0}, "of version 0, not 2"),
+        ({"version": None}, "of version None"),
+        ({"weights": {"sped": 1.0}}, "unknown reward features"),
+        ({"weights": {"speed": float("nan")}}, "the weight of speed is nan"),
+        ({"weights": ["speed"]}, "must be given by name"),
+        ({"temperature": -1.0}, "the temperature is -1"),
+        ({"horizon": "5"}, "the horizon is '5'"),
+        ({"feature_counts": {}}, "feature counts"),
+        ({"covariance": (-np.eye(4)).tolist()}, "covariance"),
+        ({"covariance": [[1.0]]}, "covariance"),
+        ({"learned": ["gap"]}, "damaged"),
+        ({"surprise": 1}, "damaged"),
+    ],
+)
+def test_a_damaged_file_or_one_of_another_version_is_refused_with_a_remedy(changes, message, tmp_path):
+    with pytest.raises(ValueError, match=message) as error:
+        load(broken(tmp_path, **changes))
+    assert "theta.json" in str(error.value)
+    assert "ms-highway irl fit" in str(error.value)
+
+
+def test_what_is_no_file_or_no_json_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"nowhere\.json cannot be read"):
+        load(tmp_path / "nowhere.json")
+    (tmp_path / "half.json").write_text('{"version": 2, "wei')
+    with pytest.raises(ValueError, match=r"half\.json cannot be read"):
+        load(tmp_path / "half.json")
+    with pytest.raises(ValueError, match="no learned reward 'us102' comes with ms_highway"):
+        shipped("us102")
+
+
+def test_an_interval_is_as_wide_as_its_covariance_says():
+    learned = shipped("demonstrations")
+    wide = replace(learned, covariance=(4 * np.array(learned.covariance)).tolist())
+    narrow_low, narrow_high = learned.interval("speed")
+    wide_low, wide_high = wide.interval("speed")
+    assert np.log(wide_high / wide_low) == pytest.approx(2 * np.log(narrow_high / narrow_low))

@@ -1,0 +1,120 @@
+"""Features and rewards."""
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+from jax.test_util import check_grads
+
+from ms_highway.game.game import swap, total_reward
+from ms_highway.game.reward import PAPER_FEATURES, _closeness, features, linear_reward, reward
+
+INDICATORS = ["collision", "merged", "partner_merged"]
+
+
+compiled = jax.jit(features)
+
+
+def feature(name, game, state):
+    return float(compiled(game.scene, game.robot, jnp.asarray(state))[PAPER_FEATURES.index(name)])
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (2, 1)])
+def test_features_take_every_batch_shape(scenario, played, batch):
+    game, state = played(scenario)
+    states = jnp.broadcast_to(state, (*batch, *state.shape))
+    assert compiled(game.scene, game.robot, states).shape == (*batch, len(PAPER_FEATURES))
+    np.testing.assert_allclose(
+        reward(game.scene, game.robot, states), np.full(batch, reward(game.scene, game.robot, state)), rtol=1e-6
+    )
+
+
+def test_features_do_not_depend_on_the_unit_of_length(scenario, played):
+    in_metres = played(scenario)
+    in_paper_units = played(scenario, unit=1.0)
+    np.testing.assert_allclose(
+        *(compiled(game.scene, game.robot, state) for game, state in (in_metres, in_paper_units)), rtol=2e-4, atol=1e-6
+    )
+
+
+def test_gradients_agree_with_finite_differences(scenario, played):
+    with jax.enable_x64(True):
+        game, state = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float64), played(scenario, unit=1.0))
+        random = np.random.default_rng(0)
+        robot, human = (jnp.asarray(random.normal(0, 0.3, (5, 2))) for _ in range(2))
+        objective = jax.jit(lambda *controls: total_reward(game, state, *controls))
+        check_grads(objective, (robot, human), order=2, modes=["rev"])
+
+
+def test_the_reward_is_highest_at_the_speed_limit(played):
+    game, state = played("merger")
+    speeds = [feature("speed", game, state.at[0, 3].set(speed)) for speed in (10.0, 20.0, 30.0)]
+    assert speeds == pytest.approx([0.75, 1.0, 0.75], abs=1e-3)
+
+
+def test_a_collision_is_seen_with_cars_and_with_cones(played):
+    game, state = played("stay_back")
+    assert feature("collision", game, state) == 0
+    assert feature("collision", game, state.at[0, :2].set(state[1, :2] + 1)) == 1
+    assert feature("collision", game, state.at[0, :2].set(game.scene.obstacles[3])) == 1
+
+
+def test_risk_grows_as_another_car_comes_closer(played):
+    game, state = played("stay_back")
+    risks = [
+        feature("collision_risk", game, state.at[0, :2].set(state[1, :2] - jnp.array([gap, 0]))) for gap in (20, 9, 7)
+    ]
+    assert risks[0] < 1e-6 < risks[1] < risks[2]
+
+
+def test_leaving_the_road_costs_the_square_of_the_depth(played):
+    game, state = played("merger")
+    unit, edge = 100 / 3, 0.05 * 100 / 3
+    on_edge = state.at[0, 1:3].set(jnp.array([edge - 1.25, 0.0]))
+    assert feature("off_road", game, on_edge) == pytest.approx(0, abs=1e-9)
+    assert feature("off_road", game, on_edge.at[0, 1].add(0.5)) == pytest.approx((0.5 / unit) ** 2, rel=1e-3)
+
+
+def test_a_car_has_merged_when_it_is_inside_the_target_lane(played):
+    game, state = played("merger")
+    border = -0.05 * 100 / 3
+    assert feature("merged", game, state.at[0, 1:3].set(jnp.array([border + 0.1, 0.0]))) == 0
+    assert feature("merged", game, state.at[0, 1:3].set(jnp.array([border - 0.1, 0.0]))) == 1
+    assert feature("partner_merged", game, state) == 1
+
+
+@pytest.mark.parametrize("name", INDICATORS)
+def test_indicators_have_no_gradient(played, name):
+    game, state = played("give_way")
+    slope = jax.jit(jax.grad(lambda state: features(game.scene, game.robot, state)[PAPER_FEATURES.index(name)]))(state)
+    np.testing.assert_array_equal(slope, np.zeros_like(state))
+
+
+def test_swapping_twice_gives_the_same_game(played):
+    game, state = played("give_way")
+    seen_by_human = swap(game, state)
+    assert seen_by_human[0].robot is game.human
+    np.testing.assert_array_equal(swap(*seen_by_human)[1], state)
+
+
+def test_an_unknown_feature_is_refused_by_name():
+    with pytest.raises(ValueError, match="sped"):
+        linear_reward({"sped": 1.0}, 20.0)
+
+
+def test_the_derivatives_of_closeness_are_those_of_its_formula():
+    """Its rules are written by hand, so both derivatives are compared with those of the plain sum."""
+    random = np.random.default_rng(0)
+    x, y = random.uniform(-1, 1, (2, 9)).astype(np.float32)
+    terms = jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y])
+    distances = jnp.asarray(random.normal(0, 0.5, (6, 2, 3)), dtype=jnp.float32)
+
+    def plain(distances):
+        return jnp.sum(jnp.exp(-1.5 * jnp.einsum("tbs,tp->bsp", distances, terms)))
+
+    def ours(distances):
+        return jnp.sum(_closeness(distances, terms, 1.5))
+
+    for derivative in (lambda function: function, jax.grad, jax.hessian, lambda f: jax.jacfwd(jax.jacfwd(f))):
+        expected = jax.jit(derivative(plain))(distances)
+        np.testing.assert_allclose(jax.jit(derivative(ours))(distances), expected, rtol=1e-4, atol=1e-4)

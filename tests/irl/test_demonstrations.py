@@ -1,0 +1,488 @@
+"""Demonstrations: the environment, those who drive in it, and what is recorded."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import gymnasium as gym
+import h5py
+import jax
+import minari
+import numpy as np
+import pygame
+import pytest
+from gymnasium.utils.env_checker import check_env
+from jax import numpy as jnp
+
+import ms_highway
+from ms_highway.cli.main import main
+from ms_highway.envs import DEMONSTRATION_ID
+from ms_highway.envs.demonstration import ABSENT, KEYBOARD_ACTION, demonstration_game
+from ms_highway.envs.routes import DENSITIES
+from ms_highway.game.dynamics import recover_control, step
+from ms_highway.game.game import driven_reward
+from ms_highway.game.scenario import PAPER_DYNAMICS
+from ms_highway.irl.recordings.demonstrations import actions, load, record
+from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
+from ms_highway.vehicle import HumanVehicle, RoutedVehicle
+
+SLOPE = jax.jit(jax.grad(driven_reward, argnums=2))
+EARNED = jax.jit(jax.vmap(driven_reward, in_axes=(None, None, 0, None)))
+NAME = "ms-highway/mpc-v0"
+GAME = demonstration_game(DRIVER_WEIGHTS)
+
+
+def make(density="medium", render_mode=None, **config):
+    return gym.make(DEMONSTRATION_ID, render_mode=render_mode, config={"density": density, **config})
+
+
+def driven(env, seed, driver="mpc"):
+    """Observations, actions, rewards and infos of an episode."""
+    observations, taken, rewards, infos = [env.reset(seed=seed)[0]], [], [], []
+    for action in actions(driver, env.unwrapped, seed):
+        observation, reward, _, truncated, info = env.step(action)
+        observations.append(observation)
+        taken.append(action)
+        rewards.append(reward)
+        infos.append(info)
+        if truncated:
+            return np.array(observations), np.array(taken), np.array(rewards), infos
+
+
+def windows(seed, steps=0):
+    """A driver and the motion of the others, some steps after a start."""
+    env = make("dense").unwrapped
+    env.reset(seed=seed)
+    for action in actions("optimal", env, seed):
+        if env.steps == steps:
+            break
+        env.step(action)
+    return window(env.car_states[0], env.routes[:, steps + 1 : steps + 6])
+
+
+@pytest.fixture
+def datasets(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A directory with a data set of three episodes."""
+    directory = tmp_path_factory.mktemp("minari")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MINARI_DATASETS_PATH", str(directory))
+        assert list(record("mpc", 3, NAME)) == [0, 1, 2, 3]
+    return directory
+
+
+@pytest.fixture
+def files(recorded, datasets):
+    """The files of a copy of that data set."""
+    shutil.copytree(recorded, datasets, dirs_exist_ok=True)
+    return datasets / NAME / "data"
+
+
+# The environment
+
+
+def test_gymnasiums_checker_passes_without_a_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(make(render_mode="rgb_array").unwrapped)
+
+
+def test_its_id_is_registered_once_and_for_good():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ms_highway.envs._register()
+    assert "ms-highway/demonstration-v0" in gym.registry
+
+
+def test_the_same_seed_gives_the_same_episode_and_another_one_another():
+    env = make()
+    first, again, other = driven(env, 3), driven(env, 3), driven(env, 4)
+    for one, same in zip(first[:3], again[:3], strict=True):
+        np.testing.assert_array_equal(one, same)
+    assert len(first[1]) == 50
+    assert abs(first[0] - other[0]).max() > 0.1
+    for reward, info in zip(first[2], first[3], strict=True):
+        assert sum(info["rewards"].values()) == pytest.approx(reward)
+
+
+@pytest.mark.parametrize("density", DENSITIES)
+def test_routes_are_many_as_the_density_says_near_the_driver_and_never_collide(density):
+    env = make(density).unwrapped
+    changes = 0
+    for seed in range(40):
+        observation, _ = env.reset(seed=seed)
+        assert observation[:, 0].sum() == 1 + DENSITIES[density]
+        assert not observation[observation[:, 0] == 0].any()
+        routes = env.routes[: DENSITIES[density]]
+        assert (env.routes[DENSITIES[density] :] == ABSENT).all()
+        assert (abs(routes[:, 0, 0] - 15) <= 45).all()
+        assert (abs(routes[..., 3] - 19) < 1.2).all()
+        changes += (np.ptp(routes[..., 1], axis=1) > 1).sum()
+        cars = [RoutedVehicle(None, route) for route in routes]
+        for _ in range(routes.shape[1]):
+            for place, car in enumerate(cars):
+                car.solid = False
+                assert not any(car._is_colliding(other, 0.1)[0] for other in cars[:place])
+            for car in cars:
+                car.step(0.1)
+    assert 0.2 < changes / 40 / DENSITIES[density] < 0.6
+
+
+def test_routes_move_as_their_headings_and_speeds_say():
+    env = make("dense").unwrapped
+    env.reset(seed=5)
+    x, y, heading, speed = np.moveaxis(env.routes, -1, 0)
+    for place, direction in ((x, np.cos), (y, np.sin)):
+        velocity = speed * direction(heading)
+        np.testing.assert_allclose(np.diff(place), 0.05 * (velocity[:, 1:] + velocity[:, :-1]), atol=2e-3)
+
+
+def test_a_car_past_the_end_of_its_route_keeps_its_velocity():
+    car = RoutedVehicle(None, np.array([[0, 0, 0.0, 18], [2, 0, 0.1, 19]]))
+    for _ in range(2):
+        car.act()
+        car.step(0.1)
+    np.testing.assert_allclose(car.state, [2 + 1.9 * np.cos(0.1), 1.9 * np.sin(0.1), 0.1, 19], rtol=1e-6)
+
+
+def test_one_driver_in_five_starts_off_the_road():
+    env = make("sparse").unwrapped
+    starts = np.array([env.reset(seed=seed)[0][0] for seed in range(300)])
+    depth = abs(starts[:, 2] - 10 / 3) + 1.25 - 5
+    assert 0.1 < (depth > 0.3).mean() < 0.3
+    assert depth.max() < 2.0
+    assert np.std(starts[:, 3]) == pytest.approx(0.04, rel=0.15)
+    assert np.std(starts[:, 4]) == pytest.approx(2.5, rel=0.15)
+
+
+def test_collisions_are_noted_and_without_effect():
+    env = make("dense").unwrapped
+    env.reset(seed=0)
+    ahead = env.road.vehicles[1]
+    env.vehicle.position = ahead.position.copy()
+    before = env.vehicle.speed
+    _, reward, terminated, _, info = env.step(env.action_for([0.0, 0.2 * before]))
+    assert info["collision"]
+    assert info["crashed"]
+    assert not terminated
+    assert reward < -90
+    assert env.vehicle.speed == pytest.approx(before, rel=1e-5)
+    np.testing.assert_array_equal(ahead.state, env.routes[0, 1])
+
+
+def test_an_action_space_follows_the_configuration_and_keeps_its_seed():
+    env = make().unwrapped
+    space = env.action_space
+    env.reset(seed=0)
+    assert env.action_space is space
+    env.reset(options={"config": {"action": {"lateral": False}}})
+    assert env.action_space.shape == (1,)
+
+
+def test_the_driver_is_drawn_in_its_colour():
+    env = make(render_mode="rgb_array")
+    env.reset(seed=0)
+    frame = env.render()
+    assert (abs(frame.astype(int) - HumanVehicle.COLOR).max(axis=-1) <= 2).sum() > 500
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"densty": "dense"}, "did you mean 'density'"),
+        ({"density": "empty"}, "choose one of 'sparse', 'medium', 'dense'"),
+        ({"action": {"type": "Autopilot"}}, "must be 'ContinuousAction'"),
+        ({"action": {"acceleration": 1}}, "unknown key 'acceleration'"),
+        ({"observation": {"type": "Kinematics"}}, "must be 'CarTracks'"),
+        ({"policy_frequency": 5}, "must be 10"),
+        ({"duration": -1}, "'duration'"),
+    ],
+)
+def test_a_wrong_configuration_is_refused_with_the_remedy(config, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make(DEMONSTRATION_ID, config=config)
+
+
+# Those who drive
+
+
+@pytest.mark.parametrize("driver", ["optimal", "maxent", "mpc"])
+def test_recorded_actions_drive_the_recorded_states(driver):
+    env = make("dense")
+    observations, taken, _, _ = driven(env, 2, driver)
+    states = observations[:, 0, 1:].astype(float)
+    low, high = env.unwrapped.action_type.acceleration_range
+    limit = env.unwrapped.action_type.steering_range[1]
+    controls = np.stack([np.tan(taken[:, 1] * limit) / 5, low + (taken[:, 0] + 1) * (high - low) / 2], axis=-1)
+    np.testing.assert_allclose(step(PAPER_DYNAMICS, states[:-1], controls), states[1:], atol=5e-5)
+    recovered = recover_control(PAPER_DYNAMICS, states[:-1], states[1:])
+    np.testing.assert_allclose(recovered, controls, atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 6])
+def test_an_optimal_window_has_no_slope_and_earns_more_than_those_beside_it(seed):
+    car, others = windows(seed, steps=10)
+    best = optimal(GAME, car, others)
+    slope = SLOPE(GAME, car, best.controls, others)
+    assert abs(slope).max() < 2e-3
+    np.testing.assert_allclose(best.gradient, slope, atol=1e-3)
+    nudges = 0.1 * jax.random.normal(jax.random.key(seed), (200, *best.controls.shape))
+    rewards = EARNED(GAME, car, jnp.concatenate([best.controls[None], best.controls + nudges]), others)
+    assert (rewards[1:] < rewards[0]).all()
+
+
+def test_the_hessian_at_the_optimum_is_that_of_the_reward():
+    car, others = windows(2)
+    best = optimal(GAME, car, others)
+    nudge = 1e-2 * np.eye(10, dtype=np.float32).reshape(10, 5, 2)
+    forward, back = (
+        np.array([SLOPE(GAME, car, best.controls + sign * row, others).ravel() for row in nudge]) for sign in (1, -1)
+    )
+    np.testing.assert_allclose(best.hessian, (forward - back) / 2e-2, atol=0.02 * abs(best.hessian).max())
+
+
+def test_samples_vary_as_the_curvature_of_the_reward_and_the_temperature_say():
+    car = jnp.array([0.0, 10 / 3, 0.0, 20.0])
+    _, nobody = window(np.array(car), np.tile(ABSENT, (7, 5, 1)))
+    best, temperature = optimal(GAME, car, nobody), 1e-5
+    keys = jax.random.split(jax.random.key(0), 1500)
+    samples = np.array([maxent(GAME, car, nobody, key, temperature).ravel() for key in keys], dtype=float)
+    whitening = np.linalg.cholesky(-np.asarray(best.hessian, dtype=float) / temperature)
+    white = (samples - np.ravel(best.controls)) @ whitening
+    assert abs(white.mean(axis=0)).max() < 0.12
+    np.testing.assert_allclose(np.cov(white.T), np.eye(10), atol=0.2)
+
+
+def test_a_maxent_driver_is_as_random_as_its_seed():
+    env = make().unwrapped
+    taken = []
+    for seed in (0, 0, 1):
+        env.reset(seed=7)
+        taken.append(next(actions("maxent", env, seed)))
+    np.testing.assert_array_equal(taken[0], taken[1])
+    assert (taken[0] != taken[2]).any()
+
+
+def test_arrow_keys_drive(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = make(render_mode="human", action=KEYBOARD_ACTION, manual_control=True).unwrapped
+    env.reset(seed=0)
+    keys = actions("keyboard", env, 0)
+    speed = env.vehicle.speed
+    pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_UP))
+    env.step(next(keys))  # sees the key only after it has moved
+    assert env.vehicle.speed == pytest.approx(speed + 0.1 * (4 - 0.2 * speed))
+    speed = env.vehicle.speed
+    action = next(keys)
+    np.testing.assert_allclose(action, [0.7, 0.0])
+    env.step(action)
+    assert env.vehicle.speed == pytest.approx(speed + 0.1 * (11 - 0.2 * speed))
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    env.step(next(keys))
+    with pytest.raises(KeyboardInterrupt):
+        next(keys)
+
+
+# Recordings
+
+
+def test_recordings_come_back_as_they_were_driven(recorded, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(recorded))
+    recordings = load(NAME)
+    for seed, (recording, density) in enumerate(zip(recordings, DENSITIES, strict=True)):
+        observations, *_ = driven(make(density), seed)
+        present = observations[..., 0] == 1
+        np.testing.assert_array_equal(recording.seen, present)
+        np.testing.assert_array_equal(recording.states[present], observations[present][:, 1:])
+        assert recording.states.shape == (51, 8, 4)
+        assert list(recording.drivers) == [0]
+        np.testing.assert_allclose(recording.lanes, [0, 10 / 3, 20 / 3], rtol=1e-6)
+    assert len({recording.group for recording in recordings}) == 3
+
+
+def test_a_data_set_is_minaris_and_says_how_it_was_made(recorded, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(recorded))
+    dataset = minari.load_dataset(NAME)
+    assert dataset.total_steps == 150
+    assert NAME in minari.list_local_datasets()
+    marks = list(dataset.storage.get_episode_metadata(range(3)))
+    assert [(mark["seed"], mark["density"]) for mark in marks] == list(enumerate(DENSITIES))
+    made = dataset.storage.metadata["ms_highway"]
+    assert (made["driver"], made["format"], made["time_step"], made["horizon"]) == ("mpc", 1, 0.1, 5)
+    assert made["weights"]["speed"] == 2
+    env = dataset.recover_environment()
+    observation, _ = env.reset(seed=0, options={"config": {"density": "sparse"}})
+    np.testing.assert_array_equal(observation, dataset[0].observations[0])
+
+
+def test_a_killed_recording_keeps_its_episodes_and_goes_on(recorded, datasets, monkeypatch):
+    arguments = ["irl", "record", "--driver", "mpc", "--dataset", "ms-highway/mpc-v0", "--episodes"]
+    process = subprocess.Popen([sys.executable, "-m", "ms_highway", *arguments, "1000"], stderr=subprocess.DEVNULL)
+    metadata = datasets / NAME / "data" / "metadata.json"
+    deadline = time.monotonic() + 60
+    while not metadata.exists() or '"total_episodes": 2' not in metadata.read_text():
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    kept = len(load(NAME))
+    assert kept >= 2
+    assert main([*arguments, str(kept + 1)]) == 0
+    resumed = load(NAME)
+    assert len(resumed) >= kept + 1
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(recorded))
+    for one, other in zip(load(NAME), resumed, strict=False):
+        np.testing.assert_allclose(one.states, other.states, atol=1e-4)  # another process compiles a little differently
+
+
+def test_an_episode_that_the_metadata_do_not_count_yet_is_not_lost(files):
+    metadata = json.loads((files / "metadata.json").read_text())
+    (files / "metadata.json").write_text(json.dumps({**metadata, "total_episodes": 2, "total_steps": 100}))
+    (files.parent / ".part.0123456789abcdef.data").mkdir()  # where the killed recording worked
+    assert list(record("mpc", 4, NAME)) == [3, 4]
+    assert minari.load_dataset(NAME).total_steps == 200
+    assert [path.name for path in files.parent.iterdir()] == ["data"]
+
+
+def test_a_disk_without_room_for_another_episode_is_named_before_it_is_driven(files):
+    with (files / "padding").open("wb") as padding:
+        padding.truncate(10**13)  # takes no room, but a copy of it would
+    with pytest.raises(OSError, match="mpc-v0/data needs 10000002 MB for another episode; its disk has"):
+        list(record("mpc", 4, NAME))
+    assert [path.name for path in files.parent.iterdir()] == ["data"]
+    assert len(load(NAME)) == 3
+
+
+def test_two_recordings_into_one_data_set_do_not_mix(files):
+    counts = record("mpc", 4, NAME)
+    assert next(counts) == 3
+    with pytest.raises(ValueError, match="another command is writing to"):
+        next(record("mpc", 5, NAME))
+    assert list(counts) == [4]
+
+
+def test_a_recording_that_is_complete_is_left_alone(files):
+    before = (files / "main_data.hdf5").read_bytes()
+    assert list(record("mpc", 2, NAME)) == [3]
+    assert (files / "main_data.hdf5").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"driver": "optimal"}, "other settings, {'driver': 'mpc'"),
+        ({"seed": 5}, "other settings, {'first_seed': 0}"),
+        ({"densities": ["dense"]}, "other settings, {'densities'"),
+        ({"driver": "human"}, "the drivers are keyboard, optimal, maxent, mpc"),
+        ({"densities": ["empty"]}, "choose from sparse, medium, dense"),
+        ({"driver": "maxent", "temperature": 0.0}, "the temperature is 0.0"),
+        ({"seed": -1}, "must not be negative"),
+        ({"episodes": 0}, "at least one"),
+        ({"dataset": "no version"}, "name it like ms-highway/maxent-v0"),
+        ({"dataset": "../up-v0"}, "name it like ms-highway/maxent-v0"),
+    ],
+)
+@pytest.mark.usefixtures("files")
+def test_impossible_and_other_settings_are_refused(change, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        next(record(**{"driver": "mpc", "episodes": 3, "dataset": NAME, **change}))
+
+
+def spoil(files: Path, name: str, change):
+    """Replace an array of the second episode."""
+    with h5py.File(files / "main_data.hdf5", "a") as file:
+        changed = change(file[f"episode_1/{name}"][()])
+        del file[f"episode_1/{name}"]
+        file[f"episode_1/{name}"] = changed
+
+
+def with_nan(tracks):
+    tracks[7, 2, 3] = np.nan
+    return tracks
+
+
+def without_driver(tracks):
+    tracks[4, 0] = 0
+    return tracks
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (with_nan, "episode 1 is not finite at step 7, car 2"),
+        (without_driver, "episode 1 lacks its driver at step 4"),
+        (lambda tracks: tracks[:, :5], r"episode 1 has observations of shape \(51, 5, 5\)"),
+        (lambda tracks: tracks[:1], r"episode 1 has observations of shape \(1, 8, 5\)"),
+    ],
+)
+def test_spoilt_episodes_are_refused(files, change, message):
+    spoil(files, "observations", change)
+    with pytest.raises(ValueError, match=f"^data set {NAME}, {message}.*record it again"):
+        load(NAME)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ms_highway": {"format": 2, "time_step": 0.1}}, "has version 2, not 1; .*record it again"),
+        ({"ms_highway": {"format": 1, "time_step": 0.05}}, "has a time step of 0.05, not 0.1; .*record it again"),
+        ({"ms_highway": None}, "was not recorded by this package"),
+        ({"total_episodes": 0}, "is empty; record"),
+        ({"total_episodes": 4}, "episode 3 cannot be read"),
+        ({"minari_version": "9.9"}, "cannot be read"),
+    ],
+)
+def test_spoilt_data_sets_are_refused(files, change, message):
+    metadata = json.loads((files / "metadata.json").read_text())
+    (files / "metadata.json").write_text(json.dumps({**metadata, **change}))
+    with pytest.raises(ValueError, match=f"^data set {NAME},? {message}"):
+        load(NAME)
+
+
+def test_a_broken_file_and_a_missing_data_set_are_refused(files):
+    (files / "main_data.hdf5").write_bytes(b"no HDF5")
+    with pytest.raises(ValueError, match=f"^data set {NAME}, episode 0 cannot be read"):
+        load(NAME)
+    with pytest.raises(ValueError, match="there is no data set ms-highway/other-v0"):
+        load("ms-highway/other-v0")
+
+
+def test_without_minari_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "minari", None)
+    with pytest.raises(ImportError, match=r"pip install 'ms-highway\[demonstrations\]'"):
+        load(NAME)
+
+
+def test_a_person_needs_a_display(datasets, monkeypatch, capsys):
+    for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(variable, raising=False)
+    pygame.display.quit()
+    assert main(["irl", "record", "--driver", "keyboard", "--episodes", "1", "--dataset", "me-v0"]) == 2
+    assert "there is no display" in capsys.readouterr().err
+    pygame.display.quit()
+    assert not list(datasets.iterdir())
+
+
+def test_a_person_who_closes_the_window_keeps_what_is_finished(datasets, monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    counts = record("keyboard", 1, "me-v0")
+    assert next(counts) == 0
+    closing = threading.Timer(2.0, pygame.event.post, [pygame.event.Event(pygame.QUIT)])  # within the five seconds
+    closing.start()
+    with pytest.raises(KeyboardInterrupt):
+        next(counts)
+    assert not list(datasets.iterdir())

@@ -1,0 +1,137 @@
+"""Gain estimates and Algorithm 1."""
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.game.game import swap, total_reward
+from ms_highway.metareasoning.switching import Switching, _expand, decide, first_memory, trust_region_step
+from ms_highway.optimization.second_derivatives import response
+from ms_highway.planning.human_models import ladder
+
+RADIUS = 1.5
+
+
+def dense_ball():
+    angles, radii = np.linspace(0, 2 * np.pi, 721), np.linspace(0, RADIUS, 151)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return (radii[:, None, None] * circle).reshape(-1, 2)
+
+
+def problems():
+    """Convex, concave and indefinite quadratics over many scales, with hard cases and vanishing slopes among them."""
+    random = np.random.default_rng(0)
+    for number in range(120):
+        quadratic = random.normal(size=(2, 2)) * 10 ** random.uniform(-3, 2)
+        quadratic = quadratic + quadratic.T
+        if number % 3 == 0:
+            quadratic = -quadratic @ quadratic
+        linear = random.normal(size=2) * 10 ** random.uniform(-4, 2)
+        if number % 7 == 0:
+            linear = np.linalg.eigh(quadratic)[1][:, 0] * linear[0]
+        if number % 11 == 0:
+            linear = np.zeros(2)
+        yield quadratic, linear
+
+
+def test_the_trust_region_step_is_optimal_against_a_dense_grid():
+    solve, ball = jax.jit(trust_region_step), dense_ball()
+    for quadratic, linear in problems():
+
+        def value(x, quadratic=quadratic, linear=linear):
+            return np.einsum("...i,ij,...j", x, quadratic, x) / 2 + x @ linear
+
+        step = np.asarray(solve(jnp.float32(quadratic), jnp.float32(linear), RADIUS), dtype=float)
+        best = value(ball).max()
+        assert np.linalg.norm(step) <= RADIUS * 1.0001
+        assert value(step) >= best - 1e-4 * abs(best) - 1e-9
+
+
+def test_a_tolerance_stops_the_trust_region_step_near_the_radius():
+    quadratic, linear = jnp.array([[-0.1, 0.02], [0.02, -0.2]]), jnp.array([0.4, 0.3])
+    loose = trust_region_step(quadratic, linear, RADIUS, tolerance=0.05)
+    assert 0.95 * RADIUS <= np.linalg.norm(loose) <= 1.05 * RADIUS
+    assert np.linalg.norm(trust_region_step(quadratic, linear, RADIUS)) == pytest.approx(RADIUS, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "influence"), [("merger", "exact"), ("give_way", "damped"), ("stay_back", "damped")]
+)
+def test_the_expansion_is_that_of_the_rewards_after_one_step(scenario, played, influence):
+    """Against derivatives of the planners' own objective, taken with the controls of both as one argument."""
+    game, state = played(scenario, seed=2, influence=influence)
+    controls = jnp.asarray(np.random.default_rng(0).normal(0, 0.3, (2, 2)), dtype=jnp.float32)
+
+    def robot_reward(both):
+        return total_reward(game, state, both[:1], both[1:])
+
+    def human_reward(both):
+        return total_reward(*swap(game, state), both[1:], both[:1])
+
+    def derivatives(both):
+        return jax.grad(robot_reward)(both), jax.hessian(robot_reward)(both), jax.hessian(human_reward)(both)
+
+    expansion = jax.jit(_expand)(game, state, *controls)
+    slope, bend, human = (np.asarray(array) for array in jax.jit(derivatives)(controls))
+    scale = abs(bend).max()
+    np.testing.assert_allclose([expansion.robot, expansion.human], slope, rtol=1e-3, atol=1e-4 * abs(slope).max())
+    np.testing.assert_allclose(expansion.robot_robot, bend[0, :, 0], rtol=1e-3, atol=1e-4 * scale)
+    np.testing.assert_allclose(expansion.robot_human, bend[0, :, 1], rtol=1e-3, atol=1e-4 * scale)
+    np.testing.assert_allclose(expansion.human_human, bend[1, :, 1], rtol=1e-3, atol=1e-4 * scale)
+    expected = response(influence, jnp.asarray(human[1, :, 1]), jnp.asarray(human[1, :, 0]))
+    np.testing.assert_allclose(expansion.influence, expected, rtol=1e-2, atol=1e-4 * abs(expected).max())
+
+
+def made(price, names=("naive", "turn", "tom"), costs=(0.09, 0.17, 0.37)):
+    return jax.tree.map(jnp.asarray, Switching(np.array(costs), price, ladder(names)))
+
+
+def decided(switching, played, memory=None, reward=1.5):
+    game, state = played("merger")
+    memory = first_memory(switching) if memory is None else memory
+    control = jnp.array([0.1, 0.1])
+    return decide(switching, game, memory, state, control, control, jnp.float32(reward))
+
+
+def test_a_higher_price_lowers_the_gain_by_the_extra_planning_time(played):
+    free, dear = (decided(made(price), played) for price in (0.0, 2.0))
+    assert free.gain_up - dear.gain_up == pytest.approx(2.0 * (0.37 - 0.09), rel=1e-3)
+
+
+def test_a_positive_gain_goes_straight_to_the_top(played):
+    decision = decided(made(0.0), played, reward=-100.0)
+    assert decision.gain_up > 0
+    assert decision.memory.rung == 2
+
+
+def test_a_negative_gain_stays(played):
+    decision = decided(made(1e6), played)
+    assert decision.gain_up < 0
+    assert decision.memory.rung == 0
+
+
+def test_the_top_rung_goes_down_one_rung_at_a_time_and_never_up(played):
+    switching = made(1e6)
+    decision = decided(switching, played, first_memory(switching, rung=2))
+    assert np.isnan(decision.gain_up)
+    assert decision.gain_down > 0
+    assert decision.memory.rung == 1
+
+
+def test_downward_checks_of_a_rung_wait_for_the_cooldown(played):
+    switching = made(0.0)
+    memory, checked = first_memory(switching, rung=2), []
+    for _ in range(8):
+        decision = decided(switching, played, memory, reward=100.0)  # better than any alternative: stay
+        checked.append(bool(~np.isnan(decision.gain_down)))
+        memory = decision.memory
+        assert memory.rung == 2
+    assert checked == [True, False, False, True, False, False, True, False]
+
+
+def test_a_ladder_of_one_rung_never_switches(played):
+    decision = decided(made(0.0, names=("tom",), costs=(0.37,)), played, reward=-100.0)
+    assert decision.memory.rung == 0
+    assert np.isnan(decision.gain_up)
+    assert np.isnan(decision.gain_down)

@@ -1,0 +1,169 @@
+"""Plans under the ladder of human models."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.game.game import constant_velocity, swap, total_reward
+from ms_highway.game.reward import PAPER_FEATURES
+from ms_highway.optimization.ascent import Planner, ascend
+from ms_highway.optimization.second_derivatives import response
+from ms_highway.planning.compiled import plan_function
+from ms_highway.planning.human_models import MODELS, JointPlan, TheoryOfMind, Turn, _plan_against, cold_start, ladder
+from ms_highway.runtime.packing import pack
+
+
+def plan(model, game, state):
+    numbers, layout = pack(game)
+    return JointPlan(*plan_function(model, layout)(numbers, state, jnp.stack(cold_start(game))))
+
+
+def mirrored(game, state):
+    """The game and the state seen in a mirror along the road."""
+    flip = jnp.array([1.0, -1.0])
+    scene = game.scene
+    scene = replace(scene, lanes=-scene.lanes, obstacles=scene.obstacles * flip, target_lane=-scene.target_lane)
+    return replace(game, scene=scene), state * jnp.array([1.0, -1.0, -1.0, 1.0])
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_mirrored_scenes_give_mirrored_plans(played, name):
+    game, state = played("merger", seed=3)
+    straight, mirror = plan(MODELS[name], game, state), plan(MODELS[name], *mirrored(game, state))
+    scale = np.array([-1.0, 1.0])
+    np.testing.assert_allclose(mirror.robot, straight.robot * scale, atol=2e-3)
+    np.testing.assert_allclose(mirror.human, straight.human * scale, atol=2e-3)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_plan_earns_more_than_doing_nothing(scenario, played, name):
+    if name not in ("naive", "turn") and scenario == "stay_back":
+        pytest.skip("the paper's ladder in Stay Back ends at turn")
+    game, state = played(scenario)
+    joint = plan(MODELS[name], game, state)
+    assert total_reward(game, state, *joint) > total_reward(game, state, jnp.zeros((5, 2)), joint.human)
+
+
+def test_naive_expects_the_human_to_keep_its_velocity(played):
+    game, state = played("merger")
+    joint = plan(MODELS["naive"], game, state)
+    np.testing.assert_allclose(joint.human, constant_velocity(game, state[1]), rtol=1e-6)
+    assert float(joint.human[0, 1]) == pytest.approx(0.2 * float(state[1, 3]) * 3 / 100, rel=1e-5)
+
+
+def test_turn_expects_what_a_human_who_ignores_the_robot_would_plan(played):
+    game, state = played("give_way")
+    human_game = replace(game, robot=game.human, human=game.robot)
+    seen_by_human = jnp.concatenate([state[1::-1], state[2:]])
+    np.testing.assert_allclose(
+        plan(Turn(), game, state).human, plan(MODELS["naive"], human_game, seen_by_human).robot, atol=1e-5
+    )
+
+
+slopes = jax.jit(jax.grad(total_reward, argnums=(2, 3)))
+
+
+def after_one_step(game):
+    return replace(game, planner=replace(game.planner, iterations=1))
+
+
+def test_theory_of_mind_without_influence_steps_like_turn(played):
+    """Where the human's reward does not depend on the robot, ToM's step is Turn's against the same human controls."""
+    game, state = played("merger")
+    blind = replace(
+        game.human, weights=jnp.asarray(game.human.weights).at[PAPER_FEATURES.index("collision_risk")].set(0.0)
+    )
+    game = after_one_step(replace(game, human=blind))
+    still = jnp.zeros((5, 2))  # where both start
+    slope_robot, slope_human = slopes(game, state, still, still)
+    assert abs(slope_human).max() > 1e-3, "the human should matter to the robot here"
+    turn_step = _plan_against(game, state, still, None).robot
+    np.testing.assert_allclose(plan(TheoryOfMind(), game, state).robot, turn_step, atol=1e-6)
+    np.testing.assert_allclose(turn_step, 0.03 * slope_robot, atol=1e-6)
+
+
+@pytest.mark.parametrize("influence", ["exact", "damped"])
+def test_theory_of_mind_steps_along_the_total_derivative(played, influence):
+    """The first step is 0.03 (dR_R/du_R + J^T dR_R/du_H), with J = -H^-1 d2R_H/du_H du_R formed explicitly."""
+    game, state = played("merger", influence=influence)
+    still = jnp.zeros((5, 2))
+    mirrored, mirrored_state = swap(game, state)
+
+    def human_reward(robot, human):
+        return total_reward(mirrored, mirrored_state, human, robot)
+
+    slope_robot, slope_human = slopes(game, state, still, still)
+    mixed, own = jax.jit(jax.jacfwd(jax.grad(human_reward, argnums=1), argnums=(0, 1)))(still, still)
+    own = np.asarray(own, dtype=float).reshape(10, 10)
+    if influence == "damped":
+        values, vectors = np.linalg.eigh(own)
+        own = -(vectors * np.maximum(np.abs(values), 1.0)) @ vectors.T
+    jacobian = -np.linalg.solve(own, np.asarray(mixed, dtype=float).reshape(10, 10))
+    expected = slope_robot + (jacobian.T @ np.asarray(slope_human).reshape(10)).reshape(5, 2)
+    assert abs(expected - slope_robot).max() > 1e-3, "the influence should matter here"
+    step = plan(TheoryOfMind(), after_one_step(game), state).robot
+    np.testing.assert_allclose(step, 0.03 * expected, rtol=1e-2, atol=1e-4)
+
+
+def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
+    """In Merger the human brakes for a robot that counts on it, and the robot steers in; seen in the plans."""
+    game, state = played("merger")
+    naive, tom = plan(MODELS["naive"], game, state), plan(MODELS["tom"], game, state)
+    assert tom.human[:, 1].mean() < naive.human[:, 1].mean()
+    assert tom.robot[0, 0] < naive.robot[0, 0] < 0  # to the left, and more so
+
+
+def test_the_exact_response_is_the_newton_step_and_the_damped_one_always_ascends():
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        hessian = random.normal(0, 3, (10, 10)).astype(np.float32)
+        hessian = hessian + hessian.T
+        push = random.normal(size=10).astype(np.float32)
+        np.testing.assert_allclose(hessian @ response("exact", hessian, push), -push, atol=2e-2)
+        damped = response("damped", hessian, push)
+        assert damped @ push > 0
+        assert np.linalg.norm(damped) <= np.linalg.norm(push) * 1.001
+
+
+def test_damping_leaves_a_stiff_concave_human_as_it_is():
+    hessian = -np.diag([2.0, 5.0, 1.0]).astype(np.float32)
+    push = np.array([1.0, -2.0, 3.0], dtype=np.float32)
+    np.testing.assert_allclose(response("damped", hessian, push), response("exact", hessian, push), rtol=1e-5)
+
+
+def test_controls_stay_within_their_limits(played):
+    limit = (0.02, 2.0)
+    game, state = played("stay_back", control_limit=limit)
+    joint = plan(Turn(), game, state.at[:, 0].add(15.0))
+    physical = np.abs(joint.robot * game.planner.control_scale)
+    assert (physical <= np.array(limit) * 1.0001).all()
+    assert (physical >= np.array(limit) * 0.9999).any(), "the limit should bind in this situation"
+
+
+def test_ascent_climbs_a_concave_hill_to_its_top():
+    planner = Planner(jnp.ones(2), jnp.full(2, jnp.inf), step_size=0.4, iterations=60)
+    top = jnp.array([[1.0, -2.0], [3.0, 0.5]])
+    reached = ascend(
+        planner,
+        lambda plan: JointPlan(top - plan.robot, top - plan.human),
+        JointPlan(jnp.zeros((2, 2)), jnp.zeros((2, 2))),
+        lambda plan: plan,
+    )
+    np.testing.assert_allclose(reached.robot, top, atol=1e-4)
+
+
+def test_plans_work_under_vmap(played):
+    game, _ = played("stay_back")
+    states = jnp.stack([played("stay_back", seed)[1] for seed in range(2)])
+    together = jax.jit(jax.vmap(partial(Turn().plan, game)))(states)
+    np.testing.assert_allclose(together.robot[1], plan(Turn(), game, states[1]).robot, atol=1e-3)
+
+
+@pytest.mark.parametrize("names", [[], ["tom", "naive"], ["naive", "naive"], ["naive", "oracle"]])
+def test_an_impossible_ladder_is_refused(names):
+    with pytest.raises(ValueError, match=r"ladder|unknown human model 'oracle'"):
+        ladder(names)

@@ -1,0 +1,109 @@
+"""Files that are either whole or not there, whatever happens, and whoever else writes."""
+
+import resource
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import pytest
+
+from ms_highway.runtime.files import append, held, remove_temporary, replacing, temporary_directory, tidy
+
+WRITES, SIZE = 300, 20_000
+
+
+@contextmanager
+def room_for(size):
+    """No file may grow larger; the system refuses as it does on a full disk, and names no file either."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def test_a_file_that_does_not_fit_is_named_and_leaves_what_was_there(tmp_path):
+    file = tmp_path / "summary.csv"
+    file.write_text("before")
+    with (
+        room_for(1000),
+        pytest.raises(OSError, match=r"summary\.csv cannot be written: File too large"),
+        replacing(file) as path,
+    ):
+        path.write_text("x" * SIZE)
+    assert file.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_rows_are_appended_all_or_none(tmp_path):
+    file = tmp_path / "steps.csv"
+    file.write_text("header\n")
+    append(file, "1,2\n")
+    with room_for(1000), pytest.raises(OSError, match=r"steps\.csv cannot be written: File too large"):
+        append(file, "3,4\n" * SIZE)
+    append(file, "5,6\n")
+    assert file.read_text() == "header\n1,2\n5,6\n"
+
+
+def test_many_may_write_the_same_file_and_whoever_reads_finds_it_whole(tmp_path):
+    file = tmp_path / "report.html"
+
+    def write(letter):
+        for _ in range(WRITES):
+            with replacing(file) as path:
+                path.write_text(letter * SIZE)
+
+    with ThreadPoolExecutor(2) as threads:
+        writers = [threads.submit(write, letter) for letter in "ab"]
+        read = 0
+        while not all(writer.done() for writer in writers):
+            if file.exists():
+                assert file.read_text() in ("a" * SIZE, "b" * SIZE)
+                read += 1
+    assert read > 10
+    assert [writer.exception() for writer in writers] == [None, None]
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_link_that_somebody_has_planted_is_not_followed(tmp_path):
+    victim, file = tmp_path / "victim", tmp_path / "out" / "settings.json"
+    victim.write_text("precious")
+    file.parent.mkdir()
+    for name in (".part.settings.json", "settings.json"):
+        (file.parent / name).symlink_to(victim)
+    with replacing(file) as path:
+        path.write_text("{}")
+    assert victim.read_text() == "precious"
+    assert file.read_text() == "{}"
+
+
+def test_devices_and_directories_are_not_replaced(tmp_path):
+    for name in ("/dev/null", tmp_path):
+        with pytest.raises(OSError, match="is a directory or a device"), replacing(tmp_path / name):
+            pass
+
+
+def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands_left(tmp_path):
+    directory = tmp_path / "out"
+    (directory / "episodes").mkdir(parents=True)
+    left = f".part.{16 * 'a'}.settings.json", f"episodes/.part.{16 * '0'}.part-000001.parquet"
+    others = ".part.notes.txt", "episodes/download.part"
+    for name in (*left, *others):
+        (directory / name).touch()
+    with held(directory):
+        assert set(left) < {str(path.relative_to(directory)) for path in directory.rglob("*")}
+        tidy(directory, directory / "episodes", directory / "steps")
+        assert {str(path.relative_to(directory)) for path in directory.rglob("*")} == {"episodes", *others}
+        with pytest.raises(ValueError, match="another command is writing to"), held(directory):
+            pass
+    with held(directory), held(tmp_path / "other"):
+        pass
+    assert directory.exists()
+    assert not (tmp_path / "other").exists()
+
+
+def test_what_is_temporary_can_be_removed_at_once():
+    with temporary_directory() as directory:
+        (directory / "file").touch()
+        remove_temporary()
+        assert not directory.exists()

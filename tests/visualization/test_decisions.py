@@ -1,0 +1,107 @@
+"""Single episodes: when the model changed, and why."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.records import one_episode, switches
+from ms_highway.experiments.runner import read, run
+from ms_highway.planning.human_models import MODELS, TheoryOfMind, register
+from ms_highway.visualization.colors import color_of
+from ms_highway.visualization.decisions import decisions, storyboard
+from ms_highway.visualization.video import film
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("merger")
+    comparison = Comparison({"merger": ["schedule:tom=3,turn=1,naive", "switching:0.01"]}, seeds=1)
+    assert list(run(comparison, directory)) == [0, 1, 2]
+    return read(comparison, directory)
+
+
+def test_a_schedule_plans_with_the_models_in_its_order_and_goes_on_with_the_last(records):
+    episode = one_episode(records, "merger", "schedule:tom=3,turn=1,naive", 0)
+    assert episode["model"].tolist() == ["tom"] * 3 + ["turn"] + ["naive"] * 36
+    assert switches(episode) == [0, 3, 4]
+    assert episode["counted_seconds"].tolist() == [0.37] * 3 + [0.17] + [0.09] * 36
+    assert (episode["decision_seconds"] == 0).all()
+
+
+def test_decisions_are_drawn_at_the_steps_and_in_the_models_that_were_recorded(records):
+    episode = one_episode(records, "merger", "switching:0.01", 0)
+    figure = decisions([episode], one_episode(records, "merger", "schedule:tom=3,turn=1,naive", 0))
+    gains, rewards = figure.axes
+    drawn = {tuple(point) for line in gains.lines for point in line.get_xydata() if np.isfinite(point).all()}
+    assert {tuple(point) for point in episode[["step", "gain_tom"]].dropna().to_numpy()} <= drawn
+    np.testing.assert_array_equal(rewards.lines[0].get_ydata(), episode["reward"])
+
+
+def test_a_storyboard_shows_the_road_at_the_first_switches(records):
+    episode = one_episode(records, "merger", "switching:0.01", 0)
+    figure = storyboard(episode, film("merger", "switching:0.01", 0).pictures, most=3)
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles[:2] == ["1: step 0, naive", f"2: step {switches(episode)[1]}, tom"]
+    assert len([axes for axes in figure.axes if axes.images]) == 3
+
+
+def test_an_episode_that_is_not_there_is_named(records):
+    with pytest.raises(ValueError, match="no episode of 'tom' in 'merger' with seed 0"):
+        one_episode(records, "merger", "tom", 0)
+
+
+@dataclass(frozen=True)
+class Brief(TheoryOfMind):
+    name: ClassVar[str] = "brief"
+
+    def plan(self, game, state, start=None):
+        return super().plan(replace(game, planner=replace(game.planner, iterations=5)), state, start)
+
+
+class Unhashable(TheoryOfMind):
+    name: ClassVar[str] = "unhashable"
+    __hash__ = None
+
+
+@pytest.fixture
+def brief():
+    register(Brief(), before="tom")
+    yield
+    del MODELS["brief"]
+
+
+def test_a_model_of_ones_own_is_compared_recorded_and_drawn_like_the_papers(brief, tmp_path):
+    assert list(MODELS) == ["naive", "turn", "brief", "tom"]
+    costs = {"naive": 0.09, "brief": 0.12}
+    comparison = Comparison({"merger": ["brief", "switching:0.01"]}, 1, costs=costs, ladder=["naive", "brief"])
+    list(run(comparison, tmp_path))
+    records = read(comparison, tmp_path)
+    switching = one_episode(records, "merger", "switching:0.01", 0)
+    assert set(switching["model"]) == {"naive", "brief"}
+    assert switching["gain_brief"].notna().any()
+    assert set(switching["counted_seconds"]) == {0.09, 0.12}
+    assert one_episode(records, "merger", "brief", 0)["reward"].mean() > 4  # it opens the gap
+    gains, _ = decisions([switching]).axes
+    drawn = {
+        tuple(point) for line in gains.lines if line.get_color() == color_of("brief") for point in line.get_xydata()
+    }
+    assert {tuple(point) for point in switching[["step", "gain_brief"]].dropna().to_numpy()} <= drawn
+    older = switching.drop(columns="gain_brief").assign(model="naive")  # from before the model was known
+    assert len(decisions([older]).axes) == 2
+    with pytest.raises(ValueError, match="no seconds of 'brief' were published; say 'measured' or give them"):
+        Comparison({"merger": ["naive"]}, ladder=["naive", "brief"]).check()
+
+
+def test_only_a_whole_model_with_a_name_of_its_own_becomes_a_rung():
+    for model, before, message in (
+        (object(), None, "lacks name, responds, predict, plan"),
+        (TheoryOfMind(), None, "cannot be called 'tom'"),
+        (Unhashable(), None, "cannot be compiled for: unhashable type.*make it a frozen dataclass"),
+        (Brief(), "oracle", "unknown human model 'oracle'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            register(model, before)
+    assert list(MODELS) == ["naive", "turn", "tom"]
