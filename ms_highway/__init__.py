@@ -18,14 +18,19 @@ from gymnasium.envs.registration import registry as _registry  # noqa: E402
 __version__ = version("ms-highway")
 
 _HOMES = {
+    "Autopilot": "envs.actions",
     "BicycleVehicle": "vehicle",
+    "COMMON_WEIGHTS": "game.scenario",
     "CommuterVehicle": "vehicle",
     "FixedModel": "control.fixed",
     "Game": "game.game",
     "HumanModel": "planning.human_models",
     "HumanVehicle": "vehicle",
+    "InteractionEnv": "envs.base",
     "ModelSwitching": "control.switching",
     "Naive": "planning.human_models",
+    "PAPER_UNIT": "game.scenario",
+    "PUBLISHED_COSTS": "metareasoning.switching",
     "PlanningVehicle": "vehicle",
     "RobotVehicle": "vehicle",
     "Scenario": "game.scenario",
@@ -40,7 +45,9 @@ _HOMES = {
     "decide": "metareasoning.switching",
     "driving_game": "game.scenario",
     "keep_compilations": "runtime.jax_settings",
+    "ladder": "planning.human_models",
     "low_latency": "runtime.jax_settings",
+    "plan": "planning.compiled",
     "register": "planning.human_models",
 }
 _PACKAGES = (

@@ -10,13 +10,13 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.game import Game
-from ms_highway.planning.human_models import HumanModel, JointPlan
+from ms_highway.planning.human_models import HumanModel, JointPlan, ladder
 from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
 from ms_highway.runtime.jax_settings import refuse_after_fork
 from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up
 
-__all__ = ["CompiledPlans", "checked_state", "measure_costs", "plan_function"]
+__all__ = ["CompiledPlans", "checked_state", "measure_costs", "plan", "plan_function"]
 
 State = Float[jax.Array, "cars 4"]
 
@@ -60,6 +60,25 @@ class CompiledPlans:
         """What a `plan_function` takes."""
         begin = self._cold if start is None else jnp.asarray(np.asarray(start, dtype=np.float32))
         return self._numbers, state, begin
+
+
+def plan(game: Game, state: Float[np.ndarray, "cars 4"], model: HumanModel | str = "tom") -> JointPlan:
+    """Plan in one situation: the robot's controls, and the human's that it counts on, [steps, 2] each.
+
+    Controls are in the units of the game's dynamics; compiled once for all games of the same shapes.
+
+    Args:
+        game: what is played, see `ms_highway.game.scenario.build_game` and `driving_game`.
+        state: x, y, heading, speed of all cars, the robot first, then its partner.
+        model: the human model, or its name.
+
+    Raises:
+        ValueError: for an unknown model, or a state that is not a finite array [cars, 4] of two cars or more.
+    """
+    known = ladder([model])[0] if isinstance(model, str) else model
+    planned, _ = CompiledPlans(game).plan(known, checked_state(state))
+    scale = np.asarray(game.planner.control_scale, dtype=float)
+    return JointPlan(*(np.asarray(side) * scale for side in planned))
 
 
 @cache
