@@ -17,16 +17,17 @@ from ms_highway.control.controller import Controller
 from ms_highway.control.fixed import FixedModel, ScheduledModels
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.envs.actions import Autopilot, HumanModelAction
-from ms_highway.envs.configuration import draw_models, game_of, known_costs, merged, switching_of
+from ms_highway.envs.drivers import FixedDriver, SwitchingDriver
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
+from ms_highway.envs.settings import Settings, merged
 from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game.game import swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT, TIME_STEP, Scenario, draw_starts
 from ms_highway.optimization.gradient_steps import PAPER_ASCENT
 from ms_highway.planning.compiled import measure_costs
-from ms_highway.planning.human_models import MODELS, HumanModel, Naive, ladder
+from ms_highway.planning.human_models import MODELS, HumanModel, Naive
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
 __all__ = ["Cone", "InteractionEnv", "Timing"]
@@ -99,7 +100,6 @@ class InteractionEnv(StageEnv):
     scenario: ClassVar[Scenario]
     action_space: spaces.Space | None
     viewer: InteractionViewer | None
-    models: tuple[HumanModel, ...]
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -142,11 +142,10 @@ class InteractionEnv(StageEnv):
         Raises:
             ValueError: for an unknown key or an impossible value.
         """
-        settings = merged(self.config, config)
-        self.game = game_of(self.scenario, settings)
-        self.models = ladder(settings["ladder"])
-        self.config = settings
-        self._costs = None
+        self.config = merged(self.config, config)
+        self.settings = Settings.read(self.config)
+        self.game = self.settings.game(self.scenario)
+        self._costs = self.settings.costs
         super().configure(None)
 
     def update_metadata(self, video_real_time_ratio: int = 1) -> None:
@@ -192,11 +191,11 @@ class InteractionEnv(StageEnv):
         if unknown:
             raise ValueError(f"unknown reset options {unknown}; the options are 'initial_states' and 'config'")
         self._initial_states = self._checked_states(options.get("initial_states"))
-        before = self.config, self.game, self.models, self._costs
+        before = self.config, self.settings, self.game, self._costs
         try:
             return super().reset(seed=seed, options=options)
         except ValueError:
-            self.config, self.game, self.models, self._costs = before
+            self.config, self.settings, self.game, self._costs = before
             raise
 
     def _checked_states(self, states: Any) -> Float[np.ndarray, "cars 4"] | None:
@@ -234,23 +233,26 @@ class InteractionEnv(StageEnv):
         """A start of every car, robot first, then the human, in SI units; see `draw_starts`."""
         return draw_starts(self.scenario, random)
 
+    @property
+    def models(self) -> tuple[HumanModel, ...]:
+        """The ladder."""
+        return self.settings.models
+
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:
-        settings, warm_start = self.config["controller"], self.config["warm_start"]
+        driver, warm_start = self.settings.driver, self.settings.warm_start
         costs = self.costs(states)  # to be measured now, if at all, and not within a step
         if isinstance(self.action_type, HumanModelAction):
             return FixedModel(self.game, self.models[0], self.models, warm_start)
-        if settings["type"] == "fixed":
-            return FixedModel(self.game, MODELS[settings["model"]], warm_start=warm_start)
-        if names := draw_models(settings, self.episode_steps, self.np_random):
-            return ScheduledModels(self.game, [MODELS[name] for name in names], warm_start)
-        switching = switching_of(self.config, costs, settings["lambda"], self.models)
-        return ModelSwitching(self.game, switching, warm_start)
+        if isinstance(driver, SwitchingDriver):
+            return ModelSwitching(self.game, self.settings.switching(costs, driver.price), warm_start)
+        if isinstance(driver, FixedDriver):
+            return FixedModel(self.game, MODELS[driver.model], warm_start=warm_start)
+        names = driver.draw(self.episode_steps, self.np_random)
+        return ScheduledModels(self.game, [MODELS[name] for name in names], warm_start)
 
     def costs(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "rungs"]:
         """T(M) of every model on the ladder [s]; where to be measured, once after each change of configuration."""
         names = [model.name for model in self.models]
-        if self._costs is None:
-            self._costs = known_costs(self.config)
         if self._costs is None:
             self._costs = dict(zip(names, measure_costs(self.game, self.models, states).tolist(), strict=True))
         return np.array([self._costs[name] for name in names])

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ms_highway.envs.configuration import HUMAN_REWARDS, PLANNING
+from ms_highway.envs.settings import HUMAN_REWARDS, PLANNING
 from ms_highway.experiments.provenance import add_run, differing_versions, this_run
 from ms_highway.game.learned_reward import load
 

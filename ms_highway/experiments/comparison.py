@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
-from ms_highway.envs.configuration import HUMAN_REWARDS, controller_config, merged
+from ms_highway.envs.drivers import controller_config
+from ms_highway.envs.settings import HUMAN_REWARDS, merged
 from ms_highway.optimization.ascent import Solver
 
 __all__ = ["Comparison", "episode_steps", "paper_controllers"]
@@ -26,7 +27,7 @@ class Comparison:
             the semantics.
         ladder: names of the human models that switching chooses from; without it, the scenario's own.
         first_seed: of the first episode, from which all others count on.
-        planning: what differs from the scenarios' own of the keys `ms_highway.envs.configuration.PLANNING`, by key.
+        planning: what differs from the scenarios' own of the keys `ms_highway.envs.settings.PLANNING`, by key.
     """
 
     controllers: dict[str, list[str]]

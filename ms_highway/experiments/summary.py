@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ms_highway.envs.configuration import controller_config
+from ms_highway.envs.drivers import controller_config
 from ms_highway.planning.human_models import MODELS
 
 __all__ = ["CONFIDENCE", "earned", "interval", "summary"]

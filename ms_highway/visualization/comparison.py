@@ -14,7 +14,7 @@ from rich.box import SIMPLE
 from rich.console import JustifyMethod
 from rich.table import Table
 
-from ms_highway.envs.configuration import controller_config
+from ms_highway.envs.drivers import controller_config
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import MODELS
 from ms_highway.visualization.colors import color_of
