@@ -79,7 +79,7 @@ ROUNDING = 1e-6  # how far a sum of shares may be from 1
 CHOSEN = ("iterations", "step_size")  # where they are None
 WHOLE = ("human_reward",)  # mappings that are replaced, not merged: weights of two rewards do not belong together
 
-PLANNING = ("horizon", "time_step", "iterations", "step_size", "control_limit")
+PLANNING = ("horizon", "time_step", "iterations", "step_size", "control_limit", "grip")
 """Keys that say how robot and human plan."""
 
 HUMAN_REWARDS = {"paper": "learned", "released": "published"}
@@ -198,6 +198,7 @@ def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> di
     _check_controller(config["controller"])
     _check_costs(config["costs"], config["ladder"])
     _check_limit(config["control_limit"])
+    _check_grip(config["grip"])
     config["action"] = {**ACTION_DEFAULTS.get(config["action"]["type"], {}), **config["action"]}
     _check_ascent(config)
     if config["duration"] < config["time_step"]:
@@ -217,6 +218,7 @@ def game_of(scenario: Scenario, config: Mapping[str, Any]) -> Game:
         config["semantics"],
         influence,
         control_limit=None if isinstance(limit, str) else tuple(limit),
+        grip=None if config["grip"] is None else float(config["grip"]),
         solver=config["solver"],
         human_driving=human_weights(config),
         ascent=ascent_of(config),
@@ -421,6 +423,12 @@ def _check_limit(limit: Any) -> None:
             f"config['control_limit'] is {limit!r}; give None for the usual limits, 'unlimited', "
             "or two positive bounds, (omega, acceleration)"
         )
+
+
+def _check_grip(grip: Any) -> None:
+    if grip is not None and not (_is_number(grip) and grip > 0):
+        told = "give what tyres hold in m/s^2, such as 8 on a dry road, or None to look at nothing of the kind"
+        raise ValueError(f"config['grip'] is {grip!r}; {told}")
 
 
 def _check_ascent(config: Mapping[str, Any]) -> None:

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from ms_highway.compilations import check_owner, use_checked_cache
 from ms_highway.dynamics import Array, recover_control
 from ms_highway.game import Game
-from ms_highway.human_models import HumanModel, JointPlan, cold_start
+from ms_highway.human_models import HumanModel, JointPlan, cold_start, plan_within_limits
 from ms_highway.reward import reward
 from ms_highway.switching import Memory, decide
 
@@ -194,7 +194,7 @@ def _knows(option: str, value: Hashable) -> bool:
 
 @cache
 def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
-    """``model.plan``, compiled once for all that plan so.
+    """`plan_within_limits`, compiled once for all that plan with this model.
 
     The compiled function takes the numbers of a packed game, all cars now, and the plan to start from; plans are arrays
     [2, steps, 2] of the robot's and the human's scaled controls.
@@ -203,7 +203,7 @@ def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
     def plan(
         numbers: Float[jax.Array, "n"], state: State, start: Float[jax.Array, "2 steps 2"]
     ) -> Float[jax.Array, "2 steps 2"]:
-        return jnp.stack(model.plan(layout.unpack(numbers), state, JointPlan(*start)))
+        return jnp.stack(plan_within_limits(model, layout.unpack(numbers), state, JointPlan(*start)))
 
     if model.responds:  # through LAPACK (`eigh` or `solve`), whose calls no kernel can hold
         return jax.jit(plan, compiler_options=known_options(QUICKLY))
