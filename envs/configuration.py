@@ -86,6 +86,7 @@ HUMAN_REWARDS = {"paper": "learned", "released": "published"}
 """The human's reward that belongs to each semantics."""
 
 
+LARGEST = float(np.finfo(np.float32).max)
 MOST_DIGITS = 5  # of a number of steps
 
 
@@ -338,14 +339,15 @@ def _is_whole(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(np.isfinite(value))
+    """Whether a value is a number that single precision holds."""
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(np.abs(value) <= LARGEST)
 
 
 def _check_price(place: str, config: Mapping[str, Any]) -> None:
     if "lambda" not in config:
         raise ValueError(f"{place} needs 'lambda', the price of a second of planning")
     if not _is_number(config["lambda"]) or config["lambda"] < 0:
-        raise ValueError(f"{place}['lambda'] is {config['lambda']!r}; it must be a number that is not negative")
+        raise ValueError(f"{place}['lambda'] is {config['lambda']!r}; it must be a number from 0 to {LARGEST:.2g}")
 
 
 def _check_controller(config: Any) -> None:

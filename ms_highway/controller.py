@@ -28,7 +28,7 @@ from ms_highway.compiled import (
 from ms_highway.dynamics import SameArray, keep_velocity, step
 from ms_highway.game import Game
 from ms_highway.human_models import HumanModel
-from ms_highway.switching import Switching, first_memory
+from ms_highway.switching import Switching, check_costs, first_memory
 
 __all__ = [
     "ControlStep",
@@ -286,9 +286,7 @@ class ModelSwitching:
     """
 
     def __init__(self, game: Game, switching: Switching, warm_start: bool = False) -> None:
-        if np.shape(switching.costs) != (len(switching.ladder),):
-            names = ", ".join(model.name for model in switching.ladder)
-            raise ValueError(f"costs are {switching.costs}; give one for each of {names}")
+        check_costs(switching)
         self.switching = switching
         self.warm_start = warm_start
         self.game = game

@@ -43,7 +43,7 @@ STEPS_FILE, SETTINGS_FILE = "steps.csv", "settings.json"
 GROWING = ("measured", "asked")  # of the settings, what comparisons in the same directory add to
 KEYS = ["scenario", "controller", "seed"]
 TEXTS, NUMBERS = (
-    ("scenario", "controller", "model"),
+    ("scenario", "controller", "model", "status"),
     ("seed", "step", "reward", "planning_seconds", "decision_seconds"),
 )
 NEEDED = {*TEXTS, *NUMBERS, "collision"}  # of the columns, those that are never empty

@@ -37,7 +37,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     ``reward_low`` and ``reward_high``, the 90 % interval of the mean over episodes (Student's t), and ``reward_std``
     over episodes; ``planning_ms`` and ``decision_ms`` per step as measured; ``counted_ms`` per step, planning at the
     seconds T(M) that decisions count, empty where one is not known; ``share_MODEL`` of steps; ``collision_episodes``,
-    in which the robot collided at least once.
+    in which the robot collided at least once; ``fallbacks``, steps whose plan failed, of all episodes together.
 
     Raises:
         ValueError: for an unknown controller.
@@ -53,6 +53,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
                 "decision_ms": 1e3 * steps["decision_seconds"].mean(),
                 **{f"share_{model}": (steps["model"] == model).mean() for model in MODELS},
                 "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
+                "fallbacks": int((steps["status"] != "planned").sum()),
             }
         )
     return pd.DataFrame(rows)
@@ -88,8 +89,11 @@ def interval(values: pd.Series) -> tuple[float, float]:
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """The summary of one scenario as people read it: a row per controller, and texts under the columns' headings.
 
-    Planning is told twice: as decisions count it, at T(M), and as it was measured, where it was.
+    Planning is told twice: as decisions count it, at T(M), and as it was measured, where it was. Steps driven without a
+    plan of their own are told where there are any.
     """
+    chosen = summaries[summaries["scenario"] == scenario]
+    failed = "fallbacks" in chosen and bool(chosen["fallbacks"].any())
     models = [name for name in MODELS if f"share_{name}" in summaries]
     rows = [
         {
@@ -102,8 +106,9 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
             **{heading: f"{row[name]:.2f}" for name, heading in MEASURED.items() if name in row},
             f"{' / '.join(models)} %": " / ".join(f"{100 * row[f'share_{name}']:.0f}" for name in models),
             "collisions": f"{row['collision_episodes']} of {row['episodes']}",
+            **({"fallback steps": f"{row['fallbacks']}"} if failed else {}),
         }
-        for row in summaries[summaries["scenario"] == scenario].to_dict("records")
+        for row in chosen.to_dict("records")
     ]
     return pd.DataFrame(rows)
 

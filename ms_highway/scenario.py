@@ -59,8 +59,8 @@ ahead, so that gradient plans in Stay Back need 50 m/s^2, and the human in Merge
 GRIP = 8.0  # m/s^2
 """What tyres hold on a dry road, steering and acceleration together.
 
-Outside the paper's scenes, the first control of every plan and all that is executed keep to it; later controls of a plan
-may ask for a quarter more (`ms_highway.game.bounded`). The paper's scenes look at it where they are asked to.
+Outside the paper's scenes, and in them where it is asked for, the first control of every plan and all that is executed
+keep to it; later controls of a plan may ask for a quarter more (`ms_highway.game.bounded`).
 """
 
 COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}

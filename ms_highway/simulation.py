@@ -323,7 +323,7 @@ def _move(game: Game, now: _Now, own: _Own, plan: JointPlan) -> tuple[_Moved, Re
     human, _, human_rest = _follow(mirrored, state[1], Naive().plan(mirrored, mirrored_state), now.human)
     driven = jnp.stack([robot, human]) * scale
     if game.planner.grip is not None:  # as vehicles do
-        driven = within_grip(game.world, game.planner.grip, state[:2, 3], driven)
+        driven = within_grip(game.world, jnp.asarray(game.planner.grip), state[:2, 3], driven)
     after = step(game.world, state, jnp.concatenate([driven, keep_velocity(game.world, state[2:])]))
     phi = features(game.scene, game.robot, after)
     reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0

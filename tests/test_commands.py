@@ -209,7 +209,7 @@ def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys
         (["compare", "roundabout"], "unknown scenario 'roundabout'"),
         (["compare", "merger", "--controllers", "oracle"], "unknown controller 'oracle'"),
         (["compare", "merger", "--controllers", "switching"], "switching:0.1"),
-        (["compare", "merger", "--controllers", "switching:-1"], "not negative"),
+        (["compare", "merger", "--controllers", "switching:-1"], "a number from 0 to"),
         (["compare", "merger", "--controllers", "schedule:tom,naive"], "say it like schedule:tom=6,naive"),
         (["compare", "merger", "--controllers", "schedule:oracle"], "['oracle']; give a list of human models"),
         (["compare", "merger", "--controllers", "schedule:tmo=3,naive"], "unknown human model 'tmo'"),
