@@ -85,6 +85,9 @@ class InteractionEnv(StageEnv):
     * ``influence``: ``"damped"``, ``"exact"``, or None for what belongs to the semantics (damped and exact).
     * ``control_limit``: bounds (omega, acceleration) on plans; ``"unlimited"``; or None for what belongs to the
       semantics: `ms_highway.game.scenario.PHYSICAL_LIMIT` in paper semantics, unlimited in released semantics.
+    * ``grip``: the total acceleration that tyres hold, of steering and speeding up or braking together [m/s^2], such as
+      `ms_highway.game.scenario.GRIP`: plans are cut down to it and what is executed keeps to it, without reversing;
+      None (default) looks at neither, as the paper. Agents that drive by themselves are not held.
     * ``solver``: how the robot improves its plans under naive and turn: ``"gradient"``, the paper's, or ``"newton"``.
     * ``warm_start``: whether the robot's plans start from the rest of the last plan rather than from zero controls.
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
@@ -114,6 +117,7 @@ class InteractionEnv(StageEnv):
             "human_reward": None,
             "influence": None,
             "control_limit": None,
+            "grip": None,
             "solver": "gradient",
             "warm_start": False,
             "horizon": PAPER_ASCENT.horizon,

@@ -37,13 +37,15 @@ def compiled_peer(
 
     Raises:
         ImportError: without CasADi.
-        ValueError: for a model without a peer.
+        ValueError: for a model without a peer, and for a game that looks at what tyres hold.
         OSError: without gcc.
     """
     try:
         import casadi
     except ImportError:
         raise ImportError('the peer needs CasADi: pip install "ms-highway[bench]"') from None
+    if game.planner.grip is not None:
+        raise ValueError("the peer knows bounds of each control only; leave out the grip")
     function = _plan(casadi, game, model, cars)
     generator = casadi.CodeGenerator("plan.c")
     generator.add(function)

@@ -75,6 +75,12 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
         help="bounds on the controls, or unlimited (default: 0.2,50 in paper semantics, 1/m and m/s^2; unlimited in "
         "released semantics)",
     )
+    group.add_argument(
+        "--grip",
+        type=float,
+        metavar="ACCELERATION",
+        help="what tyres hold in all, (v^2 kappa)^2 + a^2 <= grip^2, such as 8 m/s^2 (default: not looked at)",
+    )
 
 
 def planning(options: argparse.Namespace) -> dict[str, Any]:

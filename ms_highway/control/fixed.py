@@ -10,7 +10,7 @@ from ms_highway.control.controller import ControlStep, control_step, rest_of, wi
 from ms_highway.game.game import Game
 from ms_highway.planning.compiled import CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.jax_settings import refuse_after_fork
+from ms_highway.runtime.forks import refuse_after_fork
 
 __all__ = ["FixedModel", "ScheduledModels"]
 

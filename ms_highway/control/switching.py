@@ -8,9 +8,9 @@ from jaxtyping import Float
 from ms_highway.control.controller import ControlStep, control_step, rest_of, with_stranger
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.compiled import CompiledDecision, Observation
-from ms_highway.metareasoning.switching import Switching, first_memory
+from ms_highway.metareasoning.switching import Switching, check_costs, first_memory
 from ms_highway.planning.compiled import CompiledPlans, checked_state
-from ms_highway.runtime.jax_settings import refuse_after_fork
+from ms_highway.runtime.forks import refuse_after_fork
 
 __all__ = ["ModelSwitching"]
 
@@ -28,9 +28,7 @@ class ModelSwitching:
     """
 
     def __init__(self, game: Game, switching: Switching, warm_start: bool = False) -> None:
-        if np.shape(switching.costs) != (len(switching.ladder),):
-            names = ", ".join(model.name for model in switching.ladder)
-            raise ValueError(f"costs are {switching.costs}; give one for each of {names}")
+        check_costs(switching)
         self.switching = switching
         self.warm_start = warm_start
         self.game = game

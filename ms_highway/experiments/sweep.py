@@ -262,6 +262,7 @@ def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
                 "counted_ms": 1e3 * some["counted_seconds"].mean(skipna=False),
                 **{name: some[name].mean() for name in some if name.startswith("share_")},
                 "collision_episodes": int((some["collisions"] > 0).sum()),
+                "fallbacks": int(some["fallbacks"].sum()),
             }
         )
     return pd.DataFrame(rows)

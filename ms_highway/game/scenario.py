@@ -57,7 +57,11 @@ ahead, so that gradient plans in Stay Back need 50 m/s^2, and the human in Merge
 """
 
 GRIP = 8.0  # m/s^2
-"""What tyres hold on a dry road, steering and acceleration together; plans outside the paper's scenes keep to it."""
+"""What tyres hold on a dry road, steering and acceleration together.
+
+Outside the paper's scenes, and in them where it is asked for, the first control of every plan and all that is executed
+keep to it; later controls of a plan may ask for a quarter more (`ms_highway.game.bounded`).
+"""
 
 COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
 """Weights that every driver of every scenario has."""
@@ -110,6 +114,7 @@ def build_game(
     semantics: Semantics = "paper",
     influence: Influence = "damped",
     control_limit: tuple[float, float] | None = None,
+    grip: float | None = None,
     unit: float = PAPER_UNIT,
     solver: Solver = "gradient",
     human_driving: Mapping[str, float] | None = None,
@@ -123,6 +128,7 @@ def build_game(
             released code's, where planners ignore the world's drag.
         influence: form of the human's response, see `ms_highway.optimization.second_derivatives.response`.
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics.
+        grip: the total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`.
         unit: how long one paper unit is in the game's lengths; 1 keeps the released code's numbers.
         solver: how plans are improved, see `ms_highway.optimization.ascent.climb`.
         human_driving: weights by name that take the place of `COMMON_WEIGHTS` in the human's reward; what the human is
@@ -152,7 +158,7 @@ def build_game(
     else:
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
-    game = _game(scene, robot, human, plans, world, control_limit, influence, solver, ascent)
+    game = _game(scene, robot, human, plans, world, control_limit, grip, influence, solver, ascent)
     return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
 
 
@@ -181,8 +187,8 @@ def driving_game(
             `PHYSICAL_LIMIT`.
     """
     driver = linear_reward(weights, speed_limit, names=names)
-    game = _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", solver, ascent)
-    return replace(game, planner=replace(game.planner, grip=grip))
+    motion, limit = PAPER_DYNAMICS, PHYSICAL_LIMIT
+    return _game(scene, driver, driver, motion, motion, limit, grip, "damped", solver, ascent)
 
 
 def _game(
@@ -192,6 +198,7 @@ def _game(
     plans: Dynamics,
     world: Dynamics,
     control_limit: tuple[float, float] | None,
+    grip: float | None,
     influence: Influence,
     solver: Solver,
     ascent: Ascent,
@@ -207,6 +214,7 @@ def _game(
     planner = Planner(
         control_scale=np.array([turn_scale, scene.length_unit]),
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
+        grip=grip,
         step_size=step_size,
         horizon=ascent.horizon,
         iterations=iterations,

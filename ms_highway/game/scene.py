@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import jax
+import numpy as np
 from jaxtyping import Float
 
 from ms_highway.runtime.arrays import Array
@@ -28,6 +29,9 @@ class Scene:
         bend: curvature of the road [1/m], positive to the right, which straightened coordinates leave out; None on a
             straight road.
         leader: index of the car in whose gap a car may settle, None without one (static).
+
+    Raises:
+        ValueError: if the cars have no size; of arrays that JAX computes with, nothing is known.
     """
 
     lanes: Float[Array, "lanes"]
@@ -40,3 +44,8 @@ class Scene:
     length_unit: float | Float[Array, ""]
     bend: float | Float[Array, ""] | None = None
     leader: int | None = field(default=None, metadata={"static": True})
+
+    def __post_init__(self) -> None:
+        size = self.car_size
+        if isinstance(size, np.ndarray) and not ((size > 0) & (size < np.inf)).all():
+            raise ValueError(f"Scene.car_size is {size.tolist()}; give length and width in metres, both positive")

@@ -29,6 +29,7 @@ __all__ = [
     "Decision",
     "Memory",
     "Switching",
+    "check_costs",
     "decide",
     "first_memory",
     "trust_region_step",
@@ -49,7 +50,7 @@ class Switching:
     """The numbers of Algorithm 1.
 
     Attributes:
-        costs: T(M), planning time of each rung [s].
+        costs: T(M), planning time of each rung [s]; NaN where it is not known: then no gain is, and the rung stays.
         price: lambda, reward per second of planning.
         trust_radius: the longest change of control that the expansion is trusted with, in scaled units.
         trust_tolerance: how far the step may end from the radius, as a share of it: 0.001, in the released code 0.05.
@@ -92,6 +93,17 @@ class _Expansion(NamedTuple):
     influence: Float[jax.Array, "2 2"]  # J1 = d u_H / d u_R
 
 
+def check_costs(switching: Switching) -> None:
+    """Look for a cost of each rung.
+
+    Raises:
+        ValueError: if there are fewer or more.
+    """
+    if np.shape(switching.costs) != (len(switching.ladder),):
+        names = ", ".join(model.name for model in switching.ladder)
+        raise ValueError(f"costs are of shape {np.shape(switching.costs)}; give one for each of {names}")
+
+
 def first_memory(switching: Switching, rung: int = 0) -> Memory:
     """The memory before the first step; every rung may be checked at once."""
     never = -np.ones(len(switching.ladder), np.int32) * switching.cooldown
@@ -122,7 +134,11 @@ def decide(
         robot: scaled control that the robot executed in it.
         human: scaled control that the human was observed to execute in it.
         observed_reward: the robot's reward after it.
+
+    Raises:
+        ValueError: if there is not one cost for each rung of the ladder.
     """
+    check_costs(switching)
     ladder, costs = switching.ladder, jnp.asarray(switching.costs)
     rung, top, now = memory.rung, len(ladder) - 1, memory.step + 1
     climbs = rung < top

@@ -32,8 +32,8 @@ class Planner:
         control_scale: the unit of each control; a step is taken in ``u / control_scale``, so that a larger scale
             means a bolder step in that control. ``(1, 1)`` in the units of the reward is the plain gradient.
         control_limit: bound on the magnitude of each control, infinite for none.
-        grip: the total acceleration that tyres hold [m/s^2], within which plans stay without reversing, see
-            `ms_highway.game.dynamics.within_grip`; None where neither is looked at.
+        grip: the total acceleration that tyres hold [m/s^2], to which plans are cut down without reversing, see
+            `ms_highway.game.game.bounded`; None where neither is looked at.
         step_size: length of a gradient step per unit of gradient.
         horizon: number of controls that are planned, K in the paper (static).
         iterations: number of gradient steps (static).

@@ -10,9 +10,9 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.game import Game
-from ms_highway.planning.human_models import HumanModel, JointPlan, ladder
+from ms_highway.planning.human_models import HumanModel, JointPlan, ladder, plan_within_limits
 from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
-from ms_highway.runtime.jax_settings import refuse_after_fork
+from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up
 
@@ -30,7 +30,7 @@ class CompiledPlans:
 
     def __init__(self, game: Game) -> None:
         self._numbers, self._layout = pack(game)
-        self._cold = _still(game.planner.horizon)
+        self._steps = game.planner.horizon
 
     def plan(
         self, model: HumanModel, state: Float[np.ndarray, "cars 4"], start: JointPlan | None = None
@@ -58,7 +58,7 @@ class CompiledPlans:
         self, state: Float[np.ndarray, "cars 4"], start: JointPlan | None = None
     ) -> tuple[np.ndarray, np.ndarray, jax.Array]:
         """What a `plan_function` takes."""
-        begin = self._cold if start is None else jnp.asarray(np.asarray(start, dtype=np.float32))
+        begin = _still(self._steps) if start is None else jnp.asarray(np.asarray(start, dtype=np.float32))
         return self._numbers, state, begin
 
 
@@ -89,7 +89,7 @@ def _still(steps: int) -> Float[jax.Array, "2 steps 2"]:
 
 @cache
 def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
-    """``model.plan``, compiled once for all that plan so.
+    """`plan_within_limits`, compiled once for all that plan with this model.
 
     The compiled function takes the numbers of a packed game, all cars now, and the plan to start from; plans are arrays
     [2, steps, 2] of the robot's and the human's scaled controls.
@@ -98,7 +98,7 @@ def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
     def plan(
         numbers: Float[jax.Array, "n"], state: State, start: Float[jax.Array, "2 steps 2"]
     ) -> Float[jax.Array, "2 steps 2"]:
-        return jnp.stack(model.plan(layout.unpack(numbers), state, JointPlan(*start)))
+        return jnp.stack(plan_within_limits(model, layout.unpack(numbers), state, JointPlan(*start)))
 
     if model.responds:  # through LAPACK (`eigh` or `solve`), whose calls no kernel can hold
         return jax.jit(plan, compiler_options=known_options(QUICKLY))

@@ -26,6 +26,7 @@ __all__ = [
     "Turn",
     "cold_start",
     "ladder",
+    "plan_within_limits",
     "register",
 ]
 
@@ -59,7 +60,10 @@ class HumanModel(Protocol):
         """The human's controls as this model expects them."""
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-        """The robot's plan against this model of the human, improved from ``start``; from zero controls without."""
+        """The robot's plan against this model of the human, improved from ``start``; from zero controls without.
+
+        Whoever executes it cuts it down to the limits, see `plan_within_limits`.
+        """
 
 
 @dataclass(frozen=True)
@@ -160,6 +164,18 @@ def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | 
         partial(bounded, game, state[0]),
     )
     return JointPlan(robot, human)
+
+
+def plan_within_limits(model: HumanModel, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+    """A model's plan as it may be executed: the robot's finite controls are cut down to the limits, see `bounded`.
+
+    The paper's models keep to the limits by themselves, and their plans are left as they are.
+    """
+    plan = model.plan(game, state, start)
+    if type(model) in (Naive, Turn, TheoryOfMind):
+        return plan
+    held = bounded(game, state[0], plan.robot)
+    return plan._replace(robot=jnp.where(jnp.isfinite(plan.robot), held, plan.robot))
 
 
 MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), Turn(), TheoryOfMind())}

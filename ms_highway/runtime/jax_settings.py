@@ -1,4 +1,4 @@
-"""Set JAX up: for low latency or high throughput, what it compiles kept on disk, and not in forked processes."""
+"""Set JAX up: for low latency or high throughput, and what it compiles kept on disk."""
 
 import os
 from pathlib import Path
@@ -7,13 +7,11 @@ import jax
 
 from ms_highway.runtime.compilation_cache import check_owner, use_checked_cache
 
-__all__ = ["high_throughput", "keep_compilations", "low_latency", "refuse_after_fork"]
+__all__ = ["high_throughput", "keep_compilations", "low_latency"]
 
 KERNEL_BYTES = 100_000
 """Loops that touch less per iteration become one kernel: those of a plan or a decision do, those of batches, which
 run faster as many vectorised kernels, do not."""
-
-_forked = False  # whether this process was forked from one in which JAX had begun
 
 
 def low_latency() -> None:
@@ -48,28 +46,6 @@ def _tell_xla(option: str, flag: str) -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if option not in flags and (not flags or flags.startswith("-")):
         os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
-
-
-def _note_fork() -> None:
-    from jax._src import xla_bridge  # JAX tells it nowhere else
-
-    global _forked
-    _forked = _forked or xla_bridge.backends_are_initialized()
-
-
-if hasattr(os, "register_at_fork"):  # Windows forks nothing
-    os.register_at_fork(after_in_child=_note_fork)
-
-
-def refuse_after_fork() -> None:
-    """Refuse to compute in a process that was forked after JAX had begun, where it would wait for ever.
-
-    Raises:
-        RuntimeError: there.
-    """
-    if _forked:
-        remedy = "start it with context='forkserver' or 'spawn', or before JAX begins in the process that starts it"
-        raise RuntimeError(f"JAX cannot compute in a process forked from one in which it had begun; {remedy}")
 
 
 def keep_compilations(directory: Path | None = None) -> Path:

@@ -19,11 +19,11 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, Int
 
 from ms_highway.control.fallback import BRAKING, braking_control, followed
-from ms_highway.game.dynamics import keep_velocity, recover_control, step
+from ms_highway.game.dynamics import keep_velocity, recover_control, step, within_grip
 from ms_highway.game.game import Game, swap
 from ms_highway.game.reward import features
 from ms_highway.metareasoning.switching import Memory, Switching, decide, first_memory
-from ms_highway.planning.human_models import HumanModel, JointPlan, Naive
+from ms_highway.planning.human_models import HumanModel, JointPlan, Naive, plan_within_limits
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.cores import cores
@@ -275,7 +275,7 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> JointPlan:
     """The plan of every episode; only the models that some episode uses are computed."""
 
     def planned(model: HumanModel) -> JointPlan:
-        return jax.vmap(lambda own, state: model.plan(_game(loop.game, own), state))(own, now.state)
+        return jax.vmap(lambda own, state: plan_within_limits(model, _game(loop.game, own), state))(own, now.state)
 
     still = jnp.zeros((loop.chunk, loop.game.planner.horizon, 2))
     chosen = JointPlan(still, still)
@@ -301,7 +301,7 @@ class _Moved(NamedTuple):
     """What a step came to."""
 
     now: _Now  # before the choice of the next rung
-    robot: Float[jax.Array, "2"]  # scaled, as executed
+    robot: Float[jax.Array, "2"]  # scaled, as its controller gave it
     human: Float[jax.Array, "2"]  # scaled, as observed
     reward: Float[jax.Array, ""]
 
@@ -313,8 +313,10 @@ def _move(game: Game, now: _Now, own: _Own, plan: JointPlan) -> tuple[_Moved, Re
     robot, status, robot_rest = _follow(game, state[0], plan, now.robot)
     mirrored, mirrored_state = swap(game, state)
     human, _, human_rest = _follow(mirrored, state[1], Naive().plan(mirrored, mirrored_state), now.human)
-    controls = jnp.concatenate([jnp.stack([robot, human]) * scale, keep_velocity(game.world, state[2:])])
-    after = step(game.world, state, controls)
+    driven = jnp.stack([robot, human]) * scale
+    if game.planner.grip is not None:  # as vehicles do
+        driven = within_grip(game.world, jnp.asarray(game.planner.grip), state[:2, 3], driven)
+    after = step(game.world, state, jnp.concatenate([driven, keep_velocity(game.world, state[2:])]))
     phi = features(game.scene, game.robot, after)
     reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
     observed = recover_control(game.world, state[1], after[1]) / scale

@@ -39,7 +39,7 @@ class HumanVehicle(PlanningVehicle):
     earn less first. That takes plans that start in another lane.
 
     Attributes:
-        weights: of the reward that it drives for by itself, by name: those learnt from demonstrations.
+        weights: of the reward that it drives for by itself, by name: those learned from demonstrations.
         solver: how it plans for them, see `ms_highway.optimization.ascent.climb`; weights over a temperature need
             ``newton``.
         ascent: how far ahead it plans.
@@ -73,17 +73,17 @@ class HumanVehicle(PlanningVehicle):
 
 def _commuting() -> dict[str, float]:
     """Weights of `CommuterVehicle`."""
-    learnt = shipped("us101")
+    learned = shipped("us101")
     kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}
-    return {name: weight / learnt.temperature for name, weight in (learnt.weights | kept).items()}
+    return {name: weight / learned.temperature for name, weight in (learned.weights | kept).items()}
 
 
 class CommuterVehicle(HumanVehicle):
     """A human driver that goes with the traffic, like those who were recorded on US-101.
 
-    Speed, distances to others and comfort weigh what was learnt from them. What dense traffic on a straight highway
+    Speed, distances to others and comfort weigh what was learned from them. What dense traffic on a straight highway
     tells little about, how to leave a lane that ends and not to hit anything, weighs what it does in the paper: with
-    the learnt weights alone, humans run into standing cars, and into what stands at the end of a ramp. It is hardly
+    the learned weights alone, humans run into standing cars, and into what stands at the end of a ramp. It is hardly
     drawn to the speed limit: on an empty road it takes minutes to get there.
     """
 

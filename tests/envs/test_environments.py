@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from importlib import reload
 
 import gymnasium as gym
 import numpy as np
@@ -56,7 +57,7 @@ def test_gymnasiums_checker_passes_without_a_warning(scenario, action):
 def test_ids_are_registered_once_and_for_good():
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # Gymnasium warns when an id is registered again
-        ms_highway.envs._register()
+        reload(ms_highway)
     assert all(environment_id(name).removeprefix("ms_highway:") in gym.registry for name in SCENARIOS)
 
 
@@ -264,8 +265,8 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"semantics": "real"}, "choose one of 'paper', 'released'"),
         ({"influence": "none"}, "'influence'"),
         (
-            {"human_reward": "learned"},
-            "'human_reward'.* is 'learned'; say 'learned', 'published', or give weights by name",
+            {"human_reward": "taught"},
+            "'human_reward'.* is 'taught'; say 'learned', 'published', or give weights by name",
         ),
         ({"human_reward": {"sped": 2.0}}, r"'sped' in config\['human_reward'\]; did you mean 'speed'"),
         (

@@ -60,7 +60,7 @@ def _open(path: Path) -> Any:
     with temporary_directory() as directory, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about what is of no interest here, such as unknown locations
         try:
-            from commonroad.common.file_reader import CommonRoadFileReader
+            from commonroad.common.reader.file_reader_xml import XMLFileReader  # by itself, without protobuf
         except ImportError as error:
             raise ImportError(
                 "CommonRoad needs the extra 'commonroad': pip install 'ms-highway[commonroad]'"
@@ -74,7 +74,7 @@ def _open(path: Path) -> Any:
             if readable.stat().st_size > MOST_BYTES:
                 raise ValueError(f"more than {MOST_BYTES} bytes of XML")
             _check_orientations(readable)
-            scenario, _ = CommonRoadFileReader(readable).open()
+            scenario, _ = XMLFileReader(readable).open()
         except Exception as error:  # of many kinds: whatever unpacking, parsing and the library stumble over
             raise ValueError(
                 f"{path} is no CommonRoad scenario, or damaged ({type(error).__name__}: {error}); fetch it again"
