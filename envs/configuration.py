@@ -419,7 +419,8 @@ def _check_costs(costs: Any, names: Iterable[str]) -> None:
 def _check_limit(limit: Any) -> None:
     if _is_one_of(limit, (None, "unlimited")):
         return
-    pair = list(limit) if isinstance(limit, (list, tuple, np.ndarray)) else []
+    pair = np.atleast_1d(limit).tolist() if isinstance(limit, np.ndarray) else limit
+    pair = list(pair) if isinstance(pair, (list, tuple)) else []
     if len(pair) != 2 or not all(_is_number(bound) and bound > 0 for bound in pair):
         raise ValueError(
             f"config['control_limit'] is {limit!r}; give None for the usual limits, 'unlimited', "

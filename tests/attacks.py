@@ -4,10 +4,10 @@
     python tests/attacks.py 30 compare merger --seeds 200
     python tests/attacks.py 30 sweep merger --episodes 20000
 
-The first tries damaged configurations, command lines, files and plans, those of the tests and random ones. What is right
-is an answer or one `ValueError`, in commands one line and status 2; everything else, warnings too, has failed. The others
-interrupt a command at random moments. What is right is one kind of end only: status 130 after one sentence. In its first
-0.06 seconds, before it has come to this package, Python tells of an interrupt itself.
+The first tries damaged configurations, command lines, files and plans, those of the tests and random ones. What is
+right is an answer or one `ValueError`, in commands one line and status 2; everything else, warnings too, has failed. The
+others interrupt a command at random moments. What is right is one kind of end only: status 130 after one sentence. In
+its first 0.06 seconds, before it has come to this package, Python tells of an interrupt itself.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ import test_commands
 import test_commonroad
 import test_environments
 import test_wild_starts
-from test_limits import Reckless
+from test_limits import GRIP, Reckless
 
 from ms_highway.cli import main
 from ms_highway.commonroad import read_directory
@@ -95,10 +95,10 @@ def files() -> Iterator[Try]:
 
 def plans() -> Iterator[Try]:
     """Finite states of all magnitudes, for a model of the package's and for one that plans beyond all limits."""
-    game = game_of(SCENARIOS["merger"], merged(ENVIRONMENTS["merger"].default_config(), {"grip": 8.0}))
+    game = game_of(SCENARIOS["merger"], merged(ENVIRONMENTS["merger"].default_config(), {"grip": GRIP}))
     start, chance = draw_starts(SCENARIOS["merger"], np.random.default_rng(0)), np.random.default_rng(1)
     controllers = [FixedModel(game, model) for model in (Naive(), Reckless())]
-    limit = np.asarray(game.planner.control_limit) * 1.0001
+    limit = np.asarray(game.planner.control_limit)
     for states in test_wild_starts.absurd_states(STATES, len(start), 38):
         wild = np.where(chance.random(states.shape) < 0.3, states, start)
         for controller in controllers:
@@ -124,8 +124,9 @@ def one_line(line: list[str]) -> None:
         try:
             status = main(line)
         except SystemExit as end:  # argparse, which tells the usage first
-            assert end.code == 2, f"status {end.code}"
-            return
+            if end.code == 2:
+                return
+            raise
         assert not list(Path(empty).iterdir()), "has written something"
     assert status == 2, f"status {status}"
     assert len(said.getvalue().strip().splitlines()) == 1, said.getvalue()
@@ -145,8 +146,8 @@ def within(limit: np.ndarray, controller: FixedModel, states: np.ndarray) -> Non
     controller.reset()
     step = controller.step(states)
     assert np.isfinite(step.plan).all(), step.plan
-    assert (abs(step.control) <= limit).all() or step.status == "planned", step.control
-    assert (abs(step.control[1]) <= limit[1]).all() or abs(states[0, 3]) > 1e3, step.control
+    friction = 0.2 * abs(states[0, 3])  # from 40 m/s on, it alone leaves the friction circle, and is made up for
+    assert (abs(step.control) <= np.maximum(limit, [0, friction]) * 1.0001).all(), step.control
 
 
 def count(kind: Callable[[], Iterator[Try]]) -> bool:
@@ -192,7 +193,8 @@ def interrupt(arguments: list[str], seconds: float) -> str:
 
 if __name__ == "__main__":
     if len(sys.argv) == 1:
-        sys.exit(not all([count(kind) for kind in (configurations, files, command_lines, plans)]))
+        survived_all = [count(kind) for kind in (configurations, files, command_lines, plans)]
+        sys.exit(not all(survived_all))
     signal.signal(signal.SIGINT, signal.default_int_handler)  # or else the commands would ignore it where this does
     moments = random.Random(0)
     ends = Counter(interrupt(sys.argv[2:], moments.uniform(0.05, LATEST)) for _ in range(int(sys.argv[1])))
