@@ -5,9 +5,9 @@
     python tests/attacks.py 30 sweep merger --episodes 20000
 
 The first tries damaged configurations, command lines, files and plans, those of the tests and random ones. What is
-right is an answer or one `ValueError`, in commands one line and status 2; everything else, warnings too, has failed. The
-others interrupt a command at random moments. What is right is one kind of end only: status 130 after one sentence. In
-its first 0.06 seconds, before it has come to this package, Python tells of an interrupt itself.
+right is an answer or one `ValueError`, in commands one line and status 2; everything else, warnings too, has failed.
+The others interrupt a command at random moments. What is right is one kind of end only: status 130 after one sentence.
+In its first 0.06 seconds, before it has come to this package, Python tells of an interrupt itself.
 """
 
 import contextlib
