@@ -18,13 +18,12 @@ MOST_DIGITS = 5  # of a number of steps
 
 
 class Driver(ABC):
-    """What a controller's configuration says. Those who make one of impossible values get a ValueError."""
+    """What a controller's configuration says. Impossible values raise a ValueError."""
 
     type: ClassVar[str]
 
-    @property
     @abstractmethod
-    def models(self) -> tuple[str, ...]:
+    def names(self) -> tuple[str, ...]:
         """The names of its human models; empty where Algorithm 1 chooses from the ladder."""
 
     def draw(self, steps: int, random: np.random.Generator) -> list[str]:
@@ -34,7 +33,7 @@ class Driver(ABC):
             steps: how many are drawn, where the driver is a random one.
             random: what they are drawn from; other drivers leave it alone.
         """
-        return list(self.models)
+        return list(self.names())
 
 
 @dataclass(frozen=True)
@@ -48,9 +47,8 @@ class FixedDriver(Driver):
         if not is_one_of(self.model, MODELS):
             raise ValueError(f"{PLACE}['model'] is {self.model!r}; the human models are {', '.join(MODELS)}")
 
-    @property
-    def models(self) -> tuple[str, ...]:
-        """Its human model."""
+    def names(self) -> tuple[str, ...]:
+        """See `Driver.names`."""
         return (self.model,)
 
 
@@ -65,6 +63,10 @@ class ScheduledDriver(Driver):
         names = self.models
         if not isinstance(names, (list, tuple)) or not names or not all(is_one_of(name, MODELS) for name in names):
             raise ValueError(f"{PLACE}['models'] is {names!r}; give a list of human models, of {', '.join(MODELS)}")
+
+    def names(self) -> tuple[str, ...]:
+        """See `Driver.names`."""
+        return tuple(self.models)
 
 
 @dataclass(frozen=True)
@@ -87,15 +89,14 @@ class RandomDriver(Driver):
         if abs(sum(shares.values()) - 1) > ROUNDING:
             raise ValueError(f"{place} sum to {sum(shares.values()):g}; change one, so that they sum to 1")
 
-    @property
-    def models(self) -> tuple[str, ...]:
-        """The human models with a share."""
+    def names(self) -> tuple[str, ...]:
+        """See `Driver.names`."""
         return tuple(name for name, share in self.shares.items() if share > 0)
 
     def draw(self, steps: int, random: np.random.Generator) -> list[str]:
         """See `Driver.draw`."""
-        shares = np.array([self.shares[name] for name in self.models], dtype=float)
-        return random.choice(self.models, size=steps, p=shares / shares.sum()).tolist()
+        shares = np.array([self.shares[name] for name in self.names()], dtype=float)
+        return random.choice(self.names(), size=steps, p=shares / shares.sum()).tolist()
 
 
 @dataclass(frozen=True)
@@ -108,9 +109,8 @@ class SwitchingDriver(Driver):
     def __post_init__(self) -> None:
         check_price(PLACE, self.price)
 
-    @property
-    def models(self) -> tuple[str, ...]:
-        """None."""
+    def names(self) -> tuple[str, ...]:
+        """See `Driver.names`."""
         return ()
 
 

@@ -154,7 +154,7 @@ def _limit(limit: Any, usual: tuple[float, float] | None) -> tuple[float, float]
     """Bounds on plans; None where they are unlimited."""
     if is_one_of(limit, (None, "unlimited")):
         return usual if limit is None else None
-    pair = tuple(limit) if isinstance(limit, (list, tuple, np.ndarray)) else ()
+    pair = tuple(np.atleast_1d(limit).tolist()) if isinstance(limit, (list, tuple, np.ndarray)) else ()
     if len(pair) != 2 or not all(is_number(bound) and bound > 0 for bound in pair):
         raise ValueError(
             f"config['control_limit'] is {limit!r}; give None for the usual limits, 'unlimited', "

@@ -129,7 +129,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"{told}; change its scenario, its game (in `configure`) or `draw_starts`, or use `compare`")
     environment = kind(config)
     rungs = environment.models
-    used = {name for one in settings for name in one.driver.models}
+    used = {name for one in settings for name in one.driver.names()}
     others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
     seconds = np.array([costs[model.name] for model in rungs], np.float32)
     loop = Loop(environment.game, settings[0].switching(seconds, 0.0), others, usual_chunk())

@@ -53,6 +53,8 @@ class _Link:
 def together(address: str, of: int, place: int) -> Iterator[None]:
     """Begin the block when all processes are there; while it runs, this process ends if one of them does.
 
+    Process 0, through which the others know of each other, leaves the block when all have said that they are done.
+
     Args:
         address: ``HOST:PORT`` of process 0, which listens there and nowhere else.
         of: how many processes there are.
@@ -69,10 +71,14 @@ def together(address: str, of: int, place: int) -> Iterator[None]:
             remedy = "give HOST:PORT, a free port of the machine of process 0"
             raise ValueError(f"--coordinator {address}: {error}; {remedy}") from error
         leaving = Event()
-        for other in links:
-            Thread(target=_watch, args=(other, links, leaving), daemon=True).start()
+        watches = [Thread(target=_watch, args=(other, links, leaving), daemon=True) for other in links]
+        for watch in watches:
+            watch.start()
         try:
             yield
+            if place == 0:
+                for watch in watches:
+                    watch.join()
             for link in links.values():
                 link.say(DONE)
         finally:

@@ -287,6 +287,13 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"duration": -1}, "'duration'"),
         ({"control_limit": [1.0]}, "'control_limit'"),
         ({"control_limit": ["a", "b"]}, "'control_limit'"),
+        ({"control_limit": [0.2, 1e308]}, "'control_limit'"),
+        ({"control_limit": np.array(9.0)}, "'control_limit'"),
+        (
+            {"controller": {"type": "switching", "lambda": 1e308}},
+            r"\['lambda'\] is 1e\+308; it must be a number from 0",
+        ),
+        ({"action": {"type": "HumanModelAction", "lambda": -1}}, r"\['lambda'\] is -1; it must be a number from 0"),
         ({"costs": np.array([0.1, 0.2, 0.3])}, "'costs'"),
         ({"ladder": "tom"}, "'tom' is one name"),
         ({"terminate_on_collision": "no"}, "must be True or False"),

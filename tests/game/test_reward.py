@@ -1,5 +1,7 @@
 """Features and rewards."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -118,3 +120,10 @@ def test_the_derivatives_of_closeness_are_those_of_its_formula():
     for derivative in (lambda function: function, jax.grad, jax.hessian, lambda f: jax.jacfwd(jax.jacfwd(f))):
         expected = jax.jit(derivative(plain))(distances)
         np.testing.assert_allclose(jax.jit(derivative(ours))(distances), expected, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("size", [[0.0, 2.5], [5.0, np.nan], [-5.0, 2.5], [np.inf, 2.5]])
+def test_cars_without_a_size_are_refused(played, size):
+    game, _ = played("merger")
+    with pytest.raises(ValueError, match=r"Scene.car_size is \[.*give length and width in metres, both positive"):
+        replace(game.scene, car_size=np.array(size))

@@ -130,6 +130,12 @@ def test_downward_checks_of_a_rung_wait_for_the_cooldown(played):
     assert checked == [True, False, False, True, False, False, True, False]
 
 
+@pytest.mark.parametrize("costs", [(0.09,), (0.09, 0.17, 0.37, 0.5)])
+def test_a_decision_needs_a_cost_for_each_rung(played, costs):
+    with pytest.raises(ValueError, match="give one for each of naive, turn, tom"):
+        decided(made(0.0, costs=costs), played)
+
+
 def test_a_ladder_of_one_rung_never_switches(played):
     decision = decided(made(0.0, names=("tom",), costs=(0.37,)), played, reward=-100.0)
     assert decision.memory.rung == 0
