@@ -63,7 +63,7 @@ def configurations() -> Iterator[Try]:
         defaults = environment.default_config()
         for key in defaults:
             for value in HOSTILE:
-                yield lambda n=name, d=defaults, c=config: survived(
+                yield lambda n=name, d=defaults, c={key: value}: survived(
                     lambda: Settings.read(merged(d, c)).game(SCENARIOS[n])
                 )
 

@@ -449,7 +449,7 @@ def test_workers_of_a_vector_environment_find_and_step_the_environments(context,
 
 
 FORKED = """
-import os
+import multiprocessing
 import warnings
 
 import gymnasium as gym
@@ -458,15 +458,20 @@ from jax import numpy as jnp
 
 jnp.ones(3).sum()
 warnings.simplefilter("ignore")  # JAX and Python warn of the fork
-if os.fork() == 0:
+
+
+def work():
     env = gym.make("ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
     env.reset(seed=0)
     try:
         env.step(0)
     except RuntimeError as error:
-        print(error)
-else:
-    os.wait()
+        print(error, flush=True)
+
+
+worker = multiprocessing.get_context("fork").Process(target=work)
+worker.start()
+worker.join()
 """
 
 
