@@ -11,7 +11,8 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.dynamics import Dynamics, Motion, coast, keep_velocity, rollout, speeds, within_grip
-from ms_highway.game.reward import Reward, motion_reward
+from ms_highway.game.features import motion_reward
+from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.optimization.ascent import Planner, project
 from ms_highway.optimization.second_derivatives import Influence, Path

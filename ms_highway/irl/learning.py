@@ -11,9 +11,10 @@ from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.game.dynamics import Motion, observe
+from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move
 from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.game.reward import COMFORT, motion_reward
+from ms_highway.game.reward import COMFORT
 from ms_highway.game.reward_model import Model
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.maximum_entropy import Fit, Slopes, fit, log_likelihoods, slopes_of

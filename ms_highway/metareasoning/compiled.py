@@ -9,8 +9,8 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.dynamics import recover_control
+from ms_highway.game.features import reward
 from ms_highway.game.game import Game
-from ms_highway.game.reward import reward
 from ms_highway.metareasoning.switching import Decision, Memory, Switching, decide
 from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
 from ms_highway.runtime.packing import Layout, pack

@@ -15,8 +15,9 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.dynamics import keep_velocity, step
+from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap
-from ms_highway.game.reward import Reward, reward
+from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.optimization.second_derivatives import eigenpairs, response, slope_and_bend
 from ms_highway.planning.human_models import HumanModel

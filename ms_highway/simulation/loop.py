@@ -20,8 +20,8 @@ from jaxtyping import Float, Int
 
 from ms_highway.control.fallback import BRAKING, braking_control, followed
 from ms_highway.game.dynamics import keep_velocity, recover_control, step
+from ms_highway.game.features import features
 from ms_highway.game.game import Game, swap
-from ms_highway.game.reward import features
 from ms_highway.metareasoning.switching import Memory, Switching, decide, first_memory
 from ms_highway.planning.human_models import HumanModel, JointPlan, Naive
 from ms_highway.runtime.arrays import Array

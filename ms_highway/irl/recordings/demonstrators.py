@@ -13,8 +13,8 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
 from ms_highway.game.dynamics import Motion, observe
+from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, driven_reward, move
-from ms_highway.game.reward import motion_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.optimization.second_derivatives import Path, damped_inverse, eigenpairs, expand
 
