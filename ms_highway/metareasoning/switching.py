@@ -12,17 +12,17 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.second_derivatives import eigenpairs, response, slope_and_bend
+from ms_highway.optimization.second_derivatives import response, slope_and_bend
+from ms_highway.optimization.trust_region import trust_region_step
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.unrolled import total
 
 __all__ = [
     "PUBLISHED_COSTS",
@@ -32,7 +32,6 @@ __all__ = [
     "Switching",
     "decide",
     "first_memory",
-    "trust_region_step",
 ]
 
 PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
@@ -40,8 +39,6 @@ PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
 
 RELEASED_TRUST_TOLERANCE = 0.05
 """The released code's solver stops within this share of the trust radius."""
-
-HALVINGS = 60  # of the shift's bracket at most: more than float32 can tell apart
 
 
 @jax.tree_util.register_dataclass
@@ -229,62 +226,3 @@ def _change_of_control(
     linear = expansion.robot + expansion.robot_human @ surprise
     linear += influence.T @ (expansion.human + expansion.human_human @ surprise)
     return trust_region_step(quadratic, linear, switching.trust_radius, switching.trust_tolerance)
-
-
-def trust_region_step(
-    quadratic: Float[jax.Array, "n n"],
-    linear: Float[jax.Array, "n"],
-    radius: float | Float[Array, ""],
-    tolerance: float | Float[Array, ""] = 0.0,
-) -> Float[jax.Array, "n"]:
-    """The maximiser of ``x^T A x / 2 + b^T x`` over the ball ``|x| <= radius``.
-
-    In A's eigenbasis, with eigenvalues l, the maximiser is ``x = b / (shift + max(l) - l)`` for the smallest
-    ``shift >= max(0, -max(l))`` that keeps x in the ball (More and Sorensen 1983). The shift is at most
-    ``|b| / radius`` and is bisected until ``|x|`` is within ``tolerance * radius`` of the radius. Where b has no part
-    along the top eigenvector (the "hard case"), the rest of the radius is spent along it.
-    """
-    values, vectors = eigenpairs((quadratic + quadratic.T) / 2)
-    along = vectors.T @ linear
-    gaps = values[-1] - values
-    least = jnp.maximum(0.0, -values[-1])
-
-    def at(shift: Float[jax.Array, ""]) -> Float[jax.Array, "n"]:
-        return jnp.where(along == 0, 0.0, along / (shift + gaps))
-
-    def excess(shift: Float[jax.Array, ""]) -> Float[jax.Array, ""]:
-        return jnp.sqrt(total(at(shift) ** 2)) - radius
-
-    def bracket(low: Float[jax.Array, ""], high: Float[jax.Array, ""], halvings: Int[jax.Array, ""]) -> _Bracket:
-        return _Bracket(low, high, halvings, excess((low + high) / 2))
-
-    def unfinished(found: _Bracket) -> Bool[jax.Array, ""]:
-        return (found.halvings < HALVINGS) & (jnp.abs(found.excess) > tolerance * radius)
-
-    def halve(found: _Bracket) -> _Bracket:
-        outside = found.excess > 0
-        low = jnp.where(outside, found.middle, found.low)
-        high = jnp.where(outside, found.high, found.middle)
-        return bracket(low, high, found.halvings + 1)
-
-    interior = (values[-1] < 0) & (excess(least) <= 0)
-    first = bracket(least, jnp.sqrt(total(along**2)) / radius, jnp.int32(0))
-    found = jax.lax.while_loop(unfinished, halve, first)
-    inside = at(jnp.where(interior, least, found.middle))
-    hard = (values[-1] > 0) & (found.halvings == HALVINGS)
-    left = radius**2 - total(inside**2)
-    rest = jnp.where(hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0)
-    return vectors @ inside.at[-1].add(jnp.where(along[-1] < 0, -rest, rest))
-
-
-class _Bracket(NamedTuple):
-    """Bounds of the shift, how often they were halved, and how far the step at their middle leaves the ball."""
-
-    low: Float[jax.Array, ""]
-    high: Float[jax.Array, ""]
-    halvings: Int[jax.Array, ""]
-    excess: Float[jax.Array, ""]
-
-    @property
-    def middle(self) -> Float[jax.Array, ""]:
-        return (self.low + self.high) / 2
