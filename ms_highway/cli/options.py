@@ -129,7 +129,7 @@ def costs(text: str) -> str | dict[str, float]:
 
 
 def add_devices(parser: argparse.ArgumentParser) -> None:
-    """Add ``--devices``, see `ms_highway.simulation.loop.use_devices`, to a command."""
+    """Add ``--devices``, see `ms_highway.simulation.devices.use_devices`, to a command."""
     parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")
 
 
