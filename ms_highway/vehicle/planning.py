@@ -60,7 +60,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
 
     Its partner is then the neighbour with the shortest time gap (see `ms_highway.game.neighbours.headways`), and stays
     so until it is no neighbour any more, or another's gap is shorter by half a second. Then the controller is told that
-    it meets another (`ms_highway.control.controller.Controller.meet`).
+    it meets another (`ms_highway.control.controller.Controller.reset_partner`).
 
     What tyres hold is looked at where the game's planner has a ``grip``, as those of
     `ms_highway.game.scenario.driving_game` have.
@@ -154,7 +154,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
             return
         place = self._partners_place(view)
         if view.cars[place] is not self.partner or self._before is None:
-            controller.meet()
+            controller.reset_partner()
             self.partner, self._before = view.cars[place], None
         order = [place, *(other for other in range(len(view.cars)) if other != place)]
         self.last_state = view.states[[0, *(number + 1 for number in order)]]
