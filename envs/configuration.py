@@ -22,7 +22,7 @@ from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, PHYSICAL_LIMIT, TIME_STEP, Scenario, build_game
 from ms_highway.metareasoning.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
-from ms_highway.optimization.gradient_steps import Ascent, gradient_steps, longest_step
+from ms_highway.optimization.gradient_steps import PlanningSettings, gradient_steps, longest_step
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.planning.human_models import MODELS, HumanModel, ladder
 
@@ -219,14 +219,14 @@ def game_of(scenario: Scenario, config: Mapping[str, Any]) -> Game:
         control_limit=None if isinstance(limit, str) else tuple(limit),
         solver=config["solver"],
         human_driving=human_weights(config),
-        ascent=ascent_of(config),
+        planning=ascent_of(config),
     )
 
 
-def ascent_of(config: Mapping[str, Any]) -> Ascent:
+def ascent_of(config: Mapping[str, Any]) -> PlanningSettings:
     """How both drivers plan under a configuration that `merged` has checked."""
     iterations, step_size = config["iterations"], config["step_size"]
-    return Ascent(
+    return PlanningSettings(
         int(config["horizon"]),
         float(config["time_step"]),
         None if iterations is None else int(iterations),

@@ -64,7 +64,9 @@ def human_reward(text: str | None) -> str | dict[str, float] | None:
 
 def add_planning(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how robot and human plan, see `planning`, to a command."""
-    group = parser.add_argument_group("plans of robot and human", "see ms_highway.optimization.gradient_steps.Ascent")
+    group = parser.add_argument_group(
+        "plans of robot and human", "see ms_highway.optimization.gradient_steps.PlanningSettings"
+    )
     group.add_argument("--horizon", type=int, metavar="K", help="controls that are planned (default: 5)")
     group.add_argument("--time-step", type=float, metavar="SECONDS", help="of plans and world (default: 0.1)")
     group.add_argument("--iterations", type=int, help="gradient steps (default: as suits the horizon; paper: 20)")

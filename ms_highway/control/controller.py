@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.control.fallback import PLANNED, STATUSES, Status, brake, followed
+from ms_highway.control.fallback import PLANNED, STATUSES, Status, brake, fallback_status
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
 from ms_highway.planning.compiled import CompiledPlans
@@ -116,7 +116,7 @@ class PlanningController:
         scale = np.asarray(self.game.planner.control_scale, dtype=float)
         robot, human = (np.asarray(side) * scale for side in plan)
         left = len(self._last.plan) if self._last is not None and self._last.status != "braking" else 0
-        status, _ = followed(bool(np.isfinite(robot).all() and np.isfinite(human).all()), left, len(robot))
+        status, _ = fallback_status(bool(np.isfinite(robot).all() and np.isfinite(human).all()), left, len(robot))
         if self._last is not None and STATUSES[status] == "previous plan":
             robot, human = self._last.plan[1:], self._last.human[1:]
         elif status != PLANNED:

@@ -9,7 +9,7 @@ from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game
 from ms_highway.runtime.arrays import Array, SameArray
 
-__all__ = ["BRAKING", "PLANNED", "PREVIOUS_PLAN", "STATUSES", "Status", "brake", "braking_control", "followed"]
+__all__ = ["BRAKING", "PLANNED", "PREVIOUS_PLAN", "STATUSES", "Status", "brake", "braking_control", "fallback_status"]
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking"]
 """How a control came about: from this step's plan; or, where that was not finite, from what is left of the last good
@@ -23,7 +23,7 @@ DECELERATION = 8.0  # m/s^2, hard braking on a dry road
 STRAIGHTENING_TIME = 0.5  # s, in which a braking car turns back along the road
 
 
-def followed(finite: bool | Bool[Array, ""], left: int | Int[Array, ""], horizon: int) -> tuple[Any, Any]:
+def fallback_status(finite: bool | Bool[Array, ""], left: int | Int[Array, ""], horizon: int) -> tuple[Any, Any]:
     """What is followed in this step: the number of its status, and how many controls are then left, this one included.
 
     Args:

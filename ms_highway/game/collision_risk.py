@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.unrolled import fold, total
+from ms_highway.runtime.reductions import unrolled_reduce, unrolled_sum
 
 __all__ = ["CAR_SHARPNESS", "OBSTACLE_SHARE", "OBSTACLE_SHARPNESS", "collision_risk", "plain_collision_risk"]
 
@@ -66,9 +66,9 @@ def collision_risk(
     def add(bodies: Motion, size: Float[Array, "2"], sharpness: float, share: float) -> None:
         nonlocal risk, collision
         distances = _distance_polynomials(own, bodies, size)
-        risk += share * total(_closeness(distances, terms, sharpness), axis=0)
+        risk += share * unrolled_sum(_closeness(distances, terms, sharpness), axis=0)
         inside: Bool[jax.Array, "bodies *times 9"] = _evaluate(jax.lax.stop_gradient(distances), terms) < 0
-        collision |= fold(jnp.logical_or, fold(jnp.logical_or, inside), axis=0)
+        collision |= unrolled_reduce(jnp.logical_or, unrolled_reduce(jnp.logical_or, inside), axis=0)
 
     for first in range(0, len(others.x), CARS_AT_ONCE):
         pair = Motion(*(field[first : first + CARS_AT_ONCE] for field in others))
@@ -141,14 +141,15 @@ def _closeness(
     The derivative in the coefficients is ``-sharpness sum E t``, with the terms t at a point: six sums per body, see
     `_moments`. The points are constants: nothing is differentiated in them.
     """
-    return total(jnp.exp(-sharpness * _evaluate(distances, terms)))
+    return unrolled_sum(jnp.exp(-sharpness * _evaluate(distances, terms)))
 
 
 @_closeness.defjvp
 def _closeness_jvp(
     sharpness: float, primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]
 ) -> tuple[jax.Array, jax.Array]:
-    return _closeness(*primals, sharpness), -sharpness * total(_moments(*primals, sharpness) * tangents[0], axis=0)
+    closeness = _closeness(*primals, sharpness)
+    return closeness, -sharpness * unrolled_sum(_moments(*primals, sharpness) * tangents[0], axis=0)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))

@@ -16,7 +16,7 @@ from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.reward import TRAFFIC_FEATURES, Feature, Reward
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.unrolled import fold, total
+from ms_highway.runtime.reductions import unrolled_reduce, unrolled_sum
 
 __all__ = ["HEADING_SHARE", "features", "motion_features", "motion_reward", "reward"]
 
@@ -133,9 +133,9 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     braking = faster**2 / (2 * jnp.maximum(gap, SMALLEST_GAP))
     return [
         own.cosine,
-        -total(ahead * (gap - STANDSTILL_GAP - TIME_HEADWAY * speed) ** 2, axis=0),
-        -total(ahead * ((own.speed - others.speed) / parameters.speed_limit) ** 2, axis=0),
-        -total(behind * braking**2, axis=0),
+        -unrolled_sum(ahead * (gap - STANDSTILL_GAP - TIME_HEADWAY * speed) ** 2, axis=0),
+        -unrolled_sum(ahead * ((own.speed - others.speed) / parameters.speed_limit) ** 2, axis=0),
+        -unrolled_sum(behind * braking**2, axis=0),
     ]
 
 
@@ -143,14 +143,14 @@ def _depth_off_road(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
     """How far the outermost corner is beyond the edge of the road, 0 on the road [m]."""
     length, width = scene.car_size
     reach = (length * jnp.abs(car.sine) + width * jnp.abs(car.cosine)) / 2
-    low, high = (fold(choice, jnp.asarray(scene.lanes)) for choice in (jnp.minimum, jnp.maximum))
+    low, high = (unrolled_reduce(choice, jnp.asarray(scene.lanes)) for choice in (jnp.minimum, jnp.maximum))
     depth = jnp.abs(car.y - (low + high) / 2) + reach - (high - low + scene.lane_width) / 2
     return jnp.where(depth > 0, depth, 0.0)
 
 
 def _merged(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
     """1 where the car has reached the target lane: ``y + width / 2 sin(heading)`` is beyond that lane's inner edge."""
-    middle = total(jnp.asarray(scene.lanes)) / len(scene.lanes)
+    middle = unrolled_sum(jnp.asarray(scene.lanes)) / len(scene.lanes)
     side = jnp.where(scene.target_lane <= middle, -1.0, 1.0)
     inside = side * (car.y + scene.car_size[1] / 2 * car.sine - scene.target_lane) > -scene.lane_width / 2
     return jax.lax.stop_gradient(inside.astype(car.y.dtype))

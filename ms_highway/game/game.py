@@ -14,21 +14,21 @@ from ms_highway.game.dynamics import Dynamics, Motion, coast, keep_velocity, rol
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.ascent import Planner, project
-from ms_highway.optimization.second_derivatives import Influence, Path
-from ms_highway.runtime.unrolled import total
+from ms_highway.optimization.second_derivatives import Influence, Trajectory
+from ms_highway.optimization.solvers import Planner, project
+from ms_highway.runtime.reductions import unrolled_sum
 
 __all__ = [
     "Game",
     "bounded",
     "constant_velocity",
     "discomfort",
-    "driven_reward",
     "move",
-    "path_reward",
-    "swap",
+    "rollout_reward",
+    "swap_players",
     "swap_roles",
     "total_reward",
+    "trajectory_reward",
 ]
 
 
@@ -57,7 +57,7 @@ class Game:
     influence: Influence = field(default="damped", metadata={"static": True})
 
 
-def swap(game: Game, state: Float[jax.Array, "cars 4"]) -> tuple[Game, Float[jax.Array, "cars 4"]]:
+def swap_players(game: Game, state: Float[jax.Array, "cars 4"]) -> tuple[Game, Float[jax.Array, "cars 4"]]:
     """The game and its state through the human's eyes: cars 0 and 1 change places."""
     return swap_roles(game), jnp.concatenate([state[1::-1], state[2:]])
 
@@ -97,14 +97,16 @@ def discomfort(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array
     return jnp.sum(game.robot.comfort * (controls - kept) ** 2) / 2
 
 
-@jax.jit  # traced once, like `path_reward`
-def move(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Path:
+@jax.jit  # traced once, like `trajectory_reward`
+def move(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Trajectory:
     """The path of a car under scaled controls."""
     return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
 
 
 @jax.jit  # traced and differentiated once for all plans that look at it
-def path_reward(game: Game, state: Float[jax.Array, "cars 4"], robot: Path, human: Path) -> Float[jax.Array, ""]:
+def trajectory_reward(
+    game: Game, state: Float[jax.Array, "cars 4"], robot: Trajectory, human: Trajectory
+) -> Float[jax.Array, ""]:
     """The robot's reward, summed over the steps of both players' paths.
 
     Args:
@@ -115,10 +117,10 @@ def path_reward(game: Game, state: Float[jax.Array, "cars 4"], robot: Path, huma
     """
     rest = coast(game.dynamics, state[2:], robot.shape[-1])
     others = Motion(*(jnp.concatenate([first[None], more]) for first, more in zip(human, rest, strict=True)))
-    return total(motion_reward(game.scene, game.robot, Motion(*robot), others))
+    return unrolled_sum(motion_reward(game.scene, game.robot, Motion(*robot), others))
 
 
-def driven_reward(
+def rollout_reward(
     game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"], others: Motion
 ) -> Float[jax.Array, ""]:
     """What car 0 earns by driving among others whose motion is given, its discomfort taken off.
@@ -147,4 +149,4 @@ def total_reward(
         robot: scaled controls of car 0, of any number of steps.
         human: scaled controls of car 1, as many.
     """
-    return path_reward(game, state, move(game, state[0], robot), move(game, state[1], human))
+    return trajectory_reward(game, state, move(game, state[0], robot), move(game, state[1], human))

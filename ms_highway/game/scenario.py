@@ -16,9 +16,9 @@ from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.ascent import Planner, Solver
-from ms_highway.optimization.gradient_steps import PAPER_ASCENT, Ascent, gradient_steps
+from ms_highway.optimization.gradient_steps import PAPER_PLANNING, PlanningSettings, gradient_steps
 from ms_highway.optimization.second_derivatives import Influence
+from ms_highway.optimization.solvers import Planner, Solver
 
 __all__ = [
     "COMMON_WEIGHTS",
@@ -113,7 +113,7 @@ def build_game(
     unit: float = PAPER_UNIT,
     solver: Solver = "gradient",
     human_driving: Mapping[str, float] | None = None,
-    ascent: Ascent = PAPER_ASCENT,
+    planning: PlanningSettings = PAPER_PLANNING,
 ) -> Game:
     """The game of a scenario.
 
@@ -124,10 +124,10 @@ def build_game(
         influence: form of the human's response, see `ms_highway.optimization.second_derivatives.response`.
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics.
         unit: how long one paper unit is in the game's lengths; 1 keeps the released code's numbers.
-        solver: how plans are improved, see `ms_highway.optimization.ascent.climb`.
+        solver: how plans are improved, see `ms_highway.optimization.solvers.optimize_controls`.
         human_driving: weights by name that take the place of `COMMON_WEIGHTS` in the human's reward; what the human is
             after in this scenario beyond driving stays, unless it is named here.
-        ascent: how far ahead and by which gradient steps both plan, and the time step of plans and world.
+        planning: how far ahead and by which gradient steps both plan, and the time step of plans and world.
     """
     human_weights = scenario.human_weights
     if human_driving is not None:
@@ -152,7 +152,7 @@ def build_game(
     else:
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
-    game = _game(scene, robot, human, plans, world, control_limit, influence, solver, ascent)
+    game = _game(scene, robot, human, plans, world, control_limit, influence, solver, planning)
     return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
 
 
@@ -162,7 +162,7 @@ def driving_game(
     weights: Mapping[str, float] = COMMON_WEIGHTS,
     names: tuple[str, ...] | None = None,
     solver: Solver = "gradient",
-    ascent: Ascent = PAPER_ASCENT,
+    planning: PlanningSettings = PAPER_PLANNING,
     grip: float | None = GRIP,
 ) -> Game:
     """A game on any scene in which both cars only drive, with the paper's dynamics.
@@ -175,13 +175,13 @@ def driving_game(
         speed_limit: the speed that is rewarded most [m/s].
         weights: of the reward of both, by name.
         names: of the features to compute, see `ms_highway.game.reward.linear_reward`.
-        solver: how plans are improved, see `ms_highway.optimization.ascent.climb`.
-        ascent: see `build_game`.
-        grip: what tyres hold [m/s^2], see `ms_highway.optimization.ascent.Planner`; None for plans that only have
+        solver: how plans are improved, see `ms_highway.optimization.solvers.optimize_controls`.
+        planning: see `build_game`.
+        grip: what tyres hold [m/s^2], see `ms_highway.optimization.solvers.Planner`; None for plans that only have
             `PHYSICAL_LIMIT`.
     """
     driver = linear_reward(weights, speed_limit, names=names)
-    game = _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", solver, ascent)
+    game = _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", solver, planning)
     return replace(game, planner=replace(game.planner, grip=grip))
 
 
@@ -194,21 +194,21 @@ def _game(
     control_limit: tuple[float, float] | None,
     influence: Influence,
     solver: Solver,
-    ascent: Ascent,
+    planning: PlanningSettings,
 ) -> Game:
     """A game with the control scale that makes a step of 0.03 what it is in the paper.
 
     A unit of acceleration is one length unit; a unit of omega is one rad/s of yaw rate. With steering by curvature
     that is taken at the paper's speed limit, ``omega = yaw_rate / v``; omega's gradient step is scaled by 1/v^2.
     """
-    plans, world = (replace(motion, time_step=ascent.time_step) for motion in (plans, world))
-    iterations, step_size = gradient_steps(ascent)
+    plans, world = (replace(motion, time_step=planning.time_step) for motion in (plans, world))
+    iterations, step_size = gradient_steps(planning)
     turn_scale = 1 / (SPEED_LIMIT * scene.length_unit) if plans.steering == "curvature" else 1.0
     planner = Planner(
         control_scale=np.array([turn_scale, scene.length_unit]),
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
         step_size=step_size,
-        horizon=ascent.horizon,
+        horizon=planning.horizon,
         iterations=iterations,
         solver=solver,
     )

@@ -16,10 +16,10 @@ from jaxtyping import Float, Int
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
-from ms_highway.game.game import Game, swap
+from ms_highway.game.game import Game, swap_players
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.second_derivatives import response, slope_and_bend
+from ms_highway.optimization.second_derivatives import jacobian_and_hessian, response
 from ms_highway.optimization.trust_region import trust_region_step
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array
@@ -190,14 +190,14 @@ def _expand(
             slope = jax.jacfwd(lambda partner: _earned(game, pair, parameters, state[:cars], both[0], partner))(both[1])
             return slope, slope
 
-        own_slope, own_bend = slope_and_bend(lambda own: _earned(game, game.scene, parameters, state, own, partner))(
-            own
-        )
+        own_slope, own_bend = jacobian_and_hessian(
+            lambda own: _earned(game, game.scene, parameters, state, own, partner)
+        )(own)
         bend, partner_slope = jax.jacfwd(in_partner, has_aux=True)(jnp.stack([own, partner]))
         return own_slope, partner_slope, own_bend, bend[:, 0].T, bend[:, 1]
 
     rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human)
-    states = jnp.stack([state, swap(game, state)[1]])
+    states = jnp.stack([state, swap_players(game, state)[1]])
     controls = jnp.stack([robot, human])
     own, partner, own_own, own_partner, partner_partner = jax.vmap(derivatives)(
         rewards, states, controls, controls[::-1]

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-__all__ = ["PAPER_ASCENT", "Ascent", "gradient_steps", "longest_step"]
+__all__ = ["PAPER_PLANNING", "PlanningSettings", "gradient_steps", "longest_step"]
 
 PAPER_STEPS = 20, 0.03  # their number and length
 SHARE = 0.6  # of the longest step that is chosen where a horizon needs one shorter than the paper's
@@ -14,7 +14,7 @@ SPEED = 0.6  # the paper's speed limit [length units per second]
 
 
 @dataclass(frozen=True)
-class Ascent:
+class PlanningSettings:
     """Horizon, time step and gradient steps of the plans of robot and human alike.
 
     They belong together. A control moves the car at the end of the plan further, the longer the horizon: the reward's
@@ -35,12 +35,12 @@ class Ascent:
     step_size: float | None = None
 
 
-PAPER_ASCENT = Ascent()
+PAPER_PLANNING = PlanningSettings()
 """How the paper's drivers plan: half a second ahead, in `PAPER_STEPS`."""
 
 
 @cache
-def gradient_steps(ascent: Ascent) -> tuple[int, float]:
+def gradient_steps(planning: PlanningSettings) -> tuple[int, float]:
     """How many gradient steps a plan takes, and their length; chosen where the ascent leaves them open.
 
     The step is the paper's, 0.03, or 0.6 of the `longest_step` where that is shorter; and there are as many that
@@ -48,8 +48,8 @@ def gradient_steps(ascent: Ascent) -> tuple[int, float]:
     to K = 7, 58 of 0.0104 at K = 10, and 929 of 0.00065 at K = 20.
     """
     papers_number, papers_length = PAPER_STEPS
-    length = ascent.step_size or min(papers_length, SHARE * longest_step(ascent.horizon, ascent.time_step))
-    return ascent.iterations or max(papers_number, round(papers_number * papers_length / length)), length
+    length = planning.step_size or min(papers_length, SHARE * longest_step(planning.horizon, planning.time_step))
+    return planning.iterations or max(papers_number, round(papers_number * papers_length / length)), length
 
 
 @cache

@@ -7,11 +7,20 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-__all__ = ["Expansion", "Influence", "Path", "damped_inverse", "eigenpairs", "expand", "response", "slope_and_bend"]
+__all__ = [
+    "Expansion",
+    "Influence",
+    "Trajectory",
+    "damped_inverse",
+    "eigenpairs",
+    "jacobian_and_hessian",
+    "response",
+    "second_order_expansion",
+]
 
 Influence: TypeAlias = Literal["exact", "damped"]
 
-Path: TypeAlias = Float[jax.Array, "fields steps"]
+Trajectory: TypeAlias = Float[jax.Array, "fields steps"]
 """The motion of one car over the steps of a plan, the fields of its `ms_highway.game.dynamics.Motion` stacked."""
 
 
@@ -29,9 +38,9 @@ class Expansion(NamedTuple):
     jacobian: Float[jax.Array, "fields steps n"]
 
 
-def expand(
-    path: Callable[[Float[jax.Array, "steps 2"]], Path],
-    reward: Callable[[Path], Float[jax.Array, ""]],
+def second_order_expansion(
+    path: Callable[[Float[jax.Array, "steps 2"]], Trajectory],
+    reward: Callable[[Trajectory], Float[jax.Array, ""]],
     controls: Float[jax.Array, "steps 2"],
     cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]] | None = None,
 ) -> Expansion:
@@ -51,7 +60,7 @@ def expand(
         cost: what is paid for the controls themselves, a sum over them; it is taken off the reward.
     """
 
-    def ravelled(controls: Float[jax.Array, "n"]) -> Path:
+    def ravelled(controls: Float[jax.Array, "n"]) -> Trajectory:
         return path(controls.reshape(-1, 2))
 
     point = controls.ravel()
@@ -71,7 +80,7 @@ def expand(
     return Expansion(gradient, hessian, jacobian)
 
 
-def slope_and_bend(
+def jacobian_and_hessian(
     function: Callable[[Float[jax.Array, "*shape"]], jax.Array],
 ) -> Callable[[Float[jax.Array, "*shape"]], tuple[jax.Array, jax.Array]]:
     """First and second derivative, [*value, *shape] and [*value, *shape, *shape], forward over forward.

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.optimization.second_derivatives import eigenpairs
 from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.unrolled import total
+from ms_highway.runtime.reductions import unrolled_sum
 
 __all__ = ["trust_region_step"]
 
@@ -50,7 +50,7 @@ def trust_region_step(
         return jnp.where(along == 0, 0.0, along / (shift + gaps))
 
     def excess(shift: Float[jax.Array, ""]) -> Float[jax.Array, ""]:
-        return jnp.sqrt(total(at(shift) ** 2)) - radius
+        return jnp.sqrt(unrolled_sum(at(shift) ** 2)) - radius
 
     def bracket(low: Float[jax.Array, ""], high: Float[jax.Array, ""], halvings: Int[jax.Array, ""]) -> _Bracket:
         return _Bracket(low, high, halvings, excess((low + high) / 2))
@@ -65,10 +65,10 @@ def trust_region_step(
         return bracket(low, high, found.halvings + 1)
 
     interior = (values[-1] < 0) & (excess(least) <= 0)
-    first = bracket(least, jnp.sqrt(total(along**2)) / radius, jnp.int32(0))
+    first = bracket(least, jnp.sqrt(unrolled_sum(along**2)) / radius, jnp.int32(0))
     found = jax.lax.while_loop(unfinished, halve, first)
     inside = at(jnp.where(interior, least, found.middle))
     hard = (values[-1] > 0) & (found.halvings == HALVINGS)
-    left = radius**2 - total(inside**2)
+    left = radius**2 - unrolled_sum(inside**2)
     rest = jnp.where(hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0)
     return vectors @ inside.at[-1].add(jnp.where(along[-1] < 0, -rest, rest))

@@ -12,9 +12,9 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, path_reward, swap
-from ms_highway.optimization.ascent import ascend, climb
-from ms_highway.optimization.second_derivatives import expand, response
+from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, swap_players, trajectory_reward
+from ms_highway.optimization.second_derivatives import response, second_order_expansion
+from ms_highway.optimization.solvers import optimize_controls, projected_ascent
 
 __all__ = [
     "MODELS",
@@ -87,7 +87,7 @@ class Turn:
 
     def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
         """The human's plan against a robot that keeps its velocity."""
-        return Naive().plan(*swap(game, state), start and JointPlan(start.human, start.robot)).robot
+        return Naive().plan(*swap_players(game, state), start and JointPlan(start.human, start.robot)).robot
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
         """The robot's best controls against that prediction."""
@@ -113,21 +113,21 @@ class TheoryOfMind:
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
         """The robot's and the human's controls after their joint ascent."""
-        mirrored, mirrored_state = swap(game, state)
+        mirrored, mirrored_state = swap_players(game, state)
 
         def direction(plan: JointPlan) -> JointPlan:
             robot, pull_robot = jax.vjp(partial(move, game, state[0]), plan.robot)
             human, pull_human = jax.vjp(partial(move, game, state[1]), plan.human)
-            along_robot, along_human = jax.grad(path_reward, argnums=(2, 3))(game, state, robot, human)
-            earned = expand(
+            along_robot, along_human = jax.grad(trajectory_reward, argnums=(2, 3))(game, state, robot, human)
+            earned = second_order_expansion(
                 partial(move, game, state[1]),
-                lambda human: path_reward(mirrored, mirrored_state, human, robot),
+                lambda human: trajectory_reward(mirrored, mirrored_state, human, robot),
                 plan.human,
                 partial(discomfort, mirrored, state[1]),
             )
             pushed = response(game.influence, earned.hessian, pull_human(along_human)[0].ravel())
             _, pull_back = jax.vjp(
-                lambda robot: jax.grad(path_reward, argnums=2)(mirrored, mirrored_state, human, robot), robot
+                lambda robot: jax.grad(trajectory_reward, argnums=2)(mirrored, mirrored_state, human, robot), robot
             )
             through_human = pull_back(jnp.sum(earned.jacobian * pushed, axis=-1))[0]
             eased = pull_robot(along_robot + through_human)[0] - jax.grad(partial(discomfort, game, state[0]))(
@@ -138,7 +138,7 @@ class TheoryOfMind:
         def within_limits(plan: JointPlan) -> JointPlan:
             return JointPlan(bounded(game, state[0], plan.robot), bounded(game, state[1], plan.human))
 
-        return ascend(game.planner, direction, start or cold_start(game), within_limits)
+        return projected_ascent(game.planner, direction, start or cold_start(game), within_limits)
 
 
 def cold_start(game: Game) -> JointPlan:
@@ -151,10 +151,10 @@ def cold_start(game: Game) -> JointPlan:
 def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | None) -> JointPlan:
     """The robot's own ascent of its reward against fixed human controls."""
     expected = move(game, state[1], human)
-    robot = climb(
+    robot = optimize_controls(
         game.planner,
         partial(move, game, state[0]),
-        lambda robot: path_reward(game, state, robot, expected),
+        lambda robot: trajectory_reward(game, state, robot, expected),
         partial(discomfort, game, state[0]),
         (start or cold_start(game)).robot,
         partial(bounded, game, state[0]),

@@ -13,10 +13,10 @@ from jax import numpy as jnp
 from jax.sharding import Mesh
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.control.fallback import BRAKING, braking_control, followed
+from ms_highway.control.fallback import BRAKING, braking_control, fallback_status
 from ms_highway.game.dynamics import keep_velocity, recover_control, step
 from ms_highway.game.features import features
-from ms_highway.game.game import Game, swap
+from ms_highway.game.game import Game, swap_players
 from ms_highway.metareasoning.switching import Memory, decide, first_memory
 from ms_highway.planning.human_models import HumanModel, JointPlan, Naive
 from ms_highway.runtime.compilation import jit_quickly
@@ -151,7 +151,7 @@ def _follow(
 ) -> tuple[Float[jax.Array, "2"], Int[jax.Array, ""], _Rest]:
     """Return the scaled control to execute, its status and the remaining plan, see `ms_highway.control.fallback`."""
     finite = jnp.isfinite(plan.robot).all() & jnp.isfinite(plan.human).all()
-    status, left = followed(finite, rest.steps, game.planner.horizon)
+    status, left = fallback_status(finite, rest.steps, game.planner.horizon)
     controls = jnp.where(finite, plan.robot, jnp.roll(rest.controls, -1, axis=0))
     braking = braking_control(game, car) / game.planner.control_scale
     return jnp.where(status == BRAKING, braking, controls[0]), status, _Rest(controls, left)
@@ -171,7 +171,7 @@ def _move(game: Game, now: _Now, own: _Own, plan: JointPlan) -> tuple[_Moved, Re
     game, state = _game(game, own), now.state
     scale = game.planner.control_scale
     robot, status, robot_rest = _follow(game, state[0], plan, now.robot)
-    mirrored, mirrored_state = swap(game, state)
+    mirrored, mirrored_state = swap_players(game, state)
     human, _, human_rest = _follow(mirrored, state[1], Naive().plan(mirrored, mirrored_state), now.human)
     controls = jnp.concatenate([jnp.stack([robot, human]) * scale, keep_velocity(game.world, state[2:])])
     after = step(game.world, state, controls)

@@ -18,7 +18,7 @@ from ms_highway.game.game import Game
 from ms_highway.game.neighbours import far_behind, headways
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
 from ms_highway.vehicle.bicycle import BicycleVehicle
-from ms_highway.vehicle.road_view import RoadView, Route, follow, left_of, look, states_of
+from ms_highway.vehicle.road_view import RoadView, Route, along_route, look, remaining_route, states_of
 
 __all__ = ["PlanningVehicle", "RobotVehicle"]
 
@@ -197,7 +197,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         """Positions and headings at times from now [s], at this speed in the middle of its lane and along its route."""
         index, network = self.lane_index, self.road.network
         place, _ = network.get_lane(index).local_coordinates(self.position)
-        return follow(network, left_of(self.route or [index], index), index, place + self.speed * np.asarray(times))
+        return along_route(
+            network, remaining_route(self.route or [index], index), index, place + self.speed * np.asarray(times)
+        )
 
     def on_state_update(self) -> None:
         """See in which lane it is now."""

@@ -20,7 +20,17 @@ from ms_highway.game.neighbours import FAR_AWAY, neighbours, places
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
 from ms_highway.game.scene import Scene
 
-__all__ = ["MAX_LANES", "MAX_OBSTACLES", "RoadView", "Route", "follow", "followed_lane", "left_of", "look", "states_of"]
+__all__ = [
+    "MAX_LANES",
+    "MAX_OBSTACLES",
+    "RoadView",
+    "Route",
+    "along_route",
+    "followed_lane",
+    "look",
+    "remaining_route",
+    "states_of",
+]
 
 Number = TypeVar("Number", float, np.ndarray)
 LaneIndex: TypeAlias = tuple[str, str, int]
@@ -103,7 +113,7 @@ def look(driver: Vehicle, route: Route | None = None) -> RoadView:
     centres = _lanes(network, index, route, driver)
     nearest = _nearest(centres, lateral)
     lanes = sorted(nearest[:MAX_LANES])
-    left = left_of(route or [(*index[:2], None)], index)
+    left = remaining_route(route or [(*index[:2], None)], index)
     ahead = max(driver.speed * PREVIEW, 0.5)
     scene = Scene(
         lanes=np.array(lanes + lanes[-1:] * (MAX_LANES - len(lanes))),
@@ -127,7 +137,7 @@ def look(driver: Vehicle, route: Route | None = None) -> RoadView:
     )
 
 
-def left_of(route: Route, index: LaneIndex) -> Route:
+def remaining_route(route: Route, index: LaneIndex) -> Route:
     """What is left of a route for who is on this lane; this lane only, if it does not lead on to the route."""
     for number, leg in enumerate(route):
         if leg[:2] == index[:2]:
@@ -138,7 +148,7 @@ def left_of(route: Route, index: LaneIndex) -> Route:
     return [index]
 
 
-def follow(
+def along_route(
     network: RoadNetwork, route: Route, index: LaneIndex, places: Float[np.ndarray, "places"]
 ) -> tuple[list[Float[np.ndarray, "2"]], list[float]]:
     """Positions in the middle of lanes, and headings there, along a route; beyond its end, along its last lane.
@@ -170,7 +180,7 @@ def _bend_limit(network: RoadNetwork, route: Route, index: LaneIndex, place: flo
         index: of its lane.
         place: along that lane [m].
     """
-    _, headings = follow(network, route, index, place + BENDS_SPACING * np.arange(BENDS_SEEN + 1))
+    _, headings = along_route(network, route, index, place + BENDS_SPACING * np.arange(BENDS_SEEN + 1))
     bends = np.maximum(np.abs(_wrapped(np.diff(headings))) / BENDS_SPACING, STRAIGHT)
     ahead = BENDS_SPACING * np.arange(BENDS_SEEN)
     return float(np.sqrt(np.maximum(CORNERING / bends, SLOWEST**2) + 2 * SLOWING * ahead).min())

@@ -7,7 +7,7 @@ from jax import numpy as jnp
 from jax.test_util import check_grads
 
 from ms_highway.game.features import features, reward
-from ms_highway.game.game import swap, total_reward
+from ms_highway.game.game import swap_players, total_reward
 from ms_highway.game.reward import PAPER_FEATURES, linear_reward
 
 INDICATORS = ["collision", "merged", "partner_merged"]
@@ -93,9 +93,9 @@ def test_indicators_have_no_gradient(played, name):
 
 def test_swapping_twice_gives_the_same_game(played):
     game, state = played("give_way")
-    seen_by_human = swap(game, state)
+    seen_by_human = swap_players(game, state)
     assert seen_by_human[0].robot is game.human
-    np.testing.assert_array_equal(swap(*seen_by_human)[1], state)
+    np.testing.assert_array_equal(swap_players(*seen_by_human)[1], state)
 
 
 def test_an_unknown_feature_is_refused_by_name():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game.game import swap, total_reward
+from ms_highway.game.game import swap_players, total_reward
 from ms_highway.metareasoning.switching import Switching, _expand, decide, first_memory
 from ms_highway.optimization.second_derivatives import response
 from ms_highway.planning.human_models import ladder
@@ -23,7 +23,7 @@ def test_the_expansion_is_that_of_the_rewards_after_one_step(scenario, played, i
         return total_reward(game, state, both[:1], both[1:])
 
     def human_reward(both):
-        return total_reward(*swap(game, state), both[1:], both[:1])
+        return total_reward(*swap_players(game, state), both[1:], both[:1])
 
     def derivatives(both):
         return jax.grad(robot_reward)(both), jax.hessian(robot_reward)(both), jax.hessian(human_reward)(both)

@@ -9,10 +9,10 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
-from ms_highway.optimization.second_derivatives import Path, damped_inverse, expand
+from ms_highway.optimization.second_derivatives import Trajectory, damped_inverse, second_order_expansion
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["Planner", "Solver", "ascend", "climb", "project"]
+__all__ = ["Planner", "Solver", "optimize_controls", "project", "projected_ascent"]
 
 Controls = TypeVar("Controls", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton"]
@@ -37,7 +37,7 @@ class Planner:
         step_size: length of a gradient step per unit of gradient.
         horizon: number of controls that are planned, K in the paper (static).
         iterations: number of gradient steps (static).
-        solver: ``gradient``, the paper's, or ``newton``, see `climb` (static).
+        solver: ``gradient``, the paper's, or ``newton``, see `optimize_controls` (static).
     """
 
     control_scale: Float[Array, "2"]
@@ -55,7 +55,7 @@ def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[j
     return jnp.clip(controls, -limit, limit)
 
 
-def ascend(
+def projected_ascent(
     planner: Planner,
     direction: Callable[[Controls], Controls],
     start: Controls,
@@ -80,17 +80,17 @@ def ascend(
     return jax.lax.fori_loop(0, planner.iterations, improve, start)
 
 
-def climb(
+def optimize_controls(
     planner: Planner,
-    path: Callable[[Float[jax.Array, "steps 2"]], Path],
-    reward: Callable[[Path], Float[jax.Array, ""]],
+    path: Callable[[Float[jax.Array, "steps 2"]], Trajectory],
+    reward: Callable[[Trajectory], Float[jax.Array, ""]],
     cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]],
     start: Float[jax.Array, "steps 2"],
     bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
 ) -> Float[jax.Array, "steps 2"]:
     """Controls whose path earns more, found by the planner's solver.
 
-    * ``gradient``: `ascend` along the reward's gradient g, the paper's solver.
+    * ``gradient``: `projected_ascent` along the reward's gradient g, the paper's solver.
     * ``newton``: 16 steps along ``sum_i v_i v_i^T g / max(|l_i|, 12)``, with the eigenpairs (l_i, v_i) of the Hessian,
       which is worked out anew every 8 steps. Such a step climbs also where the reward is not concave (the saddle-free
       Newton step of Dauphin et al. 2014). Of the step and its halves, projected on the limits, the one that earns most
@@ -109,10 +109,10 @@ def climb(
         return reward(path(controls)) - cost(controls)
 
     if planner.solver == "gradient":
-        return ascend(planner, jax.grad(earned), start, bounded)
+        return projected_ascent(planner, jax.grad(earned), start, bounded)
 
     def with_hessian(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
-        metric = damped_inverse(expand(path, reward, controls, cost).hessian, NEWTON_FLOOR)
+        metric = damped_inverse(second_order_expansion(path, reward, controls, cost).hessian, NEWTON_FLOOR)
 
         def improve(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
             step = (metric @ jax.grad(earned)(controls).ravel()).reshape(controls.shape)

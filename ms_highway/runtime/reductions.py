@@ -11,16 +11,16 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Shaped
 
-__all__ = ["fold", "total"]
+__all__ = ["unrolled_reduce", "unrolled_sum"]
 
 
-def fold(
+def unrolled_reduce(
     function: Callable[[jax.Array, jax.Array], jax.Array], values: Shaped[jax.Array, "*shape"], axis: int = -1
 ) -> jax.Array:
     """``function`` applied to the values along an axis, one after the other."""
     return reduce(function, jnp.unstack(values, axis=axis))
 
 
-def total(values: Shaped[jax.Array, "*shape"], axis: int = -1) -> jax.Array:
+def unrolled_sum(values: Shaped[jax.Array, "*shape"], axis: int = -1) -> jax.Array:
     """The sum along an axis."""
-    return fold(jnp.add, values, axis)
+    return unrolled_reduce(jnp.add, values, axis)
