@@ -20,46 +20,45 @@ from ms_highway.runtime.reductions import unrolled_reduce, unrolled_sum
 
 __all__ = ["HEADING_SHARE", "features", "motion_features", "motion_reward", "reward"]
 
-HEADING_SHARE = 0.01  # of directional against lateral alignment with a lane
+HEADING_SHARE = 0.01  # of directional relative to lateral alignment with a lane
 TIME_HEADWAY = 1.0  # s, between bumpers
 STANDSTILL_GAP = 0.06  # length units (2 m), between the bumpers of a standing queue
-SMALLEST_GAP = 0.03  # length units (1 m), below which induced braking does not grow any more
-ATTENTION = 0.6  # length units (20 m), the gap by which the attention to a neighbour falls to 1 / e
-OWN_LANE = 0.25  # lane widths, standard deviation of how far to the side a car is still in the own lane
+SMALLEST_GAP = 0.03  # length units (1 m), below which induced braking grows no more
+ATTENTION = 0.6  # length units (20 m), gap at which the attention to a neighbour is 1 / e
+OWN_LANE = 0.25  # lane widths, standard deviation of the lateral distance of cars in the own lane
 
 
 def reward(scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]) -> Float[jax.Array, "*batch"]:
-    """Car 0's reward in each state: theta . phi."""
+    """Compute car 0's reward in each state, theta . phi."""
     return motion_reward(scene, parameters, *_apart(states))
 
 
 def features(
     scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]
 ) -> Float[jax.Array, "*batch features"]:
-    """The features phi of car 0 in each state, in the order of the reward's names.
+    """Compute the features phi of car 0 in each state, in the order of the reward's names.
 
     * speed: ``-f (f - 2 s) / s^2`` with ``f = v cos(heading)`` and s the speed limit;
     * lane_alignment: ``-min_lane (y - y_lane)^2 / U^2 + 0.01 cos(heading)``;
-    * collision_risk: see `_collision_risk`; collision: 1 if a body point is inside another car or an obstacle;
+    * collision_risk, collision: see `ms_highway.game.collision_risk`;
     * off_road: ``(depth of the outermost corner beyond the road's edge)^2 / U^2``;
     * target_lane: ``-(y - y_target)^2 / U^2``; gap: ``-(x - (x_leader - gap))^2 / U^2``;
     * merged: 1 if ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane;
-    * partner_target_lane, partner_merged: the same of the partner;
+    * partner_target_lane, partner_merged: the same for the partner;
     * direction, headway, closing_speed, induced_braking: see `_traffic`;
-    * those of one's own: see `add_feature`.
+    * user-defined features: see `ms_highway.game.reward.add_feature`.
 
-    ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient. Nor has ``collision_risk`` in
-    where the points of the body are: derivatives are those in states, not in the shape of cars.
+    ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient.
     """
     return jnp.stack(motion_features(scene, parameters, *_apart(states)), axis=-1)
 
 
 def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
-    """The reward of a car along its motion, theta . phi.
+    """Compute the reward of a car along its motion, theta . phi.
 
     Args:
-        scene: where.
-        parameters: whose reward.
+        scene: road, obstacles and bodies.
+        parameters: the reward.
         own: motion of the car, arrays [*times].
         others: motion of all others, its partner first, arrays [others, *times].
     """
@@ -69,15 +68,15 @@ def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion)
 
 
 def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
-    """Motions of car 0, arrays [*batch], and of the others, arrays [others, *batch]."""
+    """Return the motions of car 0, arrays [*batch], and of the others, arrays [others, *batch]."""
     cars = observe(jnp.moveaxis(jnp.asarray(states), -2, 0))
     return Motion(*(field[0] for field in cars)), Motion(*(field[1:] for field in cars))
 
 
 def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:
-    """The features of a car along its motion, one array for each of the reward's names.
+    """Compute the features of a car along its motion, one array for each of the reward's names.
 
-    Takes what `motion_reward` takes. Constants are inverted first: a division by each would be repeated at every state.
+    Takes the arguments of `motion_reward`. Constants are inverted once, not divided by at every state.
     """
     per_unit, per_limit = 1 / scene.length_unit, 1 / parameters.speed_limit
     forward = own.speed * own.cosine * per_limit
@@ -104,7 +103,7 @@ def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motio
 
 
 def _at_every_moment(function: Feature, scene: Scene, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
-    """A feature of one's own along a motion; as it is told one moment at a time, no moment looks at another."""
+    """Compute a user-defined feature along a motion, mapped over times, so that it sees one moment only."""
     mapped: Callable[[Motion, Motion], jax.Array] = partial(function, scene)
     for _ in range(own.x.ndim):
         mapped = jax.vmap(mapped, in_axes=-1, out_axes=-1)
@@ -112,16 +111,16 @@ def _at_every_moment(function: Feature, scene: Scene, own: Motion, others: Motio
 
 
 def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:
-    """The features that following and being followed in real traffic need.
+    """Compute the features of following and being followed in real traffic.
 
     With g the gap between bumpers in length units U, v the own speed, v_j the other's, and the attention
-    ``w = exp(-g / 0.6) exp(-(dy / (lane width / 4))^2 / 2)``, which falls with the gap and beside the own lane:
+    ``w = exp(-g / 0.6) exp(-(dy / (lane width / 4))^2 / 2)``, which decays with the gap and the lateral distance:
 
-    * direction: ``cos(heading)``, along the road, which ``lane_alignment`` has a fixed share of;
-    * headway: ``-sum w (g - (0.06 + v 1 s / U))^2`` over the cars ahead, their gap against two metres and a second;
+    * direction: ``cos(heading)``, a fixed share of which is in ``lane_alignment``;
+    * headway: ``-sum w (g - (0.06 + v 1 s / U))^2`` over the cars ahead: the gap against 2 m plus 1 s;
     * closing_speed: ``-sum w ((v - v_j) / s)^2`` over the cars ahead, s the speed limit;
     * induced_braking: ``-sum w (max(v_j - v, 0)^2 / (2 U^2 max(g, 0.03)))^2`` over the cars behind: the braking [U/s^2]
-      that keeps them from hitting this car.
+      with which they avoid hitting this car.
     """
     per_unit = 1 / scene.length_unit
     along, across = (others.x - own.x) * per_unit, (others.y - own.y) / (OWN_LANE * scene.lane_width)
@@ -140,7 +139,7 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
 
 
 def _depth_off_road(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
-    """How far the outermost corner is beyond the edge of the road, 0 on the road [m]."""
+    """Return the distance of the outermost corner beyond the edge of the road, 0 on the road [m]."""
     length, width = scene.car_size
     reach = (length * jnp.abs(car.sine) + width * jnp.abs(car.cosine)) / 2
     low, high = (unrolled_reduce(choice, jnp.asarray(scene.lanes)) for choice in (jnp.minimum, jnp.maximum))
@@ -149,7 +148,7 @@ def _depth_off_road(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
 
 
 def _merged(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
-    """1 where the car has reached the target lane: ``y + width / 2 sin(heading)`` is beyond that lane's inner edge."""
+    """Return 1 where ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane, else 0."""
     middle = unrolled_sum(jnp.asarray(scene.lanes)) / len(scene.lanes)
     side = jnp.where(scene.target_lane <= middle, -1.0, 1.0)
     inside = side * (car.y + scene.car_size[1] / 2 * car.sine - scene.target_lane) > -scene.lane_width / 2

@@ -1,4 +1,4 @@
-"""Define rewards that are linear in features: their weights by name, the package's features and those of users."""
+"""Define rewards that are linear in features, by weights of the package's features and of user-defined ones."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -44,35 +44,34 @@ PAPER_FEATURES = (
 TRAFFIC_FEATURES = ("direction", "headway", "closing_speed", "induced_braking")
 
 FEATURES = (*PAPER_FEATURES, *TRAFFIC_FEATURES)
-"""Names of the package's features: the paper's, and those that real traffic needs, which weigh nothing in the paper."""
+"""Names of the package's features: the paper's, and those of real traffic, with weight 0 in the paper."""
 
 COMFORT = ("comfort_steering", "comfort_acceleration")
-"""Names of the weights of comfort, which belongs to controls rather than to states, see `Reward`."""
+"""Names of the weights of comfort, a cost of controls instead of states, see `Reward`."""
 
 Feature: TypeAlias = Callable[[Scene, Motion, Motion], Float[jax.Array, ""]]
-"""A feature of one's own, one number at one moment: of the scene, the motion of car 0, and that of all others, arrays
+"""A user-defined feature at one moment: a number from the scene, the motion of car 0 and that of all others, arrays
 [others], its partner first."""
 
 OWN_FEATURES: dict[str, Feature] = {}
-"""Features of one's own by name, see `add_feature`."""
+"""User-defined features by name, see `add_feature`."""
 
-COMPUTATION = "computation"  # what environments call the price of planning, beside features
+COMPUTATION = "computation"  # the price of planning among the reward terms of environments
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Reward:
-    """A linear reward with the two numbers that its features are measured against.
+    """A linear reward and the reference values of its features.
 
     Attributes:
         weights: theta, one weight per name of a feature.
-        speed_limit: the speed that the speed feature is highest at [m/s].
-        gap: how far behind the leader the gap feature is highest [m].
-        comfort: what plans pay, beside the features, for half the square of each scaled control's difference from
-            keeping the velocity.
-        names: of the features, `PAPER_FEATURES` or `FEATURES`, and then those of one's own; others are not even
-            computed (static).
-        own: the functions of the features of one's own, which the last names belong to (static).
+        speed_limit: speed at which the speed feature is highest [m/s].
+        gap: distance behind the leader at which the gap feature is highest [m].
+        comfort: weights of the cost of controls, half the squared difference of each scaled control from the one that
+            keeps the velocity.
+        names: of the features that are computed: `PAPER_FEATURES` or `FEATURES`, then user-defined ones (static).
+        own: functions of the user-defined features, which the last names belong to (static).
     """
 
     weights: Float[Array, "features"]
@@ -84,19 +83,18 @@ class Reward:
 
 
 def add_feature(name: str, function: Feature) -> None:
-    """Make a feature of one's own known by its name, to rewards, configurations and commands of this process.
+    """Register a user-defined feature by name, for rewards, configurations and commands of this process.
 
-    It is computed where a reward weighs it, and then Algorithm 1 leaves nothing out of its derivatives, see
-    `ms_highway.metareasoning.switching.decide`. A weight that is learned is positive, so that it tells what drivers
-    want more of. Added again, it takes the place of the one that had its name, in rewards that are made from then on.
+    It is computed where a reward weighs it; Algorithm 1 then neglects nothing in its derivatives, see
+    `ms_highway.metareasoning.switching.decide`. Learned weights are positive: define it as what drivers want more of. A
+    feature of the same name is replaced, in rewards that are made from then on.
 
     Args:
         name: one word.
-        function: see `Feature`; written with `jax.numpy`, and twice differentiable where plans shall climb it. It is
-            told one moment, and mapped over all of them. Lengths are metres, and may be divided by
-            ``scene.length_unit`` for weights of the size of the others. To be pickled, it must be one of a module.
-            It is tried out on a straight scene without a leader: ``scene.bend`` and ``scene.leader`` may be None. Any
-            number of others may be there, one at least.
+        function: see `Feature`; written with `jax.numpy`, and twice differentiable where plans optimise it. It takes
+            one moment and is mapped over all. Lengths are in metres; divide them by ``scene.length_unit`` for weights
+            of the size of the others. To be pickled, it must be defined in a module. It is tested on a straight scene
+            without a leader: ``scene.bend`` and ``scene.leader`` may be None. The number of others is one or more.
 
     Raises:
         ValueError: if the name is taken by the package or no word; if the function is not hashable, cannot be computed,
@@ -124,7 +122,7 @@ def add_feature(name: str, function: Feature) -> None:
 
 
 def weight_names() -> tuple[str, ...]:
-    """Names of all weights that are known: of features, the package's and one's own, and of comfort."""
+    """Return the names of all known weights: of the package's and user-defined features, and of comfort."""
     return (*FEATURES, *OWN_FEATURES, *COMFORT)
 
 
@@ -134,16 +132,16 @@ def linear_reward(
     gap: float = 0.0,
     names: tuple[str, ...] | None = None,
 ) -> Reward:
-    """A reward from weights by name, of `weight_names`; what is without a weight gets 0.
+    """Build a reward from weights by name (`weight_names`); missing weights are 0.
 
     Args:
         values: the weights.
         speed_limit: see `Reward` [m/s].
         gap: see `Reward` [m].
-        names: of the features to compute; without, see `features_for`.
+        names: of the features to compute; by default those of `features_for`.
 
     Raises:
-        ValueError: for a name that is no feature, or a weight that is not finite, or whose feature is not computed.
+        ValueError: for an unknown name, or a weight that is not finite or whose feature is not computed.
     """
     known = weight_names()
     unknown = sorted(map(str, {*values, *(names or ())} - set(known)))
@@ -167,11 +165,11 @@ def linear_reward(
 
 
 def features_for(*rewards: Mapping[str, float], least: tuple[str, ...] = PAPER_FEATURES) -> tuple[str, ...]:
-    """Names of the features that have to be computed for all of these weights by name.
+    """Return the names of the features that these weights by name need.
 
     Args:
-        rewards: the weights; what all of them weigh with 0 is left out.
-        least: what is computed in any case, `PAPER_FEATURES` or `FEATURES`.
+        rewards: weights of each reward; features with weight 0 in all are left out.
+        least: features that are always computed, `PAPER_FEATURES` or `FEATURES`.
     """
     weighed = {name for values in rewards for name, value in values.items() if value != 0}
     packaged = least if weighed.isdisjoint(TRAFFIC_FEATURES) else FEATURES

@@ -1,8 +1,7 @@
-"""Which human model is worth its time: the paper's Algorithm 1 with the one-step estimate of Sec. III-D.
+"""Decide which human model is worth its time, by the paper's Algorithm 1 with the one-step estimate of Sec. III-D.
 
-After a step was executed with one rung of the ladder, a quadratic expansion of the one-step rewards around the
-executed controls tells how the robot's control would have changed under another rung and what that would have earned.
-All controls here are scaled, see `ms_highway.game.game`.
+After a step with one rung of the ladder, a quadratic expansion of the one-step rewards around the executed controls
+estimates the robot's control under another rung and its reward. All controls are scaled, see `ms_highway.game.game`.
 """
 
 from dataclasses import dataclass, field, replace
@@ -35,10 +34,10 @@ __all__ = [
 ]
 
 PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
-"""Planning seconds of each model that the paper's experiments decided with."""
+"""Planning time of each model in the decisions of the paper's experiments."""
 
 RELEASED_TRUST_TOLERANCE = 0.05
-"""The released code's solver stops within this share of the trust radius."""
+"""Share of the trust radius within which the released code's solver stops."""
 
 
 @jax.tree_util.register_dataclass
@@ -49,10 +48,10 @@ class Switching:
     Attributes:
         costs: T(M), planning time of each rung [s].
         price: lambda, reward per second of planning.
-        trust_radius: the longest change of control that the expansion is trusted with, in scaled units.
-        trust_tolerance: how far the step may end from the radius, as a share of it: 0.001, in the released code 0.05.
+        trust_radius: longest change of the scaled control for which the expansion is trusted.
+        trust_tolerance: of the step's length, as a share of the radius: 0.001, in the released code 0.05.
         cooldown: least number of steps between two downward checks of the same rung.
-        ladder: the human models, cheapest first (static).
+        ladder: human models, cheapest first (static).
     """
 
     costs: Float[Array, "rungs"]
@@ -64,7 +63,7 @@ class Switching:
 
 
 class Memory(NamedTuple):
-    """What the algorithm remembers between steps: the rung in use, the step, and each rung's last downward check."""
+    """State of the algorithm: the rung in use, the number of the step, and each rung's last downward check."""
 
     rung: Int[Array, ""]
     step: Int[Array, ""]
@@ -72,7 +71,7 @@ class Memory(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """Outcome of one decision: the new memory, and the estimated gains of going up and down, NaN if not estimated."""
+    """The new memory, and the estimated gains of going up and down, NaN if not estimated."""
 
     memory: Memory
     gain_up: Float[jax.Array, ""]
@@ -91,7 +90,7 @@ class _Expansion(NamedTuple):
 
 
 def first_memory(switching: Switching, rung: int = 0) -> Memory:
-    """The memory before the first step; every rung may be checked at once."""
+    """Return the memory before the first step; every rung may be checked at once."""
     never = -np.ones(len(switching.ladder), np.int32) * switching.cooldown
     return Memory(np.asarray(rung, np.int32), np.zeros((), np.int32), never)
 
@@ -106,7 +105,7 @@ def decide(
     human: Float[jax.Array, "2"],
     observed_reward: Float[jax.Array, ""],
 ) -> Decision:
-    """Choose the rung for the coming step from what happened in the last one.
+    """Choose the rung of the coming step from the outcome of the last one.
 
     Up, tried at every step below the top: straight to the top rung, as if it had predicted the human control that
     was observed. Down, tried if not gone up and if this rung's last check is ``cooldown`` steps ago: one rung, with
@@ -161,7 +160,7 @@ def _earned(
     own: Float[jax.Array, "2"],
     partner: Float[jax.Array, "2"],
 ) -> Float[jax.Array, ""]:
-    """Car 0's reward after one step with these controls, in which the others keep their velocity."""
+    """Compute car 0's reward after one step with these controls; the others keep their velocity."""
     controls = jnp.stack([own, partner]) * game.planner.control_scale
     others = keep_velocity(game.dynamics, state[2:])
     return reward(scene, parameters, step(game.dynamics, state, jnp.concatenate([controls, others])))
@@ -170,11 +169,11 @@ def _earned(
 def _expand(
     game: Game, state: Float[jax.Array, "cars 4"], robot: Float[jax.Array, "2"], human: Float[jax.Array, "2"]
 ) -> _Expansion:
-    """Derivatives of the one-step rewards at the executed controls, and J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R.
+    """Differentiate the one-step rewards at the executed controls; J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R.
 
-    Robot's and human's reward are expanded together, each as the own one. What obstacles, other cars and another
-    leader add to a reward does not depend on the partner's control, and is left out of derivatives in that; unless
-    there is a feature of one's own, which may look at everything at once.
+    Both rewards are expanded in one batch, each from its own car's side. The terms of obstacles, other cars and another
+    leader do not depend on the partner's control and are left out of derivatives in it, unless there is a user-defined
+    feature, which may depend on everything.
     """
     pair, cars = game.scene, len(state)
     if not game.robot.own:
@@ -214,7 +213,7 @@ def _change_of_control(
     influence: Float[jax.Array, "2 2"],
     switching: Switching,
 ) -> Float[jax.Array, "2"]:
-    """The best first control under another model, less the executed one: ``delta u``.
+    """Return the best first control under another model, less the executed one: ``delta u``.
 
     With d = u' - u_H and J' the model's influence, the expansion is ``du^T A du / 2 + B du`` with
     ``A = r_RR + r_RH J' + (r_RH J')^T + J'^T r_HH J'`` and ``B = r_R + J'^T r_H + r_RH d + J'^T r_HH d``,

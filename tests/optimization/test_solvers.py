@@ -11,6 +11,7 @@ from jax import numpy as jnp
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.game.game import move, total_reward, trajectory_reward
 from ms_highway.game.scenario import PHYSICAL_LIMIT
+from ms_highway.optimization.second_derivatives import second_order_expansion
 from ms_highway.optimization.solvers import Planner, optimize_controls
 from ms_highway.planning.human_models import MODELS
 
