@@ -1,7 +1,7 @@
-"""Sums over a few terms, written out.
+"""Reduce a few terms by unrolled operations.
 
-XLA makes an array of every reduction's two operands and its result each time that a compiled function is called on the
-CPU: half a microsecond, and 50 ms of compilation. Additions cost nothing of that, where the terms are few.
+On the CPU, XLA allocates operands and results of every reduction in each call: half a microsecond, and 50 ms of
+compilation. Unrolled additions of a few terms cost neither.
 """
 
 from collections.abc import Callable
@@ -17,10 +17,10 @@ __all__ = ["unrolled_reduce", "unrolled_sum"]
 def unrolled_reduce(
     function: Callable[[jax.Array, jax.Array], jax.Array], values: Shaped[jax.Array, "*shape"], axis: int = -1
 ) -> jax.Array:
-    """``function`` applied to the values along an axis, one after the other."""
+    """Reduce the values along an axis by a function of two."""
     return reduce(function, jnp.unstack(values, axis=axis))
 
 
 def unrolled_sum(values: Shaped[jax.Array, "*shape"], axis: int = -1) -> jax.Array:
-    """The sum along an axis."""
+    """Sum the values along an axis."""
     return unrolled_reduce(jnp.add, values, axis)
