@@ -155,7 +155,7 @@ def linear_reward(
             raise ValueError(f"the weight of {name} is {value!r}; it must be a finite number")
     names = names or features_for(values)
     if names != tuple(name for name in (*FEATURES, *OWN_FEATURES) if name in names):
-        raise ValueError(f"the features {', '.join(names)} are not in the order of FEATURES, then those of one's own")
+        raise ValueError(f"the features {', '.join(names)} are not in the order of FEATURES, then user-defined ones")
     left_out = [name for name, value in values.items() if value != 0 and name not in (*names, *COMFORT)]
     if left_out:
         raise ValueError(f"{', '.join(left_out)} would not be computed; add them to the names of the features")
