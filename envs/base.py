@@ -25,7 +25,7 @@ from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game.game import swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT, TIME_STEP, Scenario, draw_starts
-from ms_highway.optimization.gradient_steps import PAPER_ASCENT
+from ms_highway.optimization.gradient_steps import PAPER_PLANNING
 from ms_highway.planning.compiled import measure_costs
 from ms_highway.planning.human_models import MODELS, HumanModel, Naive
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
@@ -91,8 +91,8 @@ class InteractionEnv(StageEnv):
     * ``solver``: how the robot improves its plans under naive and turn: ``"gradient"``, the paper's, or ``"newton"``.
     * ``warm_start``: whether the robot's plans start from the rest of the last plan rather than from zero controls.
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
-      robot and human plan, see `ms_highway.optimization.gradient_steps.Ascent`. Where iterations and step size are
-      None, what suits the horizon is chosen; steps that are longer than
+      robot and human plan, see `ms_highway.optimization.gradient_steps.PlanningSettings`. Where iterations and step
+      size are None, what suits the horizon is chosen; steps that are longer than
       `ms_highway.optimization.gradient_steps.longest_step` are warned of.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
@@ -120,10 +120,10 @@ class InteractionEnv(StageEnv):
             "grip": None,
             "solver": "gradient",
             "warm_start": False,
-            "horizon": PAPER_ASCENT.horizon,
-            "time_step": PAPER_ASCENT.time_step,
-            "iterations": PAPER_ASCENT.iterations,
-            "step_size": PAPER_ASCENT.step_size,
+            "horizon": PAPER_PLANNING.horizon,
+            "time_step": PAPER_PLANNING.time_step,
+            "iterations": PAPER_PLANNING.iterations,
+            "step_size": PAPER_PLANNING.step_size,
             "duration": cls.scenario.steps * TIME_STEP,
             "terminate_on_collision": False,
             "simulation_frequency": 10,

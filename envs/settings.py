@@ -16,9 +16,9 @@ from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, PHYSICAL_LIMIT, Scenario, Semantics, build_game
 from ms_highway.metareasoning.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
-from ms_highway.optimization.ascent import Solver
-from ms_highway.optimization.gradient_steps import Ascent, gradient_steps, longest_step
+from ms_highway.optimization.gradient_steps import PlanningSettings, gradient_steps, longest_step
 from ms_highway.optimization.second_derivatives import Influence
+from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import MODELS, HumanModel, ladder
 
 __all__ = ["HUMAN_REWARDS", "PLANNING", "Settings", "merged"]
@@ -53,7 +53,7 @@ class Settings:
         solver: how plans are improved.
         human_weights: what the human drives for, by name.
         warm_start: whether plans start from the rest of the last one.
-        ascent: how far ahead, how often and by which gradient steps both plan.
+        planning: how far ahead, how often and by which gradient steps both plan.
     """
 
     semantics: Semantics
@@ -66,7 +66,7 @@ class Settings:
     solver: Solver
     human_weights: Mapping[str, float]
     warm_start: bool
-    ascent: Ascent
+    planning: PlanningSettings
 
     @classmethod
     def read(cls, config: Mapping[str, Any]) -> "Settings":
@@ -85,7 +85,7 @@ class Settings:
             control_limit=_limit(config["control_limit"], PHYSICAL_LIMIT if paper else None),
             grip=_grip(config["grip"]),
             solver=config["solver"],
-            ascent=_ascent(config),
+            planning=_planning(config),
             human_weights=_human_weights(config["human_reward"], HUMAN_REWARDS[config["semantics"]]),
             warm_start=bool(config["warm_start"]),
         )
@@ -100,7 +100,7 @@ class Settings:
             grip=self.grip,
             solver=self.solver,
             human_driving=self.human_weights,
-            ascent=self.ascent,
+            planning=self.planning,
         )
 
     def switching(self, costs: Float[np.ndarray, "rungs"], price: float) -> Switching:
@@ -172,7 +172,7 @@ def _grip(grip: Any) -> float | None:
     return float(grip)
 
 
-def _ascent(config: Mapping[str, Any]) -> Ascent:
+def _planning(config: Mapping[str, Any]) -> PlanningSettings:
     horizon, iterations, length = config["horizon"], config["iterations"], config["step_size"]
     time_step = float(config["time_step"])
     if not is_whole(horizon) or not 0 < horizon <= LONGEST_HORIZON:
@@ -186,20 +186,20 @@ def _ascent(config: Mapping[str, Any]) -> Ascent:
     if length is not None and length > longest:
         why = f"plans of {horizon} steps of {time_step:g} s overshoot with steps longer than {longest:.2g}"
         warn(f"config['step_size'] is {length:g}: {why}; leave it out to have one chosen", stacklevel=2)
-    ascent = Ascent(
+    planning = PlanningSettings(
         int(horizon),
         time_step,
         None if iterations is None else int(iterations),
         None if length is None else float(length),
     )
-    chosen, _ = gradient_steps(ascent)
+    chosen, _ = gradient_steps(planning)
     if chosen > MOST_ITERATIONS:
         why = f"{horizon} steps of {time_step:g} s need {chosen} gradient steps, which take seconds"
         raise ValueError(f"config['horizon'] is {horizon}: {why}; plan less far ahead, or give 'iterations'")
     if config["duration"] < time_step:
         why = f"an episode has one time step at least, {time_step:g} s"
         raise ValueError(f"config['duration'] is {config['duration']!r}; {why}")
-    return ascent
+    return planning
 
 
 def _human_weights(reward: Any, usual: str) -> Mapping[str, float]:

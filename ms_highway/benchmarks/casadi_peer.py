@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ms_highway.game.collision_risk import CAR_SHARPNESS, OBSTACLE_SHARE, OBSTACLE_SHARPNESS
+from ms_highway.game.features import HEADING_SHARE
 from ms_highway.game.game import Game
-from ms_highway.game.reward import CAR_SHARPNESS, HEADING_SHARE, OBSTACLE_SHARE, OBSTACLE_SHARPNESS, Reward
+from ms_highway.game.reward import Reward
 
 __all__ = ["compiled_peer"]
 

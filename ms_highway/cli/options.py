@@ -64,7 +64,9 @@ def human_reward(text: str | None) -> str | dict[str, float] | None:
 
 def add_planning(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how robot and human plan, see `planning`, to a command."""
-    group = parser.add_argument_group("plans of robot and human", "see ms_highway.optimization.gradient_steps.Ascent")
+    group = parser.add_argument_group(
+        "plans of robot and human", "see ms_highway.optimization.gradient_steps.PlanningSettings"
+    )
     group.add_argument("--horizon", type=int, metavar="K", help="controls that are planned (default: 5)")
     group.add_argument("--time-step", type=float, metavar="SECONDS", help="of plans and world (default: 0.1)")
     group.add_argument("--iterations", type=int, help="gradient steps (default: as suits the horizon; paper: 20)")
@@ -135,7 +137,7 @@ def costs(text: str) -> str | dict[str, float]:
 
 
 def add_devices(parser: argparse.ArgumentParser) -> None:
-    """Add ``--devices``, see `ms_highway.simulation.loop.use_devices`, to a command."""
+    """Add ``--devices``, see `ms_highway.simulation.devices.use_devices`, to a command."""
     parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.drivers import controller_config
 from ms_highway.envs.settings import HUMAN_REWARDS, merged
-from ms_highway.optimization.ascent import Solver
+from ms_highway.optimization.solvers import Solver
 
 __all__ = ["Comparison", "episode_steps", "paper_controllers"]
 
@@ -22,7 +22,7 @@ class Comparison:
         semantics: ``paper`` or ``released``.
         costs: T(M) in the decisions: ``published``, ``measured``, or seconds by model.
         solver: how the robot improves its plans, ``gradient`` or ``newton``, see
-            `ms_highway.optimization.ascent.climb`.
+            `ms_highway.optimization.solvers.optimize_controls`.
         human_reward: what humans drive for: ``learned``, ``published``, weights by name, or None for what belongs to
             the semantics.
         ladder: names of the human models that switching chooses from; without it, the scenario's own.

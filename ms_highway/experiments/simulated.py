@@ -22,7 +22,9 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import columns
 from ms_highway.game.scenario import Scenario
 from ms_highway.planning.human_models import MODELS
-from ms_highway.simulation.loop import DECIDES, Episodes, Loop, Records, simulate, usual_chunk
+from ms_highway.simulation.devices import usual_chunk
+from ms_highway.simulation.loop import simulate
+from ms_highway.simulation.records import DECIDES, Episodes, Loop, Records
 
 __all__ = [
     "Batch",

@@ -153,7 +153,7 @@ def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: W
     Args:
         sweep: what to compute.
         directory: where the parts are.
-        mesh: devices, each of which computes a part at a time; see `ms_highway.simulation.loop.device_mesh`.
+        mesh: devices, each of which computes a part at a time; see `ms_highway.simulation.devices.device_mesh`.
         worker: which of the parts this process computes.
 
     Yields:

@@ -1,4 +1,4 @@
-"""A learned reward as a file: the weights, how sure they are, and where they come from."""
+"""Read and write learned rewards: weights, their uncertainty and their provenance."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -22,22 +22,22 @@ VERSION = 2
 ANEW = "learn it anew with `ms-highway irl fit`"
 
 SHIPPED = {"demonstrations": "learned from simulated demonstrations", "us101": "learned from drivers on US-101"}
-"""The learned rewards that come with the package."""
+"""Learned rewards that are part of the package."""
 
 
 @dataclass(frozen=True)
 class LearnedReward:
-    """What `ms-highway irl fit` writes.
+    """Result of `ms-highway irl fit`.
 
     Attributes:
-        weights: by name, of features and comfort; in units in which the given comfort weights are what they are.
+        weights: by name, of features and comfort; in units in which the given comfort weights have their values.
         temperature: T of maximum entropy, in the same units.
         learned: names of the weights that were learned; the others were given.
         covariance: of the logarithms of the learned weights' sizes and, at the end, of the temperature.
-        horizon: K, number of steps of 0.1 s in the windows it was learned from.
-        converged: whether the optimiser reached the top.
-        iterations: how many the optimiser took.
-        windows: how many it was learned from.
+        horizon: K, number of steps of 0.1 s in each window of data.
+        converged: whether the optimiser converged.
+        iterations: of the optimiser.
+        windows: number of windows.
         log_likelihood: mean per window: ``train``, and ``held_out``, cross-validated by group of recordings (None where
             there is one group only).
         feature_counts: mean sums of the features over a window: ``human``, and ``model``, expected under the reward.
@@ -57,10 +57,10 @@ class LearnedReward:
     provenance: dict[str, Any]
 
     def __post_init__(self) -> None:
-        """Check it.
+        """Check all values.
 
         Raises:
-            ValueError: naming what is wrong with it.
+            ValueError: if one is wrong.
         """
         if not isinstance(self.weights, dict):
             raise ValueError(f"the weights are {self.weights}; they must be given by name")
@@ -82,23 +82,23 @@ class LearnedReward:
 
     @property
     def sharp_weights(self) -> dict[str, float]:
-        """The weights over the temperature: the reward in units of log-probability."""
+        """Weights divided by the temperature: the reward in units of log-probability."""
         return {name: weight / self.temperature for name, weight in self.weights.items()}
 
     @property
     def model(self) -> Model:
-        """What was learned and what was given."""
+        """Names of the learned weights, and the given weights."""
         return Model(self.learned, {name: value for name, value in self.weights.items() if name not in self.learned})
 
     def interval(self, name: str, deviations: float = 1.645) -> Float[np.ndarray, "2"]:
-        """The weight at so many standard deviations of its logarithm below and above; 1.645 span 90 %."""
+        """Return the weight at so many standard deviations of its logarithm below and above; 1.645 span 90 %."""
         place = self.learned.index(name)
         spread = deviations * np.sqrt(self.covariance[place][place])
         return self.weights[name] * np.exp([-spread, spread])
 
 
 def save(learned: LearnedReward, path: Path) -> None:
-    """Write a learned reward as JSON, whole or not at all."""
+    """Write a learned reward as JSON, atomically."""
     with replacing(path) as temporary:
         temporary.write_text(json.dumps({"version": VERSION, **asdict(learned)}, indent=2) + "\n")
 
@@ -118,7 +118,7 @@ def load(path: Path) -> LearnedReward:
 
 @cache
 def shipped(name: str) -> LearnedReward:
-    """One of the learned rewards that come with the package, see `SHIPPED`.
+    """Return a learned reward of the package, see `SHIPPED`.
 
     Raises:
         ValueError: for an unknown name.

@@ -11,18 +11,19 @@ from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.game.dynamics import Motion, observe
+from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move
 from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.game.reward import COMFORT, motion_reward
+from ms_highway.game.reward import COMFORT
 from ms_highway.game.reward_model import Model
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.maximum_entropy import Fit, Slopes, fit, log_likelihoods, slopes_of
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.windows import Window, Windows, at_window, regular_windows, template
-from ms_highway.optimization.ascent import climb
+from ms_highway.optimization.solvers import optimize_controls
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
-from ms_highway.runtime.unrolled import total
+from ms_highway.runtime.reductions import unrolled_sum
 
 __all__ = [
     "COMFORT_GIVEN",
@@ -161,10 +162,10 @@ def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float
 def _best_controls(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
     def best(window: Window) -> Float[jax.Array, "K 2"]:
         here, others = at_window(game, window), observe(window.others)
-        scaled = climb(
+        scaled = optimize_controls(
             here.planner,
             partial(move, here, window.start),
-            lambda path: total(motion_reward(here.scene, here.robot, Motion(*path), others)),
+            lambda path: unrolled_sum(motion_reward(here.scene, here.robot, Motion(*path), others)),
             partial(discomfort, here, window.start),
             constant_velocity(here, window.start),
             partial(bounded, here, window.start),

@@ -30,7 +30,7 @@ from ms_highway.game.game import Game, move
 from ms_highway.game.reward import COMFORT
 from ms_highway.game.reward_model import Model
 from ms_highway.irl.windows import Window, Windows, features_at, template, unease
-from ms_highway.optimization.second_derivatives import slope_and_bend
+from ms_highway.optimization.second_derivatives import jacobian_and_hessian
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
@@ -133,11 +133,11 @@ def _slopes(game: Game, windows: Windows) -> Slopes:
 
         def at_step(own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]) -> Slopes:
             function = partial(features_at, game, window, others=others)
-            return Slopes(function(own), *slope_and_bend(function)(own))
+            return Slopes(function(own), *jacobian_and_hessian(function)(own))
 
         controls = (window.controls / game.planner.control_scale).ravel()
         steps = path(controls)
-        first, second = slope_and_bend(path)(controls)
+        first, second = jacobian_and_hessian(path)(controls)
         phi, slope, bend = jax.vmap(at_step, in_axes=(1, 1))(steps, window.others)
         bent = jnp.einsum("knfg,gkd->knfd", bend, first)
         gradients = jnp.einsum("knf,fkd->nd", slope, first)

@@ -12,9 +12,10 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.dynamics import Motion, keep_velocity, observe
+from ms_highway.game.features import motion_features
 from ms_highway.game.game import Game, move
 from ms_highway.game.neighbours import far_behind, places
-from ms_highway.game.reward import FEATURES, features_for, motion_features
+from ms_highway.game.reward import FEATURES, features_for
 from ms_highway.game.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT, driving_game
 from ms_highway.game.scene import Scene
 from ms_highway.irl.recordings.recording import Recording, number_groups

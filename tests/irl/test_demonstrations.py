@@ -28,14 +28,14 @@ from ms_highway.envs import DEMONSTRATION_ID
 from ms_highway.envs.demonstration import ABSENT, KEYBOARD_ACTION, demonstration_game
 from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.dynamics import recover_control, step
-from ms_highway.game.game import driven_reward
+from ms_highway.game.game import rollout_reward
 from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl.recordings.demonstrations import actions, load, record
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
 from ms_highway.vehicle import HumanVehicle, RoutedVehicle
 
-SLOPE = jax.jit(jax.grad(driven_reward, argnums=2))
-EARNED = jax.jit(jax.vmap(driven_reward, in_axes=(None, None, 0, None)))
+SLOPE = jax.jit(jax.grad(rollout_reward, argnums=2))
+EARNED = jax.jit(jax.vmap(rollout_reward, in_axes=(None, None, 0, None)))
 NAME = "ms-highway/mpc-v0"
 GAME = demonstration_game(DRIVER_WEIGHTS)
 

@@ -1,7 +1,7 @@
 """Programs that demonstrate driving: they know where the other cars will be, and act for a known reward.
 
 Drivers plan a window of as many steps as the game's planner looks ahead, execute all of it, and plan the next. A
-window earns R_H, the sum of the reward over its steps less the discomfort of its controls, see `driven_reward`.
+window earns R_H, the sum of the reward over its steps less the discomfort of its controls, see `rollout_reward`.
 """
 
 from functools import partial
@@ -13,10 +13,10 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
 from ms_highway.game.dynamics import Motion, observe
-from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, driven_reward, move
-from ms_highway.game.reward import motion_reward
+from ms_highway.game.features import motion_reward
+from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, rollout_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.optimization.second_derivatives import Path, damped_inverse, eigenpairs, expand
+from ms_highway.optimization.second_derivatives import Trajectory, damped_inverse, eigenpairs, second_order_expansion
 
 __all__ = ["DRIVER_WEIGHTS", "TEMPERATURE", "Optimum", "maxent", "optimal", "window"]
 
@@ -80,7 +80,7 @@ def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
         others: motion of the others after each step, arrays [others, steps].
     """
 
-    def along(path: Path) -> Float[jax.Array, ""]:
+    def along(path: Trajectory) -> Float[jax.Array, ""]:
         return jnp.sum(motion_reward(game.scene, game.robot, Motion(*path), others))
 
     def climbing(search: Search) -> Bool[jax.Array, ""]:
@@ -91,11 +91,11 @@ def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
     def improve(search: Search) -> Search:
         count, controls, _ = search
         # The chain rule spares most of what XLA would have to compile for the Hessian of everything at once.
-        expansion = expand(partial(move, game, car), along, controls, partial(discomfort, game, car))
+        expansion = second_order_expansion(partial(move, game, car), along, controls, partial(discomfort, game, car))
         gradient, hessian = expansion.gradient.reshape(controls.shape), expansion.hessian
         step = (damped_inverse(hessian, FLOOR) @ gradient.ravel()).reshape(controls.shape)
         candidates = bounded(game, car, controls + SHARES[:, None, None] * step)
-        rewards = jax.vmap(lambda controls: driven_reward(game, car, controls, others))(candidates)
+        rewards = jax.vmap(lambda controls: rollout_reward(game, car, controls, others))(candidates)
         gains, noise = rewards - rewards[-1], NOISE * (1 + jnp.abs(rewards[-1]))
         settling = (gains.max() <= noise) & (gains[0] >= -noise)
         chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
@@ -133,7 +133,7 @@ def _sample(
     proposing, accepting = jax.random.split(key)
     normal = jax.random.normal(proposing, (DRAWS, len(values))).at[0].set(0.0)
     proposals = best.controls + (normal @ spread.T).reshape(DRAWS, *best.controls.shape)
-    earned = jax.vmap(lambda controls: driven_reward(game, car, controls, others))(proposals)
+    earned = jax.vmap(lambda controls: rollout_reward(game, car, controls, others))(proposals)
     inside = (proposals == bounded(game, car, proposals)).all(axis=(1, 2))
     excess = earned / temperature + jnp.sum(normal**2, axis=1) / 2  # log density over the proposal's
     excess = jnp.where(inside & jnp.isfinite(excess), excess, -jnp.inf).at[0].set(excess[0])

@@ -1,4 +1,4 @@
-"""How the controls of a plan are improved: plain gradient ascent, or Newton steps with a line search."""
+"""Improve the controls of a plan: projected gradient ascent, or Newton steps with a line search."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -9,35 +9,35 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
-from ms_highway.optimization.second_derivatives import Path, damped_inverse, expand
+from ms_highway.optimization.second_derivatives import Trajectory, damped_inverse, second_order_expansion
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["Planner", "Solver", "ascend", "climb", "project"]
+__all__ = ["Planner", "Solver", "optimize_controls", "project", "projected_ascent"]
 
 Controls = TypeVar("Controls", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton"]
 
 NEWTON_STEPS = 16
-HESSIAN_EVERY = 8  # steps; in between, the last Hessian serves
-NEWTON_FLOOR = 12.0  # of the Hessian's eigenvalues; 1 / 12 is the longest step per unit of gradient
-SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 8, 0], dtype=np.float32)  # of a Newton step that its line search tries
+HESSIAN_EVERY = 8  # steps between two Hessians
+NEWTON_FLOOR = 12.0  # of the magnitude of the Hessian's eigenvalues: a step is at most 1 / 12 of the gradient
+SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 8, 0], dtype=np.float32)  # of a Newton step, tried by its line search
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Planner:
-    """How a control sequence is improved.
+    """Horizon, solver and limits of plans.
 
     Attributes:
-        control_scale: the unit of each control; a step is taken in ``u / control_scale``, so that a larger scale
-            means a bolder step in that control. ``(1, 1)`` in the units of the reward is the plain gradient.
+        control_scale: unit of each control; steps are taken in ``u / control_scale``, so that a larger scale means
+            larger steps of that control. ``(1, 1)`` in the units of the reward is the plain gradient.
         control_limit: bound on the magnitude of each control, infinite for none.
-        grip: the total acceleration that tyres hold [m/s^2], to which plans are cut down without reversing, see
-            `ms_highway.game.game.bounded`; None where neither is looked at.
+        grip: total acceleration that tyres hold [m/s^2]; plans are cut down to it and do not reverse, see
+            `ms_highway.game.game.bounded`. None for no such limit.
         step_size: length of a gradient step per unit of gradient.
-        horizon: number of controls that are planned, K in the paper (static).
+        horizon: number of planned controls, K in the paper (static).
         iterations: number of gradient steps (static).
-        solver: ``gradient``, the paper's, or ``newton``, see `climb` (static).
+        solver: ``gradient``, the paper's, or ``newton``, see `optimize_controls` (static).
     """
 
     control_scale: Float[Array, "2"]
@@ -50,27 +50,27 @@ class Planner:
 
 
 def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[jax.Array, "*batch 2"]:
-    """The nearest scaled controls within the limits of each control; for all limits see `game.game.bounded`."""
+    """Clip scaled controls to ``control_limit``; for all limits see `ms_highway.game.game.bounded`."""
     limit = jnp.asarray(planner.control_limit) / jnp.asarray(planner.control_scale)
     return jnp.clip(controls, -limit, limit)
 
 
-def ascend(
+def projected_ascent(
     planner: Planner,
     direction: Callable[[Controls], Controls],
     start: Controls,
     bounded: Callable[[Controls], Controls],
 ) -> Controls:
-    """Controls after ``iterations`` projected steps, ``z <- bounded(z + step_size * direction(z))``.
+    """Improve controls by ``iterations`` projected steps, ``z <- bounded(z + step_size * direction(z))``.
 
     Args:
         planner: step size and number of steps.
-        direction: the direction of ascent at given controls; the gradient of the objective for plain ascent.
-        start: the first controls, an array [..., 2] or a pytree of them, in units of ``control_scale``.
-        bounded: the nearest controls within the limits.
+        direction: of ascent at given controls; the gradient of the objective for gradient ascent.
+        start: first controls, an array [..., 2] or a pytree of them, scaled.
+        bounded: projects scaled controls on their limits.
 
     Returns:
-        The improved controls, like ``start``, in units of ``control_scale`` and within the limits.
+        The improved controls, like ``start``, within the limits.
     """
 
     def improve(_: int, controls: Controls) -> Controls:
@@ -80,39 +80,39 @@ def ascend(
     return jax.lax.fori_loop(0, planner.iterations, improve, start)
 
 
-def climb(
+def optimize_controls(
     planner: Planner,
-    path: Callable[[Float[jax.Array, "steps 2"]], Path],
-    reward: Callable[[Path], Float[jax.Array, ""]],
+    path: Callable[[Float[jax.Array, "steps 2"]], Trajectory],
+    reward: Callable[[Trajectory], Float[jax.Array, ""]],
     cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]],
     start: Float[jax.Array, "steps 2"],
     bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
 ) -> Float[jax.Array, "steps 2"]:
-    """Controls whose path earns more, found by the planner's solver.
+    """Maximise ``reward(path(controls)) - cost(controls)`` over the controls, locally, by the planner's solver.
 
-    * ``gradient``: `ascend` along the reward's gradient g, the paper's solver.
+    * ``gradient``: `projected_ascent` along the reward's gradient g, the paper's solver.
     * ``newton``: 16 steps along ``sum_i v_i v_i^T g / max(|l_i|, 12)``, with the eigenpairs (l_i, v_i) of the Hessian,
-      which is worked out anew every 8 steps. Such a step climbs also where the reward is not concave (the saddle-free
-      Newton step of Dauphin et al. 2014). Of the step and its halves, projected on the limits, the one that earns most
-      is taken, or none. Unlike the gradient, this search sees the reward's jumps, such as the cost of a collision.
+      computed every 8 steps. Such a step ascends also where the reward is not concave (the saddle-free Newton step of
+      Dauphin et al. 2014). The line search takes the best of the step, its halves and no step, projected on the limits.
+      Unlike the gradient, it sees jumps of the reward, such as the cost of a collision.
 
     Args:
         planner: solver and step size.
-        path: the path under scaled controls.
-        reward: what a path earns; no step may look at another.
-        cost: what is paid for the controls themselves, a sum over them.
-        start: the first controls, scaled.
-        bounded: the nearest controls within the limits.
+        path: trajectory under scaled controls.
+        reward: of a trajectory, a sum over its steps.
+        cost: of the controls themselves, a sum over them.
+        start: first controls, scaled.
+        bounded: projects scaled controls on their limits.
     """
 
     def earned(controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
         return reward(path(controls)) - cost(controls)
 
     if planner.solver == "gradient":
-        return ascend(planner, jax.grad(earned), start, bounded)
+        return projected_ascent(planner, jax.grad(earned), start, bounded)
 
     def with_hessian(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
-        metric = damped_inverse(expand(path, reward, controls, cost).hessian, NEWTON_FLOOR)
+        metric = damped_inverse(second_order_expansion(path, reward, controls, cost).hessian, NEWTON_FLOOR)
 
         def improve(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
             step = (metric @ jax.grad(earned)(controls).ravel()).reshape(controls.shape)
