@@ -3,7 +3,6 @@
 import argparse
 import json
 import typing
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ms_highway.cli.console import add_command, count_episodes, print_tables, work
+from ms_highway.cli.console import add_command, count_episodes, print_tables, showing
 from ms_highway.cli.options import MOST, check_most
 from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.learned_reward import SHIPPED, LearnedReward, load, save, shipped
@@ -25,6 +24,7 @@ from ms_highway.irl.recordings.demonstrators import TEMPERATURE
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.recovery import recover
 from ms_highway.runtime.files import replacing
+from ms_highway.runtime.progress import Progress
 from ms_highway.visualization import irl as irl_report
 
 __all__ = ["add_irl"]
@@ -194,8 +194,8 @@ def _fit(options: argparse.Namespace) -> None:
         raise ValueError(f"--out is {options.out}, a directory; name a .json file")
     recordings = _read(options.data)
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
-    learned = work(learn(recordings, _model(options, recordings), _horizon(options), source))
-    assert isinstance(learned, LearnedReward)
+    with showing() as show:
+        learned = learn(recordings, _model(options, recordings), _horizon(options), source, progress=show)
     save(learned, options.out)
     print_tables(irl_report.learned_table(learned))
     likely = learned.log_likelihood
@@ -209,11 +209,12 @@ def _evaluate(options: argparse.Namespace) -> None:
         raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
     learned = _theta(options.theta) if options.theta else None
     recordings = _read(options.data)
-    if learned:
-        found = work(evaluate(recordings, learned, options.others))
-    else:
-        model = _model(options, recordings)
-        found = work(cross_validate(recordings, model, _horizon(options), options.folds, options.others))
+    with showing() as show:
+        if learned:
+            found = evaluate(recordings, learned, options.others, progress=show)
+        else:
+            model, horizon = _model(options, recordings), _horizon(options)
+            found = cross_validate(recordings, model, horizon, options.folds, options.others, progress=show)
     if options.json:
         print(json.dumps(found, indent=2))
         return
@@ -287,8 +288,8 @@ def _recover(options: argparse.Namespace) -> None:
     sets = {name: demonstrations.load(name) for name in names}
     tables = []
     for name, recordings in sets.items():
-        found = work(recover(recordings, options.demonstrations, SIMULATED, horizon, options.held_out))
-        assert isinstance(found, pd.DataFrame)
+        with showing() as show:
+            found = recover(recordings, options.demonstrations, SIMULATED, horizon, options.held_out, progress=show)
         found.insert(0, "driver", name)
         tables.append(found)
     rows = pd.concat(tables, ignore_index=True)
@@ -317,7 +318,8 @@ def _report(options: argparse.Namespace) -> None:
     _check_directory(options.out)
     evaluation = irl_report.load_evaluation(options.evaluation)
     learned, recordings = _theta(options.theta), _read(options.data)
-    cases, titles, paths = work(_drive_examples(recordings, learned))
+    with showing() as show:
+        cases, titles, paths = _drive_examples(recordings, learned, show)
     figures = {
         "errors": irl_report.errors_figure(evaluation),
         "paths": irl_report.paths_figure(cases, paths, titles),
@@ -329,15 +331,15 @@ def _report(options: argparse.Namespace) -> None:
 
 
 def _drive_examples(
-    recordings: list[Recording], learned: LearnedReward
-) -> Iterator[str | tuple[Cases, list[str], dict[str, Any]]]:
+    recordings: list[Recording], learned: LearnedReward, progress: Progress
+) -> tuple[Cases, list[str], dict[str, Any]]:
     """Examples of the recordings, what is special about each, and where all predictors get in them."""
-    yield "choosing examples"
+    progress("choosing examples")
     cases = cases_of(recordings)
     chosen = irl_report.examples(cases)
     cases = cases.of(np.array(list(chosen.values())))
-    yield f"driving {len(cases)} examples"
-    yield cases, list(chosen), predictions(cases, learned.sharp_weights, learned.horizon)
+    progress(f"driving {len(cases)} examples")
+    return cases, list(chosen), predictions(cases, learned.sharp_weights, learned.horizon)
 
 
 def _save_figures(figures: dict[str, Figure], directory: Path) -> None:

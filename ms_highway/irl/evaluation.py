@@ -6,7 +6,7 @@ predicted, of ``tracks`` that they are from, and of ``likelihood_windows``; erro
 (``situations``, see `ms_highway.irl.situations`); and what the predicted drivers met (``others``).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -33,35 +33,43 @@ from ms_highway.irl.prediction import (
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.situations import by_situation
 from ms_highway.irl.windows import Windows, regular_windows
+from ms_highway.runtime.progress import Progress, silent
 
 __all__ = ["cross_validate", "evaluate"]
 
 
 def evaluate(
-    recordings: Sequence[Recording], learned: LearnedReward, others: Others = "recorded"
-) -> Iterator[str | dict[str, Any]]:
-    """Evaluate a learned reward on recordings.
-
-    Yields:
-        What is being done; at the end, the evaluation.
+    recordings: Sequence[Recording],
+    learned: LearnedReward,
+    others: Others = "recorded",
+    *,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Evaluate a learned reward on recordings; ``progress`` is called with what is being done.
 
     Raises:
         ValueError: if no driver was seen for long enough.
     """
-    yield "cutting windows"
+    progress("cutting windows")
     cases, windows = cases_of(recordings, others), regular_windows(recordings, learned.horizon)
-    yield f"driving {len(cases)} stretches of road"
+    progress(f"driving {len(cases)} stretches of road")
     paths = drive(cases, learned.sharp_weights, learned.horizon)
-    yield f"differentiating {len(windows)} windows"
+    progress(f"differentiating {len(windows)} windows")
     slopes = slopes_of(windows, learned.model.names)
     likely = likelihoods(slopes, learned.model, learned.weights, learned.temperature)
-    yield "driving IDM vehicles"
-    yield _beside(cases, paths, windows, likely, others)
+    progress("driving IDM vehicles")
+    return _beside(cases, paths, windows, likely, others)
 
 
 def cross_validate(
-    recordings: Sequence[Recording], model: Model, horizon: int, parts: int, others: Others = "recorded"
-) -> Iterator[str | dict[str, Any]]:
+    recordings: Sequence[Recording],
+    model: Model,
+    horizon: int,
+    parts: int,
+    others: Others = "recorded",
+    *,
+    progress: Progress = silent,
+) -> dict[str, Any]:
     """Evaluate rewards that are learned from the other groups of recordings, fold after fold.
 
     Args:
@@ -70,36 +78,37 @@ def cross_validate(
         horizon: K, the length of windows and plans.
         parts: the number of folds.
         others: what the predicted drivers meet.
+        progress: called with what is being done.
 
-    Yields:
-        What is being done; at the end, the evaluation, over all folds, with the weights of each (``folds``).
+    Returns:
+        The evaluation over all folds, with the weights of each (``folds``).
 
     Raises:
         ValueError: if there is one group only, no driver was seen for long enough, or a fit does not converge.
     """
-    yield "cutting windows"
+    progress("cutting windows")
     cases, windows = cases_of(recordings, others), regular_windows(recordings, horizon)
     if len(np.unique(windows.group)) < 2 or parts < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
-    yield f"differentiating {len(windows)} windows"
+    progress(f"differentiating {len(windows)} windows")
     slopes = slopes_of(windows, model.names)
     paths, likely, weights = np.empty((len(cases), STEPS, 2)), np.empty(len(windows)), []
     held_out = folds(np.union1d(windows.group, cases.group), parts)
     found = None
     for number, names in enumerate(held_out, 1):
         held, driven = np.isin(windows.group, names), np.isin(cases.group, names)
-        yield f"learning, fold {number} of {len(held_out)}"
+        progress(f"learning, fold {number} of {len(held_out)}")
         found = converged(fit(slopes.of(~held), model, found))
         weights.append({"weights": found.weights, "temperature": found.temperature})
         if held.any():
             likely[held] = likelihoods(slopes.of(held), model, found.weights, found.temperature)
         if driven.any():
-            yield f"driving, fold {number} of {len(held_out)}"
+            progress(f"driving, fold {number} of {len(held_out)}")
             paths[driven] = drive(cases.of(driven), found.sharp_weights, horizon)
-    yield "driving IDM vehicles"
-    yield {**_beside(cases, paths, windows, likely, others), "folds": weights}
+    progress("driving IDM vehicles")
+    return {**_beside(cases, paths, windows, likely, others), "folds": weights}
 
 
 def _beside(

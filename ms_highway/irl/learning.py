@@ -1,6 +1,6 @@
 """From recordings to a learned reward: windows, a fit on all of them, and what it is worth on those held out."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -22,6 +22,7 @@ from ms_highway.irl.windows import Window, Windows, at_window, regular_windows, 
 from ms_highway.optimization.ascent import climb
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.runtime.progress import Progress, silent
 from ms_highway.runtime.unrolled import total
 
 __all__ = [
@@ -64,8 +65,14 @@ def folds(groups: Int[np.ndarray, "n"], number: int) -> list[Int[np.ndarray, "he
 
 
 def learn(
-    recordings: Sequence[Recording], model: Model, horizon: int, source: str, validations: int = 4
-) -> Iterator[LearnedReward | str]:
+    recordings: Sequence[Recording],
+    model: Model,
+    horizon: int,
+    source: str,
+    validations: int = 4,
+    *,
+    progress: Progress = silent,
+) -> LearnedReward:
     """Learn a reward from all drivers of the recordings.
 
     Args:
@@ -74,28 +81,26 @@ def learn(
         horizon: K, the length of the windows in steps.
         source: name of the data, for the record.
         validations: number of folds of the cross-validated likelihood.
-
-    Yields:
-        What is being done; at the end, the learned reward.
+        progress: called with what is being done.
 
     Raises:
         ValueError: if there is nothing to learn from, or the weights diverge or a fit does not converge.
     """
-    yield "cutting windows"
+    progress("cutting windows")
     windows = regular_windows(recordings, horizon)
-    yield f"differentiating {len(windows)} windows"
+    progress(f"differentiating {len(windows)} windows")
     slopes = slopes_of(windows, model.names)
-    yield "fitting"
+    progress("fitting")
     found = converged(fit(slopes, model))
     held_out = []
     parts = folds(windows.group, validations)
     for number, names in enumerate(parts if len(parts) > 1 else [], 1):
         chosen = np.isin(windows.group, names)
-        yield f"cross-validating, {number} of {len(parts)}"
+        progress(f"cross-validating, {number} of {len(parts)}")
         rest = converged(fit(slopes.of(~chosen), model, found))
         held_out.append(likelihoods(slopes.of(chosen), model, rest.weights, rest.temperature))
-    yield "counting features"
-    yield LearnedReward(
+    progress("counting features")
+    return LearnedReward(
         weights=found.weights,
         temperature=found.temperature,
         learned=model.learned,

@@ -22,6 +22,7 @@ from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, optimal
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.windows import Window, Windows, at_window, features_along, regular_windows, template
 from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.runtime.progress import Progress, silent
 
 __all__ = ["IDENTIFIABLE", "recover", "true_rewards"]
 
@@ -39,7 +40,9 @@ def recover(
     model: Model = SIMULATED,
     horizon: int = 5,
     held_out: int = 64,
-) -> Iterator[str | pd.DataFrame]:
+    *,
+    progress: Progress = silent,
+) -> pd.DataFrame:
     """Learn the weights of simulated drivers from more and more demonstrations, and compare them with the true ones.
 
     The true weights are `DRIVER_WEIGHTS`. What is learned is judged on the last demonstrations, which are never fitted;
@@ -52,9 +55,10 @@ def recover(
         model: what to learn; what it gives must be true.
         horizon: K, the length of the windows in steps.
         held_out: how many demonstrations to judge by.
+        progress: called with what is being done.
 
-    Yields:
-        What is being done; at the end, a row per number and learned weight, with the columns
+    Returns:
+        A row per number and learned weight, with the columns
 
         ``demonstrations``, ``windows``: what was learned from; ``weight``: its name; ``true``; ``learned``; ``low`` and
         ``high``: the ends of the 90 % interval, by size; ``log_ratio``: log(learned / true); ``spread``: standard
@@ -70,16 +74,16 @@ def recover(
     _check(recordings, numbers, model, held_out)
     numbers = sorted(set(numbers))
     chosen = [*recordings[: numbers[-1]], *recordings[len(recordings) - held_out :]]
-    yield f"cutting {len(chosen)} demonstrations into windows"
+    progress(f"cutting {len(chosen)} demonstrations into windows")
     windows = regular_windows([replace(item, group=str(place)) for place, item in enumerate(chosen)], horizon)
     judged = windows.of(windows.group >= numbers[-1])
     fitted = windows.group < numbers[0]
     if not fitted.any() or not len(judged):
         raise ValueError(f"none of the windows of {numbers[0]} or of the held-out demonstrations tells by its slopes")
-    yield f"differentiating {len(windows)} windows"
+    progress(f"differentiating {len(windows)} windows")
     slopes = slopes_of(windows, model.names)
     rest = slopes.of(windows.group >= numbers[-1])
-    yield f"planning in {len(judged)} held-out windows"
+    progress(f"planning in {len(judged)} held-out windows")
     earned, plans = true_rewards(judged), _planning(judged)
     best = earned(plans(DRIVER_WEIGHTS))
     kept = np.asarray(keep_velocity(PAPER_DYNAMICS, jnp.asarray(judged.start)))[:, None]
@@ -87,7 +91,7 @@ def recover(
     reference = _best_likelihood(rest, model)
     rows: list[dict[str, object]] = []
     for number in numbers:
-        yield f"learning from {number} demonstrations"
+        progress(f"learning from {number} demonstrations")
         first = windows.group < number
         found = fit(slopes.of(first), model)
         lost = float((best - earned(plans(found.weights))).mean())
@@ -100,7 +104,7 @@ def recover(
         }
         counts = {"demonstrations": number, "windows": int(first.sum())}
         rows.extend({**counts, **row, **common} for row in _weights(found))
-    yield pd.DataFrame(rows)
+    return pd.DataFrame(rows)
 
 
 def true_rewards(windows: Windows) -> Callable[[Float[np.ndarray, "n K 2"]], Float[np.ndarray, "n"]]:

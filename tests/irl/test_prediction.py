@@ -72,7 +72,9 @@ def test_cross_validation_predicts_every_group_by_what_was_learned_from_the_othe
         recordings.append(replace(recording, group=str(number), measured=False))
     recordings[2].states[:, 0, 1] = 60.0  # off the road, where nothing can be learned, but something predicted
     model = Model(("headway", "comfort_steering"), {"comfort_acceleration": 0.1})
-    *_, found = cross_validate(recordings, model, 5, 8)
+    told: list[str] = []
+    found = cross_validate(recordings, model, 5, 8, progress=told.append)
+    assert [message for message in told if "learning" in message] == [f"learning, fold {n} of 3" for n in (1, 2, 3)]
     assert len(found["folds"]) == 3
     assert found["windows"] == 18
     assert found["likelihood_windows"] == 24
@@ -80,7 +82,7 @@ def test_cross_validation_predicts_every_group_by_what_was_learned_from_the_othe
         assert np.isfinite(list(row.values()) if isinstance(row, dict) else row).all()
     assert found["model"]["fde"]["1"] < 2.0
     with pytest.raises(ValueError, match="two groups"):
-        list(cross_validate(recordings[:1], model, 5, 2))
+        cross_validate(recordings[:1], model, 5, 2)
 
 
 def test_highway_envs_idm_keeps_its_distance_and_its_lane():
