@@ -7,6 +7,7 @@ predicted, of ``tracks`` that they are from, and of ``likelihood_windows``; erro
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,8 @@ from ms_highway.irl.prediction import (
     STEPS,
     Cases,
     Others,
-    cases_of,
     constant_velocity,
+    cut_cases,
     drive,
     errors,
     gaussian,
@@ -33,9 +34,12 @@ from ms_highway.irl.prediction import (
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.situations import by_situation
 from ms_highway.irl.windows import Windows, regular_windows
+from ms_highway.runtime.files import read_json
 from ms_highway.runtime.progress import Progress, silent
 
-__all__ = ["cross_validate", "evaluate"]
+__all__ = ["cross_validate", "evaluate", "load_evaluation"]
+
+PREDICTORS = ("model", "constant_velocity", "idm")
 
 
 def evaluate(
@@ -51,7 +55,7 @@ def evaluate(
         ValueError: if no driver was seen for long enough.
     """
     progress("cutting windows")
-    cases, windows = cases_of(recordings, others), regular_windows(recordings, learned.horizon)
+    cases, windows = cut_cases(recordings, others), regular_windows(recordings, learned.horizon)
     progress(f"driving {len(cases)} stretches of road")
     paths = drive(cases, learned.sharp_weights, learned.horizon)
     progress(f"differentiating {len(windows)} windows")
@@ -87,7 +91,7 @@ def cross_validate(
         ValueError: if there is one group only, no driver was seen for long enough, or a fit does not converge.
     """
     progress("cutting windows")
-    cases, windows = cases_of(recordings, others), regular_windows(recordings, horizon)
+    cases, windows = cut_cases(recordings, others), regular_windows(recordings, horizon)
     if len(np.unique(windows.group)) < 2 or parts < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
@@ -109,6 +113,37 @@ def cross_validate(
             paths[driven] = drive(cases.of(driven), found.sharp_weights, horizon)
     progress("driving IDM vehicles")
     return {**_beside(cases, paths, windows, likely, others), "folds": weights}
+
+
+def load_evaluation(path: Path) -> dict[str, Any]:
+    """Read what ``ms-highway irl evaluate --json`` prints.
+
+    Raises:
+        ValueError: if there is no such file, or it is no evaluation, naming what it lacks.
+    """
+    try:
+        evaluation = read_json(path)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read as an evaluation: {error}") from error
+    remedy = "write it anew with `ms-highway irl evaluate --json`"
+    if not isinstance(evaluation, dict):
+        raise ValueError(f"{path} is no evaluation; {remedy}")
+    missing = [name for name in ("windows", "tracks", "situations", *PREDICTORS) if name not in evaluation]
+    for name in PREDICTORS:
+        row = evaluation.get(name)
+        for kind in ("fde", "miss"):
+            values = row.get(kind) if isinstance(row, dict) else None
+            usable = isinstance(values, dict) and all(
+                horizon.isdecimal() and isinstance(value, (int, float)) for horizon, value in values.items()
+            )
+            if not usable and name not in missing:
+                missing.append(f"{name}.{kind}")
+        likely = row.get("log_likelihood") if isinstance(row, dict) else None
+        if not isinstance(likely, (int, float)) and name not in missing:
+            missing.append(f"{name}.log_likelihood")
+    if missing:
+        raise ValueError(f"{path} lacks {', '.join(missing)}, or they are no numbers; {remedy}")
+    return evaluation
 
 
 def _beside(

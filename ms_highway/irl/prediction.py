@@ -37,8 +37,8 @@ __all__ = [
     "STEPS",
     "Cases",
     "Others",
-    "cases_of",
     "constant_velocity",
+    "cut_cases",
     "drive",
     "errors",
     "gaussian",
@@ -89,7 +89,7 @@ class Cases:
         return jax.tree.map(lambda numbers: numbers[chosen], self)
 
 
-def cases_of(recordings: Sequence[Recording], others: Others = "recorded") -> Cases:
+def cut_cases(recordings: Sequence[Recording], others: Others = "recorded") -> Cases:
     """The stretches of every driver's track that start at its beginning and at every full second after that.
 
     A case ends with the track, and counts for the horizons that it reaches.

@@ -30,7 +30,8 @@ from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.dynamics import recover_control, step
 from ms_highway.game.game import driven_reward
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.recordings.demonstrations import actions, load, record
+from ms_highway.irl.recordings.datasets import load
+from ms_highway.irl.recordings.demonstrations import actions, record
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
 from ms_highway.vehicle import HumanVehicle, RoutedVehicle
 

@@ -16,7 +16,8 @@ from ms_highway.game.reward_model import NO_GRADIENT, Model
 from ms_highway.irl.learning import SIMULATED, best_controls, expected_features
 from ms_highway.irl.maximum_entropy import Slopes, fit, floored, log_likelihoods, most_likely, slopes_of
 from ms_highway.irl.recordings.demonstrations import actions
-from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, TEMPERATURE
+from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
+from ms_highway.irl.recordings.drivers import TEMPERATURE
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.recovery import recover
 from ms_highway.irl.sampled_maximum_entropy import fit_sampled

@@ -18,7 +18,7 @@ from ms_highway.game.reward import motion_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.optimization.second_derivatives import Path, damped_inverse, eigenpairs, expand
 
-__all__ = ["DRIVER_WEIGHTS", "TEMPERATURE", "Optimum", "maxent", "optimal", "window"]
+__all__ = ["DRIVER_WEIGHTS", "Optimum", "maxent", "optimal", "window"]
 
 DRIVER_WEIGHTS = {
     **{name: weight for name, weight in COMMON_WEIGHTS.items() if name != "collision"},
@@ -27,8 +27,6 @@ DRIVER_WEIGHTS = {
 }
 """Weights of the demonstrated reward: the paper's, less the indicator of a collision, which is not differentiable, and
 some comfort, without which some controls would not matter at all."""
-
-TEMPERATURE = 1e-3  # reward; makes controls vary by up to 0.005 1/m and 3 m/s^2
 
 STEPS = 50  # of the search for an optimum, at most
 FLOOR = 0.05  # of the eigenvalues of Hessians, half the least that comfort gives them
