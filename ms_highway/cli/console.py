@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-__all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "showing", "work"]
+__all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "telling", "work"]
 
 TABLE_WIDTH = 120  # characters
 
@@ -77,8 +77,8 @@ def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
 
 
 @contextmanager
-def showing() -> Iterator[Callable[[str], None]]:
-    """Show on standard error what a computation is doing: a function of the message to show next."""
+def telling() -> Iterator[Callable[[str], None]]:
+    """Show on standard error, while the block runs, the last message that it has passed to what this yields."""
     columns = TextColumn("{task.description}"), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("reading", total=None)
@@ -86,10 +86,10 @@ def showing() -> Iterator[Callable[[str], None]]:
 
 
 def work(progress: Iterator[str | Result]) -> Result:
-    """Show on standard error what a computation says that it is doing, until it yields its result."""
-    with showing() as show:
+    """Show on standard error the messages that a computation yields; return its result, which it yields last."""
+    with telling() as tell:
         for message in progress:
             if not isinstance(message, str):
                 return message
-            show(message)
+            tell(message)
     raise RuntimeError("a computation ended without a result")

@@ -5,22 +5,17 @@ from dataclasses import dataclass, field
 from typing import Literal, TypeAlias, TypeVar
 
 import jax
-import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
-from ms_highway.optimization.second_derivatives import Path, damped_inverse, expand
+from ms_highway.optimization.newton import newton_steps
+from ms_highway.optimization.second_derivatives import Path
 from ms_highway.runtime.arrays import Array
 
 __all__ = ["Planner", "Solver", "ascend", "climb", "project"]
 
 Controls = TypeVar("Controls", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton"]
-
-NEWTON_STEPS = 16
-HESSIAN_EVERY = 8  # steps; in between, the last Hessian serves
-NEWTON_FLOOR = 12.0  # of the Hessian's eigenvalues; 1 / 12 is the longest step per unit of gradient
-SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 8, 0], dtype=np.float32)  # of a Newton step that its line search tries
 
 
 @jax.tree_util.register_dataclass
@@ -110,16 +105,4 @@ def climb(
 
     if planner.solver == "gradient":
         return ascend(planner, jax.grad(earned), start, bounded)
-
-    def with_hessian(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
-        metric = damped_inverse(expand(path, reward, controls, cost).hessian, NEWTON_FLOOR)
-
-        def improve(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
-            step = (metric @ jax.grad(earned)(controls).ravel()).reshape(controls.shape)
-            candidates = bounded(controls + SHARES[:, None, None] * step)
-            rewards = jax.vmap(earned)(candidates)
-            return candidates[jnp.argmax(jnp.where(jnp.isfinite(rewards), rewards, -jnp.inf))]
-
-        return jax.lax.fori_loop(0, HESSIAN_EVERY, improve, controls)
-
-    return jax.lax.fori_loop(0, NEWTON_STEPS // HESSIAN_EVERY, with_hessian, bounded(start))
+    return newton_steps(path, reward, cost, start, bounded)

@@ -5,7 +5,7 @@ import json
 import typing
 from typing import Any
 
-from ms_highway.cli.console import add_command, print_tables, showing
+from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.irl.options import THETA_HELP, add_data, add_model, horizon, model, read, theta
 from ms_highway.irl.prediction import Others
 
@@ -49,12 +49,12 @@ def _evaluate(options: argparse.Namespace) -> None:
         raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
     learned = theta(options.theta) if options.theta else None
     recordings = read(options.data)
-    with showing() as show:
+    with telling() as tell:
         if learned:
-            found = evaluate(recordings, learned, options.others, progress=show)
+            found = evaluate(recordings, learned, options.others, progress=tell)
         else:
             chosen, steps = model(options, recordings), horizon(options)
-            found = cross_validate(recordings, chosen, steps, options.folds, options.others, progress=show)
+            found = cross_validate(recordings, chosen, steps, options.folds, options.others, progress=tell)
     if options.json:
         print(json.dumps(found, indent=2))
         return

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, print_tables, showing
+from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.irl.options import MINARI, add_data, add_model, horizon, model, read
 
 __all__ = ["add_fit"]
@@ -39,8 +39,8 @@ def _fit(options: argparse.Namespace) -> None:
         raise ValueError(f"--out is {options.out}, a directory; name a .json file")
     recordings = read(options.data)
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
-    with showing() as show:
-        learned = learn(recordings, model(options, recordings), horizon(options), source, progress=show)
+    with telling() as tell:
+        learned = learn(recordings, model(options, recordings), horizon(options), source, progress=tell)
     save(learned, options.out)
     print_tables(learned_table(learned))
     likely = learned.log_likelihood

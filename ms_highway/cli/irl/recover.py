@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, print_tables, showing
+from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.irl.options import MINARI, add_horizon, check_directory, horizon, save_figures
 from ms_highway.runtime.files import replacing
 
@@ -67,8 +67,8 @@ def _recover(options: argparse.Namespace) -> None:
     sets = {name: load(name) for name in names}
     tables = []
     for name, recordings in sets.items():
-        with showing() as show:
-            found = recover(recordings, options.demonstrations, SIMULATED, steps, options.held_out, progress=show)
+        with telling() as tell:
+            found = recover(recordings, options.demonstrations, SIMULATED, steps, options.held_out, progress=tell)
         found.insert(0, "driver", name)
         tables.append(found)
     rows = pd.concat(tables, ignore_index=True)

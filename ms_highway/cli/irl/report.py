@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, print_tables, showing
+from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.irl.options import THETA_HELP, add_data, check_directory, read, save_figures, theta
 
 __all__ = ["add_report"]
@@ -42,12 +42,12 @@ def _report(options: argparse.Namespace) -> None:
     check_directory(options.out)
     evaluation = load_evaluation(options.evaluation)
     learned, recordings = theta(options.theta), read(options.data)
-    with showing() as show:
-        show("choosing examples")
+    with telling() as tell:
+        tell("choosing examples")
         cases = cut_cases(recordings)
         chosen = examples(cases)
         cases = cases.of(np.array(list(chosen.values())))
-        show(f"driving {len(cases)} examples")
+        tell(f"driving {len(cases)} examples")
         paths = predictions(cases, learned.sharp_weights, learned.horizon)
     figures = {
         "errors": errors_figure(evaluation),
