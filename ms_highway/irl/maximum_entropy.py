@@ -29,8 +29,8 @@ from scipy import optimize
 from ms_highway.game.game import Game, move
 from ms_highway.game.reward import COMFORT
 from ms_highway.game.reward_model import Model
-from ms_highway.irl.windows import Window, Windows, features_at, template, unease
-from ms_highway.optimization.second_derivatives import slope_and_bend
+from ms_highway.irl.windows import Window, Windows, features_along, path_features, template, unease
+from ms_highway.optimization.second_derivatives import Path, expand
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
@@ -100,10 +100,7 @@ class Fit:
 
 
 def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
-    """The derivatives of these features in every window.
-
-    A feature looks at the motion one step at a time: with s_k the motion at step k, ``J_k = ds_k / du``, and g_k and
-    Q_k the feature's derivatives in s_k, its Hessian in the controls is ``sum_k J_k^T Q_k J_k + g_k d2s_k / du2``.
+    """Return the derivatives of these features in every window, each by `expand`.
 
     Raises:
         ValueError: if they are not finite somewhere.
@@ -124,32 +121,23 @@ def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
 
 
 @jit_quickly
-def _slopes(game: Game, windows: Windows) -> Slopes:
+@partial(jax.vmap, in_axes=(None, 0))
+def _slopes(game: Game, window: Window) -> Slopes:
     """The derivatives of the game's features and of `COMFORT`: one compilation serves whatever is learned of them."""
+    controls = window.controls / game.planner.control_scale
 
-    def derivatives(window: Window) -> Slopes:
-        def path(controls: Float[jax.Array, "d"]) -> Float[jax.Array, "fields K"]:
-            return move(game, window.start, controls.reshape(-1, 2))
+    def of_one(weights: Float[jax.Array, "names"]) -> tuple[Float[jax.Array, "d"], Float[jax.Array, "d d"]]:
+        def reward(path: Path) -> Float[jax.Array, ""]:
+            return weights[:-2] @ path_features(game, window, path).sum(axis=0)
 
-        def at_step(own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]) -> Slopes:
-            function = partial(features_at, game, window, others=others)
-            return Slopes(function(own), *slope_and_bend(function)(own))
+        def cost(controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, ""]:
+            return weights[-2:] @ jnp.sum(unease(game, window, controls) ** 2, axis=0) / 2
 
-        controls = (window.controls / game.planner.control_scale).ravel()
-        steps = path(controls)
-        first, second = slope_and_bend(path)(controls)
-        phi, slope, bend = jax.vmap(at_step, in_axes=(1, 1))(steps, window.others)
-        bent = jnp.einsum("knfg,gkd->knfd", bend, first)
-        gradients = jnp.einsum("knf,fkd->nd", slope, first)
-        hessians = jnp.einsum("knfd,fke->nde", bent, first) + jnp.einsum("knf,fkde->nde", slope, second)
-        uneasy = unease(game, window, controls.reshape(-1, 2))
-        of_kind = jnp.eye(2)[:, None, :]  # one of the two controls at every step
-        kinds = jnp.broadcast_to(of_kind, (2, *uneasy.shape)).reshape(2, -1)
-        ease = Slopes(-jnp.sum(uneasy**2, axis=0) / 2, -(of_kind * uneasy).reshape(2, -1), -jax.vmap(jnp.diag)(kinds))
-        everything = Slopes(phi.sum(axis=0), gradients, hessians)
-        return jax.tree.map(lambda paid, felt: jnp.concatenate([paid, felt]), everything, ease)
+        expansion = expand(partial(move, game, window.start), reward, controls, cost)
+        return expansion.gradient, expansion.hessian
 
-    return jax.vmap(derivatives)(windows)
+    features = features_along(game, window, controls)
+    return Slopes(features, *jax.vmap(of_one)(jnp.eye(len(features))))
 
 
 @jax.custom_jvp

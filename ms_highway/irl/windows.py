@@ -19,6 +19,7 @@ from ms_highway.game.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT,
 from ms_highway.game.scene import Scene
 from ms_highway.irl.recordings.recording import Recording, number_groups
 from ms_highway.irl.recordings.tracks import track_of
+from ms_highway.optimization.second_derivatives import Path
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
 
@@ -29,9 +30,9 @@ __all__ = [
     "coasting",
     "cut",
     "features_along",
-    "features_at",
     "first_step",
     "most_lanes",
+    "path_features",
     "regular",
     "regular_windows",
     "scene_of",
@@ -198,8 +199,7 @@ def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
 def _edge(game: Game, window: Window) -> tuple[jax.Array, jax.Array]:
     """Whether the driver is off the road, and the size of its heading's sine, after each step."""
     path = move(game, window.start, window.controls / game.planner.control_scale)
-    phi = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
-    return phi[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
+    return path_features(game, window, path)[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
 
 
 def template(windows: Windows, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
@@ -219,19 +219,20 @@ def at_window(game: Game, window: Window) -> Game:
     return replace(game, scene=window.scenes, robot=replace(game.robot, speed_limit=window.speed_limit))
 
 
-def features_at(
-    game: Game, window: Window, own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]
-) -> Float[jax.Array, "features"]:
-    """The features that the game computes at one step of a window.
+def path_features(game: Game, window: Window, path: Path) -> Float[jax.Array, "K features"]:
+    """The features that the game computes at each step of a driver's path in a window.
 
     Args:
         game: as `template` makes it.
         window: which one.
-        own: the driver's motion then, the fields of a `Motion`.
-        others: the neighbours' states then.
+        path: the driver's motion after each step.
     """
     here = at_window(game, window)
-    return jnp.stack(motion_features(here.scene, here.robot, Motion(*own), observe(others)))
+
+    def at_step(own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]) -> Float[jax.Array, "features"]:
+        return jnp.stack(motion_features(here.scene, here.robot, Motion(*own), observe(others)))
+
+    return jax.vmap(at_step, in_axes=(1, 1))(path, window.others)
 
 
 def unease(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "K 2"]:
@@ -242,5 +243,5 @@ def unease(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Flo
 def features_along(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "features"]:
     """The game's features summed over a window's steps, and then those of comfort, under scaled controls."""
     path = move(game, jnp.asarray(window.start), controls)
-    steps = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
-    return jnp.concatenate([steps.sum(axis=0), -jnp.sum(unease(game, window, controls) ** 2, axis=0) / 2])
+    paid = path_features(game, window, path).sum(axis=0)
+    return jnp.concatenate([paid, -jnp.sum(unease(game, window, controls) ** 2, axis=0) / 2])
