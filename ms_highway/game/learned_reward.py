@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.reward import linear_reward
-from ms_highway.game.reward_model import Model
+from ms_highway.game.reward_model import RewardModel
 from ms_highway.runtime.files import read_json, replacing
 
 __all__ = ["SHIPPED", "VERSION", "LearnedReward", "load", "save", "shipped"]
@@ -86,9 +86,11 @@ class LearnedReward:
         return {name: weight / self.temperature for name, weight in self.weights.items()}
 
     @property
-    def model(self) -> Model:
+    def model(self) -> RewardModel:
         """What was learned and what was given."""
-        return Model(self.learned, {name: value for name, value in self.weights.items() if name not in self.learned})
+        return RewardModel(
+            self.learned, {name: value for name, value in self.weights.items() if name not in self.learned}
+        )
 
     def interval(self, name: str, deviations: float = 1.645) -> Float[np.ndarray, "2"]:
         """The weight at so many standard deviations of its logarithm below and above; 1.645 span 90 %."""

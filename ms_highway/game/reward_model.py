@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ms_highway.game.reward import COMFORT, weight_names
 
-__all__ = ["NO_GRADIENT", "PENALTIES", "Model"]
+__all__ = ["NO_GRADIENT", "PENALTIES", "RewardModel"]
 
 PENALTIES = ("collision_risk", "collision", "off_road")
 """Features whose weights are negative; those of all others are positive."""
@@ -20,7 +20,7 @@ FLOOR = 0.5  # of the least comfort weight that is given: the least curvature of
 
 
 @dataclass(frozen=True)
-class Model:
+class RewardModel:
     """What is to be learned, and what is given.
 
     Attributes:

@@ -3,7 +3,7 @@
 An evaluation is a dictionary of plain numbers: for ``model``, ``constant_velocity`` and ``idm`` the `errors` of
 prediction by horizon and the mean ``log_likelihood`` of a window's scaled controls; the number of ``windows`` that were
 predicted, of ``tracks`` that they are from, and of ``likelihood_windows``; errors by what drivers were doing
-(``situations``, see `ms_highway.irl.situations`); and what the predicted drivers met (``others``).
+(``situations``, see `ms_highway.irl.regimes`); and what the predicted drivers met (``others``).
 """
 
 from collections.abc import Sequence
@@ -15,10 +15,10 @@ from jaxtyping import Float
 
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.game.reward_model import Model
+from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.learning import converged, folds, likelihoods
-from ms_highway.irl.maximum_entropy import fit, slopes_of
+from ms_highway.irl.learning import converged, folds, window_log_likelihoods
+from ms_highway.irl.maximum_entropy import differentiate, fit
 from ms_highway.irl.prediction import (
     STEPS,
     Cases,
@@ -27,12 +27,12 @@ from ms_highway.irl.prediction import (
     cut_cases,
     drive,
     errors,
-    gaussian,
+    gaussian_log_likelihoods,
     idm,
     idm_controls,
 )
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.situations import by_situation
+from ms_highway.irl.regimes import errors_by_regime
 from ms_highway.irl.windows import Windows, regular_windows
 from ms_highway.runtime.files import read_json
 from ms_highway.runtime.progress import Progress, silent
@@ -59,15 +59,15 @@ def evaluate(
     progress(f"driving {len(cases)} stretches of road")
     paths = drive(cases, learned.sharp_weights, learned.horizon)
     progress(f"differentiating {len(windows)} windows")
-    slopes = slopes_of(windows, learned.model.names)
-    likely = likelihoods(slopes, learned.model, learned.weights, learned.temperature)
+    derivatives = differentiate(windows, learned.model.names)
+    likely = window_log_likelihoods(derivatives, learned.model, learned.weights, learned.temperature)
     progress("driving IDM vehicles")
     return _beside(cases, paths, windows, likely, others)
 
 
 def cross_validate(
     recordings: Sequence[Recording],
-    model: Model,
+    model: RewardModel,
     horizon: int,
     parts: int,
     others: Others = "recorded",
@@ -97,17 +97,17 @@ def cross_validate(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
     progress(f"differentiating {len(windows)} windows")
-    slopes = slopes_of(windows, model.names)
+    derivatives = differentiate(windows, model.names)
     paths, likely, weights = np.empty((len(cases), STEPS, 2)), np.empty(len(windows)), []
     held_out = folds(np.union1d(windows.group, cases.group), parts)
     found = None
     for number, names in enumerate(held_out, 1):
         held, driven = np.isin(windows.group, names), np.isin(cases.group, names)
         progress(f"learning, fold {number} of {len(held_out)}")
-        found = converged(fit(slopes.of(~held), model, found))
+        found = converged(fit(derivatives.of(~held), model, found))
         weights.append({"weights": found.weights, "temperature": found.temperature})
         if held.any():
-            likely[held] = likelihoods(slopes.of(held), model, found.weights, found.temperature)
+            likely[held] = window_log_likelihoods(derivatives.of(held), model, found.weights, found.temperature)
         if driven.any():
             progress(f"driving, fold {number} of {len(held_out)}")
             paths[driven] = drive(cases.of(driven), found.sharp_weights, horizon)
@@ -159,12 +159,12 @@ def _beside(
     )
     rows = {
         "model": (paths, likely),
-        "constant_velocity": (constant_velocity(cases), gaussian(windows, kept)),
-        "idm": (idm(cases), gaussian(windows, idm_controls(windows))),
+        "constant_velocity": (constant_velocity(cases), gaussian_log_likelihoods(windows, kept)),
+        "idm": (idm(cases), gaussian_log_likelihoods(windows, idm_controls(windows))),
     }
     return {
         **{name: {**errors(path, cases), "log_likelihood": float(log.mean())} for name, (path, log) in rows.items()},
-        "situations": by_situation({name: path for name, (path, _) in rows.items()}, cases),
+        "situations": errors_by_regime({name: path for name, (path, _) in rows.items()}, cases),
         "windows": len(cases),
         "tracks": len(np.unique(cases.track)),
         "likelihood_windows": len(windows),

@@ -14,11 +14,11 @@ from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT, motion_reward
-from ms_highway.game.reward_model import Model
+from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.irl.maximum_entropy import Fit, Slopes, fit, log_likelihoods, slopes_of
+from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit, log_likelihoods
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.windows import Window, Windows, at_window, regular_windows, template
+from ms_highway.irl.windows import Windows, driver_game, regular_windows, with_window
 from ms_highway.optimization.ascent import climb
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
@@ -35,23 +35,23 @@ __all__ = [
     "expected_features",
     "folds",
     "learn",
-    "likelihoods",
+    "window_log_likelihoods",
 ]
 
 COMFORT_GIVEN = 0.1
 """The comfort weight that sets the scale of all others; small against the published weights' curvature."""
 
-SIMULATED = Model(
+SIMULATED = RewardModel(
     ("speed", "lane_alignment", "collision_risk"),
     {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)},
 )
 """What is learned from simulated demonstrations: the weights that every driver of the paper has.
 
 What leaving the road costs is given: those who stay on it tell nothing about it, and those who slide along its edge
-nothing that slopes could tell, see `ms_highway.irl.windows.regular`.
+nothing that derivatives could show, see `ms_highway.irl.windows.regular`.
 """
 
-REAL = Model(
+REAL = RewardModel(
     (*SIMULATED.learned, "direction", "headway", "closing_speed", "induced_braking", "comfort_steering"),
     {"comfort_acceleration": COMFORT_GIVEN},
 )
@@ -66,7 +66,7 @@ def folds(groups: Int[np.ndarray, "n"], number: int) -> list[Int[np.ndarray, "he
 
 def learn(
     recordings: Sequence[Recording],
-    model: Model,
+    model: RewardModel,
     horizon: int,
     source: str,
     validations: int = 4,
@@ -89,16 +89,16 @@ def learn(
     progress("cutting windows")
     windows = regular_windows(recordings, horizon)
     progress(f"differentiating {len(windows)} windows")
-    slopes = slopes_of(windows, model.names)
+    derivatives = differentiate(windows, model.names)
     progress("fitting")
-    found = converged(fit(slopes, model))
+    found = converged(fit(derivatives, model))
     held_out = []
     parts = folds(windows.group, validations)
     for number, names in enumerate(parts if len(parts) > 1 else [], 1):
         chosen = np.isin(windows.group, names)
         progress(f"cross-validating, {number} of {len(parts)}")
-        rest = converged(fit(slopes.of(~chosen), model, found))
-        held_out.append(likelihoods(slopes.of(chosen), model, rest.weights, rest.temperature))
+        rest = converged(fit(derivatives.of(~chosen), model, found))
+        held_out.append(window_log_likelihoods(derivatives.of(chosen), model, rest.weights, rest.temperature))
     progress("counting features")
     return LearnedReward(
         weights=found.weights,
@@ -114,7 +114,7 @@ def learn(
             "held_out": float(np.concatenate(held_out).mean()) if held_out else None,
         },
         feature_counts={
-            "human": dict(zip(model.names, slopes.features.mean(axis=0).tolist(), strict=True)),
+            "human": dict(zip(model.names, derivatives.features.mean(axis=0).tolist(), strict=True)),
             "model": dict(zip(model.names, expected_features(windows, found).tolist(), strict=True)),
         },
         provenance={
@@ -140,13 +140,13 @@ def converged(found: Fit) -> Fit:
     return found
 
 
-def likelihoods(
-    slopes: Slopes, model: Model, weights: Mapping[str, float], temperature: float
+def window_log_likelihoods(
+    derivatives: FeatureDerivatives, model: RewardModel, weights: Mapping[str, float], temperature: float
 ) -> Float[np.ndarray, "n"]:
     """Log p of every window's scaled controls, see `log_likelihoods`, in double precision."""
     with jax.enable_x64(True):
         theta = jnp.array([weights[name] for name in model.names])
-        data = Slopes(*map(jnp.asarray, slopes))
+        data = FeatureDerivatives(*map(jnp.asarray, derivatives))
         return np.asarray(log_likelihoods(data, theta, temperature, model.floor))
 
 
@@ -157,15 +157,15 @@ def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float
         windows: where, with the others as recorded.
         sharp_weights: of the reward by name, over the temperature.
     """
-    game = template(windows, sharp_weights)
+    game = driver_game(windows, sharp_weights)
     game = replace(game, planner=replace(game.planner, solver="newton"))
     return in_batches(partial(_best_controls, game), windows)
 
 
 @jit_quickly
 def _best_controls(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
-    def best(window: Window) -> Float[jax.Array, "K 2"]:
-        here, others = at_window(game, window), observe(window.others)
+    def best(window: Windows) -> Float[jax.Array, "K 2"]:
+        here, others = with_window(game, window), observe(window.others)
         scaled = climb(
             here.planner,
             partial(move, here, window.start),
@@ -183,13 +183,15 @@ def curvatures(
     windows: Windows, controls: Float[np.ndarray, "n K 2"], found: Fit
 ) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
     """Eigenvalues of -H / T under a fit at some controls, bounded from below as in the fit, and eigenvectors."""
-    slopes = slopes_of(replace(windows, controls=controls), found.model.names)
-    return _curvatures(slopes, found)
+    derivatives = differentiate(replace(windows, controls=controls), found.model.names)
+    return _curvatures(derivatives, found)
 
 
-def _curvatures(slopes: Slopes, found: Fit) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
+def _curvatures(
+    derivatives: FeatureDerivatives, found: Fit
+) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
     theta = np.array([found.weights[name] for name in found.model.names])
-    values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, slopes.hessians) / found.temperature)
+    values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, derivatives.hessians) / found.temperature)
     return np.maximum(values, found.model.floor / found.temperature), vectors
 
 
@@ -200,7 +202,7 @@ def expected_features(windows: Windows, found: Fit) -> Float[np.ndarray, "names"
     eigenvalues are bounded as in the fit.
     """
     best = replace(windows, controls=best_controls(windows, found.sharp_weights))
-    slopes = slopes_of(best, found.model.names)
-    values, vectors = _curvatures(slopes, found)
+    derivatives = differentiate(best, found.model.names)
+    values, vectors = _curvatures(derivatives, found)
     spread = np.einsum("nde,ne,nfe->ndf", vectors, 1 / values, vectors)
-    return np.mean(slopes.features + np.einsum("nfde,nde->nf", slopes.hessians, spread) / 2, axis=0)
+    return np.mean(derivatives.features + np.einsum("nfde,nde->nf", derivatives.hessians, spread) / 2, axis=0)

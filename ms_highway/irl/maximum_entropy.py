@@ -28,14 +28,14 @@ from scipy import optimize
 
 from ms_highway.game.game import Game, move
 from ms_highway.game.reward import COMFORT
-from ms_highway.game.reward_model import Model
-from ms_highway.irl.windows import Window, Windows, features_along, path_features, template, unease
+from ms_highway.game.reward_model import RewardModel
+from ms_highway.irl.windows import Windows, control_deviation, driver_game, features_along, path_features
 from ms_highway.optimization.second_derivatives import Path, expand
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
 
-__all__ = ["Fit", "Slopes", "fit", "floored", "log_likelihoods", "most_likely", "slopes_of"]
+__all__ = ["FeatureDerivatives", "Fit", "differentiate", "fit", "floored", "log_likelihoods", "most_likely"]
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
 MANY = 600  # windows, of which half as many are fitted first
@@ -44,7 +44,7 @@ TOLERANCE = 1e-3  # of the slope of the objective per window, in a fit that has 
 TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
 
 
-class Slopes(NamedTuple):
+class FeatureDerivatives(NamedTuple):
     """The features' derivatives in the scaled controls of n windows, at what the drivers did.
 
     Attributes:
@@ -57,9 +57,9 @@ class Slopes(NamedTuple):
     gradients: Float[Array, "n names d"]
     hessians: Float[Array, "n names d d"]
 
-    def of(self, chosen: np.ndarray) -> "Slopes":
+    def of(self, chosen: np.ndarray) -> "FeatureDerivatives":
         """Those of some windows."""
-        return Slopes(*(part[chosen] for part in self))
+        return FeatureDerivatives(*(part[chosen] for part in self))
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Fit:
         log_likelihood: mean over the windows.
     """
 
-    model: Model
+    model: RewardModel
     logarithms: Float[np.ndarray, "parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
     converged: bool
@@ -99,30 +99,30 @@ class Fit:
         return {name: weight / self.temperature for name, weight in self.weights.items()}
 
 
-def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
+def differentiate(windows: Windows, names: tuple[str, ...]) -> FeatureDerivatives:
     """Return the derivatives of these features in every window, each by `expand`.
 
     Raises:
         ValueError: if they are not finite somewhere.
     """
-    game = template(windows, {}, names)
-    places = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
+    game = driver_game(windows, {}, names)
+    columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
 
-    def named(batch: Windows) -> Slopes:
-        return Slopes(*(np.asarray(part)[:, places] for part in _slopes(game, batch)))
+    def named(batch: Windows) -> FeatureDerivatives:
+        return FeatureDerivatives(*(np.asarray(part)[:, columns] for part in _differentiate(game, batch)))
 
-    slopes = Slopes(*(part.astype(np.float64) for part in in_batches(named, windows)))
-    for part in slopes:
+    derivatives = FeatureDerivatives(*(part.astype(np.float64) for part in in_batches(named, windows)))
+    for part in derivatives:
         if not np.isfinite(part).all():
             window = int(np.argwhere(~np.isfinite(part))[0][0])
             start = windows.start[window]
             raise ValueError(f"the features of window {window} have no finite derivatives; it starts at {start}")
-    return slopes
+    return derivatives
 
 
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
-def _slopes(game: Game, window: Window) -> Slopes:
+def _differentiate(game: Game, window: Windows) -> FeatureDerivatives:
     """The derivatives of the game's features and of `COMFORT`: one compilation serves whatever is learned of them."""
     controls = window.controls / game.planner.control_scale
 
@@ -131,13 +131,13 @@ def _slopes(game: Game, window: Window) -> Slopes:
             return weights[:-2] @ path_features(game, window, path).sum(axis=0)
 
         def cost(controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, ""]:
-            return weights[-2:] @ jnp.sum(unease(game, window, controls) ** 2, axis=0) / 2
+            return weights[-2:] @ jnp.sum(control_deviation(game, window, controls) ** 2, axis=0) / 2
 
         expansion = expand(partial(move, game, window.start), reward, controls, cost)
         return expansion.gradient, expansion.hessian
 
     features = features_along(game, window, controls)
-    return Slopes(features, *jax.vmap(of_one)(jnp.eye(len(features))))
+    return FeatureDerivatives(features, *jax.vmap(of_one)(jnp.eye(len(features))))
 
 
 @jax.custom_jvp
@@ -169,7 +169,7 @@ def _floored_jvp(
 
 @jax.jit
 def log_likelihoods(
-    slopes: Slopes, theta: Float[Array, "names"], temperature: float | Float[Array, ""], floor: float
+    derivatives: FeatureDerivatives, theta: Float[Array, "names"], temperature: float | Float[Array, ""], floor: float
 ) -> Float[jax.Array, "n"]:
     """Laplace's log p of every window's scaled controls; eigenvalues of -H are floored at ``floor / T``."""
 
@@ -181,35 +181,35 @@ def log_likelihoods(
         off = slope @ cho_solve((root, True), slope)
         return -off / 2 + jnp.sum(jnp.log(jnp.diagonal(root))) - len(slope) / 2 * jnp.log(2 * jnp.pi)
 
-    slope = jnp.einsum("f,nfd->nd", theta, slopes.gradients) / temperature
-    bend = -jnp.einsum("f,nfde->nde", theta, slopes.hessians) / temperature
+    slope = jnp.einsum("f,nfd->nd", theta, derivatives.gradients) / temperature
+    bend = -jnp.einsum("f,nfde->nde", theta, derivatives.hessians) / temperature
     return jax.lax.map(window, (slope, bend))
 
 
-def fit(slopes: Slopes, model: Model, near: Fit | None = None) -> Fit:
+def fit(derivatives: FeatureDerivatives, model: RewardModel, near: Fit | None = None) -> Fit:
     """The most likely weights and temperature, see `most_likely`.
 
     Args:
-        slopes: of the features `Model.names`, in their order.
+        derivatives: of the features `RewardModel.names`, in their order.
         model: what to learn.
         near: a fit to begin with; without, one of a few of the windows, where there are many.
 
     Raises:
         ValueError: if the weights diverge.
     """
-    windows = len(slopes.features)
+    windows = len(derivatives.features)
     if near is None and windows > MANY:
-        near = fit(slopes.of(np.arange(0, windows, windows * 2 // MANY)), model)
+        near = fit(derivatives.of(np.arange(0, windows, windows * 2 // MANY)), model)
     begin = None if near is None else near.logarithms
-    return most_likely(_above_floor, (slopes, model.floor), model, begin)
+    return most_likely(_above_floor, (derivatives, model.floor), model, begin)
 
 
 def _above_floor(
-    data: tuple[Slopes, jax.Array], theta: Float[jax.Array, "names"], temperature: Float[jax.Array, ""]
+    data: tuple[FeatureDerivatives, jax.Array], theta: Float[jax.Array, "names"], temperature: Float[jax.Array, ""]
 ) -> Float[jax.Array, "n"]:
-    """`log_likelihoods` of slopes and a floor."""
-    slopes, floor = data
-    return log_likelihoods(slopes, theta, temperature, floor)
+    """`log_likelihoods` of derivatives and a floor."""
+    derivatives, floor = data
+    return log_likelihoods(derivatives, theta, temperature, floor)
 
 
 Likelihoods: TypeAlias = Callable[[Any, Float[jax.Array, "names"], Float[jax.Array, ""]], Float[jax.Array, "n"]]
@@ -219,7 +219,7 @@ Likelihoods: TypeAlias = Callable[[Any, Float[jax.Array, "names"], Float[jax.Arr
 def most_likely(
     likelihoods: Likelihoods,
     data: Any,
-    model: Model,
+    model: RewardModel,
     begin: Float[np.ndarray, "parameters"] | None = None,
 ) -> Fit:
     """The weights and the temperature that make data most likely, under a weak prior, in double precision.
@@ -228,8 +228,8 @@ def most_likely(
     deviation 4. Where the data tell nothing about a weight, the prior is what is left, and the covariance says so.
 
     Args:
-        likelihoods: log p of each of n data, of (data, theta in the order of `Model.names`, temperature); a function of
-            a module, so that it is compiled once for data of the same shapes.
+        likelihoods: log p of each of n data, of (data, theta in the order of `RewardModel.names`, temperature); a
+            module-level function, so that it is compiled once for data of the same shapes.
         data: a pytree of arrays.
         model: what to learn.
         begin: the logarithms to begin with.

@@ -26,7 +26,7 @@ from ms_highway.game.reward import FEATURES, features_for
 from ms_highway.game.scenario import PAPER_DYNAMICS, driving_game
 from ms_highway.game.scene import Scene
 from ms_highway.irl.recordings.recording import Recording, number_groups
-from ms_highway.irl.windows import Windows, coasting, most_lanes, scene_of, template
+from ms_highway.irl.windows import Windows, coasting, driver_game, most_lanes, scene_of
 from ms_highway.planning.human_models import Naive
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
@@ -41,7 +41,7 @@ __all__ = [
     "cut_cases",
     "drive",
     "errors",
-    "gaussian",
+    "gaussian_log_likelihoods",
     "idm",
     "idm_controls",
     "predictions",
@@ -231,12 +231,12 @@ def idm_controls(windows: Windows) -> Float[np.ndarray, "n K 2"]:
     return np.array(controls)
 
 
-def gaussian(windows: Windows, expected: Float[np.ndarray, "n K 2"]) -> Float[np.ndarray, "n"]:
+def gaussian_log_likelihoods(windows: Windows, expected: Float[np.ndarray, "n K 2"]) -> Float[np.ndarray, "n"]:
     """Log p of every window's scaled controls, if they vary normally and independently around the expected ones.
 
     The two standard deviations are the likeliest for these very windows, which is more than a learned reward is given.
     """
-    scale = np.asarray(template(windows, {}).planner.control_scale, dtype=float)
+    scale = np.asarray(driver_game(windows, {}).planner.control_scale, dtype=float)
     difference = (np.asarray(windows.controls) - expected) / scale
     deviation = np.maximum(np.sqrt(np.mean(difference**2, axis=(0, 1))), LEAST_DEVIATION)
     return stats.norm.logpdf(difference, scale=deviation).sum(axis=(1, 2))

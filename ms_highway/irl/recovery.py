@@ -14,13 +14,13 @@ from scipy import optimize
 from ms_highway.game.dynamics import keep_velocity, observe
 from ms_highway.game.game import Game
 from ms_highway.game.reward import COMFORT, FEATURES
-from ms_highway.game.reward_model import Model
+from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import PAPER_DYNAMICS, driving_game
-from ms_highway.irl.learning import SIMULATED, likelihoods
-from ms_highway.irl.maximum_entropy import Fit, Slopes, fit, slopes_of
+from ms_highway.irl.learning import SIMULATED, window_log_likelihoods
+from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, optimal
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.windows import Window, Windows, at_window, features_along, regular_windows, template
+from ms_highway.irl.windows import Windows, driver_game, features_along, regular_windows, with_window
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.progress import Progress, silent
 
@@ -37,7 +37,7 @@ TEMPERATURES = (-30.0, 5.0)  # logarithms between which the best temperature is 
 def recover(
     recordings: Sequence[Recording],
     numbers: Sequence[int],
-    model: Model = SIMULATED,
+    model: RewardModel = SIMULATED,
     horizon: int = 5,
     held_out: int = 64,
     *,
@@ -45,9 +45,9 @@ def recover(
 ) -> pd.DataFrame:
     """Learn the weights of simulated drivers from more and more demonstrations, and compare them with the true ones.
 
-    The true weights are `DRIVER_WEIGHTS`. What is learned is judged on the last demonstrations, which are never fitted;
-    and only where slopes can tell, see `ms_highway.irl.windows.regular`: elsewhere, at the road's edge, the search for
-    the best controls often ends before an optimum, and regrets would tell more of the search than of the weights.
+    The true weights are `DRIVER_WEIGHTS`. Learned weights are evaluated on the last demonstrations, which are never
+    fitted, and only in windows that are `ms_highway.irl.windows.regular`: elsewhere, at the road's edge, the search for
+    the best controls often ends before an optimum, and regrets would measure the search rather than the weights.
 
     Args:
         recordings: the demonstrations.
@@ -79,10 +79,10 @@ def recover(
     judged = windows.of(windows.group >= numbers[-1])
     fitted = windows.group < numbers[0]
     if not fitted.any() or not len(judged):
-        raise ValueError(f"none of the windows of {numbers[0]} or of the held-out demonstrations tells by its slopes")
+        raise ValueError(f"none of the windows of {numbers[0]} or of the held-out demonstrations can be learned from")
     progress(f"differentiating {len(windows)} windows")
-    slopes = slopes_of(windows, model.names)
-    rest = slopes.of(windows.group >= numbers[-1])
+    derivatives = differentiate(windows, model.names)
+    rest = derivatives.of(windows.group >= numbers[-1])
     progress(f"planning in {len(judged)} held-out windows")
     earned, plans = true_rewards(judged), _planning(judged)
     best = earned(plans(DRIVER_WEIGHTS))
@@ -93,12 +93,12 @@ def recover(
     for number in numbers:
         progress(f"learning from {number} demonstrations")
         first = windows.group < number
-        found = fit(slopes.of(first), model)
+        found = fit(derivatives.of(first), model)
         lost = float((best - earned(plans(found.weights))).mean())
         common = {
             "temperature": found.temperature,
             "converged": found.converged,
-            "log_likelihood": float(likelihoods(rest, model, found.weights, found.temperature).mean()),
+            "log_likelihood": float(window_log_likelihoods(rest, model, found.weights, found.temperature).mean()),
             "log_likelihood_true": reference,
             "regret": lost / gain,
         }
@@ -109,13 +109,13 @@ def recover(
 
 def true_rewards(windows: Windows) -> Callable[[Float[np.ndarray, "n K 2"]], Float[np.ndarray, "n"]]:
     """A function that tells what controls in the windows earn by the true weights, comfort included."""
-    game = template(windows, DRIVER_WEIGHTS)
+    game = driver_game(windows, DRIVER_WEIGHTS)
     theta = jnp.array([DRIVER_WEIGHTS.get(name, 0.0) for name in (*FEATURES, *COMFORT)])
     single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
 
     @jit_quickly
     @jax.vmap
-    def rewards(window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, ""]:
+    def rewards(window: Windows, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, ""]:
         return theta @ features_along(game, window, controls / game.planner.control_scale)
 
     return lambda controls: np.asarray(rewards(single, jnp.asarray(controls, dtype=jnp.float32)), dtype=float)
@@ -128,8 +128,8 @@ def _planning(windows: Windows) -> Callable[[Mapping[str, float]], Float[np.ndar
 
     @jit_quickly
     def plan(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
-        def best(window: Window) -> Float[jax.Array, "K 2"]:
-            here = at_window(game, window)
+        def best(window: Windows) -> Float[jax.Array, "K 2"]:
+            here = with_window(game, window)
             return optimal(here, window.start, observe(window.others)).controls * game.planner.control_scale
 
         return jax.vmap(best)(windows)
@@ -143,7 +143,7 @@ def _planning(windows: Windows) -> Callable[[Mapping[str, float]], Float[np.ndar
     return plans
 
 
-def _check(recordings: Sequence[Recording], numbers: Sequence[int], model: Model, held_out: int) -> None:
+def _check(recordings: Sequence[Recording], numbers: Sequence[int], model: RewardModel, held_out: int) -> None:
     if held_out < 1 or not numbers or min(numbers) < 1:
         raise ValueError(
             f"it cannot be learned from {list(numbers)} demonstrations and judged by {held_out}; "
@@ -176,10 +176,10 @@ def _weights(found: Fit) -> Iterator[dict[str, object]]:
         }
 
 
-def _best_likelihood(slopes: Slopes, model: Model) -> float:
+def _best_likelihood(derivatives: FeatureDerivatives, model: RewardModel) -> float:
     """Mean log-likelihood of the true weights, at the temperature at which it is highest."""
 
     def loss(logarithm: float) -> float:
-        return -float(likelihoods(slopes, model, DRIVER_WEIGHTS, np.exp(logarithm)).mean())
+        return -float(window_log_likelihoods(derivatives, model, DRIVER_WEIGHTS, np.exp(logarithm)).mean())
 
     return -float(optimize.minimize_scalar(loss, method="bounded", bounds=TEMPERATURES).fun)

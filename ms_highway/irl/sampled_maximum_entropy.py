@@ -18,7 +18,7 @@ from ms_highway.game.game import Game
 from ms_highway.game.reward import COMFORT
 from ms_highway.irl.learning import best_controls, curvatures
 from ms_highway.irl.maximum_entropy import Fit, most_likely
-from ms_highway.irl.windows import Window, Windows, features_along, template
+from ms_highway.irl.windows import Windows, driver_game, features_along
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
@@ -52,8 +52,8 @@ def draw_candidates(windows: Windows, found: Fit, number: int, seed: int = 0) ->
         seed: of the random numbers.
     """
     names = found.model.names
-    game = template(windows, {}, names)
-    places = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
+    game = driver_game(windows, {}, names)
+    columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
     scale = np.asarray(game.planner.control_scale, dtype=float)
     best = best_controls(windows, found.sharp_weights)
     values, vectors = curvatures(windows, best, found)
@@ -64,13 +64,13 @@ def draw_candidates(windows: Windows, found: Fit, number: int, seed: int = 0) ->
     log_density = -np.sum(normal**2 / 2 + np.log(2 * np.pi) / 2, axis=-1) - np.log(deviations).sum(axis=-1)[:, None]
 
     everything = np.concatenate([(windows.controls / scale).reshape(len(windows), 1, -1), candidates], axis=1)
-    phi = in_batches(partial(_features, game), (windows, everything))[..., places].astype(float)
+    phi = in_batches(partial(_features, game), (windows, everything))[..., columns].astype(float)
     return Candidates(phi[:, 0], phi[:, 1:], log_density)
 
 
 @jit_quickly
 def _features(game: Game, items: tuple[Windows, Float[jax.Array, "n M d"]]) -> Float[jax.Array, "n M features"]:
-    def along(window: Window, controls: Float[jax.Array, "M d"]) -> Float[jax.Array, "M features"]:
+    def along(window: Windows, controls: Float[jax.Array, "M d"]) -> Float[jax.Array, "M features"]:
         return jax.vmap(lambda u: features_along(game, window, u.reshape(-1, 2)))(controls)
 
     return jax.vmap(along)(*items)

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax
 import numpy as np
@@ -24,11 +24,11 @@ from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
 
 __all__ = [
-    "Window",
     "Windows",
-    "at_window",
     "coasting",
-    "cut",
+    "control_deviation",
+    "cut_windows",
+    "driver_game",
     "features_along",
     "first_step",
     "most_lanes",
@@ -36,8 +36,7 @@ __all__ = [
     "regular",
     "regular_windows",
     "scene_of",
-    "template",
-    "unease",
+    "with_window",
 ]
 
 KINK = 0.05  # sine of the heading, within which noise may turn the car to either side
@@ -48,10 +47,10 @@ LANES = 6  # that scenes have at least: one compilation serves most roads
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Windows:
-    """n windows of K steps, all arrays, of NumPy or JAX, in SI units.
+    """Windows of K steps: arrays of NumPy or JAX, in SI units, with a leading axis [n]; without it, one window.
 
     Attributes:
-        scenes: the road and the driver's own size, every array with a leading axis [n].
+        scenes: the road and the driver's own size, every array with the leading axis.
         speed_limit: of the road [m/s].
         start: the driver before the first step.
         controls: what it did.
@@ -60,11 +59,11 @@ class Windows:
     """
 
     scenes: Scene
-    speed_limit: Float[Any, "n"]
-    start: Float[Any, "n 4"]
-    controls: Float[Any, "n K 2"]
-    others: Float[Any, "n 6 K 4"]
-    group: Int[Any, "n"]
+    speed_limit: Float[Any, "*n"]
+    start: Float[Any, "*n 4"]
+    controls: Float[Any, "*n K 2"]
+    others: Float[Any, "*n 6 K 4"]
+    group: Int[Any, "*n"]
 
     def __len__(self) -> int:
         return len(self.start)
@@ -72,10 +71,6 @@ class Windows:
     def of(self, chosen: Bool[np.ndarray, "n"]) -> "Windows":
         """Some of the windows."""
         return jax.tree.map(lambda numbers: numbers[chosen], self)
-
-
-Window: TypeAlias = Windows
-"""One of them: the same arrays without the axis [n]."""
 
 
 def scene_of(recording: Recording, driver: int, lanes: int) -> Scene:
@@ -101,7 +96,7 @@ def most_lanes(recordings: Sequence[Recording]) -> int:
     return max((LANES, *(len(item.lanes) for item in recordings)))
 
 
-def cut(recordings: Sequence[Recording], steps: int) -> Windows:
+def cut_windows(recordings: Sequence[Recording], steps: int) -> Windows:
     """All windows of the drivers' tracks, one after the other, without overlap.
 
     Args:
@@ -166,12 +161,12 @@ def _around(
 
 
 def regular_windows(recordings: Sequence[Recording], steps: int) -> Windows:
-    """The windows of recordings, see `cut`, that can be learned from, see `regular`.
+    """The windows of recordings, see `cut_windows`, that can be learned from, see `regular`.
 
     Raises:
         ValueError: if there is none.
     """
-    windows = cut(recordings, steps)
+    windows = cut_windows(recordings, steps)
     windows = windows.of(regular(windows))
     if not len(windows):
         raise ValueError(
@@ -188,7 +183,7 @@ def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
     off the road and points along it: there ``off_road`` has a kink, as another corner becomes the outermost, and
     whoever slides along the edge stays at the kink whatever the weight is.
     """
-    off_road, slant = in_batches(partial(_edge, template(windows, {})), windows)
+    off_road, slant = in_batches(partial(_edge, driver_game(windows, {})), windows)
     at_kink = (off_road & (slant < KINK)).any(axis=1)
     saturated = (np.abs(windows.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(axis=(1, 2))
     return ~at_kink & ~saturated
@@ -196,14 +191,14 @@ def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
 
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
-def _edge(game: Game, window: Window) -> tuple[jax.Array, jax.Array]:
+def _edge(game: Game, window: Windows) -> tuple[jax.Array, jax.Array]:
     """Whether the driver is off the road, and the size of its heading's sine, after each step."""
     path = move(game, window.start, window.controls / game.planner.control_scale)
     return path_features(game, window, path)[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
 
 
-def template(windows: Windows, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
-    """A game in which a driver drives for these weights; `at_window` puts it where a window is.
+def driver_game(windows: Windows, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
+    """A game in which a driver drives for these weights; `with_window` puts it where a window is.
 
     Computed are `FEATURES`, and features of one's own that are weighed or among the names.
     """
@@ -214,20 +209,20 @@ def template(windows: Windows, weights: Mapping[str, float], names: Sequence[str
     return replace(game, planner=replace(game.planner, horizon=horizon))
 
 
-def at_window(game: Game, window: Window) -> Game:
+def with_window(game: Game, window: Windows) -> Game:
     """The game in one window."""
     return replace(game, scene=window.scenes, robot=replace(game.robot, speed_limit=window.speed_limit))
 
 
-def path_features(game: Game, window: Window, path: Path) -> Float[jax.Array, "K features"]:
+def path_features(game: Game, window: Windows, path: Path) -> Float[jax.Array, "K features"]:
     """The features that the game computes at each step of a driver's path in a window.
 
     Args:
-        game: as `template` makes it.
+        game: as `driver_game` makes it.
         window: which one.
         path: the driver's motion after each step.
     """
-    here = at_window(game, window)
+    here = with_window(game, window)
 
     def at_step(own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]) -> Float[jax.Array, "features"]:
         return jnp.stack(motion_features(here.scene, here.robot, Motion(*own), observe(others)))
@@ -235,13 +230,13 @@ def path_features(game: Game, window: Window, path: Path) -> Float[jax.Array, "K
     return jax.vmap(at_step, in_axes=(1, 1))(path, window.others)
 
 
-def unease(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "K 2"]:
-    """How far scaled controls are from keeping the velocity; comfort's features are ``-unease^2 / 2``, summed."""
+def control_deviation(game: Game, window: Windows, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "K 2"]:
+    """Return scaled controls minus those that keep the velocity; comfort's features are ``-sum deviation^2 / 2``."""
     return controls - keep_velocity(game.dynamics, jnp.asarray(window.start)) / game.planner.control_scale
 
 
-def features_along(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "features"]:
+def features_along(game: Game, window: Windows, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "features"]:
     """The game's features summed over a window's steps, and then those of comfort, under scaled controls."""
     path = move(game, jnp.asarray(window.start), controls)
     paid = path_features(game, window, path).sum(axis=0)
-    return jnp.concatenate([paid, -jnp.sum(unease(game, window, controls) ** 2, axis=0) / 2])
+    return jnp.concatenate([paid, -jnp.sum(control_deviation(game, window, controls) ** 2, axis=0) / 2])

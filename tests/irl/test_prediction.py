@@ -10,12 +10,20 @@ from scipy import stats
 
 from ms_highway.cli.main import main
 from ms_highway.game.learned_reward import load, shipped
-from ms_highway.game.reward_model import Model
+from ms_highway.game.reward_model import RewardModel
 from ms_highway.irl.evaluation import cross_validate
-from ms_highway.irl.prediction import constant_velocity, cut_cases, drive, errors, gaussian, idm, idm_controls
+from ms_highway.irl.prediction import (
+    constant_velocity,
+    cut_cases,
+    drive,
+    errors,
+    gaussian_log_likelihoods,
+    idm,
+    idm_controls,
+)
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.situations import by_situation, situations
-from ms_highway.irl.windows import cut
+from ms_highway.irl.regimes import driving_regimes, errors_by_regime
+from ms_highway.irl.windows import cut_windows
 
 
 def following(gap: float, speed: float = 15.0, leader: float = 15.0, times: int = 61) -> Recording:
@@ -71,7 +79,7 @@ def test_cross_validation_predicts_every_group_by_what_was_learned_from_the_othe
         recording.states[:, 0, 3] += random.normal(scale=0.05, size=61)
         recordings.append(replace(recording, group=str(number), measured=False))
     recordings[2].states[:, 0, 1] = 60.0  # off the road, where nothing can be learned, but something predicted
-    model = Model(("headway", "comfort_steering"), {"comfort_acceleration": 0.1})
+    model = RewardModel(("headway", "comfort_steering"), {"comfort_acceleration": 0.1})
     told: list[str] = []
     found = cross_validate(recordings, model, 5, 8, progress=told.append)
     assert [message for message in told if "learning" in message] == [f"learning, fold {n} of 3" for n in (1, 2, 3)]
@@ -90,23 +98,26 @@ def test_highway_envs_idm_keeps_its_distance_and_its_lane():
     path = idm(cases)[0]
     assert path[-1, 0] < constant_velocity(cases)[0, -1, 0] - 5.0
     np.testing.assert_allclose(path[:, 1], 3.4, atol=1e-6)
-    windows = cut([following(4.0)], 5)
+    windows = cut_windows([following(4.0)], 5)
     assert idm_controls(windows)[0, 0, 1] < -2.0
 
 
 def test_normal_noise_is_as_likely_around_what_was_expected_as_its_distribution_says():
-    windows = cut([following(20.0)], 5)
+    windows = cut_windows([following(20.0)], 5)
     noise = np.random.default_rng(0).normal(size=windows.controls.shape) * [0.001, 0.5]
     expected, scale = np.asarray(windows.controls) - noise, np.array([0.05, 100 / 3])
     deviation = np.sqrt(np.mean((noise / scale) ** 2, axis=(0, 1)))
     likely = stats.norm.logpdf(noise / scale, scale=deviation).sum(axis=(1, 2))
-    np.testing.assert_allclose(gaussian(windows, expected), likely, rtol=1e-5)
-    assert gaussian(windows, expected).mean() > gaussian(windows, expected + np.array([0.0, 2.0])).mean() + 5
+    np.testing.assert_allclose(gaussian_log_likelihoods(windows, expected), likely, rtol=1e-5)
+    assert (
+        gaussian_log_likelihoods(windows, expected).mean()
+        > gaussian_log_likelihoods(windows, expected + np.array([0.0, 2.0])).mean() + 5
+    )
 
 
 def test_situations_are_told_apart_by_what_drivers_did():
     def which(recording: Recording) -> set[str]:
-        return {name for name, chosen in situations(cut_cases([recording])).items() if chosen[0]}
+        return {name for name, chosen in driving_regimes(cut_cases([recording])).items() if chosen[0]}
 
     assert which(following(20.0)) == {"following"}
     assert which(following(60.0)) == {"no leader"}
@@ -120,7 +131,7 @@ def test_situations_are_told_apart_by_what_drivers_did():
 def test_errors_by_situation_count_what_is_in_it():
     cases = cut_cases([following(20.0), following(60.0)])
     late = constant_velocity(cases) - [1.0, 0.0]
-    found = by_situation({"late": late, "exact": constant_velocity(cases)}, cases)
+    found = errors_by_regime({"late": late, "exact": constant_velocity(cases)}, cases)
     assert list(found) == ["no leader", "following"]
     for row in found.values():
         assert row == pytest.approx({"windows": 4, "late": 1.0, "exact": 0.0}, abs=1e-9)

@@ -43,7 +43,7 @@ def add_evaluate(commands: Any) -> None:
 
 def _evaluate(options: argparse.Namespace) -> None:
     from ms_highway.irl.evaluation import cross_validate, evaluate
-    from ms_highway.visualization.irl.tables import evaluation_table, situations_table
+    from ms_highway.visualization.irl.tables import evaluation_table, regimes_table
 
     if options.theta and (options.learn or options.horizon):
         raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
@@ -58,4 +58,4 @@ def _evaluate(options: argparse.Namespace) -> None:
     if options.json:
         print(json.dumps(found, indent=2))
         return
-    print_tables(evaluation_table(found), situations_table(found))
+    print_tables(evaluation_table(found), regimes_table(found))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ms_highway.cli.options import check_most
 from ms_highway.game.learned_reward import SHIPPED, LearnedReward, load, shipped
 from ms_highway.game.reward import COMFORT
-from ms_highway.game.reward_model import Model
+from ms_highway.game.reward_model import RewardModel
 from ms_highway.irl.learning import COMFORT_GIVEN, REAL, SIMULATED
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.files import replacing
@@ -98,13 +98,15 @@ def horizon(options: argparse.Namespace) -> int:
     return steps
 
 
-def model(options: argparse.Namespace, recordings: list[Recording]) -> Model:
+def model(options: argparse.Namespace, recordings: list[Recording]) -> RewardModel:
     """Return the reward model that ``--learn`` selects; by default `REAL` for measured recordings, else `SIMULATED`."""
     usual = REAL if recordings[0].measured else SIMULATED
     if not options.learn:
         return usual
     given = {**dict.fromkeys(COMFORT, COMFORT_GIVEN), **usual.given}
-    return Model(tuple(options.learn), {name: value for name, value in given.items() if name not in options.learn})
+    return RewardModel(
+        tuple(options.learn), {name: value for name, value in given.items() if name not in options.learn}
+    )
 
 
 def check_directory(path: Path) -> None:

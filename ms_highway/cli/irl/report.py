@@ -37,7 +37,7 @@ def _report(options: argparse.Namespace) -> None:
     from ms_highway.irl.evaluation import load_evaluation
     from ms_highway.irl.prediction import cut_cases, predictions
     from ms_highway.visualization.irl.prediction import counts_figure, errors_figure, examples, paths_figure
-    from ms_highway.visualization.irl.tables import evaluation_table, situations_table
+    from ms_highway.visualization.irl.tables import evaluation_table, regimes_table
 
     check_directory(options.out)
     evaluation = load_evaluation(options.evaluation)
@@ -55,5 +55,5 @@ def _report(options: argparse.Namespace) -> None:
         "counts": counts_figure(learned),
     }
     save_figures(figures, options.out)
-    print_tables(evaluation_table(evaluation), situations_table(evaluation))
+    print_tables(evaluation_table(evaluation), regimes_table(evaluation))
     print(f"figures are in {options.out}")

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.irl.recordings.lane_coordinates import LaneCoordinates, along
+from ms_highway.irl.recordings.lane_coordinates import LaneCoordinates, fit_lane_coordinates
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.files import temporary_directory
 
@@ -108,10 +108,10 @@ def _convert(scenario: Any, path: Path, counted: set[tuple]) -> Recording:
     drivers = []
     for car, (obstacle, track) in enumerate(zip(obstacles, tracks, strict=True)):
         time, position, orientation, speed = track[:, 0].astype(int), track[:, 1:3], track[:, 3], track[:, 4]
-        place = road.locate(position)
+        located = road.locate(position)
         # Headings turn right here, orientations left; the difference of two angles is wrapped, not they.
-        heading = (place.heading - orientation + np.pi) % (2 * np.pi) - np.pi
-        states[time, car] = np.stack([place.x, place.y, heading, speed], axis=-1)
+        heading = (located.heading - orientation + np.pi) % (2 * np.pi) - np.pi
+        states[time, car] = np.stack([located.x, located.y, heading, speed], axis=-1)
         identity = (group, obstacle.obstacle_id, *position[0].round(2))
         along_the_road = np.abs(np.median(heading)) < np.pi / 2
         if len(track) > 1 and along_the_road and identity not in counted:
@@ -186,10 +186,12 @@ def _road(network: Any, path: Path) -> tuple[LaneCoordinates, Float[np.ndarray, 
     lines = [np.concatenate([lanelet.center_vertices for lanelet in chain]) for chain in chains]
     _check_extent(np.concatenate(lines), path, "lanelets")
     # Any lane tells which of the others are parallel to it. A ramp, to which nothing is, shows itself.
-    offsets = max((_offsets(along(line), lines) for line in lines), key=lambda offset: np.isfinite(offset).sum())
+    offsets = max(
+        (_offsets(fit_lane_coordinates(line), lines) for line in lines), key=lambda offset: np.isfinite(offset).sum()
+    )
     if not np.isfinite(offsets).any():
         raise ValueError(f"{path} has no lane that is straight enough to measure driving along it")
-    road = along(lines[int(np.nanargmin(offsets))])
+    road = fit_lane_coordinates(lines[int(np.nanargmin(offsets))])
     found = np.sort(_offsets(road, lines))
     found = found[np.isfinite(found)]
     lanes = found[np.r_[True, np.diff(found) > DISTINCT_LANES]]
@@ -218,8 +220,8 @@ def _offsets(road: LaneCoordinates, lines: list[Float[np.ndarray, "points 2"]]) 
     10 of US-101, a ramp comes from 40 m away: its median offset, 23 m, is not where anybody drives.
     """
     offsets = np.full(len(lines), np.nan)
-    for line, places in enumerate(map(road.locate, lines)):
-        middle = np.median(places.y)
-        if places.x[-1] > places.x[0] and np.median(np.abs(places.y - middle)) < LANE_SPREAD:
+    for line, points in enumerate(map(road.locate, lines)):
+        middle = np.median(points.y)
+        if points.x[-1] > points.x[0] and np.median(np.abs(points.y - middle)) < LANE_SPREAD:
             offsets[line] = middle
     return offsets

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BSpline, make_smoothing_spline
 
-__all__ = ["LaneCoordinates", "Place", "along"]
+__all__ = ["LaneCoordinates", "LanePosition", "fit_lane_coordinates"]
 
 SPACING = 5.0  # m, between the points that the curve is fitted to
 STIFFNESS = 2000.0  # m^3; smooths what is shorter than 60 m, (2 pi / 60 m)^4 = 1 / (SPACING STIFFNESS)
@@ -14,7 +14,7 @@ FEWEST_POINTS = 5  # that a smoothing spline can be fitted to
 ITERATIONS = 5  # each leaves of the error the share |offset / radius|, some percent on a highway
 
 
-class Place(NamedTuple):
+class LanePosition(NamedTuple):
     """Where points lie on a road, arrays [points].
 
     Attributes:
@@ -39,7 +39,7 @@ class LaneCoordinates(NamedTuple):
     curve: BSpline
     length: float
 
-    def locate(self, points: Float[np.ndarray, "points 2"]) -> Place:
+    def locate(self, points: Float[np.ndarray, "points 2"]) -> LanePosition:
         """The places on the road that are nearest to points of the map."""
         samples = np.linspace(0, self.length, max(int(self.length / SPACING), 2))
         distance = np.linalg.norm(points[:, None] - self.curve(samples), axis=-1)
@@ -49,7 +49,7 @@ class LaneCoordinates(NamedTuple):
             x = x + (offset * tangent).sum(axis=-1)
         offset, tangent = self._offset(points, x)
         right = offset[:, 0] * tangent[:, 1] - offset[:, 1] * tangent[:, 0]
-        return Place(x, right, np.arctan2(tangent[:, 1], tangent[:, 0]))
+        return LanePosition(x, right, np.arctan2(tangent[:, 1], tangent[:, 0]))
 
     def _offset(self, points: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """From the line at x to the points, and the line's direction there, both [points, 2]."""
@@ -59,7 +59,7 @@ class LaneCoordinates(NamedTuple):
         return points - self.curve(nearest_end) - (x - nearest_end)[:, None] * tangent, tangent
 
 
-def along(line: Float[np.ndarray, "points 2"]) -> LaneCoordinates:
+def fit_lane_coordinates(line: Float[np.ndarray, "points 2"]) -> LaneCoordinates:
     """Coordinates along a line, which is smoothed: lines of maps have kinks that would look like steering."""
     line = line[np.r_[True, np.any(np.diff(line, axis=0) != 0, axis=-1)]]
     distance = np.r_[0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=-1))]

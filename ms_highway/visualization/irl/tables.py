@@ -11,7 +11,7 @@ from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.irl.prediction import HORIZONS
 from ms_highway.visualization.irl.prediction import PREDICTORS
 
-__all__ = ["evaluation_table", "learned_table", "recovery_table", "situations_table"]
+__all__ = ["evaluation_table", "learned_table", "recovery_table", "regimes_table"]
 
 
 def learned_table(learned: LearnedReward, true: Mapping[str, float] | None = None) -> Table:
@@ -69,7 +69,7 @@ def evaluation_table(evaluation: Mapping[str, Any]) -> Table:
     return grid
 
 
-def situations_table(evaluation: Mapping[str, Any]) -> Table:
+def regimes_table(evaluation: Mapping[str, Any]) -> Table:
     """Errors of prediction by what drivers were doing."""
     grid = Table(title="mean error after 3 s, m", box=SIMPLE, title_justify="left", title_style="bold")
     grid.add_column("what drivers did", no_wrap=True)
