@@ -1,9 +1,9 @@
-"""What a learned reward is worth on recorded drivers, beside constant velocity and highway-env's IDM.
+"""Evaluate a learned reward on recorded drivers, beside constant velocity and highway-env's IDM.
 
 An evaluation is a dictionary of plain numbers: for ``model``, ``constant_velocity`` and ``idm`` the `errors` of
-prediction by horizon and the mean ``log_likelihood`` of a window's scaled controls; the number of ``windows`` that were
-predicted, of ``tracks`` that they are from, and of ``likelihood_windows``; errors by what drivers were doing
-(``situations``, see `ms_highway.irl.regimes`); and what the predicted drivers met (``others``).
+prediction by horizon and the mean ``log_likelihood`` of a window's scaled controls; the number of predicted
+``windows``, of their ``tracks``, and of ``likelihood_windows``; errors by driving regime (``situations``, see
+`ms_highway.irl.regimes`); and ``others``, see `ms_highway.irl.prediction.Others`.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ def evaluate(
     *,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Evaluate a learned reward on recordings; ``progress`` is called with what is being done.
+    """Evaluate a learned reward on recordings; ``progress`` is called with a message when a part begins.
 
     Raises:
         ValueError: if no driver was seen for long enough.
@@ -74,15 +74,15 @@ def cross_validate(
     *,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Evaluate rewards that are learned from the other groups of recordings, fold after fold.
+    """Evaluate rewards by cross-validation: each fold is predicted by a reward learned from the other folds.
 
     Args:
-        recordings: all of them.
-        model: what to learn.
-        horizon: K, the length of windows and plans.
+        recordings: all recordings, split into folds by group.
+        model: the weights to learn and those given.
+        horizon: K, the length of windows and plans in steps.
         parts: the number of folds.
-        others: what the predicted drivers meet.
-        progress: called with what is being done.
+        others: motion of the other cars in predictions, see `ms_highway.irl.prediction.Others`.
+        progress: called with a message when a part begins.
 
     Returns:
         The evaluation over all folds, with the weights of each (``folds``).
@@ -119,13 +119,13 @@ def load_evaluation(path: Path) -> dict[str, Any]:
     """Read what ``ms-highway irl evaluate --json`` prints.
 
     Raises:
-        ValueError: if there is no such file, or it is no evaluation, naming what it lacks.
+        ValueError: if the file cannot be read or is no evaluation; the message names what is missing.
     """
     try:
         evaluation = read_json(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as an evaluation: {error}") from error
-    remedy = "write it anew with `ms-highway irl evaluate --json`"
+    remedy = "write it again with `ms-highway irl evaluate --json`"
     if not isinstance(evaluation, dict):
         raise ValueError(f"{path} is no evaluation; {remedy}")
     missing = [name for name in ("windows", "tracks", "situations", *PREDICTORS) if name not in evaluation]
@@ -153,7 +153,7 @@ def _beside(
     likely: Float[np.ndarray, "windows"],
     others: Others,
 ) -> dict[str, Any]:
-    """The evaluation of predicted paths and likelihoods, beside those of constant velocity and IDM."""
+    """Return the evaluation of predicted paths and log-likelihoods, with those of constant velocity and IDM."""
     kept = np.repeat(
         keep_velocity(PAPER_DYNAMICS, np.asarray(windows.start))[:, None], windows.controls.shape[1], axis=1
     )

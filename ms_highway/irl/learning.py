@@ -1,4 +1,4 @@
-"""From recordings to a learned reward: windows, a fit on all of them, and what it is worth on those held out."""
+"""Learn a reward from recordings: cut windows, fit all of them, cross-validate, count features."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -39,27 +39,27 @@ __all__ = [
 ]
 
 COMFORT_GIVEN = 0.1
-"""The comfort weight that sets the scale of all others; small against the published weights' curvature."""
+"""Comfort weight that sets the scale of all others; small against the curvature of the published weights."""
 
 SIMULATED = RewardModel(
     ("speed", "lane_alignment", "collision_risk"),
     {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)},
 )
-"""What is learned from simulated demonstrations: the weights that every driver of the paper has.
+"""Learned from simulated demonstrations: the weights that every driver in the paper has.
 
-What leaving the road costs is given: those who stay on it tell nothing about it, and those who slide along its edge
-nothing that derivatives could show, see `ms_highway.irl.windows.regular`.
+The weight of leaving the road is given: drivers on the road carry no information about it, and those who slide along
+its edge none that derivatives contain, see `ms_highway.irl.windows.regular`.
 """
 
 REAL = RewardModel(
     (*SIMULATED.learned, "direction", "headway", "closing_speed", "induced_braking", "comfort_steering"),
     {"comfort_acceleration": COMFORT_GIVEN},
 )
-"""What is learned from real drivers: also what traffic needs, and how uneasy steering is against accelerating."""
+"""Learned from real drivers: also weights of interaction with traffic, and of steering relative to accelerating."""
 
 
 def folds(groups: Int[np.ndarray, "n"], number: int) -> list[Int[np.ndarray, "held"]]:
-    """Which groups to hold out, fold after fold, so that each is held out once."""
+    """Split group numbers into folds, so that each group is held out once."""
     names = np.unique(groups)
     return np.array_split(names, min(number, len(names)))
 
@@ -76,15 +76,15 @@ def learn(
     """Learn a reward from all drivers of the recordings.
 
     Args:
-        recordings: from which.
-        model: what to learn.
+        recordings: the recordings to learn from.
+        model: the weights to learn and those given.
         horizon: K, the length of the windows in steps.
-        source: name of the data, for the record.
+        source: name of the data, for the provenance.
         validations: number of folds of the cross-validated likelihood.
-        progress: called with what is being done.
+        progress: called with a message when a part begins.
 
     Raises:
-        ValueError: if there is nothing to learn from, or the weights diverge or a fit does not converge.
+        ValueError: if no window is regular, the weights diverge, or a fit does not converge.
     """
     progress("cutting windows")
     windows = regular_windows(recordings, horizon)
@@ -127,10 +127,10 @@ def learn(
 
 
 def converged(found: Fit) -> Fit:
-    """The fit, if it has converged.
+    """Return the fit.
 
     Raises:
-        ValueError: if it has not.
+        ValueError: if it has not converged.
     """
     if not found.converged:
         raise ValueError(
@@ -143,7 +143,7 @@ def converged(found: Fit) -> Fit:
 def window_log_likelihoods(
     derivatives: FeatureDerivatives, model: RewardModel, weights: Mapping[str, float], temperature: float
 ) -> Float[np.ndarray, "n"]:
-    """Log p of every window's scaled controls, see `log_likelihoods`, in double precision."""
+    """Return log p of the scaled controls in every window, see `log_likelihoods`, in double precision."""
     with jax.enable_x64(True):
         theta = jnp.array([weights[name] for name in model.names])
         data = FeatureDerivatives(*map(jnp.asarray, derivatives))
@@ -151,11 +151,11 @@ def window_log_likelihoods(
 
 
 def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float[np.ndarray, "n K 2"]:
-    """The controls of a local optimum of a reward in every window, found from keeping the velocity.
+    """Return the controls of a local optimum of a reward in every window, found from keeping the velocity.
 
     Args:
-        windows: where, with the others as recorded.
-        sharp_weights: of the reward by name, over the temperature.
+        windows: start, road and recorded neighbours of each driver.
+        sharp_weights: weights of the reward by name, divided by the temperature.
     """
     game = driver_game(windows, sharp_weights)
     game = replace(game, planner=replace(game.planner, solver="newton"))
@@ -182,7 +182,7 @@ def _best_controls(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
 def curvatures(
     windows: Windows, controls: Float[np.ndarray, "n K 2"], found: Fit
 ) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
-    """Eigenvalues of -H / T under a fit at some controls, bounded from below as in the fit, and eigenvectors."""
+    """Return eigenvalues of -H / T at given controls, bounded from below as in the fit, and eigenvectors."""
     derivatives = differentiate(replace(windows, controls=controls), found.model.names)
     return _curvatures(derivatives, found)
 
@@ -196,10 +196,10 @@ def _curvatures(
 
 
 def expected_features(windows: Windows, found: Fit) -> Float[np.ndarray, "names"]:
-    """What the features sum to in a window on average, if drivers draw their controls as the fit says.
+    """Return the features' expected sums over a window under the fit's distribution of controls, mean over windows.
 
-    To second order around the best controls u*: ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, whose
-    eigenvalues are bounded as in the fit.
+    To second order around the best controls u*: ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, the eigenvalues
+    of -H bounded as in the fit.
     """
     best = replace(windows, controls=best_controls(windows, found.sharp_weights))
     derivatives = differentiate(best, found.model.names)

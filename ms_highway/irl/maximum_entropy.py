@@ -1,17 +1,17 @@
 """Maximum-entropy inverse reinforcement learning: the reward that makes recorded driving likely.
 
-A driver is taken to draw the controls u of a window, in the planner's scaled units, from
+A driver is modelled as drawing the controls u of a window, in the planner's scaled units, from
 
     p(u) = exp(R(u) / T) / integral of exp(R(u') / T) du',    R(u) = theta . phi(u)
 
-with the features along the window, comfort among them, and the others moving as they were recorded. Laplace's
+with the features along the window, comfort among them, and the other cars moving as recorded. Laplace's
 approximation of the integral around what the driver did gives, with the gradient g and the Hessian H of R / T there
 (Levine and Koltun 2012, Eq. 4),
 
     log p(u) = g^T H^-1 g / 2 + log det(-H) / 2 - (d / 2) log 2 pi
 
-so that a reward is likely under which the driver was near an optimum (the first term), and a sharp one (the second).
-g and H are linear in theta: the features' derivatives are worked out once, and then a fit takes seconds.
+The first term is large if the driver was near an optimum, the second if that optimum is sharp. g and H are linear in
+theta: the features' derivatives are computed once, and a fit then takes seconds.
 """
 
 from collections.abc import Callable
@@ -45,10 +45,10 @@ TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_
 
 
 class FeatureDerivatives(NamedTuple):
-    """The features' derivatives in the scaled controls of n windows, at what the drivers did.
+    """The features' derivatives in the d scaled controls of n windows, at the recorded controls.
 
     Attributes:
-        features: phi along each window.
+        features: phi, summed along each window.
         gradients: first derivatives.
         hessians: second derivatives.
     """
@@ -58,21 +58,21 @@ class FeatureDerivatives(NamedTuple):
     hessians: Float[Array, "n names d d"]
 
     def of(self, chosen: np.ndarray) -> "FeatureDerivatives":
-        """Those of some windows."""
+        """Return the derivatives in the chosen windows."""
         return FeatureDerivatives(*(part[chosen] for part in self))
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit found.
+    """Weights and temperature that were fitted.
 
     Attributes:
-        model: what was learned and what was given.
+        model: the weights that were learned and those given.
         logarithms: of the learned weights' sizes and, at the end, of the temperature T.
-        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior. It takes
-            windows for independent; of real drivers, whose windows are alike, it tells too narrow intervals.
-        converged: whether the optimiser reached the top.
-        iterations: how many the optimiser took.
+        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior. It assumes
+            independent windows; for real drivers, whose windows are correlated, its intervals are too narrow.
+        converged: whether the optimiser reached the maximum.
+        iterations: of the optimiser.
         log_likelihood: mean over the windows.
     """
 
@@ -90,7 +90,7 @@ class Fit:
 
     @property
     def temperature(self) -> float:
-        """T, how far from the optimum the drivers strayed, in the units of the reward."""
+        """T, the spread of the drivers around the optimum, in units of the reward."""
         return float(np.exp(self.logarithms[-1]))
 
     @property
@@ -103,7 +103,7 @@ def differentiate(windows: Windows, names: tuple[str, ...]) -> FeatureDerivative
     """Return the derivatives of these features in every window, each by `expand`.
 
     Raises:
-        ValueError: if they are not finite somewhere.
+        ValueError: if a derivative is not finite.
     """
     game = driver_game(windows, {}, names)
     columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
@@ -123,7 +123,7 @@ def differentiate(windows: Windows, names: tuple[str, ...]) -> FeatureDerivative
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
 def _differentiate(game: Game, window: Windows) -> FeatureDerivatives:
-    """The derivatives of the game's features and of `COMFORT`: one compilation serves whatever is learned of them."""
+    """Return the derivatives of all features and of `COMFORT`, so that one compilation serves any choice of them."""
     controls = window.controls / game.planner.control_scale
 
     def of_one(weights: Float[jax.Array, "names"]) -> tuple[Float[jax.Array, "d"], Float[jax.Array, "d d"]]:
@@ -142,9 +142,9 @@ def _differentiate(game: Game, window: Windows) -> FeatureDerivatives:
 
 @jax.custom_jvp
 def floored(symmetric: Float[jax.Array, "d d"], floor: Float[jax.Array, ""]) -> Float[jax.Array, "d d"]:
-    """The symmetric matrix with eigenvalues below a floor set to the floor.
+    """Return a symmetric matrix with its eigenvalues below a floor set to the floor.
 
-    Its derivative is exact also where eigenvalues meet, where those of the eigenvectors are not finite: with divided
+    Its derivative is exact also at equal eigenvalues, where those of the eigenvectors are not finite: with divided
     differences F of max(., floor), ``d floored = V (F * (V^T dA V)) V^T``.
     """
     values, vectors = jnp.linalg.eigh(symmetric)
@@ -171,7 +171,7 @@ def _floored_jvp(
 def log_likelihoods(
     derivatives: FeatureDerivatives, theta: Float[Array, "names"], temperature: float | Float[Array, ""], floor: float
 ) -> Float[jax.Array, "n"]:
-    """Laplace's log p of every window's scaled controls; eigenvalues of -H are floored at ``floor / T``."""
+    """Return Laplace's log p of the scaled controls in every window; eigenvalues of -H are at least ``floor / T``."""
 
     def window(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
         slope, bend = pair
@@ -187,12 +187,12 @@ def log_likelihoods(
 
 
 def fit(derivatives: FeatureDerivatives, model: RewardModel, near: Fit | None = None) -> Fit:
-    """The most likely weights and temperature, see `most_likely`.
+    """Fit the most likely weights and temperature, see `most_likely`.
 
     Args:
         derivatives: of the features `RewardModel.names`, in their order.
-        model: what to learn.
-        near: a fit to begin with; without, one of a few of the windows, where there are many.
+        model: the weights to learn and those given.
+        near: a fit to start from; by default, with more than 600 windows, a fit of about 300 of them.
 
     Raises:
         ValueError: if the weights diverge.
@@ -222,17 +222,17 @@ def most_likely(
     model: RewardModel,
     begin: Float[np.ndarray, "parameters"] | None = None,
 ) -> Fit:
-    """The weights and the temperature that make data most likely, under a weak prior, in double precision.
+    """Fit the weights and the temperature that make data most likely under a weak prior, in double precision.
 
     The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
-    deviation 4. Where the data tell nothing about a weight, the prior is what is left, and the covariance says so.
+    deviation 4. Where the data carry no information about a weight, its prior remains, and the covariance shows it.
 
     Args:
         likelihoods: log p of each of n data, of (data, theta in the order of `RewardModel.names`, temperature); a
             module-level function, so that it is compiled once for data of the same shapes.
         data: a pytree of arrays.
-        model: what to learn.
-        begin: the logarithms to begin with.
+        model: the weights to learn and those given.
+        begin: the logarithms to start from.
 
     Raises:
         ValueError: if the weights diverge.
@@ -277,7 +277,7 @@ def _loss(
     signs: Float[jax.Array, "learned"],
     given: Float[jax.Array, "given"],
 ) -> tuple[Float[jax.Array, ""], Float[jax.Array, "n"]]:
-    """Minus the mean log p under the prior, and log p of each of the data."""
+    """Return minus the mean log p under the prior, and log p of each of the data."""
     sizes = jnp.exp(logarithms)
     each = likelihoods(data, jnp.concatenate([signs * sizes[:-1], given]), sizes[-1])
     return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each), each

@@ -1,4 +1,4 @@
-"""How well known weights are recovered from demonstrations, and what planning loses by what is not."""
+"""Recover known weights from demonstrations, and measure the regret of planning with the recovered ones."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -27,10 +27,10 @@ from ms_highway.runtime.progress import Progress, silent
 __all__ = ["IDENTIFIABLE", "recover", "true_rewards"]
 
 IDENTIFIABLE = 0.5
-"""Standard deviation of a weight's logarithm below which the demonstrations count as telling the weight; the prior's
+"""Standard deviation of a weight's logarithm below which the weight counts as identifiable; that of the prior
 is `ms_highway.irl.maximum_entropy.PRIOR_SPREAD`."""
 
-DEVIATIONS = 1.645  # on either side of the mean, which span 90 % of a normal distribution
+DEVIATIONS = 1.645  # on either side of the mean: 90 % of a normal distribution
 TEMPERATURES = (-30.0, 5.0)  # logarithms between which the best temperature is sought
 
 
@@ -51,25 +51,25 @@ def recover(
 
     Args:
         recordings: the demonstrations.
-        numbers: from how many of them, the first ones, to learn.
-        model: what to learn; what it gives must be true.
+        numbers: numbers of demonstrations, the first ones, to learn from.
+        model: the weights to learn and those given; these must be the true ones.
         horizon: K, the length of the windows in steps.
-        held_out: how many demonstrations to judge by.
-        progress: called with what is being done.
+        held_out: number of demonstrations, the last ones, to evaluate on.
+        progress: called with a message when a part begins.
 
     Returns:
         A row per number and learned weight, with the columns
 
-        ``demonstrations``, ``windows``: what was learned from; ``weight``: its name; ``true``; ``learned``; ``low`` and
-        ``high``: the ends of the 90 % interval, by size; ``log_ratio``: log(learned / true); ``spread``: standard
+        ``demonstrations``, ``windows``: numbers learned from; ``weight``: its name; ``true``; ``learned``; ``low`` and
+        ``high``: ends of the 90 % interval, by size; ``log_ratio``: log(learned / true); ``spread``: standard
         deviation of the weight's logarithm; ``identifiable``: whether that is below 0.5; and, the same for all weights
         of a number, ``temperature``; ``converged``; ``log_likelihood`` per held-out window, and
-        ``log_likelihood_true`` of the true weights at the temperature at which it is highest; ``regret``: what the
-        optimal controls for the learned weights earn less, by the true ones, than the optimal controls for those, as a
-        share of what these gain over keeping the velocity.
+        ``log_likelihood_true`` of the true weights at their most likely temperature; ``regret``: the true reward lost
+        by controls that are optimal for the learned weights, as a share of what truly optimal controls gain over
+        keeping the velocity.
 
     Raises:
-        ValueError: for numbers that the demonstrations do not allow, or a model whose truth is not known.
+        ValueError: if there are too few demonstrations, or the true weights of the model are not known.
     """
     _check(recordings, numbers, model, held_out)
     numbers = sorted(set(numbers))
@@ -108,7 +108,7 @@ def recover(
 
 
 def true_rewards(windows: Windows) -> Callable[[Float[np.ndarray, "n K 2"]], Float[np.ndarray, "n"]]:
-    """A function that tells what controls in the windows earn by the true weights, comfort included."""
+    """Return a function from controls in the windows to their true reward, comfort included."""
     game = driver_game(windows, DRIVER_WEIGHTS)
     theta = jnp.array([DRIVER_WEIGHTS.get(name, 0.0) for name in (*FEATURES, *COMFORT)])
     single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), windows)
@@ -122,7 +122,7 @@ def true_rewards(windows: Windows) -> Callable[[Float[np.ndarray, "n K 2"]], Flo
 
 
 def _planning(windows: Windows) -> Callable[[Mapping[str, float]], Float[np.ndarray, "n K 2"]]:
-    """A function from weights to the controls of the optimum in every window that `optimal` drivers find."""
+    """Return a function from weights to the controls that an `optimal` driver finds in every window."""
     ahead = windows.start[:, :1] * [1.0, 0.0, 0.0, 0.0]  # in coordinates that begin at the driver, as for them
     near = replace(windows, start=windows.start - ahead, others=windows.others - ahead[:, None, None])
 
@@ -146,22 +146,21 @@ def _planning(windows: Windows) -> Callable[[Mapping[str, float]], Float[np.ndar
 def _check(recordings: Sequence[Recording], numbers: Sequence[int], model: RewardModel, held_out: int) -> None:
     if held_out < 1 or not numbers or min(numbers) < 1:
         raise ValueError(
-            f"it cannot be learned from {list(numbers)} demonstrations and judged by {held_out}; "
-            "there must be one at least of both"
+            f"cannot learn from {list(numbers)} demonstrations and test on {held_out}; give one at least of both"
         )
     if max(numbers) + held_out > len(recordings):
         raise ValueError(
-            f"there are {len(recordings)} demonstrations; to learn from {max(numbers)} and judge by {held_out} others "
-            f"takes {max(numbers) + held_out}: record more with `ms-highway irl record`, or ask for fewer"
+            f"there are {len(recordings)} demonstrations; to learn from {max(numbers)} and test on {held_out} others "
+            f"takes {max(numbers) + held_out}: record more with `ms-highway irl record`, or use fewer"
         )
     unknown = [name for name in model.learned if name not in DRIVER_WEIGHTS]
     untrue = [name for name, value in model.given.items() if DRIVER_WEIGHTS.get(name) != value]
     if unknown or untrue:
-        raise ValueError(f"the simulated drivers' weights of {unknown + untrue} are not known, or not those given")
+        raise ValueError(f"the simulated drivers' weights of {unknown + untrue} are unknown or others")
 
 
 def _weights(found: Fit) -> Iterator[dict[str, object]]:
-    """What was learned of each weight."""
+    """Yield a row about each learned weight."""
     for name, variance in zip(found.model.learned, np.diag(found.covariance), strict=False):
         true, learned, spread = float(DRIVER_WEIGHTS[name]), found.weights[name], float(np.sqrt(variance))
         yield {
@@ -177,7 +176,7 @@ def _weights(found: Fit) -> Iterator[dict[str, object]]:
 
 
 def _best_likelihood(derivatives: FeatureDerivatives, model: RewardModel) -> float:
-    """Mean log-likelihood of the true weights, at the temperature at which it is highest."""
+    """Return the mean log-likelihood of the true weights at their most likely temperature."""
 
     def loss(logarithm: float) -> float:
         return -float(window_log_likelihoods(derivatives, model, DRIVER_WEIGHTS, np.exp(logarithm)).mean())

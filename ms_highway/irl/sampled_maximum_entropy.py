@@ -1,4 +1,4 @@
-"""Maximum entropy over candidate controls: a check of Laplace's approximation that needs no derivatives of the fit.
+"""Maximum entropy over sampled controls: a check of Laplace's approximation without derivatives of the features.
 
 Ziebart et al. (2008) normalise over all trajectories; over continuous ones, the integral is estimated by importance
 sampling, with M candidates u_j drawn from a density q around the best controls (Finn et al. 2016)::
@@ -25,14 +25,14 @@ from ms_highway.runtime.compilation import jit_quickly
 
 __all__ = ["Candidates", "draw_candidates", "fit_sampled", "sampled_log_likelihoods"]
 
-WIDER = 1.3  # than Laplace's approximation, so that the candidates' tails cover the reward's
+WIDER = 1.3  # than Laplace's approximation, so that the candidates cover the distribution's tails
 
 
 class Candidates(NamedTuple):
-    """What n drivers did and M other things that each could have done.
+    """Features of the controls of n drivers, and of M candidates for each.
 
     Attributes:
-        done: features along what they did.
+        done: features along the recorded controls.
         possible: features along the candidates.
         log_density: log q of the candidates.
     """
@@ -43,10 +43,10 @@ class Candidates(NamedTuple):
 
 
 def draw_candidates(windows: Windows, found: Fit, number: int, seed: int = 0) -> Candidates:
-    """Candidates from normal distributions around the best controls under a fit, 1.3 times as wide as it says.
+    """Draw candidates from normal distributions around the best controls under a fit, 1.3 times as wide as Laplace's.
 
     Args:
-        windows: where, with the others as recorded.
+        windows: start, road and recorded neighbours of each driver.
         found: the fit.
         number: M, of candidates in each window.
         seed: of the random numbers.
@@ -79,14 +79,14 @@ def _features(game: Game, items: tuple[Windows, Float[jax.Array, "n M d"]]) -> F
 def sampled_log_likelihoods(
     candidates: Candidates, theta: Float[jax.Array, "names"], temperature: Float[jax.Array, ""]
 ) -> Float[jax.Array, "n"]:
-    """Log p of what every driver did, the integral estimated from the candidates."""
+    """Return log p of every driver's controls, with the integral estimated from the candidates."""
     earned, possible = (jnp.asarray(phi) @ theta / temperature for phi in (candidates.done, candidates.possible))
     number = candidates.log_density.shape[-1]
     return earned - jax.scipy.special.logsumexp(possible - candidates.log_density, axis=-1) + jnp.log(number)
 
 
 def fit_sampled(windows: Windows, found: Fit, number: int = 256, seed: int = 0) -> Fit:
-    """The most likely weights and temperature with sampled normalisation; candidates are drawn around a fit.
+    """Fit weights and temperature with sampled normalisation; candidates are drawn around a fit.
 
     Raises:
         ValueError: if the weights diverge.

@@ -38,11 +38,11 @@ AGAIN = "delete it and record it again with `ms-highway irl record`"
 
 
 def load(dataset: str) -> list[Recording]:
-    """The episodes of a data set that `record` has made, car 0 being the driver, each a group of its own.
+    """Read the episodes of a recorded data set; car 0 is the driver, and each episode a group.
 
     Raises:
-        ValueError: if there is no such data set, or it does not hold whole, finite episodes of this version, naming
-            what is wrong and the remedy.
+        ValueError: if there is no such data set, or its episodes are damaged or of another version; the message names
+            the problem and the remedy.
         ImportError: without the packages of the extra ``demonstrations``.
     """
     stored, _ = _open(dataset)
@@ -53,12 +53,12 @@ def load(dataset: str) -> list[Recording]:
 
 
 def known_weights(dataset: str) -> dict[str, float] | None:
-    """What the driver of a data set drove for, by name; None of a person. Raises what `load` raises."""
+    """Return the weights of a data set's driver by name, None if a person drove. Raises what `load` raises."""
     return _open(dataset)[1]["weights"]
 
 
 def _open(dataset: str) -> tuple[Any, dict[str, Any]]:
-    """A data set of this version, as Minari has it, and how it was made."""
+    """Open a data set of this version; return Minari's object and the provenance."""
     minari, data = _minari(), data_directory(dataset)
     if not data.is_dir():
         raise ValueError(f"there is no data set {dataset} in {data.parent}; record it with `ms-highway irl record`")
@@ -76,7 +76,7 @@ def _open(dataset: str) -> tuple[Any, dict[str, Any]]:
 
 
 def _recording(name: str, episodes: Iterator[Any], stored: Any) -> Recording:
-    """The next episode of a data set, checked."""
+    """Return the next episode of a data set, checked."""
     try:
         tracks = np.asarray(next(episodes).observations, dtype=float)
     except (OSError, ValueError, KeyError, AssertionError) as error:
@@ -117,7 +117,12 @@ def _minari() -> Any:
 
 
 def data_directory(dataset: str) -> Path:
-    """Where Minari keeps a data set's files."""
+    """Return the directory of a data set's files.
+
+    Raises:
+        ValueError: if the name is not that of a data set.
+        ImportError: without the packages of the extra ``demonstrations``.
+    """
     _minari()  # whose error names the extra
     from minari.namespace import validate_namespace
     from minari.storage import get_dataset_path
@@ -135,7 +140,7 @@ def data_directory(dataset: str) -> Path:
 
 
 def step_collector(env: gym.Env, scratch: Path) -> Any:
-    """Minari's collector of an environment's steps, which keeps them in a directory of ours until they are stored."""
+    """Return Minari's collector of an environment's steps, which keeps them in a scratch directory until stored."""
     collector: Any = _minari().DataCollector
 
     class Collector(collector):
@@ -145,10 +150,10 @@ def step_collector(env: gym.Env, scratch: Path) -> Any:
 
 
 def count_recorded(dataset: str, data: Path, provenance: dict[str, Any]) -> int:
-    """The number of episodes that are there already; what a stopped recording left in disorder is put in order.
+    """Return the number of recorded episodes; repair the metadata if an earlier recording was stopped.
 
     Raises:
-        ValueError: if they are not of this provenance.
+        ValueError: if the episodes cannot be read or are of another provenance.
     """
     if not data.exists():
         return 0
@@ -179,16 +184,16 @@ def count_recorded(dataset: str, data: Path, provenance: dict[str, Any]) -> int:
 def add_episode(
     collector: Any, dataset: str, data: Path, env: gym.Env, provenance: dict[str, Any], episode: int, marks: dict
 ) -> None:
-    """Move the episode that a collector holds into a data set, which is whole on disk before and after.
+    """Add the episode that a collector holds to a data set, which is whole on disk before and after.
 
     Args:
         collector: of `step_collector`.
         dataset: the data set's id.
         data: the directory of its files.
         env: the environment that is recorded.
-        provenance: what a new data set says about how it was made.
+        provenance: metadata of a new data set.
         episode: number of the episode.
-        marks: what else is known of it: Minari loses the seed.
+        marks: further metadata of the episode, such as the seed, which Minari loses.
     """
     with naming(data), _replacing(dataset, data, env, provenance) as storage:
         collector.add_to_dataset(_minari().MinariDataset(storage))
@@ -196,10 +201,10 @@ def add_episode(
 
 
 def check_room(data: Path) -> None:
-    """Refuse to drive where the disk has no room for another copy of the data set: HDF5 does not survive a full disk.
+    """Check that the disk has room for another copy of the data set: HDF5 does not survive a full disk.
 
     Raises:
-        OSError: naming the place.
+        OSError: if it has not; the message names the directory.
     """
     needed = ROOM + sum(file.stat().st_size for file in data.glob("*"))
     free = shutil.disk_usage(data.parent).free
@@ -211,16 +216,16 @@ def check_room(data: Path) -> None:
 def _replacing(
     dataset: str, data: Path, env: gym.Env | None = None, provenance: dict[str, Any] | None = None
 ) -> Iterator[Any]:
-    """A copy of a data set's storage that takes its place when the block ends well.
+    """Yield a copy of a data set's storage, which replaces the original if the block ends without an error.
 
-    Whoever is killed while HDF5 writes leaves a file that nobody can read, so nothing is ever written in place. The
-    episodes are replaced first and the metadata, which only count them, then.
+    A process killed while HDF5 writes leaves an unreadable file, so nothing is written in place. The episodes are
+    replaced first, then the metadata, which only count them.
 
     Args:
         dataset: its id.
         data: the directory of its files; if there is none, the copy is of an empty data set.
-        env: where a new data set is recorded.
-        provenance: what a new data set says about how it was made.
+        env: the environment of a new data set.
+        provenance: metadata of a new data set.
     """
     from minari.dataset.minari_storage import MinariStorage
 
@@ -237,7 +242,7 @@ def _replacing(
 
 
 def _new_storage(dataset: str, directory: Path, env: gym.Env, provenance: dict[str, Any] | None) -> Any:
-    """An empty storage of Minari's, with the metadata that make it a data set."""
+    """Return an empty Minari storage with the metadata of a data set."""
     import minari
     from minari.dataset.minari_storage import MinariStorage
     from minari.namespace import create_namespace, list_local_namespaces

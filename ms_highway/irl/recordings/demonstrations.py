@@ -42,22 +42,22 @@ def record(
 ) -> Iterator[int]:
     """Record the episodes that a data set lacks; each is on disk, whole, before the next begins.
 
-    Episode k is seeded with ``seed + k`` and has the densities in turn. Yields how many episodes there are: first what
-    an earlier recording has left, then after every episode.
+    Episode k has the seed ``seed + k`` and the densities in turn. Yields the number of recorded episodes, at the
+    start and after every episode.
 
     Args:
-        driver: who drives, see `DRIVERS`.
-        episodes: how many the data set shall have.
+        driver: one of `DRIVERS`.
+        episodes: number of episodes of the complete data set.
         dataset: its Minari id, such as ``ms-highway/maxent-v0``.
         densities: of the traffic, see `ms_highway.envs.routes.DENSITIES`.
         seed: of the first episode.
-        temperature: of the driver ``maxent``; others have none.
+        temperature: of the driver ``maxent``, in reward; the others ignore it.
 
     Raises:
-        ValueError: for impossible arguments, or if the data set holds recordings of other settings.
+        ValueError: for arguments out of range, or if the data set was recorded with other settings.
         ImportError: without the packages of the extra ``demonstrations``.
-        OSError: if a person shall drive and there is no display.
-        KeyboardInterrupt: if the person closes the window; the episode at hand is not kept.
+        OSError: if the driver is ``keyboard`` and there is no display.
+        KeyboardInterrupt: if the person closes the window; the current episode is discarded.
     """
     data = data_directory(dataset)
     provenance = _provenance(driver, densities, seed, temperature)
@@ -89,11 +89,11 @@ def record(
 def actions(
     driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE
 ) -> Iterator[Float[np.ndarray, "2"]]:
-    """The actions of a driver in an episode that has just begun; each is chosen when it is asked for.
+    """Yield a driver's actions in an episode that has just begun.
 
     Args:
-        driver: who drives, see `DRIVERS`.
-        env: where; it is to be stepped with every action before the next is asked for.
+        driver: one of `DRIVERS`.
+        env: the environment, to be stepped with every action before the next is taken.
         seed: of the driver's random numbers.
         temperature: of the driver ``maxent``.
     """
@@ -119,10 +119,10 @@ def actions(
 
 
 def _provenance(driver: Driver, densities: Sequence[str], seed: int, temperature: float) -> dict[str, Any]:
-    """What a data set says about how it was made, in words of JSON.
+    """Return the metadata of a data set, in types of JSON.
 
     Raises:
-        ValueError: for impossible settings.
+        ValueError: for settings out of range.
     """
     if driver not in DRIVERS:
         raise ValueError(f"unknown driver {driver!r}; the drivers are {', '.join(DRIVERS)}")

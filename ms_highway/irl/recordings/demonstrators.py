@@ -1,7 +1,7 @@
-"""Programs that demonstrate driving: they know where the other cars will be, and act for a known reward.
+"""Simulated demonstrators, who know the other cars' future motion and maximise a known reward.
 
-Drivers plan a window of as many steps as the game's planner looks ahead, execute all of it, and plan the next. A
-window earns R_H, the sum of the reward over its steps less the discomfort of its controls, see `driven_reward`.
+They plan a window of the planner's horizon, execute all of it, and plan the next. A window earns R_H, the sum of the
+reward over its steps less the discomfort of its controls, see `driven_reward`.
 """
 
 from functools import partial
@@ -25,19 +25,19 @@ DRIVER_WEIGHTS = {
     "comfort_steering": 0.1,
     "comfort_acceleration": 0.1,
 }
-"""Weights of the demonstrated reward: the paper's, less the indicator of a collision, which is not differentiable, and
-some comfort, without which some controls would not matter at all."""
+"""Weights of the demonstrated reward: the paper's, without the indicator of a collision, which is not differentiable,
+and with comfort, without which some controls would have no effect on the reward."""
 
-FLOOR = 0.05  # of the eigenvalues of Hessians, half the least that comfort gives them
+FLOOR = 0.05  # of the eigenvalues of Hessians: half of comfort's curvature
 DRAWS = 20  # length of the chain that a sample ends
 
 
 def window(
     car: Float[np.ndarray, "4"], routes: Float[np.ndarray, "others steps 4"]
 ) -> tuple[Float[jax.Array, "4"], Motion]:
-    """A driver's state and the motion of the others after each step, in coordinates that begin at the driver.
+    """Return a driver's state and the motion of the others after each step, with x measured from the driver.
 
-    Float32 resolves these better than places far down the road.
+    Float32 resolves these better than positions far along the road.
     """
     ahead = np.array([car[0], 0.0, 0.0, 0.0])
     return jnp.asarray(car - ahead, dtype=jnp.float32), observe((routes - ahead).astype(np.float32))
@@ -45,9 +45,7 @@ def window(
 
 @jax.jit
 def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
-    """The local optimum of a window that is uphill from keeping the velocity.
-
-    Found by `find_optimum`, with 0.05 as the floor of the Hessian's eigenvalues.
+    """Find the local optimum of a window that is uphill from keeping the velocity, see `find_optimum`.
 
     Args:
         game: whose reward and motion; car 0 is driven.
@@ -65,17 +63,17 @@ def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
 def maxent(
     game: Game, car: Float[jax.Array, "4"], others: Motion, key: jax.Array, temperature: float
 ) -> Float[jax.Array, "steps 2"]:
-    """Scaled controls drawn from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum, within the limits of plans.
+    """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum, within the limits.
 
-    The end of an independence Metropolis-Hastings chain, which starts at the optimum and proposes from the Laplace
-    approximation ``N(u*, temperature (-H)^-1)``, the eigenvalues l of H set to ``-max(|l|, 0.05)``.
+    Returns the last draw of an independence Metropolis-Hastings chain, which starts at the optimum and proposes from
+    the Laplace approximation ``N(u*, temperature (-H)^-1)``, the eigenvalues l of H set to ``-max(|l|, 0.05)``.
 
     Args:
         game: whose reward and motion; car 0 is driven.
         car: its state.
         others: motion of the others after each step, arrays [others, steps].
         key: of the random numbers.
-        temperature: how far from optimal, in reward.
+        temperature: in reward.
     """
     return _sample(game, car, others, optimal(game, car, others), key, temperature)
 

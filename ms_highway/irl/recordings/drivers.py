@@ -12,7 +12,7 @@ DRIVERS: dict[Driver, str] = {
     "maxent": "like optimal, but its controls are drawn from p(u) ~ exp(R(u) / temperature)",
     "mpc": "the package's planner, which replans every step and expects the others to keep their velocity",
 }
-"""The drivers that can be recorded, and what they do."""
+"""Name and description of each driver."""
 
 TEMPERATURE = 1e-3
 """Of the driver ``maxent``, in reward; controls then vary by up to 0.005 1/m and 3 m/s^2."""

@@ -1,4 +1,4 @@
-"""Figures and tables of learned rewards: recovery, prediction, tables; they show data and learn nothing themselves.
+"""Draw figures and tables of learned rewards; learn nothing.
 
 Imports what `ms_highway.visualization` may import.
 """

@@ -1,4 +1,4 @@
-"""Figures of predicted drivers: errors, paths in examples, and feature counts."""
+"""Draw predicted drivers: errors, paths in examples, and feature counts."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -28,12 +28,12 @@ BEFORE, AFTER = 15.0, 25.0  # m of road drawn behind and ahead of where cars dri
 
 
 def examples(cases: Cases) -> dict[str, int]:
-    """A few cases worth a look, by what is special about them; each was recorded for the whole 5 s.
+    """Choose example cases, by what is special about them; each was recorded for the whole 5 s.
 
-    The typical one is that with the median error of keeping the velocity. None is chosen by how the model does.
+    The typical case has the median error of constant velocity. None is chosen by the model's error.
 
     Raises:
-        ValueError: if nobody was recorded for 5 s.
+        ValueError: if no driver was recorded for 5 s.
     """
     recorded = np.asarray(cases.recorded)
     whole = np.flatnonzero(np.isfinite(recorded).all(axis=(1, 2)))
@@ -57,13 +57,12 @@ def examples(cases: Cases) -> dict[str, int]:
 
 
 def paths_figure(cases: Cases, paths: Mapping[str, Float[np.ndarray, "n 50 2"]], titles: Sequence[str]) -> Figure:
-    """Predicted and recorded paths over the lanes, a row per case, seen from above; dots are a second apart.
+    """Draw predicted and recorded paths over the lanes, a row per case, seen from above; dots are a second apart.
 
-    Lane coordinates point to the right, so that the driver's left is up. Cars stand where they are at the start, the
-    others as large as the driver, and the others' paths are grey.
+    The driver's left is up. Cars are drawn at the start, the others as large as the driver, with grey paths.
 
     Args:
-        cases: those to be drawn, which `Cases.of` chooses.
+        cases: the cases to draw.
         paths: by predictor, see `PREDICTORS`.
         titles: of the cases.
     """
@@ -98,7 +97,7 @@ def paths_figure(cases: Cases, paths: Mapping[str, Float[np.ndarray, "n 50 2"]],
 def _map(
     axes: Axes, cases: Cases, number: int, paths: Mapping[str, Float[np.ndarray, "50 2"]], stretch: tuple[float, float]
 ) -> None:
-    """One case, along a stretch of road that is measured from the driver."""
+    """Draw one case on a stretch of road [m], measured from the driver."""
     lanes, width = np.unique(cases.scenes.lanes[number]), float(np.asarray(cases.scenes.lane_width)[number])
     car, track = np.asarray(cases.scenes.car_size[number]), np.asarray(cases.recorded)[number]
     origin, (low, high) = track[0, 0], stretch
@@ -122,10 +121,10 @@ def _map(
 
 
 def errors_figure(evaluation: Mapping[str, Any]) -> Figure:
-    """Final displacement and share of misses against the horizon, for the model and its baselines.
+    """Draw final displacement and share of misses against the horizon, for the model and its baselines.
 
     Args:
-        evaluation: as `load_evaluation` reads it.
+        evaluation: of `ms_highway.irl.evaluation`.
     """
     figure = Figure(figsize=(9, 3.9), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -148,7 +147,7 @@ def errors_figure(evaluation: Mapping[str, Any]) -> Figure:
 
 
 def counts_figure(learned: LearnedReward) -> Figure:
-    """Mean sums of the features over a window: the drivers', and those expected under the reward."""
+    """Draw mean sums of the features over a window: the drivers', and those expected under the reward."""
     human, model = learned.feature_counts["human"], learned.feature_counts["model"]
     names = list(human)
     figure = Figure(figsize=(8.5, 1.4 + 0.5 * len(names)), layout="constrained")

@@ -1,4 +1,4 @@
-"""Figures of recovered weights: how near they are to the true ones, and what they are worth."""
+"""Draw recovered weights: their ratios to the true ones, their likelihood and regret."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from matplotlib.ticker import LogFormatter, NullFormatter, NullLocator, StrMetho
 
 __all__ = ["likelihood_figure", "weights_figure"]
 
-CLOSE = 1.25  # factor within which a weight counts as recovered, and which is shaded
+CLOSE = 1.25  # factor within which a weight counts as recovered, shaded
 NUMBERS = ("#a9c8ee", "#6c9fdc", "#3371c0", "#12427f")  # colours of numbers of demonstrations, few to many
 RESOLUTION = 1e-5  # of regrets, which are small differences in float32
 NOT_IDENTIFIABLE = "#a0a0a0"
@@ -20,11 +20,11 @@ TICKS = np.array([n * 10.0**power for power in range(-9, 10) for n in (1, 2, 5)]
 
 
 def weights_figure(rows: pd.DataFrame) -> Figure:
-    """How near learned weights are to the true ones, with 90 % intervals; one panel per demonstrator.
+    """Draw the ratios of learned to true weights, with 90 % intervals; one panel per demonstrator.
 
     Args:
-        rows: of `ms_highway.irl.recovery.recover`, with a column ``driver``. Weights that are not identifiable are
-            hollow.
+        rows: of `ms_highway.irl.recovery.recover`, with a column ``driver``; weights that are not identifiable are
+            drawn hollow.
     """
     drivers, weights = list(dict.fromkeys(rows["driver"])), list(dict.fromkeys(rows["weight"]))
     numbers = sorted(rows["demonstrations"].unique())
@@ -73,10 +73,10 @@ def weights_figure(rows: pd.DataFrame) -> Figure:
 
 
 def likelihood_figure(rows: pd.DataFrame) -> Figure:
-    """What learned weights are worth on held-out demonstrations, against the number of demonstrations.
+    """Draw log-likelihood and regret on held-out demonstrations against the number of demonstrations.
 
-    Above, the log-likelihood, dashed that of the true weights; below, the regret of planning, of which float32 tells
-    no less than 1e-5. A column per driver.
+    Above, the log-likelihood, dashed that of the true weights; below, the regret of planning, which float32 resolves
+    down to 1e-5. A column per driver.
     """
     drivers = list(dict.fromkeys(rows["driver"]))
     figure = Figure(figsize=(max(4.0 * len(drivers), 5), 5.4), layout="constrained")
@@ -90,7 +90,7 @@ def likelihood_figure(rows: pd.DataFrame) -> Figure:
         lower.plot(own["demonstrations"], 100 * own["regret"].clip(lower=RESOLUTION), "o-", color=NUMBERS[-1])
         lower.set_yscale("log")
         lower.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        lower.yaxis.set_minor_formatter(LogFormatter())  # which labels where there is no decade to label
+        lower.yaxis.set_minor_formatter(LogFormatter())  # for axes without a decade to label
         upper.set_title(str(driver))
         upper.margins(y=0.15)
         lower.margins(y=0.15)
@@ -109,7 +109,7 @@ def likelihood_figure(rows: pd.DataFrame) -> Figure:
 
 
 def _ramp(number: int) -> list[str]:
-    """So many colours, from few demonstrations to many."""
+    """Return so many colours, from few demonstrations to many."""
     positions = np.linspace(0, len(NUMBERS) - 1, number) if number > 1 else np.array([len(NUMBERS) - 1.0])
     channels = np.array([[int(color[at : at + 2], 16) for at in (1, 3, 5)] for color in NUMBERS])
     mixed = np.stack([np.interp(positions, np.arange(len(NUMBERS)), channel) for channel in channels.T], axis=-1)
@@ -117,7 +117,7 @@ def _ramp(number: int) -> list[str]:
 
 
 def _plain_ticks(axes: Axes) -> None:
-    """Ticks at 1, 2 and 5 times powers of ten, at powers only where those are many; written as plain numbers."""
+    """Set ticks at 1, 2 and 5 times powers of ten, or at powers only if there are many; label them as plain numbers."""
     low, high = axes.get_ylim()
     ticks = TICKS[np.searchsorted(TICKS, low) : np.searchsorted(TICKS, high, "right")]
     axes.set_yticks(ticks if len(ticks) < 10 else ticks[np.isclose(np.log10(ticks) % 1, 0)])

@@ -1,4 +1,4 @@
-"""Tables of learned rewards, of recovered weights and of evaluations."""
+"""Tabulate learned rewards, recovered weights and evaluations."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,11 +15,11 @@ __all__ = ["evaluation_table", "learned_table", "recovery_table", "regimes_table
 
 
 def learned_table(learned: LearnedReward, true: Mapping[str, float] | None = None) -> Table:
-    """A learned reward, with the 90 % intervals of its weights.
+    """Tabulate a learned reward, with the 90 % intervals of its weights.
 
     Args:
         learned: the reward.
-        true: the weights that the drivers had, by name, for a column of their own where they are known.
+        true: the drivers' weights by name, for a further column, if they are known.
     """
     grid = Table(box=SIMPLE, title=f"learned from {learned.windows} windows", title_justify="left")
     grid.add_column("weight", no_wrap=True)
@@ -33,7 +33,7 @@ def learned_table(learned: LearnedReward, true: Mapping[str, float] | None = Non
 
 
 def recovery_table(rows: pd.DataFrame) -> Table:
-    """Learned over true weights, and what they are worth on held-out demonstrations; brackets: not identifiable."""
+    """Tabulate learned over true weights, likelihood and regret on held-out demonstrations; (not identifiable)."""
     weights = list(dict.fromkeys(rows["weight"]))
     grid = Table(
         title="learned / true weights, (not identifiable)", box=SIMPLE, title_justify="left", title_style="bold"
@@ -55,7 +55,7 @@ def recovery_table(rows: pd.DataFrame) -> Table:
 
 
 def evaluation_table(evaluation: Mapping[str, Any]) -> Table:
-    """Errors of prediction by horizon."""
+    """Tabulate errors of prediction by horizon."""
     title = f"{evaluation['windows']} stretches of road of {evaluation['tracks']} drivers"
     grid = Table(title=title, box=SIMPLE, title_justify="left", title_style="bold")
     grid.add_column("predicted by", no_wrap=True)
@@ -70,7 +70,7 @@ def evaluation_table(evaluation: Mapping[str, Any]) -> Table:
 
 
 def regimes_table(evaluation: Mapping[str, Any]) -> Table:
-    """Errors of prediction by what drivers were doing."""
+    """Tabulate errors of prediction by driving regime."""
     grid = Table(title="mean error after 3 s, m", box=SIMPLE, title_justify="left", title_style="bold")
     grid.add_column("what drivers did", no_wrap=True)
     for column in ("windows", *(label for label, *_ in PREDICTORS.values())):
