@@ -1,4 +1,4 @@
-"""Read and write learned rewards: weights, their uncertainty and their provenance."""
+"""A learned reward and its file: weights, their covariance, and provenance."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -11,18 +11,18 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.reward import linear_reward
-from ms_highway.game.reward_model import Model
+from ms_highway.game.reward_model import RewardModel
 from ms_highway.runtime.files import read_json, replacing
 
 __all__ = ["SHIPPED", "VERSION", "LearnedReward", "load", "save", "shipped"]
 
 VERSION = 2
-"""Of the file format; a file of another version is refused."""
+"""Version of the file format; files of other versions are refused."""
 
-ANEW = "learn it anew with `ms-highway irl fit`"
+ANEW = "learn it again with `ms-highway irl fit`"
 
 SHIPPED = {"demonstrations": "learned from simulated demonstrations", "us101": "learned from drivers on US-101"}
-"""Learned rewards that are part of the package."""
+"""Name and description of the learned rewards in the package."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,16 @@ class LearnedReward:
     """Result of `ms-highway irl fit`.
 
     Attributes:
-        weights: by name, of features and comfort; in units in which the given comfort weights have their values.
-        temperature: T of maximum entropy, in the same units.
+        weights: of features and comfort, by name; the given comfort weights set their scale.
+        temperature: T of maximum entropy, at the same scale.
         learned: names of the weights that were learned; the others were given.
         covariance: of the logarithms of the learned weights' sizes and, at the end, of the temperature.
-        horizon: K, number of steps of 0.1 s in each window of data.
-        converged: whether the optimiser converged.
+        horizon: K, number of steps of 0.1 s in the windows.
+        converged: whether the optimiser reached the maximum.
         iterations: of the optimiser.
-        windows: number of windows.
-        log_likelihood: mean per window: ``train``, and ``held_out``, cross-validated by group of recordings (None where
-            there is one group only).
+        windows: number of windows that were fitted.
+        log_likelihood: mean per window: ``train``, and ``held_out``, cross-validated by group of recordings (None if
+            there is only one group).
         feature_counts: mean sums of the features over a window: ``human``, and ``model``, expected under the reward.
         provenance: data, groups of recordings, and versions of the software.
     """
@@ -57,10 +57,10 @@ class LearnedReward:
     provenance: dict[str, Any]
 
     def __post_init__(self) -> None:
-        """Check all values.
+        """Check the reward.
 
         Raises:
-            ValueError: if one is wrong.
+            ValueError: naming the problem.
         """
         if not isinstance(self.weights, dict):
             raise ValueError(f"the weights are {self.weights}; they must be given by name")
@@ -86,14 +86,16 @@ class LearnedReward:
         return {name: weight / self.temperature for name, weight in self.weights.items()}
 
     @property
-    def model(self) -> Model:
-        """Names of the learned weights, and the given weights."""
-        return Model(self.learned, {name: value for name, value in self.weights.items() if name not in self.learned})
+    def model(self) -> RewardModel:
+        """The weights that were learned and those given."""
+        return RewardModel(
+            self.learned, {name: value for name, value in self.weights.items() if name not in self.learned}
+        )
 
     def interval(self, name: str, deviations: float = 1.645) -> Float[np.ndarray, "2"]:
-        """Return the weight at so many standard deviations of its logarithm below and above; 1.645 span 90 %."""
-        place = self.learned.index(name)
-        spread = deviations * np.sqrt(self.covariance[place][place])
+        """Return a weight's interval of so many standard deviations of its logarithm to each side; 1.645 give 90 %."""
+        index = self.learned.index(name)
+        spread = deviations * np.sqrt(self.covariance[index][index])
         return self.weights[name] * np.exp([-spread, spread])
 
 
@@ -104,10 +106,10 @@ def save(learned: LearnedReward, path: Path) -> None:
 
 
 def load(path: Path) -> LearnedReward:
-    """Read what `save` wrote.
+    """Read a learned reward that `save` wrote.
 
     Raises:
-        ValueError: if there is no such file, or it is damaged or of another version.
+        ValueError: if the file cannot be read, is damaged, or is of another version.
     """
     try:
         content = read_json(path)

@@ -1,4 +1,4 @@
-"""Define which weights of a reward are learned, and which are given."""
+"""The model of a linear reward: the weights to learn, their signs, and the weights given."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,27 +8,27 @@ from jaxtyping import Float
 
 from ms_highway.game.reward import COMFORT, weight_names
 
-__all__ = ["NO_GRADIENT", "PENALTIES", "Model"]
+__all__ = ["NO_GRADIENT", "PENALTIES", "RewardModel"]
 
 PENALTIES = ("collision_risk", "collision", "off_road")
 """Features with negative weights; all others are positive."""
 
 NO_GRADIENT = ("collision", "merged", "partner_merged")
-"""Indicators: without a gradient, their weights cannot be learned."""
+"""Indicators: without a gradient, driving carries no information about their weights."""
 
-FLOOR = 0.5  # least curvature of -R, as a share of the least given comfort weight
+FLOOR = 0.5  # of the least given comfort weight: the least curvature of -R in a fit
 
 
 @dataclass(frozen=True)
-class Model:
-    """Names of the weights to learn, and the given weights.
+class RewardModel:
+    """A reward that is linear in its features: the weights to learn, and those given.
 
     Attributes:
         learned: names of the weights to learn, of `weight_names`.
-        given: fixed weights by name; those of comfort set the scale of all others.
+        given: fixed weights, by name; those of comfort set the scale of all others.
 
     Raises:
-        ValueError: for unknown names, an indicator, a weight both learned and given, or no given weight of comfort.
+        ValueError: for unknown names, indicators, a weight named twice, or no given comfort weight.
     """
 
     learned: tuple[str, ...]
@@ -52,14 +52,14 @@ class Model:
 
     @property
     def floor(self) -> float:
-        """Lower bound of the curvature of -R in any direction."""
+        """The least curvature of -R in any direction that a fit assumes."""
         return FLOOR * min(value for name, value in self.given.items() if name in COMFORT and value > 0)
 
     def signs(self) -> Float[np.ndarray, "learned"]:
-        """Return the fixed signs of the learned weights."""
+        """Return the signs of the learned weights, which are fixed."""
         return np.array([-1.0 if name in PENALTIES else 1.0 for name in self.learned])
 
     def weights(self, logarithms: Float[np.ndarray, "parameters"]) -> dict[str, float]:
-        """Return all weights by name, from the logarithms of the learned magnitudes and, last, of the temperature."""
+        """Return all weights by name, from the logarithms of the learned ones' sizes and, last, of the temperature."""
         learned = (self.signs() * np.exp(logarithms[:-1])).tolist()
         return {**dict(zip(self.learned, learned, strict=True)), **self.given}

@@ -5,22 +5,17 @@ from dataclasses import dataclass, field
 from typing import Literal, TypeAlias, TypeVar
 
 import jax
-import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
-from ms_highway.optimization.second_derivatives import Trajectory, damped_inverse, second_order_expansion
+from ms_highway.optimization.newton import newton_steps
+from ms_highway.optimization.second_derivatives import Trajectory
 from ms_highway.runtime.arrays import Array
 
 __all__ = ["Planner", "Solver", "optimize_controls", "project", "projected_ascent"]
 
 Controls = TypeVar("Controls", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton"]
-
-NEWTON_STEPS = 16
-HESSIAN_EVERY = 8  # steps between two Hessians
-NEWTON_FLOOR = 12.0  # of the magnitude of the Hessian's eigenvalues: a step is at most 1 / 12 of the gradient
-SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 8, 0], dtype=np.float32)  # of a Newton step, tried by its line search
 
 
 @jax.tree_util.register_dataclass
@@ -110,16 +105,4 @@ def optimize_controls(
 
     if planner.solver == "gradient":
         return projected_ascent(planner, jax.grad(earned), start, bounded)
-
-    def with_hessian(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
-        metric = damped_inverse(second_order_expansion(path, reward, controls, cost).hessian, NEWTON_FLOOR)
-
-        def improve(_: int, controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, "steps 2"]:
-            step = (metric @ jax.grad(earned)(controls).ravel()).reshape(controls.shape)
-            candidates = bounded(controls + SHARES[:, None, None] * step)
-            rewards = jax.vmap(earned)(candidates)
-            return candidates[jnp.argmax(jnp.where(jnp.isfinite(rewards), rewards, -jnp.inf))]
-
-        return jax.lax.fori_loop(0, HESSIAN_EVERY, improve, controls)
-
-    return jax.lax.fori_loop(0, NEWTON_STEPS // HESSIAN_EVERY, with_hessian, bounded(start))
+    return newton_steps(path, reward, cost, start, bounded)

@@ -1,5 +1,6 @@
 """Demonstrations: the environment, those who drive in it, and what is recorded."""
 
+import importlib
 import json
 import os
 import re
@@ -30,7 +31,8 @@ from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.dynamics import recover_control, step
 from ms_highway.game.game import rollout_reward
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.recordings.demonstrations import actions, load, record
+from ms_highway.irl.recordings.datasets import load
+from ms_highway.irl.recordings.demonstrations import actions, record
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
 from ms_highway.vehicle import HumanVehicle, RoutedVehicle
 
@@ -103,7 +105,7 @@ def test_gymnasiums_checker_passes_without_a_warning():
 def test_its_id_is_registered_once_and_for_good():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ms_highway.envs._register()
+        importlib.reload(ms_highway)
     assert "ms-highway/demonstration-v0" in gym.registry
 
 
