@@ -1,6 +1,6 @@
 """How often controllers collide, by how much plans may ask of the car: counted in simulated episodes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -48,18 +48,24 @@ class Safety:
     runs: list[dict[str, Any]]
 
 
-def count(comparison: Comparison, limits: Sequence[Limit], mesh: Mesh | None = None) -> Iterator[str | pd.DataFrame]:
-    """Simulate the same episodes under each of several limits; a scenario is compiled for once.
+def count(
+    comparison: Comparison,
+    limits: Sequence[Limit],
+    mesh: Mesh | None = None,
+    progress: Callable[[str], None] = lambda message: None,
+) -> pd.DataFrame:
+    """Simulate the same episodes under each of several limits; a scenario is compiled once.
 
     Args:
         comparison: the episodes.
         limits: on plans of robot and human.
         mesh: devices, see `ms_highway.simulation.loop.simulate`.
+        progress: called with a message before every batch.
 
-    Yields:
-        What it is doing, and at last a row per scenario, controller and limit: bounds on the magnitude of ``omega``
-        [1/m, and in released semantics rad/s] and ``acceleration`` [m/s^2], infinite for none; ``episodes``, and how
-        many of them have a collision of the robot; its ``reward`` per step.
+    Returns:
+        A row per scenario, controller and limit: bounds on the magnitude of ``omega`` [1/m, and in released semantics
+        rad/s] and ``acceleration`` [m/s^2], infinite for none; ``episodes``; ``collision_episodes``, those in which the
+        robot collides; its ``reward`` per step.
 
     Raises:
         ValueError: for anything unknown or impossible.
@@ -72,14 +78,14 @@ def count(comparison: Comparison, limits: Sequence[Limit], mesh: Mesh | None = N
     tables = []
     for batch in batches:
         bounds = [float(f"{bound:g}") for bound in np.asarray(batch.loop.game.planner.control_limit)]
-        yield f"{batch.scenario.name}: {batch.size} episodes within {bounds[0]:g}, {bounds[1]:g}"
+        progress(f"{batch.scenario.name}: {batch.size} episodes within {bounds[0]:g}, {bounds[1]:g}")
         episodes = summarised(batch, batch.keys(), run_episodes(batch, batch.keys(), mesh))
         by_controller = episodes.assign(hit=episodes["collisions"] > 0).groupby(["scenario", "controller"], sort=False)
         counted = by_controller.agg(
             episodes=("seed", "size"), collision_episodes=("hit", "sum"), reward=("reward", "mean")
         )
         tables.append(counted.reset_index().assign(**dict(zip(LIMIT, bounds, strict=True))))
-    yield pd.concat(tables, ignore_index=True)[COLUMNS]
+    return pd.concat(tables, ignore_index=True)[COLUMNS]
 
 
 def read_safety(directory: Path) -> Safety:

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ms_highway.runtime.files import PART, read_json
+from ms_highway.runtime.files import PART, read_json, replacing
 
-__all__ = ["GROWING", "SETTINGS_FILE", "check_settings", "read_settings", "refuse_others"]
+__all__ = ["GROWING", "SETTINGS_FILE", "check_settings", "read_settings", "refuse_others", "write_settings"]
 
 SETTINGS_FILE = "settings.json"
 GROWING = ("measured", "asked")  # of the settings, what comparisons in the same directory add to
@@ -23,6 +23,12 @@ def read_settings(file: Path) -> dict[str, Any]:
         return dict(read_json(file))
     except (OSError, ValueError, TypeError) as error:
         raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
+
+
+def write_settings(directory: Path, settings: Mapping[str, Any]) -> None:
+    """Keep the settings of a directory's results."""
+    with replacing(directory / SETTINGS_FILE) as path:
+        path.write_text(json.dumps(settings, indent=2) + "\n")
 
 
 def check_settings(directory: Path, settings: Mapping[str, Any]) -> None:

@@ -149,7 +149,7 @@ def test_outcomes_that_were_damaged_are_named(searched, tmp_path, capsys):
         (["merger", "--devices", "1000"], "1000 devices are wanted; this process has"),
         (["merger", "--ladder", "tom", "naive"], "cheapest first"),
         (["merger", "--costs", "measured"], "cannot measure plans"),
-        (["merger", "--human-reward", "learned"], "--human-reward is neither"),
+        (["merger", "--human-reward", "lerned"], "--human-reward is neither"),
     ],
 )
 def test_a_wrong_search_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):
