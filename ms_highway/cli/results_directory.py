@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway.experiments.provenance import add_run, differing_versions, read_runs, this_run
-from ms_highway.experiments.settings import check_settings, write_settings
+from ms_highway.experiments.resuming import check_settings
+from ms_highway.experiments.settings import write_settings
 from ms_highway.runtime.files import held, tidy
 
 __all__ = ["own_results"]

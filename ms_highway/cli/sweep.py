@@ -114,7 +114,7 @@ def _sweep(options: argparse.Namespace) -> None:
             stack.enter_context(together(options.coordinator, worker.of, worker.place))
         counts = module.run_sweep(job, options.out, use_devices(options.devices), worker)
         already, wanted = next(counts), sum(job.size(part) for part in worker.parts(job))
-        if worker.place == 0 and module.missing(job, options.out):
+        if worker.place == 0 and module.missing_parts(job, options.out):
             record()
         count_episodes(counts, already, wanted)
         module.wait_for_all(job, options.out)

@@ -14,6 +14,7 @@ import pandas as pd
 from jax.sharding import Mesh
 from jaxtyping import Float
 
+from ms_highway.experiments.resuming import cannot_resume, missing
 from ms_highway.experiments.simulated import Batch, Key, run_episodes, summarised
 from ms_highway.runtime.files import replacing
 
@@ -56,11 +57,11 @@ class Outcomes:
         self.table = pd.DataFrame() if file is None or not file.exists() else _read(file)
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
-        """The rows of some episodes, in their order; those that are not known are simulated and kept."""
-        missing = [key for key in dict.fromkeys(keys) if key not in self.table.index]
-        if missing:
-            records = run_episodes(self.batch, missing, self._mesh)
-            fresh = summarised(self.batch, missing, records).set_index(INDEX)[list(KEPT)]
+        """Return the rows of some episodes, in their order; simulate and keep those that are not known."""
+        lacking = missing(keys, self.table.index)
+        if lacking:
+            records = run_episodes(self.batch, lacking, self._mesh)
+            fresh = summarised(self.batch, lacking, records).set_index(INDEX)[list(KEPT)]
             self.table = fresh if self.table.empty else pd.concat([self.table, fresh])
             if self._file is not None:
                 with replacing(self._file) as path:
@@ -73,11 +74,11 @@ def _read(file: Path) -> pd.DataFrame:
         table = pd.read_csv(file, converters=KEPT)  # Python's float gives back the very numbers that were written
         return table.set_index(INDEX)[list(KEPT)]
     except (ValueError, KeyError) as error:
-        raise ValueError(f"{file} cannot be gone on with ({error}); remove it or choose another directory") from error
+        raise cannot_resume(file, error, "remove it or choose another directory") from error
 
 
 def named(models: Sequence[str], order: Order) -> str:
-    """The short name of a controller that plans with these models, step by step: ``schedule:tom=6,naive``, ``tom``."""
+    """Return the short name of the controller that plans with these models: ``schedule:tom=6,naive``, ``tom``."""
     *stretches, (last, _) = [(models[rung], len(list(steps))) for rung, steps in groupby(order)]
     return "schedule:" + ",".join([*(f"{name}={steps}" for name, steps in stretches), last]) if stretches else last
 
@@ -85,7 +86,7 @@ def named(models: Sequence[str], order: Order) -> str:
 def search(
     outcomes: Outcomes, seeds: Sequence[int], prices: Sequence[float], population: int = 32, rounds: int = 8
 ) -> Iterator[int]:
-    """Look for the orders of models with the highest meta-reward, for every start and price by itself.
+    """Search for the orders of models with the highest meta-reward, for each start and price separately.
 
     Half of a round's orders are from the cross-entropy method (Rubinstein and Kroese 2004): a table holds the
     probability p[k, m] of rung m at step k, orders are drawn from it rung by rung, and it moves towards the frequencies
@@ -94,7 +95,7 @@ def search(
     tries one rung up to some step and another one from there on, the same for every start. What was tried for one price
     counts for all. After the last round, every start tries what is best for the others.
 
-    The same arguments give the same orders, on however many devices, and when an interrupted search goes on.
+    The same arguments give the same orders, on any number of devices, and when an interrupted search is resumed.
 
     Args:
         outcomes: the scenario, and where its episodes are kept.

@@ -13,7 +13,7 @@ from ms_highway.experiments.provenance import read_runs
 from ms_highway.experiments.published import PUBLISHED, PUBLISHED_WITH, Published
 from ms_highway.experiments.records import MAY_LACK, NEEDED, check_numbers
 from ms_highway.experiments.runner import STEPS_FILE
-from ms_highway.experiments.settings import GROWING, SETTINGS_FILE, read_settings
+from ms_highway.experiments.settings import EXTENDED, SETTINGS_FILE, read_settings
 from ms_highway.experiments.summary import summary
 from ms_highway.planning.human_models import MODELS
 
@@ -59,7 +59,7 @@ class Results:
 
     def published(self, scenario: str, controller: str) -> Published | None:
         """What the paper published of a controller, where these results may be compared with it."""
-        chosen = {key: value for key, value in self.settings.items() if key not in GROWING and value is not None}
+        chosen = {key: value for key, value in self.settings.items() if key not in EXTENDED and value is not None}
         return PUBLISHED.get((scenario, controller)) if chosen == PUBLISHED_WITH else None
 
     def config(self, scenario: str) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def read_results(directory: Path) -> Results:
 
 def common_config(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Of the settings, the configuration that all environments had in common."""
-    return {key: value for key, value in settings.items() if key not in ("costs", *GROWING)}
+    return {key: value for key, value in settings.items() if key not in ("costs", *EXTENDED)}
 
 
 def _read_records(file: Path, config: Mapping[str, Any]) -> pd.DataFrame:

@@ -1,10 +1,9 @@
-"""Very many simulated episodes, kept in parts that an interrupted run goes on with and that need not fit in memory.
+"""Simulate very many episodes, kept in parts that need not fit in memory, so that an interrupted run can be resumed.
 
 A part is a Parquet file: small, typed, and read by ``pandas.read_parquet`` alone or with its whole directory. It is
 written under another name and moved to its own when it is whole, so that every part is either whole or not there.
 """
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,8 @@ from jax.sharding import Mesh
 from pyarrow import parquet
 
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.settings import SETTINGS_FILE, check_settings
+from ms_highway.experiments.resuming import check_settings
+from ms_highway.experiments.settings import SETTINGS_FILE, write_settings
 from ms_highway.experiments.simulated import Batch, make_batch, run_episodes, summarised, tabulated
 from ms_highway.experiments.summary import earned
 from ms_highway.runtime.files import replacing
@@ -30,7 +30,7 @@ __all__ = [
     "STEPS",
     "Sweep",
     "Worker",
-    "missing",
+    "missing_parts",
     "prices",
     "read_sweep",
     "run_sweep",
@@ -165,7 +165,7 @@ def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: W
     batch = make_batch(sweep.comparison, sweep.scenario)
     _take_up(sweep, directory, worker)
     mine, together = worker.parts(sweep), 1 if mesh is None else mesh.size
-    lacking = [part for part in missing(sweep, directory) if part in mine]
+    lacking = [part for part in missing_parts(sweep, directory) if part in mine]
     count = sum(sweep.size(part) for part in mine) - sum(sweep.size(part) for part in lacking)
     yield count
     for first in range(0, len(lacking), together):
@@ -195,23 +195,23 @@ def _write(table: pd.DataFrame, file: Path) -> None:
 
 
 def _file(directory: Path, kind: str, part: int) -> Path:
-    return directory / kind / f"part-{part:06d}.parquet"
+    return directory / kind / _name(part)
 
 
-def missing(sweep: Sweep, directory: Path) -> list[int]:
-    """The parts that a directory lacks, of any process."""
-    kinds = list(sweep.rows(0))
-    there = {kind: {file.name for file in (directory / kind).glob("part-*")} for kind in kinds}
-    return [
-        part
-        for part in range(sweep.parts)
-        if not all(_file(directory, kind, part).name in there[kind] for kind in kinds)
-    ]
+def _name(part: int) -> str:
+    return f"part-{part:06d}.parquet"
+
+
+def missing_parts(sweep: Sweep, directory: Path) -> list[int]:
+    """Return the parts that a directory lacks, of any process."""
+    names = [{file.name for file in (directory / kind).glob("part-*")} for kind in sweep.rows(0)]
+    whole = set.intersection(*names)
+    return [part for part in range(sweep.parts) if _name(part) not in whole]
 
 
 def wait_for_all(sweep: Sweep, directory: Path) -> None:
     """Wait until the processes that share a sweep have written all parts."""
-    while missing(sweep, directory):
+    while missing_parts(sweep, directory):
         sleep(PAUSE)
 
 
@@ -224,12 +224,11 @@ def _take_up(sweep: Sweep, directory: Path, worker: Worker) -> None:
     while worker.place > 0 and not (directory / SETTINGS_FILE).exists():
         sleep(PAUSE)
     check_settings(directory, sweep.settings())
-    for part in sorted(set(worker.parts(sweep)) - set(missing(sweep, directory))):
+    for part in sorted(set(worker.parts(sweep)) - set(missing_parts(sweep, directory))):
         for kind, rows in sweep.rows(part).items():
             _check(_file(directory, kind, part), rows)
     if worker.place == 0:
-        with replacing(directory / SETTINGS_FILE) as path:
-            path.write_text(json.dumps(sweep.settings(), indent=2) + "\n")
+        write_settings(directory, sweep.settings())
 
 
 def _check(file: Path, rows: int) -> None:

@@ -199,7 +199,7 @@ def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, 
 def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys):
     (tmp_path / "settings.json").write_text((compared / "settings.json").read_text())
     (tmp_path / "steps.csv").write_text("these are\nno, records\n")
-    assert "cannot be gone on with" in failure(capsys, *COMPARE, str(tmp_path))
+    assert "cannot be resumed" in failure(capsys, *COMPARE, str(tmp_path))
     assert (tmp_path / "steps.csv").read_text() == "these are\nno, records\n"
 
 

@@ -131,7 +131,7 @@ def test_outcomes_that_were_damaged_are_named(searched, tmp_path, capsys):
     shutil.copytree(searched, tmp_path / "out")
     (tmp_path / "out" / "merger_episodes.csv").write_text("controller,seed\n")
     line = failure(capsys, *SEARCH, "--out", str(tmp_path / "out"))
-    assert "merger_episodes.csv cannot be gone on with" in line
+    assert "merger_episodes.csv cannot be resumed" in line
     assert "remove it" in line
 
 
