@@ -11,7 +11,7 @@ from ms_highway.envs import SCENARIOS
 from ms_highway.experiments.comparison import episode_steps
 from ms_highway.experiments.provenance import read_runs
 from ms_highway.experiments.published import PUBLISHED, PUBLISHED_WITH, Published
-from ms_highway.experiments.records import MAY_LACK, NEEDED, check_numbers
+from ms_highway.experiments.records import check_columns, whole_steps
 from ms_highway.experiments.runner import STEPS_FILE
 from ms_highway.experiments.settings import EXTENDED, SETTINGS_FILE, read_settings
 from ms_highway.experiments.summary import summary
@@ -103,22 +103,19 @@ def _read_records(file: Path, config: Mapping[str, Any]) -> pd.DataFrame:
         records = pd.read_csv(file)
     except (OSError, ValueError) as error:
         raise ValueError(f"{file} cannot be read ({str(error).strip()}); {REMEDY}") from error
-    missing = sorted({*NEEDED, MAY_LACK} - set(records))
-    if missing:
-        raise ValueError(f"{file} has no column {', '.join(missing)}; {REMEDY}")
-    if records.empty:
-        raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
     try:
-        check_numbers(records)
+        check_columns(records)
     except ValueError as error:
         raise ValueError(f"{file} {error}; {REMEDY}") from error
+    if records.empty:
+        raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
     for column, known in (("scenario", SCENARIOS), ("model", MODELS)):
         for name in records[column].dropna().unique():
             if name not in known:
                 raise ValueError(f"{file} holds {column} {name!r}, not one of {', '.join(known)}; {UNKNOWN}")
-    lengths = records.dropna(subset=list(NEEDED)).groupby(["scenario", "controller", "seed"]).size()
+    lengths = whole_steps(records)
     wanted = {name: episode_steps(name, config) for name in records["scenario"].unique()}
     whole = [length == wanted[scenario] for (scenario, *_), length in lengths.items()]
     if not all(whole) or lengths.sum() != len(records):
-        raise ValueError(f"{file} holds an unfinished episode; run the same `ms-highway compare` again, which goes on")
+        raise ValueError(f"{file} holds an unfinished episode; run the same `ms-highway compare` again, which resumes")
     return records

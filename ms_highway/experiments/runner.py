@@ -15,7 +15,7 @@ from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import controller_config
 from ms_highway.experiments.comparison import Comparison, episode_steps
-from ms_highway.experiments.records import KEYS, NEEDED, check_numbers, columns
+from ms_highway.experiments.records import CARS, KEYS, check_columns, columns, gain_column, state_columns, whole_steps
 from ms_highway.experiments.resuming import cannot_resume, missing, resumed_settings
 from ms_highway.experiments.settings import EXTENDED, SETTINGS_FILE, write_settings
 from ms_highway.planning.compiled import measure_costs
@@ -43,7 +43,7 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
 
 
 def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
-    """Run one episode with the robot's own controller; yields a record per step, `columns` from ``step`` on."""
+    """Run one episode with the robot's own controller; yield a record per step, with the `columns` from ``step`` on."""
     env.reset(seed=seed)
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)
@@ -53,11 +53,9 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
         done = terminated or truncated
         told = {**info, **asdict(info["timing"])}
         record = {key: told[key] for key in wanted if key in told} | {"step": step, "reward": reward}
-        record |= {f"gain_{name}": gain for name, gain in info["gains"].items()}
-        for car, state in zip(("robot", "human"), inner.car_states, strict=False):
-            record |= {
-                f"{car}_{name}": value for name, value in zip(("x", "y", "heading", "speed"), state, strict=True)
-            }
+        record |= {gain_column(name): gain for name, gain in info["gains"].items()}
+        for car, state in zip(CARS, inner.car_states, strict=False):
+            record |= dict(zip(state_columns(car), state, strict=True))
         yield record
         step += 1
 
@@ -136,7 +134,7 @@ def _whole_episodes(steps: Path, config: Mapping[str, Any]) -> set[tuple[str, st
         records = pd.read_csv(io.StringIO(whole_lines))
         if list(records) != columns():
             raise ValueError(f"its columns are not {', '.join(columns())}")
-        check_numbers(records)
+        check_columns(records)
         unknown = set(records["scenario"]) - set(SCENARIOS)
         if unknown:
             raise ValueError(f"it holds unknown scenarios, {', '.join(map(str, unknown))}")
@@ -144,7 +142,7 @@ def _whole_episodes(steps: Path, config: Mapping[str, Any]) -> set[tuple[str, st
         remedy = "choose another directory, or --import the modules that its scenarios and models are from"
         raise cannot_resume(steps, error, remedy) from error
     lengths = {name: episode_steps(name, config) for name in records["scenario"].unique()}
-    sizes = records.dropna(subset=list(NEEDED)).groupby(KEYS).size()
+    sizes = whole_steps(records)
     done = {key for key, length in sizes.items() if length == lengths[key[0]]}
     whole = [tuple(key) in done for key in records[KEYS].itertuples(index=False)]
     if whole_lines != text or not all(whole):

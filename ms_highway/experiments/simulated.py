@@ -18,7 +18,7 @@ from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import controller_config, draw_models, known_costs, named_models, switching_of
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.records import columns
+from ms_highway.experiments.records import CARS, MEASURED, STATE, columns, gain_column, share_column, state_columns
 from ms_highway.game.scenario import Scenario
 from ms_highway.planning.human_models import MODELS
 from ms_highway.simulation.loop import DECIDES, Episodes, Loop, Records, simulate, usual_chunk
@@ -42,14 +42,10 @@ Key = tuple[str, int]
 ASKED = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render"}
 """What an environment may have of its own and be simulated: the rest a simulation does by itself, or not at all."""
 
-CARS = ("robot", "human")
-STATE = ("x", "y", "heading", "speed")
-
 
 def columns_simulated() -> list[str]:
-    """Columns of a record of steps, `ms_highway.experiments.records.columns` without the measured times."""
-    measured = {"planning_seconds", "decision_seconds", "compile_seconds"}
-    return [name for name in columns() if name not in measured]
+    """Return the columns of a simulated step, `ms_highway.experiments.records.columns` without the measured times."""
+    return [name for name in columns() if name not in MEASURED]
 
 
 @dataclass(frozen=True)
@@ -216,10 +212,10 @@ def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFra
         "counted_seconds": costs[records.model].ravel(),
         "status": np.array(STATUSES)[records.status].ravel(),
     }
-    cells |= {f"gain_{name}": gain.ravel() for name, gain in _gains(batch, records).items()}
+    cells |= {gain_column(name): gain.ravel() for name, gain in _gains(batch, records).items()}
     for place, car in enumerate(CARS):
         states = np.asarray(records.states[:, :, place], float).reshape(-1, len(STATE))
-        cells |= {f"{car}_{name}": states[:, number] for number, name in enumerate(STATE)}
+        cells |= dict(zip(state_columns(car), states.T, strict=True))
     return pd.DataFrame(cells, columns=columns_simulated())
 
 
@@ -247,7 +243,7 @@ def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFr
     ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed.
     """
     configs = {name: controller_config(name) for name, _ in keys}
-    shares = {f"share_{name}": np.mean(records.model == number, axis=1) for number, name in enumerate(batch.models)}
+    shares = {share_column(name): np.mean(records.model == number, axis=1) for number, name in enumerate(batch.models)}
     return pd.DataFrame(
         {
             "scenario": batch.scenario.name,

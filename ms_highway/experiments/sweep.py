@@ -17,10 +17,12 @@ from jax.sharding import Mesh
 from pyarrow import parquet
 
 from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.records import share_column
 from ms_highway.experiments.resuming import check_settings
 from ms_highway.experiments.settings import SETTINGS_FILE, write_settings
 from ms_highway.experiments.simulated import Batch, make_batch, run_episodes, summarised, tabulated
 from ms_highway.experiments.summary import earned
+from ms_highway.planning.human_models import MODELS
 from ms_highway.runtime.files import replacing
 
 __all__ = [
@@ -252,14 +254,14 @@ def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
     Args:
         episodes: a row per episode, of `read_sweep`.
     """
-    rows = []
+    rows, shares = [], set(map(share_column, MODELS))
     for (scenario, controller), some in episodes.groupby(["scenario", "controller"], sort=False):
         rows.append(
             {
                 "scenario": scenario,
                 **earned(controller, some["reward"]),
                 "counted_ms": 1e3 * some["counted_seconds"].mean(skipna=False),
-                **{name: some[name].mean() for name in some if name.startswith("share_")},
+                **{name: some[name].mean() for name in some if name in shares},
                 "collision_episodes": int((some["collisions"] > 0).sum()),
             }
         )

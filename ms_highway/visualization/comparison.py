@@ -15,6 +15,7 @@ from rich.console import JustifyMethod
 from rich.table import Table
 
 from ms_highway.envs.configuration import controller_config
+from ms_highway.experiments.records import share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import MODELS
 from ms_highway.visualization.colors import color_of
@@ -32,7 +33,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
     Planning is told twice: as decisions count it, at T(M), and as it was measured, where it was.
     """
-    models = [name for name in MODELS if f"share_{name}" in summaries]
+    models = [name for name in MODELS if share_column(name) in summaries]
     rows = [
         {
             "controller": row["controller"],
@@ -42,7 +43,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
             else "one episode",
             "counted ms": "" if np.isnan(row["counted_ms"]) else f"{row['counted_ms']:.0f}",
             **{heading: f"{row[name]:.2f}" for name, heading in MEASURED.items() if name in row},
-            f"{' / '.join(models)} %": " / ".join(f"{100 * row[f'share_{name}']:.0f}" for name in models),
+            f"{' / '.join(models)} %": " / ".join(f"{100 * row[share_column(name)]:.0f}" for name in models),
             "collisions": f"{row['collision_episodes']} of {row['episodes']}",
         }
         for row in summaries[summaries["scenario"] == scenario].to_dict("records")

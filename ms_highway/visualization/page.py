@@ -12,7 +12,7 @@ from PIL import Image
 
 from ms_highway.envs.graphics import MODEL_MEANINGS
 from ms_highway.experiments.findings import answer, in_order, worth_seeing
-from ms_highway.experiments.records import common_seeds
+from ms_highway.experiments.records import common_seeds, share_column
 from ms_highway.experiments.results import Results
 from ms_highway.experiments.safety import Safety, safety_cells, safety_told
 from ms_highway.game.scenario import title
@@ -104,8 +104,8 @@ def draw(several: Sequence[Results], videos: bool = True) -> Iterator[str | list
 def render(several: Sequence[Results], sections: list[Section], safeties: Sequence[Safety] = ()) -> str:
     """The page, as HTML, of what `draw` has drawn of the same comparisons, and of collisions that were counted."""
     results = several[0]
-    shares = results.summaries.filter(like="share_").max()
-    shown = set(shares[shares > 0].index)
+    shares = {name: results.summaries.get(share_column(name)) for name in MODELS}
+    used = [name for name, share in shares.items() if share is not None and share.max() > 0]
     environment = Environment(
         loader=PackageLoader("ms_highway", "data"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
@@ -114,7 +114,7 @@ def render(several: Sequence[Results], sections: list[Section], safeties: Sequen
         headings=list(overview(several)),
         safeties=[_counted(safety) for safety in safeties],
         episodes=sorted(set(results.summaries["episodes"])),
-        models={name: MODEL_MEANINGS.get(name, "a model of one's own") for name in MODELS if f"share_{name}" in shown},
+        models={name: MODEL_MEANINGS.get(name, "a model of one's own") for name in used},
         kinds=set(results.summaries["kind"]),
         semantics={
             name: SEMANTICS[name] for name in SEMANTICS if name in [one.settings["semantics"] for one in several]
