@@ -88,6 +88,7 @@ def _compare(options: argparse.Namespace) -> None:
     from ms_highway.cli.results_directory import own_results
     from ms_highway.experiments.results import read_results
     from ms_highway.experiments.runner import read, run
+    from ms_highway.experiments.selection import select
     from ms_highway.experiments.summary import summary
     from ms_highway.runtime.files import replacing
     from ms_highway.visualization.comparison import table
@@ -107,7 +108,8 @@ def _compare(options: argparse.Namespace) -> None:
         with replacing(options.out / "summary.csv") as path:
             results.summaries.to_csv(path, index=False)
         for scenario in asked.controllers:
-            drawn = figures(results.records, results.summaries, scenario)
+            selection = select(results.records, results.summaries, scenario)
+            drawn = figures(results.records, results.summaries, scenario, selection)
             for name, figure in drawn.items():
                 with replacing(options.out / f"{scenario}_{name}.png") as path:
                     figure.savefig(path, dpi=110)

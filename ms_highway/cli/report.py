@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, draw_unseen, work
+from ms_highway.cli.console import add_command, draw_unseen, telling
 
 __all__ = ["add_report"]
 
@@ -51,6 +51,7 @@ def add_report(commands: Any) -> None:
 def _report(options: argparse.Namespace) -> None:
     from ms_highway.experiments.results import read_results
     from ms_highway.experiments.safety import SAFETY_FILE, read_safety, safety_cells
+    from ms_highway.experiments.selection import select_of_several
     from ms_highway.runtime.files import replacing
     from ms_highway.visualization.overview import markdown, overview
     from ms_highway.visualization.page import draw, render
@@ -80,7 +81,8 @@ def _report(options: argparse.Namespace) -> None:
         except ImportError as error:
             raise ImportError(f"{error}, or add --no-videos") from error
     draw_unseen()
-    page = render(several, work(draw(several, options.videos)), safeties)
+    with telling() as tell:
+        page = render(several, draw(several, select_of_several(several), options.videos, tell), safeties)
     with replacing(out) as path:
         path.write_text(page, encoding="utf-8")
     print(f"the page is {out}, {len(page) / 1e6:.1f} MB")

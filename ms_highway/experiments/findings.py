@@ -4,26 +4,12 @@ from collections.abc import Iterable, Sequence
 
 import pandas as pd
 
-from ms_highway.experiments.comparison import paper_controllers
+from ms_highway.experiments.selection import telling_pair
 from ms_highway.experiments.summary import interval
 
-__all__ = ["answer", "in_order", "listed", "worth_seeing"]
+__all__ = ["answer", "in_order", "listed"]
 
 FIRST = "merger", "give_way"
-
-
-def worth_seeing(summaries: pd.DataFrame, scenario: str) -> list[str]:
-    """The two controllers of a scenario that say most beside each other.
-
-    The fixed model of the highest mean reward, and switching, at the paper's conservative lambda or else at the
-    smallest; where either is missing, the first two; the only one where there is one.
-    """
-    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    fixed, switching = (rows[rows["kind"] == kind] for kind in ("fixed", "switching"))
-    if fixed.empty or switching.empty:
-        return list(rows.index[:2])
-    usual = paper_controllers(scenario)[-1]
-    return [str(fixed["reward"].idxmax()), usual if usual in switching.index else str(switching["price"].idxmin())]
 
 
 def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str:
@@ -37,7 +23,7 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
         scenario: its name.
     """
     rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    fixed, seen = rows[rows["kind"] == "fixed"], worth_seeing(summaries, scenario)
+    fixed, seen = rows[rows["kind"] == "fixed"], telling_pair(summaries, scenario)
     told = []
     if len(fixed):
         best, cheapest = str(fixed["reward"].idxmax()), str(fixed["counted_ms"].fillna(float("inf")).idxmin())

@@ -15,8 +15,8 @@ import pytest
 
 from ms_highway.cli.main import main
 from ms_highway.envs.configuration import controller_config
-from ms_highway.experiments.findings import worth_seeing
 from ms_highway.experiments.results import read_results
+from ms_highway.experiments.selection import telling_pair
 from ms_highway.visualization.comparison import bars
 from ms_highway.visualization.video import film
 
@@ -248,10 +248,10 @@ def test_the_best_fixed_model_is_shown_beside_switching_at_the_papers_conservati
             for config in [controller_config(name)]
         ]
     )
-    assert worth_seeing(summaries, "merger") == ["tom", "switching:0.1"]  # the paper's
-    assert worth_seeing(summaries[summaries["price"] != 0.1], "merger") == ["tom", "switching:0.001"]
-    assert worth_seeing(summaries[summaries["reward"] < 3], "merger") == ["naive", "turn"]
-    assert worth_seeing(summaries[summaries["reward"] == 5], "merger") == ["tom"]
+    assert telling_pair(summaries, "merger") == ["tom", "switching:0.1"]  # the paper's
+    assert telling_pair(summaries[summaries["price"] != 0.1], "merger") == ["tom", "switching:0.001"]
+    assert telling_pair(summaries[summaries["reward"] < 3], "merger") == ["naive", "turn"]
+    assert telling_pair(summaries[summaries["reward"] == 5], "merger") == ["tom"]
 
 
 def test_the_bar_of_a_dear_model_that_decides_nothing_leaves_room_for_the_legend(compared):
@@ -425,3 +425,40 @@ def test_a_page_of_a_comparison_that_was_stopped_says_how_many_episodes_are_miss
     assert main(["report", str(directory), "--no-videos"]) == 0
     assert "lacks 3 episodes; start the same" in capsys.readouterr().err
     assert "3 of the episodes that were asked for are missing." in Page((directory / "report.html").read_text()).texts
+
+
+def test_episodes_of_every_directory_are_in_the_table_and_on_the_page_also_where_the_first_one_lacks_them(
+    compared, tmp_path, capsys
+):
+    other = with_settings(compared, tmp_path / "other", human_reward="published")
+    records = pd.read_csv(tmp_path / "other" / "steps.csv").replace({"controller": {"naive": "schedule:turn=9,naive"}})
+    merger = records[records["controller"] == "switching:0.4"].assign(scenario="merger")
+    longer = merger[merger["step"] < 5].assign(step=merger["step"] + 35)  # an episode has 40 steps there
+    pd.concat([records, merger, longer]).to_csv(tmp_path / "other" / "steps.csv", index=False)
+    assert main(["report", str(compared), other, "--markdown"]) == 0
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert [row[:2] for row in rows] == [
+        *(["stay_back", name] for name in (*CONTROLLERS, "schedule:turn=9,naive")),
+        ["merger", "switching:0.4"],
+    ]
+    assert [bool(row[2]) for row in rows] == [True, True, False, False]
+    assert [bool(row[4]) for row in rows] == [False, True, True, True]
+    page = tmp_path / "page.html"
+    assert main(["report", str(compared), other, "--no-videos", "--out", str(page)]) == 0
+    assert {"schedule:turn=9,naive", "Merger"} <= set(Page(page.read_text()).texts)
+
+
+def test_every_part_of_a_page_with_several_counts_of_collisions_has_its_own_id(compared, tmp_path):
+    directories = [tmp_path / "safety", tmp_path / "more"]
+    for directory in directories:
+        directory.mkdir()
+        (directory / "settings.json").write_text(json.dumps({"semantics": "paper"}))
+        columns = "scenario,controller,omega,acceleration,episodes,collision_episodes,reward"
+        (directory / "safety.csv").write_text(f"{columns}\nstay_back,turn,0.2,9.0,300,0,1.0\n")
+    page = tmp_path / "page.html"
+    assert main(["report", str(compared), *map(str, directories), "--no-videos", "--out", str(page)]) == 0
+    elements = Page(page.read_text()).elements
+    ids = [attributes["id"] for _, attributes in elements if "id" in attributes]
+    links = [attributes["href"] for tag, attributes in elements if tag == "a"]
+    assert len(ids) == len(set(ids))
+    assert {"#safety-1", "#safety-2"} <= set(links) <= {f"#{name}" for name in ids}
