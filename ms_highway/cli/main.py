@@ -5,7 +5,10 @@ import importlib
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 from ms_highway.cli.bench import add_bench
 from ms_highway.cli.compare import add_compare
@@ -31,9 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = build_parser(given).parse_args(given)
     options.command_line = shlex.join(["ms-highway", *given])
     try:
-        _set_jax_up(options)
-        _import(options.modules)
-        options.run(options)
+        with _warnings_in_one_line():
+            _set_jax_up(options)
+            _import(options.modules)
+            options.run(options)
         with printing():
             sys.stdout.flush()
     except (ValueError, OSError, ImportError) as error:
@@ -43,6 +47,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(STOPPED, file=sys.stderr)
         return INTERRUPTED
     return 0
+
+
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """Print warnings as this command's messages, without the place in its source that they come from."""
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        print(f"ms-highway: {message}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
 
 
 def _import(modules: Sequence[str]) -> None:

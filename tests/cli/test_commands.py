@@ -326,3 +326,14 @@ def test_bench_measures_a_plan_and_a_peer_that_plans_the_same():
     assert 0 < result["compile_s"]["cached"] < result["compile_s"]["cold"]
     assert result["flop"] > 1e5
     assert set(result["plans_per_s"]) == {"1", "32", "1024"}
+
+
+def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_path):
+    """In a process of its own, as the tests turn warnings into errors."""
+    arguments = ["compare", "stay_back", "--controllers", "naive", "--seeds", "1", "--step-size", "0.5", "--out"]
+    command = [sys.executable, "-m", "ms_highway", *arguments, str(tmp_path / "out")]
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stderr
+    (line,) = {line for line in said.splitlines() if "overshoot" in line}
+    assert line.startswith("ms-highway: config['step_size'] is 0.5")
+    assert "warn(" not in said
+    assert ".py" not in said
