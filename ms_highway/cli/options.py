@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CONTROLLERS",
     "MOST",
+    "MOST_LAMBDAS",
     "MOST_PROCESSES",
     "MOST_SEEDS",
     "SCENARIO_NAMES",
@@ -35,10 +36,14 @@ __all__ = [
     "costs",
     "human_reward",
     "planning",
+    "prices",
 ]
 
 MOST = 1_000_000
 """Of episodes per controller, of parts of a sweep, and of what else is counted: more takes years, or all memory."""
+
+MOST_LAMBDAS = 10_000
+"""Lambdas of switching in a sweep."""
 
 MOST_SEEDS = 2**63
 """Seeds that Parquet's integers hold."""
@@ -234,6 +239,38 @@ def asked_comparison(
         getattr(options, "seed", 0),
         planning(options),
     )
+
+
+def prices(text: str) -> list[float]:
+    """Return the lambdas of switching that ``--lambdas`` gives: a range or several.
+
+    A range is ``LOW:HIGH:COUNT``, evenly spaced in the logarithm and rounded to three significant digits, which make
+    short names of controllers; several have commas between them.
+
+    Raises:
+        ValueError: if the text is neither, names negative lambdas, or spaces them so closely that some are equal.
+    """
+    import numpy as np
+
+    try:
+        if ":" in text:
+            low, high, count = text.split(":")
+            if not 0 < float(low) < float(high) < np.inf or not 2 <= int(count) <= MOST_LAMBDAS:
+                raise ValueError
+            values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
+            if len(set(values)) < int(count):
+                raise ValueError
+        else:
+            values = [float(part) for part in text.split(",")]
+            if not all(0 <= value < np.inf for value in values):
+                raise ValueError
+    except ValueError:
+        remedy = (
+            "give LOW:HIGH:COUNT with 0 < LOW < HIGH and two or more that differ in three digits, such as 0.001:10:25, "
+            "or lambdas like 0.1,0.5"
+        )
+        raise ValueError(f"lambdas are {text!r}; {remedy}") from None
+    return list(dict.fromkeys(abs(value) for value in values))  # also of -0
 
 
 def check_least(options: argparse.Namespace, **least: int) -> None:

@@ -10,7 +10,7 @@ from ms_highway.cli.console import add_command, draw_unseen, telling
 __all__ = ["add_report"]
 
 HELP = """\
-Make one HTML page of a directory that `ms-highway compare` wrote: a table and sentences that tell what was found,
+Make one HTML page of a directory that `ms-highway compare` wrote: a table, sentences on what was found,
 figures, a video of two controllers side by side, and the settings, versions, machine and commands that made it. Of
 further such directories, the page has the outcomes beside those of the first, and of a directory that `ms-highway
 safety` wrote, its collisions. It is a single file and needs no network.

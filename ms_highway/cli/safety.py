@@ -67,7 +67,7 @@ def _safety(options: argparse.Namespace) -> None:
     from rich.table import Table
 
     from ms_highway.cli.results_directory import own_results
-    from ms_highway.experiments.safety import SAFETY_FILE, count, read_safety, safety_cells, safety_told
+    from ms_highway.experiments.safety import SAFETY_FILE, count, read_safety, safety_cells, safety_sentences
     from ms_highway.runtime.files import replacing
     from ms_highway.simulation.loop import use_devices
 
@@ -96,7 +96,7 @@ def _safety(options: argparse.Namespace) -> None:
     for row in texts.itertuples(index=False):
         grid.add_row(*row)
     print_tables(grid)
-    print("\n".join([*safety_told(safety), f"results are in {options.out}"]))
+    print("\n".join([*safety_sentences(safety), f"results are in {options.out}"]))
 
 
 def _limit(text: str) -> "Limit":

@@ -20,6 +20,7 @@ from ms_highway.cli.options import (
     asked_comparison,
     check_least,
     check_most,
+    prices,
 )
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def _sweep(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tradeoff import curve
 
     _check(options)
-    comparison = _comparison(options, module.prices)
+    comparison = _comparison(options)
     job = module.Sweep(comparison, options.part, options.steps)
     if job.parts > MOST:
         episodes = f"--episodes {options.episodes} of {len(comparison.controllers[options.scenario])} controllers"
@@ -144,7 +145,7 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError(f"--seed is {options.seed}; no seed may be {MOST_SEEDS} or more")
 
 
-def _comparison(options: argparse.Namespace, prices: Any) -> "Comparison":
+def _comparison(options: argparse.Namespace) -> "Comparison":
     """Return the episodes of the sweep, checked.
 
     Raises:

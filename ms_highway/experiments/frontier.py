@@ -18,7 +18,7 @@ from ms_highway.experiments.resuming import cannot_resume, missing
 from ms_highway.experiments.simulated import Batch, Key, run_episodes, summarised
 from ms_highway.runtime.files import replacing
 
-__all__ = ["Order", "Outcomes", "named", "search"]
+__all__ = ["Order", "Outcomes", "controller_name", "search"]
 
 Order: TypeAlias = tuple[int, ...]
 """The rung that plans each step of an episode."""
@@ -30,7 +30,7 @@ MUTANTS = 0.5  # of the population: the best order so far but for a stretch of s
 STRETCH = 4  # steps, mean of their number in such a stretch
 SWITCHES = 12  # steps at which the first orders go over from one rung to another
 INDEX = ["controller", "seed"]
-KEPT = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
+KEPT_COLUMNS = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
 
 
 class Outcomes:
@@ -61,7 +61,7 @@ class Outcomes:
         lacking = missing(keys, self.table.index)
         if lacking:
             records = run_episodes(self.batch, lacking, self._mesh)
-            fresh = summarised(self.batch, lacking, records).set_index(INDEX)[list(KEPT)]
+            fresh = summarised(self.batch, lacking, records).set_index(INDEX)[list(KEPT_COLUMNS)]
             self.table = fresh if self.table.empty else pd.concat([self.table, fresh])
             if self._file is not None:
                 with replacing(self._file) as path:
@@ -71,13 +71,15 @@ class Outcomes:
 
 def _read(file: Path) -> pd.DataFrame:
     try:
-        table = pd.read_csv(file, converters=KEPT)  # Python's float gives back the very numbers that were written
-        return table.set_index(INDEX)[list(KEPT)]
+        table = pd.read_csv(
+            file, converters=KEPT_COLUMNS
+        )  # Python's float gives back the very numbers that were written
+        return table.set_index(INDEX)[list(KEPT_COLUMNS)]
     except (ValueError, KeyError) as error:
         raise cannot_resume(file, error, "remove it or choose another directory") from error
 
 
-def named(models: Sequence[str], order: Order) -> str:
+def controller_name(models: Sequence[str], order: Order) -> str:
     """Return the short name of the controller that plans with these models: ``schedule:tom=6,naive``, ``tom``."""
     *stretches, (last, _) = [(models[rung], len(list(steps))) for rung, steps in groupby(order)]
     return "schedule:" + ",".join([*(f"{name}={steps}" for name, steps in stretches), last]) if stretches else last
@@ -122,7 +124,7 @@ def search(
                 else _first(*even.shape)
             )
         ]
-        rows = outcomes.of([(named(models, order), seed) for order, seed in drawn])
+        rows = outcomes.of([(controller_name(models, order), seed) for order, seed in drawn])
         earned = rows[["reward", "counted_seconds"]].itertuples(index=False, name=None)
         for (order, seed), outcome in zip(drawn, earned, strict=True):
             tried[seed][order] = outcome
@@ -134,7 +136,7 @@ def search(
             mixed = np.maximum(SMOOTHING * tables[seed, price] + (1 - SMOOTHING) * frequencies, FLOOR)
             tables[seed, price] = mixed / mixed.sum(axis=-1, keepdims=True)
         yield number
-    exchanged = dict.fromkeys(named(models, orders[0]) for orders in leaders.values())
+    exchanged = dict.fromkeys(controller_name(models, orders[0]) for orders in leaders.values())
     outcomes.of([(name, seed) for seed in seeds for name in exchanged])
     yield rounds + 1
 

@@ -1,4 +1,4 @@
-"""A directory of results of ``ms-highway compare``, read and checked."""
+"""Read and check a directory of results of ``ms-highway compare``."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from ms_highway.planning.human_models import MODELS
 
 __all__ = ["Results", "read_results"]
 
-UNKNOWN = "if it is of your own, --import the module that adds it"
+UNKNOWN = "if it is your own, --import the module that adds it"
 REMEDY = "name a directory that `ms-highway compare` wrote"
 
 
@@ -48,7 +48,7 @@ class Results:
 
     @property
     def missing(self) -> int:
-        """How many episodes were asked for that are not there yet."""
+        """The number of requested episodes that are not there yet."""
         rows = self.summaries.set_index(["scenario", "controller"])["episodes"]
         asked = self.settings.get("asked", {})
         return sum(

@@ -27,12 +27,12 @@ STEPS_FILE = "steps.csv"
 
 
 def make_environment(scenario: str, controller: str, render: bool = False, **config: Any) -> gym.Env:
-    """The environment of a scenario with the robot driven by a controller.
+    """Make the environment of a scenario with the robot driven by a controller.
 
     Args:
         scenario: its name.
         controller: short name of the controller, see `controller_config`.
-        render: whether ``rgb_array`` frames will be asked for.
+        render: whether to render ``rgb_array`` frames.
         config: further configuration of the environment.
 
     Raises:
@@ -51,8 +51,8 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
     while not done:
         _, reward, terminated, truncated, info = env.step(0)
         done = terminated or truncated
-        told = {**info, **asdict(info["timing"])}
-        record = {key: told[key] for key in wanted if key in told} | {"step": step, "reward": reward}
+        values = {**info, **asdict(info["timing"])}
+        record = {key: values[key] for key in wanted if key in values} | {"step": step, "reward": reward}
         record |= {gain_column(name): gain for name, gain in info["gains"].items()}
         for car, state in zip(CARS, inner.car_states, strict=False):
             record |= dict(zip(state_columns(car), state, strict=True))

@@ -39,8 +39,8 @@ __all__ = [
 Key = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
 
-ASKED = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render"}
-"""What an environment may have of its own and be simulated: the rest a simulation does by itself, or not at all."""
+OVERRIDABLE = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render"}
+"""Methods that a scenario's environment may override: a simulation calls these, and does the rest without it."""
 
 
 def columns_simulated() -> list[str]:
@@ -92,7 +92,7 @@ class Batch:
 
 
 def make_batch(comparison: Comparison, scenario: str) -> Batch:
-    """One scenario of a comparison, ready to be simulated.
+    """Make one scenario of a comparison ready to be simulated.
 
     Args:
         comparison: what is compared.
@@ -113,14 +113,16 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"costs are {comparison.costs!r}, and a simulation cannot measure plans; {remedy}")
     config = configs[0]
     if config["warm_start"] or config["terminate_on_collision"]:
-        told = ", ".join(f"{key} {config[key]!r}" for key in ("warm_start", "terminate_on_collision"))
-        raise ValueError(f"{scenario} is configured with {told}; a simulation starts plans anew and runs all steps")
+        reason = ", ".join(f"{key} {config[key]!r}" for key in ("warm_start", "terminate_on_collision"))
+        raise ValueError(
+            f"{scenario} is configured with {reason}; a simulation plans every step from scratch and runs all steps"
+        )
     kind = ENVIRONMENTS[scenario]
     classes = kind.__mro__[: kind.__mro__.index(InteractionEnv)]
     own = {name for one in classes for name in vars(one) if hasattr(InteractionEnv, name) and name[:2] != "__"}
-    if own - ASKED:
-        told = f"{kind.__name__} has its own {', '.join(sorted(own - ASKED))}, which a simulation does not call"
-        raise ValueError(f"{told}; change its scenario, its game (in `configure`) or `draw_starts`, or use `compare`")
+    if own - OVERRIDABLE:
+        reason = f"{kind.__name__} has its own {', '.join(sorted(own - OVERRIDABLE))}, which a simulation does not call"
+        raise ValueError(f"{reason}; change its scenario, its game (in `configure`) or `draw_starts`, or use `compare`")
     environment = kind(config)
     rungs = environment.models
     used = {name for config in configs for name in named_models(config["controller"])}
@@ -132,7 +134,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 
 
 def start(batch: Batch, seed: int) -> Float[np.ndarray, "cars 4"]:
-    """The start that the environment draws for a seed, in SI units.
+    """Return the start that the environment draws for a seed, in SI units.
 
     Raises:
         ValueError: for a negative seed.
@@ -148,7 +150,7 @@ def _random(seed: int) -> np.random.Generator:
 
 
 def episodes_of(batch: Batch, keys: Sequence[Key]) -> Episodes:
-    """What is to be simulated, see `run_episodes`."""
+    """Return what the simulation is given for these episodes, see `run_episodes`."""
     configs = {name: controller_config(name) for name, _ in keys}
     drawn = [_drawn(batch, configs[name], seed) for name, seed in keys]
     weights = (np.asarray(reward.weights) for reward in (batch.loop.game.robot, batch.loop.game.human))
@@ -180,7 +182,7 @@ def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None) ->
 
 
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
-    """All records of a comparison, a row per step, in the comparison's order: `columns_simulated`.
+    """Simulate a comparison and return all records, a row per step, in the comparison's order: `columns_simulated`.
 
     Args:
         comparison: what to simulate.
@@ -198,7 +200,7 @@ def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
 
 
 def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:
-    """A row per step: `columns_simulated`."""
+    """Return a row per step: `columns_simulated`."""
     steps = batch.steps
     models, costs = np.array(batch.models), _costs(batch)
     cells: dict[str, Any] = {
@@ -236,7 +238,7 @@ def _gains(batch: Batch, records: Records) -> dict[str, Float[np.ndarray, "episo
 
 
 def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:
-    """A row per episode.
+    """Return a row per episode.
 
     Columns: ``scenario``, ``controller`` and ``seed``; ``price``, that is lambda, empty where nothing is decided;
     ``reward`` and ``counted_seconds``, planning at T(M), as means over the steps; ``share_MODEL`` of the steps;

@@ -10,7 +10,6 @@ from pathlib import Path
 from time import sleep
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 from jax.sharding import Mesh
@@ -33,7 +32,6 @@ __all__ = [
     "Sweep",
     "Worker",
     "missing_parts",
-    "prices",
     "read_sweep",
     "run_sweep",
     "sweep_summary",
@@ -45,8 +43,6 @@ EPISODES, STEPS = "episodes", "steps"
 
 PART = 1024
 """Usual number of episodes in a part."""
-
-MOST_PRICES = 10_000
 
 PAUSE = 0.2  # s, between looks at what other processes have written
 
@@ -120,35 +116,6 @@ class Worker:
 ALONE = Worker()
 
 
-def prices(text: str) -> list[float]:
-    """Lambdas from a text: ``LOW:HIGH:COUNT``, evenly spaced in their logarithm, or several with commas between.
-
-    Spaced ones are rounded to three significant digits, which make short names of controllers.
-
-    Raises:
-        ValueError: if the text is neither, names negative lambdas, or spaces them so closely that some are equal.
-    """
-    try:
-        if ":" in text:
-            low, high, count = text.split(":")
-            if not 0 < float(low) < float(high) < np.inf or not 2 <= int(count) <= MOST_PRICES:
-                raise ValueError
-            values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
-            if len(set(values)) < int(count):
-                raise ValueError
-        else:
-            values = [float(part) for part in text.split(",")]
-            if not all(0 <= value < np.inf for value in values):
-                raise ValueError
-    except ValueError:
-        remedy = (
-            "give LOW:HIGH:COUNT with 0 < LOW < HIGH and two or more that differ in three digits, such as 0.001:10:25, "
-            "or lambdas like 0.1,0.5"
-        )
-        raise ValueError(f"lambdas are {text!r}; {remedy}") from None
-    return list(dict.fromkeys(abs(value) for value in values))  # also of -0
-
-
 def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: Worker = ALONE) -> Iterator[int]:
     """Compute the parts that a directory lacks and write each when it is done.
 
@@ -159,7 +126,7 @@ def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: W
         worker: which of the parts this process computes.
 
     Yields:
-        How many of this process's episodes are there: first what earlier runs have left, then after every part.
+        The number of this process's episodes there: first of those that earlier runs have left, then after every part.
 
     Raises:
         ValueError: if the sweep is impossible, or the directory holds something else.

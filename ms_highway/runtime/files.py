@@ -155,8 +155,8 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        told = error.strerror or str(error)
-        raise OSError(f"{path} cannot be written: {told}; see to it, or choose another place") from error
+        reason = error.strerror or str(error)
+        raise OSError(f"{path} cannot be written: {reason}; make that possible, or choose another place") from error
 
 
 def read_json(path: Path) -> Any:

@@ -72,15 +72,15 @@ def _published(results: Sequence[Results], scenario: str, controller: str) -> di
 
 
 def _names(results: Sequence[Results]) -> list[str]:
-    """What to call each: the first settings that tell all apart, else the directories; nothing where there is one."""
+    """Name each by the first settings that distinguish all, else by its directory; a single one has no name."""
     if len(results) == 1:
         return [""]
-    told: list[list[str]] = [[] for _ in results]
+    names: list[list[str]] = [[] for _ in results]
     for key in DISTINGUISHING:
         values = [result.settings.get(key) for result in results]
         if any(value != values[0] for value in values):
-            for name, value in zip(told, values, strict=True):
+            for name, value in zip(names, values, strict=True):
                 name.append(f"{value if isinstance(value, str) else 'given'} {key.replace('_', ' ')}")
-        if len({tuple(name) for name in told}) == len(results):
-            return [", " + ", ".join(name) for name in told]
+        if len({tuple(name) for name in names}) == len(results):
+            return [", " + ", ".join(name) for name in names]
     return [f", {result.directory}" for result in results]

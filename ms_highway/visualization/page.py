@@ -15,7 +15,7 @@ from ms_highway.envs.graphics import MODEL_MEANINGS
 from ms_highway.experiments.findings import answer, in_order
 from ms_highway.experiments.records import share_column
 from ms_highway.experiments.results import Results
-from ms_highway.experiments.safety import Safety, safety_cells, safety_told
+from ms_highway.experiments.safety import Safety, safety_cells, safety_sentences
 from ms_highway.experiments.selection import Selection
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import MODELS
@@ -125,7 +125,7 @@ def render(several: Sequence[Results], sections: list[Section], safeties: Sequen
         headings=list(overview(several)),
         safeties=[_counted(safety, number) for number, safety in enumerate(safeties, 1)],
         episodes=sorted(set(summaries["episodes"])),
-        models={name: MODEL_MEANINGS.get(name, "a model of one's own") for name in used},
+        models={name: MODEL_MEANINGS.get(name, "a model that was added") for name in used},
         kinds=set(summaries["kind"]),
         semantics={
             name: SEMANTICS[name] for name in SEMANTICS if name in [one.settings["semantics"] for one in several]
@@ -140,9 +140,9 @@ def _counted(safety: Safety, number: int) -> dict[str, Any]:
     cells = safety_cells(safety)
     order = cells.groupby("scenario", sort=False)
     groups = {title(name): order.get_group(name).iloc[:, 1:].to_numpy().tolist() for name in in_order(order.groups)}
-    told = " ".join(safety_told(safety))
+    text = " ".join(safety_sentences(safety))
     heading = {"id": f"safety-{number}", "title": "Safety" if number == 1 else f"Safety, {safety.directory}"}
-    return {**heading, "told": told, "headings": list(cells), "groups": groups}
+    return {**heading, "text": text, "headings": list(cells), "groups": groups}
 
 
 def _made(results: Results | Safety) -> dict[str, Any]:
