@@ -93,7 +93,7 @@ def _environment(scenario: str, comparison: Comparison) -> float:
 
 
 def _prepare(cache: str | None, modules: Sequence[str]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command tells of interrupts
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command reports interrupts
     high_throughput()
     if cache is not None:
         keep_compilations(Path(cache))

@@ -3,20 +3,13 @@
 import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.progress import Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
-
-from ms_highway.benchmarks.latency import bench
-from ms_highway.benchmarks.throughput import throughput
 from ms_highway.cli.console import add_command, print_tables
-from ms_highway.cli.options import MOST, add_devices, add_planning, planning
-from ms_highway.envs import SCENARIOS, environment_id
-from ms_highway.experiments.comparison import paper_controllers
-from ms_highway.runtime.files import replacing
+from ms_highway.cli.options import MOST, add_devices, add_planning, add_scenarios, planning
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 __all__ = ["add_bench"]
 
@@ -39,7 +32,7 @@ examples:
 def add_bench(commands: Any) -> None:
     """Add the command ``bench`` to a parser's subparsers."""
     parser = add_command(commands, "bench", "measure planning time, and the closed loop", HELP, EXAMPLES)
-    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: all)")
+    add_scenarios(parser, "all")
     parser.add_argument("--peer", choices=["casadi"], help="measure the same plans in CasADi's C code as well")
     parser.add_argument(
         "--batches", nargs="+", type=int, metavar="SIZE", help="measure the closed loop in such batches"
@@ -51,6 +44,15 @@ def add_bench(commands: Any) -> None:
 
 
 def _bench(options: argparse.Namespace) -> None:
+    from rich.console import Console
+    from rich.progress import Progress, TextColumn, TimeElapsedColumn
+
+    from ms_highway.benchmarks.latency import bench
+    from ms_highway.benchmarks.throughput import throughput
+    from ms_highway.envs import SCENARIOS, environment_id
+    from ms_highway.experiments.comparison import paper_controllers
+    from ms_highway.runtime.files import replacing
+
     if (options.batches and options.peer) or (options.devices and not options.batches):
         raise ValueError("--peer is about plans, and --devices about --batches; leave one out")
     if options.batches and max(options.batches) > MOST:
@@ -84,8 +86,11 @@ def _bench(options: argparse.Namespace) -> None:
             path.write_text(json.dumps(results, indent=2) + "\n")
 
 
-def _plans(results: dict[str, dict[str, Any]]) -> Table:
-    """What plans, decisions and steps of the environment take."""
+def _plans(results: dict[str, dict[str, Any]]) -> "Table":
+    """Tabulate what plans, decisions and steps of the environment take."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
     grid = Table(box=SIMPLE, title="medians, on one core; us: microseconds", title_justify="left")
     names = "plan us", "p99", "C us", "ratio", "decision us", "of mean plan", "step us", "compile s", "cached"
     for column in ("scenario", "model", *names):
@@ -102,8 +107,11 @@ def _plans(results: dict[str, dict[str, Any]]) -> Table:
     return grid
 
 
-def _batches(scenario: str, controllers: dict[str, Any]) -> Table:
-    """Steps per second of a scenario's closed loop, and how many times those of the environment; a row per size."""
+def _batches(scenario: str, controllers: dict[str, Any]) -> "Table":
+    """Tabulate steps per second of a scenario's closed loop, and their ratio to the environment's; a row per size."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
     first = next(iter(controllers.values()))
     title = f"{scenario}: steps of the closed loop per second; batches on {first['devices']}"
     grid = Table(box=SIMPLE, title=title, title_justify="left")

@@ -1,33 +1,26 @@
 """The command ``ms-highway compare``."""
 
 import argparse
-import typing
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, count_episodes, print_tables
 from ms_highway.cli.options import (
-    CONTROLLERS,
     MOST,
+    SOLVERS,
+    add_controllers,
     add_costs,
+    add_ladder,
+    add_out,
     add_planning,
+    add_scenarios,
     add_semantics,
+    asked_comparison,
     check_most,
-    costs,
-    human_reward,
-    note_run,
-    planning,
+    controllers_by_scenario,
 )
-from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS
-from ms_highway.experiments.comparison import Comparison, paper_controllers
-from ms_highway.experiments.provenance import read_runs
-from ms_highway.experiments.results import read_results
-from ms_highway.experiments.runner import read, run
-from ms_highway.experiments.summary import summary
-from ms_highway.optimization.solvers import Solver
-from ms_highway.runtime.files import held, replacing, tidy
-from ms_highway.visualization.comparison import table
-from ms_highway.visualization.figures import CAPTIONS, figures
+
+if TYPE_CHECKING:
+    from ms_highway.experiments.comparison import Comparison
 
 __all__ = ["add_compare", "comparison"]
 
@@ -42,8 +35,8 @@ the paper's comparison runs: its three scenarios, each with its ladder and the p
 
 Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
 SCENARIO_bars.png (of three lambdas or more _curve.png, reward against computation), _timeline.png and _decisions.png;
-settings.json and provenance.json say what they were made with. Stopped and started again with the same --out, it goes
-on where it was; with more controllers or scenarios, it adds them. `ms-highway report` makes a page of them."""
+settings.json and provenance.json say what they were made with. If stopped and started again with the same --out, it
+resumes; with more controllers or scenarios, it adds them. `ms-highway report` makes a page of them."""
 
 EXAMPLES = """\
 examples:
@@ -59,37 +52,26 @@ examples:
 def add_compare(commands: Any) -> None:
     """Add the command ``compare`` to a parser's subparsers."""
     parser = add_command(commands, "compare", "compare controllers over many episodes", HELP, EXAMPLES)
-    parser.add_argument(
-        "scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: the paper's)"
-    )
-    parser.add_argument(
-        "--controllers",
-        nargs="+",
-        metavar="CONTROLLER",
-        help=f"{CONTROLLERS} (default: the paper's)",
-    )
+    add_scenarios(parser)
+    add_controllers(parser)
     parser.add_argument("--seeds", type=int, default=30, help="episodes per controller, seeded 0, 1, ... (default: 30)")
-    parser.add_argument(
-        "--ladder", nargs="+", metavar="MODEL", help="models to switch among, cheapest first (default: the scenario's)"
-    )
+    add_ladder(parser)
     add_semantics(parser)
     parser.add_argument(
         "--solver",
-        choices=typing.get_args(Solver),
+        choices=SOLVERS,
         default="gradient",
         help="how the robot improves its plans under naive and turn: gradient, the paper's 20 steps (default), or "
         "newton, second-order steps with a line search; tom always takes gradient steps",
     )
     add_costs(parser)
     add_planning(parser)
-    parser.add_argument(
-        "--out", type=Path, default=Path("results/compare"), help="directory of results (default: results/compare)"
-    )
+    add_out(parser, "results/compare")
     parser.set_defaults(run=_compare)
 
 
-def comparison(options: argparse.Namespace) -> Comparison:
-    """What the options of ``ms-highway compare`` ask for, checked.
+def comparison(options: argparse.Namespace) -> "Comparison":
+    """Return the comparison that the options of ``ms-highway compare`` describe, checked.
 
     Raises:
         ValueError: naming what cannot be compared.
@@ -97,48 +79,40 @@ def comparison(options: argparse.Namespace) -> Comparison:
     if options.seeds < 1:
         raise ValueError(f"--seeds is {options.seeds}; there must be at least one episode")
     check_most(options, seeds=MOST)
-    scenarios = list(dict.fromkeys(options.scenarios)) or list(PAPER_SCENARIOS)
-    chosen = list(dict.fromkeys(options.controllers or []))
-    asked = Comparison(
-        {name: chosen or paper_controllers(name) for name in scenarios},
-        options.seeds,
-        options.semantics,
-        costs(options.costs),
-        options.solver,
-        human_reward(options.human_reward),
-        options.ladder,
-        planning=planning(options),
-    )
+    asked = asked_comparison(options, controllers_by_scenario(options), options.seeds)
     asked.check()
     return asked
 
 
 def _compare(options: argparse.Namespace) -> None:
+    from ms_highway.cli.results_directory import own_results
+    from ms_highway.experiments.results import read_results
+    from ms_highway.experiments.runner import read, run
+    from ms_highway.experiments.selection import select
+    from ms_highway.experiments.summary import summary
+    from ms_highway.runtime.files import replacing
+    from ms_highway.visualization.comparison import table
+    from ms_highway.visualization.figures import CAPTIONS, figures
+
     asked = comparison(options)
-    with held(options.out):
-        _run(asked, options)
+    with own_results(options) as record:
+        counts, wanted = run(asked, options.out), len(list(asked.episodes()))
+        already = next(counts)
+        if already < wanted:
+            record()
+        count_episodes(counts, already, wanted)
+        summaries = summary(read(asked, options.out))
+        for scenario in asked.controllers:
+            print_tables(table(summaries, scenario))
+        results = read_results(options.out)  # of this command and of those before
+        with replacing(options.out / "summary.csv") as path:
+            results.summaries.to_csv(path, index=False)
+        for scenario in asked.controllers:
+            selection = select(results.records, results.summaries, scenario)
+            drawn = figures(results.records, results.summaries, scenario, selection)
+            for name, figure in drawn.items():
+                with replacing(options.out / f"{scenario}_{name}.png") as path:
+                    figure.savefig(path, dpi=110)
+            for name in CAPTIONS.keys() - drawn.keys():  # what fewer controllers had
+                (options.out / f"{scenario}_{name}.png").unlink(missing_ok=True)
     print(f"results are in {options.out}")
-
-
-def _run(asked: Comparison, options: argparse.Namespace) -> None:
-    """Compare, and write and print what came of it."""
-    read_runs(options.out)  # refuses what cannot be read before anything is run
-    counts, wanted = run(asked, options.out), len(list(asked.episodes()))
-    already = next(counts)
-    tidy(options.out)
-    if already < wanted:
-        note_run(options)
-    count_episodes(counts, already, wanted)
-    summaries = summary(read(asked, options.out))
-    for scenario in asked.controllers:
-        print_tables(table(summaries, scenario))
-    results = read_results(options.out)  # of this command and of those before
-    with replacing(options.out / "summary.csv") as path:
-        results.summaries.to_csv(path, index=False)
-    for scenario in asked.controllers:
-        drawn = figures(results.records, results.summaries, scenario)
-        for name, figure in drawn.items():
-            with replacing(options.out / f"{scenario}_{name}.png") as path:
-                figure.savefig(path, dpi=110)
-        for name in CAPTIONS.keys() - drawn.keys():  # what fewer controllers had
-            (options.out / f"{scenario}_{name}.png").unlink(missing_ok=True)

@@ -5,11 +5,10 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
+if TYPE_CHECKING:
+    from rich.table import Table
 
 __all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "telling", "work"]
 
@@ -19,7 +18,7 @@ Result = TypeVar("Result")
 
 
 def add_command(commands: Any, name: str, summary: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
-    """A new command among a parser's subparsers, whose description and epilog are printed as they are."""
+    """Add a command to a parser's subparsers; its description and epilog are printed as they are."""
     return commands.add_parser(
         name,
         help=summary,
@@ -30,13 +29,13 @@ def add_command(commands: Any, name: str, summary: str, description: str, epilog
 
 
 def draw_unseen() -> None:
-    """Let SDL look for no screen, as pictures are drawn in memory, unless the environment asks for a video driver."""
+    """Keep SDL from looking for a screen, as pictures are drawn in memory, unless the environment names a driver."""
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 
 
 @contextmanager
 def printing() -> Iterator[None]:
-    """Let what the block prints, and does no more than that, be written; where that fails, say so, and once only.
+    """Write what the block prints to standard output at once; the block should do nothing else.
 
     Raises:
         OSError: if standard output is on a full disk, or nobody reads it any more.
@@ -49,8 +48,10 @@ def printing() -> Iterator[None]:
         raise OSError(f"standard output cannot be written: {error.strerror}") from error
 
 
-def print_tables(*tables: Table) -> None:
+def print_tables(*tables: "Table") -> None:
     """Print to standard output, wide enough also where it is no terminal."""
+    from rich.console import Console
+
     console = Console(width=max(Console().width, TABLE_WIDTH))
     with printing():
         for table in tables:
@@ -58,16 +59,23 @@ def print_tables(*tables: Table) -> None:
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
-    """Show a bar of episodes on standard error while they are counted.
+    """Show a progress bar on standard error while episodes are counted; return the last count.
 
     Args:
-        counts: how many there are, each time that one more is done.
-        already: how many there were before.
-        total: how many there will be.
-
-    Returns:
-        How many there are in the end.
+        counts: the number of episodes, each time that one more is done.
+        already: the number at the start.
+        total: the number at the end.
     """
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
     done, columns = already, (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as progress:
         task = progress.add_task("episodes", total=max(total, already), completed=already)
@@ -79,6 +87,9 @@ def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
 @contextmanager
 def telling() -> Iterator[Callable[[str], None]]:
     """Show on standard error, while the block runs, the last message that it has passed to what this yields."""
+    from rich.console import Console
+    from rich.progress import Progress, TextColumn, TimeElapsedColumn
+
     columns = TextColumn("{task.description}"), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("reading", total=None)

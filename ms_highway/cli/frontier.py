@@ -1,56 +1,49 @@
 """The command ``ms-highway frontier``."""
 
 import argparse
-import json
-from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Sequence
+from math import inf
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import pandas as pd
-
-from ms_highway.cli.console import add_command, print_tables, work
+from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.options import (
     MOST,
     add_costs,
     add_devices,
+    add_ladder,
+    add_out,
     add_planning,
+    add_scenarios,
     add_semantics,
+    asked_comparison,
     check_least,
     check_most,
-    costs,
-    human_reward,
-    note_run,
-    planning,
 )
-from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
-from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.frontier import Outcomes, search
-from ms_highway.experiments.provenance import read_runs
-from ms_highway.experiments.regret import best, regrets
-from ms_highway.experiments.settings import SETTINGS_FILE, check_settings
-from ms_highway.experiments.simulated import Batch, make_batch
-from ms_highway.runtime.files import held, replacing, tidy
-from ms_highway.runtime.jax_settings import high_throughput
-from ms_highway.simulation.devices import use_devices
-from ms_highway.visualization.frontier import figure, regret_tables
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from ms_highway.experiments.comparison import Comparison
+    from ms_highway.experiments.frontier import Outcomes
 
 __all__ = ["add_frontier"]
 
 HELP = """\
-Search, for every start by itself, for the order of human models with the highest meta-reward: reward less the price of
-planning, for every second T(M). The best possible choice of models has at least that; how far a controller stays behind
-it is its regret. What switching chose in an episode is one of the orders that were tried.
+Search, for each start separately, for the order of human models with the highest meta-reward: the reward less
+PRICE times the seconds T(M) of planning. The best possible choice of models earns at least that; the difference between
+it and what a controller earns is the controller's regret. The models that switching chose in an episode are one of the
+orders that are tried.
 
-Told are the fixed models; the best order of those that were tried from every start; and switching, with the best of
---lambdas for each scenario and with the best one for all scenarios together. That lambda need not be the price. All
-that is best was chosen by these very starts. Everything is simulated, and nothing timed.
+The tables show the fixed models; the best of the orders that were tried from every start; and switching, with the best
+of --lambdas for each scenario and with the best one for all scenarios together. --prices are the lambdas of the
+meta-reward, which judges; --lambdas are those that switching decides with. Whatever is best is chosen on the same
+starts that it is judged by. Everything is simulated, and nothing timed.
 
 Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
 start), both of the last run; the figure SCENARIO_frontier.png (reward against computation); SCENARIO_episodes.csv (all
 episodes); settings.json and provenance.json, which say what they were made with. Episodes are kept after every round:
-stopped or killed and started again with the same --out, the search goes on where it was, and with more seeds, prices,
-lambdas or rounds it uses what is there. Results are the same on any number of devices."""
+if stopped or killed and started again with the same --out, the search resumes, and with more seeds, prices, lambdas or
+rounds it uses what is there. Results are the same on any number of devices."""
 
 EXAMPLES = """\
 examples:
@@ -63,114 +56,113 @@ LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 
 def add_frontier(commands: Any) -> None:
     """Add the command ``frontier`` to a parser's subparsers."""
     parser = add_command(commands, "frontier", "search for the best orders of models", HELP, EXAMPLES)
-    parser.add_argument(
-        "scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: the paper's)"
-    )
+    add_scenarios(parser)
     parser.add_argument(
         "--prices",
+        "--meta-prices",
         nargs="+",
         type=float,
         default=[0.1, 1.0, 10.0],
-        help="reward for a second of planning (default: 0.1 1 10)",
+        metavar="PRICE",
+        help="lambda of the meta-reward that orders are searched for and controllers judged by: reward for a second of "
+        "planning (default: 0.1 1 10)",
     )
     parser.add_argument(
-        "--lambdas", nargs="+", type=float, default=LAMBDAS, help="of switching (default: 16 from 0 to 10)"
+        "--lambdas",
+        nargs="+",
+        type=float,
+        default=LAMBDAS,
+        metavar="LAMBDA",
+        help="lambda that switching decides with, which need not be the price (default: 16 from 0 to 10)",
     )
     parser.add_argument("--seeds", type=int, default=30, help="starts, seeded 0, 1, ... (default: 30)")
     parser.add_argument("--population", type=int, default=32, help="orders per start, price and round (default: 32)")
     parser.add_argument(
         "--rounds", type=int, default=8, help="of the search (default: 8), before starts try each other's best orders"
     )
-    parser.add_argument("--ladder", nargs="+", metavar="MODEL", help="models to choose from (default: the scenario's)")
+    add_ladder(parser)
     add_semantics(parser)
     add_costs(parser, measured=False)
     add_planning(parser)
     add_devices(parser)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        default=Path("results/frontier"),
-        help="directory of results (default: results/frontier)",
-    )
-    parser.set_defaults(run=_frontier, prepare=high_throughput)
+    add_out(parser, "results/frontier")
+    parser.set_defaults(run=_frontier, simulates=True)
 
 
 def _frontier(options: argparse.Namespace) -> None:
+    from ms_highway.cli.results_directory import own_results
+    from ms_highway.experiments.frontier import Outcomes
+    from ms_highway.experiments.simulated import make_batch
+    from ms_highway.simulation.devices import use_devices
+    from ms_highway.visualization.frontier import regret_tables
+
     comparison = _comparison(options)
     mesh = use_devices(options.devices)
-    batches = [make_batch(comparison, name) for name in comparison.controllers]
-    settings = {**comparison.common_config(), "costs": comparison.costs}
-    check_settings(options.out, settings)
-    with held(options.out):
-        tidy(options.out)
-        read_runs(options.out)  # refuses what cannot be read before anything is run
-        every = [Outcomes(batch, _file(options.out, batch), mesh) for batch in batches]
-        with replacing(options.out / SETTINGS_FILE) as path:
-            path.write_text(json.dumps(settings, indent=2) + "\n")
-        note_run(options)
-        behind = work(_search(every, options))
+    batches = {name: make_batch(comparison, name) for name in comparison.controllers}
+    with own_results(options, {**comparison.common_config(), "costs": comparison.costs}) as record:
+        every = [Outcomes(batch, options.out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()]
+        record()
+        with telling() as tell:
+            regrets = _search(every, options, tell)
     for scenario in comparison.controllers:
-        print_tables(*regret_tables(behind, scenario))
+        print_tables(*regret_tables(regrets, scenario))
     print(f"results are in {options.out}")
 
 
-def _comparison(options: argparse.Namespace) -> Comparison:
-    """What is to be driven anyway, checked.
+def _comparison(options: argparse.Namespace) -> "Comparison":
+    """Return the fixed models and switching controllers that are driven in any case, checked.
 
     Raises:
         ValueError: naming what cannot be searched.
     """
+    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
+
     check_least(options, seeds=1, population=1, rounds=1, devices=1)
     check_most(options, seeds=MOST, population=MOST, rounds=MOST)
     if options.seeds * options.population > MOST:
-        told = f"--seeds {options.seeds} times --population {options.population}"
-        raise ValueError(f"{told} is {options.seeds * options.population} orders in a round; it must be {MOST} or less")
+        product = f"--seeds {options.seeds} times --population {options.population}"
+        orders = options.seeds * options.population
+        raise ValueError(f"{product} is {orders} orders in a round; it must be {MOST} or less")
     for price in options.prices:
-        if not 0 <= price < np.inf:
+        if not 0 <= price < inf:
             raise ValueError(f"--prices has {price:g}; a price must be a number that is not negative, such as 0.1")
     for name in options.scenarios:
         environment_id(name)
     controllers = {
-        name: [*(options.ladder or SCENARIOS[name].ladder), *(f"switching:{one:g}" for one in options.lambdas)]
+        name: [*(options.ladder or SCENARIOS[name].ladder), *(f"switching:{price:g}" for price in options.lambdas)]
         for name in options.scenarios or PAPER_SCENARIOS
     }
-    comparison = Comparison(
-        {name: list(dict.fromkeys(some)) for name, some in controllers.items()},
-        options.seeds,
-        options.semantics,
-        costs(options.costs),
-        human_reward=human_reward(options.human_reward),
-        ladder=options.ladder,
-        planning=planning(options),
-    )
+    comparison = asked_comparison(options, controllers, options.seeds)
     comparison.check()
     return comparison
 
 
-def _file(directory: Path, batch: Batch) -> Path:
-    return directory / f"{batch.scenario.name}_episodes.csv"
+def _search(every: Sequence["Outcomes"], options: argparse.Namespace, tell: Callable[[str], None]) -> "pd.DataFrame":
+    """Search in one scenario after the other, and write its results once it is done; return the regrets in all."""
+    import pandas as pd
 
+    from ms_highway.experiments.frontier import search
+    from ms_highway.experiments.regret import best, regrets
+    from ms_highway.runtime.files import replacing
+    from ms_highway.visualization.frontier import figure
 
-def _search(every: Sequence[Outcomes], options: argparse.Namespace) -> Iterator[str | pd.DataFrame]:
-    """Says what it is doing, writes the results of every scenario that is done, and yields all regrets."""
     orders, behind = pd.DataFrame(), pd.DataFrame()
     for outcomes in every:
         batch = outcomes.batch
         scenario, seeds = batch.scenario.name, range(options.seeds)
         controllers = batch.comparison.controllers[scenario]
-        yield f"{scenario}: compiling, and driving fixed models and switching"
+        tell(f"{scenario}: compiling, and driving fixed models and switching")
         outcomes.of(batch.keys())
         for number in search(outcomes, seeds, options.prices, options.population, options.rounds):
-            yield f"{scenario}: round {number} of {options.rounds + 1} done, {len(outcomes.table)} episodes"
+            tell(f"{scenario}: round {number} of {options.rounds + 1} done, {len(outcomes.table)} episodes")
         for price in dict.fromkeys(options.prices):
-            told = {"scenario": scenario, "price": price}
-            found = best(outcomes.table, seeds, price).reset_index().assign(**told)
-            own = regrets(outcomes.table, controllers, seeds, price).reset_index().assign(**told)
+            place = {"scenario": scenario, "price": price}
+            found = best(outcomes.table, seeds, price).reset_index().assign(**place)
+            own = regrets(outcomes.table, controllers, seeds, price).reset_index().assign(**place)
             orders, behind = pd.concat([orders, found]), pd.concat([behind, own])
         for name, table in (("orders", orders), ("regrets", behind)):
             with replacing(options.out / f"{name}.csv") as path:
                 table.to_csv(path, index=False)
         with replacing(options.out / f"{scenario}_frontier.png") as path:
             figure(outcomes.table, behind, scenario, seeds).savefig(path, dpi=110)
-    yield behind
+    return behind

@@ -1,42 +1,104 @@
-"""Options that several commands have in common, and what they stand for."""
+"""Options that several commands have in common, and what they stand for.
+
+Only the functions that run a command import what computes: help needs neither JAX nor highway-env.
+"""
 
 import argparse
-import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ms_highway.envs.settings import HUMAN_REWARDS, PLANNING
-from ms_highway.experiments.provenance import add_run, differing_versions, this_run
-from ms_highway.game.learned_reward import load
+if TYPE_CHECKING:
+    from ms_highway.experiments.comparison import Comparison
 
 __all__ = [
     "CONTROLLERS",
     "MOST",
+    "MOST_LAMBDAS",
+    "MOST_PROCESSES",
+    "MOST_SEEDS",
+    "SCENARIO_NAMES",
+    "SEMANTICS",
+    "SOLVERS",
+    "add_controllers",
     "add_costs",
     "add_devices",
+    "add_ladder",
+    "add_out",
     "add_planning",
+    "add_scenarios",
     "add_semantics",
+    "asked_comparison",
     "check_least",
     "check_most",
     "control_limit",
+    "controllers_by_scenario",
     "costs",
     "human_reward",
-    "note_run",
     "planning",
+    "prices",
 ]
 
 MOST = 1_000_000
 """Of episodes per controller, of parts of a sweep, and of what else is counted: more takes years, or all memory."""
 
+MOST_LAMBDAS = 10_000
+"""Lambdas of switching in a sweep."""
+
+MOST_SEEDS = 2**63
+"""Seeds that Parquet's integers hold."""
+
+MOST_PROCESSES = 1000
+"""Processes that share a sweep."""
+
+SCENARIO_NAMES = ("stay_back", "merger", "give_way")
+"""`ms_highway.envs.PAPER_SCENARIOS`, for help texts."""
+
+SEMANTICS = ("paper", "released")
+"""Keys of `ms_highway.envs.settings.HUMAN_REWARDS`, for help texts."""
+
+SOLVERS = ("gradient", "newton")
+"""The values of `ms_highway.optimization.ascent.Solver`, for help texts."""
+
 CONTROLLERS = "naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL, random:MODEL=SHARE,..."
 """What controllers are called on the command line, for help texts."""
+
+
+def add_scenarios(parser: argparse.ArgumentParser, default: str = "the paper's") -> None:
+    """Add the scenarios, any number of them, to a command."""
+    names = ", ".join(SCENARIO_NAMES)
+    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: {default})")
+
+
+def add_controllers(parser: argparse.ArgumentParser, default: str = "the paper's") -> None:
+    """Add ``--controllers`` to a command."""
+    parser.add_argument("--controllers", nargs="+", metavar="CONTROLLER", help=f"{CONTROLLERS} (default: {default})")
+
+
+def add_ladder(parser: argparse.ArgumentParser) -> None:
+    """Add ``--ladder`` to a command."""
+    parser.add_argument(
+        "--ladder", nargs="+", metavar="MODEL", help="models to choose from, cheapest first (default: the scenario's)"
+    )
+
+
+def add_out(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    """Add ``--out``, the directory of results, to a command; it is required if it has no default."""
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        required=default is None,
+        default=None if default is None else Path(default),
+        help="directory of results" + ("" if default is None else f" (default: {default})"),
+    )
 
 
 def add_semantics(parser: argparse.ArgumentParser) -> None:
     """Add ``--semantics`` and ``--human-reward``, which say what drives and how it moves, to a command."""
     parser.add_argument(
         "--semantics",
-        choices=list(HUMAN_REWARDS),
+        choices=SEMANTICS,
         default="paper",
         help="paper: the paper's dynamics, damped theory of mind (default); released: exactly its released code",
     )
@@ -49,11 +111,14 @@ def add_semantics(parser: argparse.ArgumentParser) -> None:
 
 
 def human_reward(text: str | None) -> str | dict[str, float] | None:
-    """The human's reward that ``--human-reward`` asks for: a name, the weights of a file, or None where not given.
+    """Return the human's reward that ``--human-reward`` names: a name, the weights of a file, or None if not given.
 
     Raises:
         ValueError: if the text is neither a known name nor a file of a learned reward.
     """
+    from ms_highway.envs.settings import HUMAN_REWARDS
+    from ms_highway.game.learned_reward import load
+
     if text is None or text in HUMAN_REWARDS.values():
         return text
     try:
@@ -67,7 +132,7 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "plans of robot and human", "see ms_highway.optimization.gradient_steps.PlanningSettings"
     )
-    group.add_argument("--horizon", type=int, metavar="K", help="controls that are planned (default: 5)")
+    group.add_argument("--horizon", type=int, metavar="K", help="controls in a plan (default: 5)")
     group.add_argument("--time-step", type=float, metavar="SECONDS", help="of plans and world (default: 0.1)")
     group.add_argument("--iterations", type=int, help="gradient steps (default: as suits the horizon; paper: 20)")
     group.add_argument("--step-size", type=float, help="length of one (default: as suits the horizon; paper: 0.03)")
@@ -86,19 +151,21 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
 
 
 def planning(options: argparse.Namespace) -> dict[str, Any]:
-    """What the options of `add_planning` ask for, as far as they are given, by key of the configuration.
+    """Return the values of the options of `add_planning` that are given, by key of the configuration.
 
     Raises:
         ValueError: if the limits are no numbers.
     """
-    given = {key: getattr(options, key) for key in PLANNING if getattr(options, key) is not None}
+    from ms_highway.envs.settings import PLANNING
+
+    given = {key: value for key in PLANNING if (value := getattr(options, key, None)) is not None}
     if "control_limit" in given:
         given["control_limit"] = control_limit("--control-limit", given["control_limit"])
     return given
 
 
 def control_limit(option: str, text: str) -> list[float] | str:
-    """The bounds on plans that an option asks for.
+    """Return the bounds on plans that an option gives.
 
     Raises:
         ValueError: if the limits are no numbers.
@@ -112,7 +179,7 @@ def control_limit(option: str, text: str) -> list[float] | str:
 
 
 def add_costs(parser: argparse.ArgumentParser, measured: bool = True) -> None:
-    """Add ``--costs``, which says what T(M) is, to a command; what only simulates cannot measure it."""
+    """Add ``--costs``, which says what T(M) is, to a command; a simulation cannot measure it."""
     parser.add_argument(
         "--costs",
         default="published",
@@ -123,7 +190,7 @@ def add_costs(parser: argparse.ArgumentParser, measured: bool = True) -> None:
 
 
 def costs(text: str) -> str | dict[str, float]:
-    """T(M) that ``--costs`` asks for: a word, or seconds by model.
+    """Return T(M) as ``--costs`` gives it: a word, or seconds by model.
 
     Raises:
         ValueError: if the seconds are no numbers.
@@ -139,6 +206,79 @@ def costs(text: str) -> str | dict[str, float]:
 def add_devices(parser: argparse.ArgumentParser) -> None:
     """Add ``--devices``, see `ms_highway.simulation.devices.use_devices`, to a command."""
     parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")
+
+
+def controllers_by_scenario(options: argparse.Namespace) -> dict[str, list[str]]:
+    """Return ``--controllers``, or else the paper's, of each of the scenarios, or else of the paper's.
+
+    Raises:
+        ValueError: for an unknown scenario.
+    """
+    from ms_highway.envs import PAPER_SCENARIOS
+    from ms_highway.experiments.comparison import paper_controllers
+
+    scenarios = dict.fromkeys(options.scenarios or PAPER_SCENARIOS)
+    return {name: options.controllers or paper_controllers(name) for name in scenarios}
+
+
+def asked_comparison(
+    options: argparse.Namespace, controllers: Mapping[str, Sequence[str]], episodes: int
+) -> "Comparison":
+    """Return the comparison that a command's options describe; options that it lacks keep their defaults.
+
+    Args:
+        options: of the command.
+        controllers: short names by scenario; one that is named twice runs once.
+        episodes: number of each controller's.
+
+    Raises:
+        ValueError: if costs, limits or the human's reward cannot be read.
+    """
+    from ms_highway.experiments.comparison import Comparison
+
+    return Comparison(
+        {scenario: list(dict.fromkeys(names)) for scenario, names in controllers.items()},
+        episodes,
+        options.semantics,
+        costs(options.costs),
+        getattr(options, "solver", "gradient"),
+        human_reward(options.human_reward),
+        getattr(options, "ladder", None),
+        getattr(options, "seed", 0),
+        planning(options),
+    )
+
+
+def prices(text: str) -> list[float]:
+    """Return the lambdas of switching that ``--lambdas`` gives: a range or several.
+
+    A range is ``LOW:HIGH:COUNT``, evenly spaced in the logarithm and rounded to three significant digits, which make
+    short names of controllers; several have commas between them.
+
+    Raises:
+        ValueError: if the text is neither, names negative lambdas, or spaces them so closely that some are equal.
+    """
+    import numpy as np
+
+    try:
+        if ":" in text:
+            low, high, count = text.split(":")
+            if not 0 < float(low) < float(high) < np.inf or not 2 <= int(count) <= MOST_LAMBDAS:
+                raise ValueError
+            values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
+            if len(set(values)) < int(count):
+                raise ValueError
+        else:
+            values = [float(part) for part in text.split(",")]
+            if not all(0 <= value < np.inf for value in values):
+                raise ValueError
+    except ValueError:
+        remedy = (
+            "give LOW:HIGH:COUNT with 0 < LOW < HIGH and two or more that differ in three digits, such as 0.001:10:25, "
+            "or lambdas like 0.1,0.5"
+        )
+        raise ValueError(f"lambdas are {text!r}; {remedy}") from None
+    return list(dict.fromkeys(abs(value) for value in values))  # also of -0
 
 
 def check_least(options: argparse.Namespace, **least: int) -> None:
@@ -163,15 +303,3 @@ def check_most(options: argparse.Namespace, **most: int) -> None:
         value = getattr(options, name)
         if value is not None and value > bound:
             raise ValueError(f"--{name.replace('_', '-')} is {value}; it must be {bound} or less")
-
-
-def note_run(options: argparse.Namespace) -> None:
-    """Record this run in the directory ``--out``, and say so if other versions have made what is there.
-
-    Raises:
-        ValueError: if the record cannot be read.
-    """
-    run = this_run(options.command_line)
-    if differing := differing_versions(options.out, run):
-        print(f"ms-highway: {options.out} goes on with {differing}; results may not agree", file=sys.stderr)
-    add_run(options.out, run)

@@ -5,18 +5,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, draw_unseen, work
-from ms_highway.experiments.results import Results, read_results
-from ms_highway.experiments.safety import SAFETY_FILE, read_safety, safety_cells
-from ms_highway.runtime.files import replacing
-from ms_highway.visualization.overview import markdown, overview
-from ms_highway.visualization.page import draw, render
-from ms_highway.visualization.video import check_format
+from ms_highway.cli.console import add_command, draw_unseen, telling
 
 __all__ = ["add_report"]
 
 HELP = """\
-Make one HTML page of a directory that `ms-highway compare` wrote: a table and sentences that tell what was found,
+Make one HTML page of a directory that `ms-highway compare` wrote: a table, sentences on what was found,
 figures, a video of two controllers side by side, and the settings, versions, machine and commands that made it. Of
 further such directories, the page has the outcomes beside those of the first, and of a directory that `ms-highway
 safety` wrote, its collisions. It is a single file and needs no network.
@@ -55,6 +49,14 @@ def add_report(commands: Any) -> None:
 
 
 def _report(options: argparse.Namespace) -> None:
+    from ms_highway.experiments.results import read_results
+    from ms_highway.experiments.safety import SAFETY_FILE, read_safety, safety_cells
+    from ms_highway.experiments.selection import select_of_several
+    from ms_highway.runtime.files import replacing
+    from ms_highway.visualization.overview import markdown, overview
+    from ms_highway.visualization.page import draw, render
+    from ms_highway.visualization.video import check_format
+
     out = options.out or options.directories[0] / "report.html"
     if options.markdown and options.out:
         raise ValueError("--out is the file of a page; leave it out with --markdown, which prints")
@@ -64,7 +66,9 @@ def _report(options: argparse.Namespace) -> None:
     several = [read_results(directory) for directory in options.directories if directory not in counted]
     safeties = [read_safety(directory) for directory in counted]
     for results in several:
-        _tell_what_is_missing(results)
+        if results.missing:
+            remedy = "start the same `ms-highway compare` again, which resumes"
+            print(f"ms-highway: {results.directory} lacks {results.missing} episodes; {remedy}", file=sys.stderr)
     if options.markdown:
         tables = [overview(several)] if several else []
         print("\n\n".join(markdown(table) for table in [*tables, *map(safety_cells, safeties)]))
@@ -77,13 +81,8 @@ def _report(options: argparse.Namespace) -> None:
         except ImportError as error:
             raise ImportError(f"{error}, or add --no-videos") from error
     draw_unseen()
-    page = render(several, work(draw(several, options.videos)), safeties)
+    with telling() as tell:
+        page = render(several, draw(several, select_of_several(several), options.videos, tell), safeties)
     with replacing(out) as path:
         path.write_text(page, encoding="utf-8")
     print(f"the page is {out}, {len(page) / 1e6:.1f} MB")
-
-
-def _tell_what_is_missing(results: Results) -> None:
-    if results.missing:
-        remedy = "start the same `ms-highway compare` again, which goes on"
-        print(f"ms-highway: {results.directory} lacks {results.missing} episodes; {remedy}", file=sys.stderr)

@@ -1,35 +1,26 @@
 """The command ``ms-highway safety``."""
 
 import argparse
-import json
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.box import SIMPLE
-from rich.table import Table
-
-from ms_highway.cli.console import add_command, print_tables, work
+from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.options import (
-    CONTROLLERS,
     MOST,
+    add_controllers,
     add_costs,
     add_devices,
+    add_out,
+    add_scenarios,
     add_semantics,
+    asked_comparison,
     check_least,
     check_most,
     control_limit,
-    costs,
-    human_reward,
-    note_run,
+    controllers_by_scenario,
 )
-from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS
-from ms_highway.experiments.comparison import Comparison, paper_controllers
-from ms_highway.experiments.provenance import read_runs
-from ms_highway.experiments.safety import SAFETY_FILE, Limit, count, read_safety, safety_cells, safety_told
-from ms_highway.experiments.settings import SETTINGS_FILE, check_settings
-from ms_highway.runtime.files import held, replacing, tidy
-from ms_highway.runtime.jax_settings import high_throughput
-from ms_highway.simulation.devices import use_devices
+
+if TYPE_CHECKING:
+    from ms_highway.experiments.safety import Limit
 
 __all__ = ["add_safety"]
 
@@ -53,10 +44,8 @@ LIMITS = ["default", "0.2,9", "0.1,6"]
 def add_safety(commands: Any) -> None:
     """Add the command ``safety`` to a parser's subparsers."""
     parser = add_command(commands, "safety", "count collisions under limits on plans", HELP, EXAMPLES)
-    parser.add_argument(
-        "scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIOS)} (default: the paper's)"
-    )
-    parser.add_argument("--controllers", nargs="+", metavar="CONTROLLER", help=f"{CONTROLLERS} (default: the paper's)")
+    add_scenarios(parser)
+    add_controllers(parser)
     parser.add_argument(
         "--limits",
         nargs="+",
@@ -69,20 +58,23 @@ def add_safety(commands: Any) -> None:
     add_semantics(parser)
     add_costs(parser, measured=False)
     add_devices(parser)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        default=Path("results/safety"),
-        help="directory of results (default: results/safety)",
-    )
-    parser.set_defaults(run=_safety, prepare=high_throughput)
+    add_out(parser, "results/safety")
+    parser.set_defaults(run=_safety, simulates=True)
 
 
 def _safety(options: argparse.Namespace) -> None:
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    from ms_highway.cli.results_directory import own_results
+    from ms_highway.experiments.safety import SAFETY_FILE, count, read_safety, safety_cells, safety_sentences
+    from ms_highway.runtime.files import replacing
+    from ms_highway.simulation.devices import use_devices
+
     check_least(options, episodes=1, devices=1)
     check_most(options, episodes=MOST)
-    comparison, limits = _comparison(options), [_limit(text) for text in options.limits]
+    comparison = asked_comparison(options, controllers_by_scenario(options), options.episodes)
+    limits = [_limit(text) for text in options.limits]
     settings = {
         **comparison.common_config(),
         "costs": comparison.costs,
@@ -90,16 +82,12 @@ def _safety(options: argparse.Namespace) -> None:
         "limits": limits,
         "episodes": comparison.seeds,
     }
-    with held(options.out):
-        check_settings(options.out, settings)
-        read_runs(options.out)  # refuses what cannot be read before anything is run
-        tidy(options.out)
-        table = work(count(comparison, limits, use_devices(options.devices)))
-        with replacing(options.out / SETTINGS_FILE) as path:
-            path.write_text(json.dumps(settings, indent=2) + "\n")
+    with own_results(options, settings) as record:
+        with telling() as tell:
+            table = count(comparison, limits, use_devices(options.devices), tell)
+        record()
         with replacing(options.out / SAFETY_FILE) as path:
             table.to_csv(path, index=False)
-        note_run(options)
     safety = read_safety(options.out)
     texts = safety_cells(safety)
     grid = Table(title="episodes with a collision", box=SIMPLE, title_justify="left", title_style="bold")
@@ -108,28 +96,11 @@ def _safety(options: argparse.Namespace) -> None:
     for row in texts.itertuples(index=False):
         grid.add_row(*row)
     print_tables(grid)
-    print("\n".join([*safety_told(safety), f"results are in {options.out}"]))
+    print("\n".join([*safety_sentences(safety), f"results are in {options.out}"]))
 
 
-def _comparison(options: argparse.Namespace) -> Comparison:
-    """The episodes.
-
-    Raises:
-        ValueError: naming what cannot be simulated.
-    """
-    scenarios = list(dict.fromkeys(options.scenarios)) or PAPER_SCENARIOS
-    chosen = list(dict.fromkeys(options.controllers or []))
-    return Comparison(
-        {name: chosen or paper_controllers(name) for name in scenarios},
-        options.episodes,
-        options.semantics,
-        costs(options.costs),
-        human_reward=human_reward(options.human_reward),
-    )
-
-
-def _limit(text: str) -> Limit:
-    """A limit that ``--limits`` names.
+def _limit(text: str) -> "Limit":
+    """Return a limit that ``--limits`` names.
 
     Raises:
         ValueError: if it is none.

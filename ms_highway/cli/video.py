@@ -5,12 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway.cli.console import add_command, draw_unseen
-from ms_highway.cli.options import CONTROLLERS, add_planning, add_semantics, human_reward, planning
-from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
-from ms_highway.envs.drivers import controller_config
-from ms_highway.experiments.comparison import paper_controllers
-from ms_highway.visualization import video
-from ms_highway.visualization.side_by_side import side_by_side
+from ms_highway.cli.options import CONTROLLERS, SCENARIO_NAMES, add_planning, add_semantics, human_reward, planning
 
 __all__ = ["add_video"]
 
@@ -32,7 +27,7 @@ examples:
 def add_video(commands: Any) -> None:
     """Add the command ``video`` to a parser's subparsers."""
     parser = add_command(commands, "video", "film an episode", HELP, EXAMPLES)
-    parser.add_argument("scenario", metavar="SCENARIO", help=", ".join(SCENARIOS))
+    parser.add_argument("scenario", metavar="SCENARIO", help=", ".join(SCENARIO_NAMES))
     parser.add_argument(
         "--controller",
         metavar="CONTROLLER",
@@ -49,6 +44,12 @@ def add_video(commands: Any) -> None:
 
 
 def _video(options: argparse.Namespace) -> None:
+    from ms_highway.envs import ENVIRONMENTS, environment_id
+    from ms_highway.envs.drivers import controller_config
+    from ms_highway.experiments.comparison import paper_controllers
+    from ms_highway.visualization import video
+    from ms_highway.visualization.side_by_side import side_by_side
+
     if not SLOWEST <= options.speed <= FASTEST:
         raise ValueError(f"--speed is {options.speed}; it must be between {SLOWEST} and {FASTEST}")
     if options.seed < 0:

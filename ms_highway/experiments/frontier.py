@@ -14,10 +14,11 @@ import pandas as pd
 from jax.sharding import Mesh
 from jaxtyping import Float
 
+from ms_highway.experiments.resuming import cannot_resume, missing
 from ms_highway.experiments.simulated import Batch, Key, run_episodes, summarised
 from ms_highway.runtime.files import replacing
 
-__all__ = ["Order", "Outcomes", "named", "search"]
+__all__ = ["Order", "Outcomes", "controller_name", "search"]
 
 Order: TypeAlias = tuple[int, ...]
 """The rung that plans each step of an episode."""
@@ -29,7 +30,7 @@ MUTANTS = 0.5  # of the population: the best order so far but for a stretch of s
 STRETCH = 4  # steps, mean of their number in such a stretch
 SWITCHES = 12  # steps at which the first orders go over from one rung to another
 INDEX = ["controller", "seed"]
-KEPT = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
+KEPT_COLUMNS = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
 
 
 class Outcomes:
@@ -56,11 +57,11 @@ class Outcomes:
         self.table = pd.DataFrame() if file is None or not file.exists() else _read(file)
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
-        """The rows of some episodes, in their order; those that are not known are simulated and kept."""
-        missing = [key for key in dict.fromkeys(keys) if key not in self.table.index]
-        if missing:
-            records = run_episodes(self.batch, missing, self._mesh)
-            fresh = summarised(self.batch, missing, records).set_index(INDEX)[list(KEPT)]
+        """Return the rows of some episodes, in their order; simulate and keep those that are not known."""
+        lacking = missing(keys, self.table.index)
+        if lacking:
+            records = run_episodes(self.batch, lacking, self._mesh)
+            fresh = summarised(self.batch, lacking, records).set_index(INDEX)[list(KEPT_COLUMNS)]
             self.table = fresh if self.table.empty else pd.concat([self.table, fresh])
             if self._file is not None:
                 with replacing(self._file) as path:
@@ -70,14 +71,16 @@ class Outcomes:
 
 def _read(file: Path) -> pd.DataFrame:
     try:
-        table = pd.read_csv(file, converters=KEPT)  # Python's float gives back the very numbers that were written
-        return table.set_index(INDEX)[list(KEPT)]
+        table = pd.read_csv(
+            file, converters=KEPT_COLUMNS
+        )  # Python's float gives back the very numbers that were written
+        return table.set_index(INDEX)[list(KEPT_COLUMNS)]
     except (ValueError, KeyError) as error:
-        raise ValueError(f"{file} cannot be gone on with ({error}); remove it or choose another directory") from error
+        raise cannot_resume(file, error, "remove it or choose another directory") from error
 
 
-def named(models: Sequence[str], order: Order) -> str:
-    """The short name of a controller that plans with these models, step by step: ``schedule:tom=6,naive``, ``tom``."""
+def controller_name(models: Sequence[str], order: Order) -> str:
+    """Return the short name of the controller that plans with these models: ``schedule:tom=6,naive``, ``tom``."""
     *stretches, (last, _) = [(models[rung], len(list(steps))) for rung, steps in groupby(order)]
     return "schedule:" + ",".join([*(f"{name}={steps}" for name, steps in stretches), last]) if stretches else last
 
@@ -85,7 +88,7 @@ def named(models: Sequence[str], order: Order) -> str:
 def search(
     outcomes: Outcomes, seeds: Sequence[int], prices: Sequence[float], population: int = 32, rounds: int = 8
 ) -> Iterator[int]:
-    """Look for the orders of models with the highest meta-reward, for every start and price by itself.
+    """Search for the orders of models with the highest meta-reward, for each start and price separately.
 
     Half of a round's orders are from the cross-entropy method (Rubinstein and Kroese 2004): a table holds the
     probability p[k, m] of rung m at step k, orders are drawn from it rung by rung, and it moves towards the frequencies
@@ -94,7 +97,7 @@ def search(
     tries one rung up to some step and another one from there on, the same for every start. What was tried for one price
     counts for all. After the last round, every start tries what is best for the others.
 
-    The same arguments give the same orders, on however many devices, and when an interrupted search goes on.
+    The same arguments give the same orders, on any number of devices, and when an interrupted search is resumed.
 
     Args:
         outcomes: the scenario, and where its episodes are kept.
@@ -121,7 +124,7 @@ def search(
                 else _first(*even.shape)
             )
         ]
-        rows = outcomes.of([(named(models, order), seed) for order, seed in drawn])
+        rows = outcomes.of([(controller_name(models, order), seed) for order, seed in drawn])
         earned = rows[["reward", "counted_seconds"]].itertuples(index=False, name=None)
         for (order, seed), outcome in zip(drawn, earned, strict=True):
             tried[seed][order] = outcome
@@ -133,7 +136,7 @@ def search(
             mixed = np.maximum(SMOOTHING * tables[seed, price] + (1 - SMOOTHING) * frequencies, FLOOR)
             tables[seed, price] = mixed / mixed.sum(axis=-1, keepdims=True)
         yield number
-    exchanged = dict.fromkeys(named(models, orders[0]) for orders in leaders.values())
+    exchanged = dict.fromkeys(controller_name(models, orders[0]) for orders in leaders.values())
     outcomes.of([(name, seed) for seed in seeds for name in exchanged])
     yield rounds + 1
 

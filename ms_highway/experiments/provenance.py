@@ -1,4 +1,4 @@
-"""What made a directory of results: the command, the versions, the machine and the time of every run."""
+"""Record what made a directory of results: the command, the versions, the machine and the time of every run."""
 
 import json
 import os
@@ -19,7 +19,7 @@ KEYS = {"command": str, "time": str, "versions": dict, "machine": dict}
 
 
 def this_run(command: str) -> dict[str, Any]:
-    """What is known of this process.
+    """Describe this process.
 
     Args:
         command: the line that started it.
@@ -39,7 +39,7 @@ def this_run(command: str) -> dict[str, Any]:
 
 
 def read_runs(directory: Path) -> list[dict[str, Any]]:
-    """What made a directory's results, the first run first; empty where nothing is recorded.
+    """Return the runs that made a directory's results, the first one first; none where nothing is recorded.
 
     Raises:
         ValueError: if the record cannot be read.
@@ -68,7 +68,7 @@ def add_run(directory: Path, run: dict[str, Any]) -> None:
 
 
 def differing_versions(directory: Path, run: dict[str, Any]) -> str:
-    """In which versions and flags a run differs from the last one of a directory; empty if in none.
+    """Say in which versions and flags a run differs from the last one of a directory; empty if in none.
 
     Raises:
         ValueError: if the runs before cannot be read.
@@ -93,7 +93,7 @@ def _version(package: str) -> str:
 
 
 def _processor() -> str:
-    """The processor's name, which Python tells on some systems only."""
+    """Return the processor's name, which Python knows only on some systems."""
     information = Path("/proc/cpuinfo")
     lines = information.read_text().splitlines() if information.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

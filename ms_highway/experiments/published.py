@@ -1,4 +1,4 @@
-"""What the paper published, to stand beside results of one's own.
+"""Results that the paper published, for comparison with one's own.
 
 Means over 30 episodes of Sripathy, Bobu, Brown and Dragan, "Dynamically Switching Human Prediction Models for Efficient
 Planning" (ICRA 2021), from the logs that its authors released; seconds are those of their laptop.

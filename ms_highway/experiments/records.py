@@ -7,52 +7,84 @@ import pandas as pd
 
 from ms_highway.planning.human_models import MODELS
 
-__all__ = ["KEYS", "MAY_LACK", "NEEDED", "check_numbers", "columns", "common_seeds", "one_episode", "switches"]
+__all__ = [
+    "CARS",
+    "KEYS",
+    "MEASURED",
+    "STATE",
+    "check_columns",
+    "columns",
+    "common_seeds",
+    "gain_column",
+    "one_episode",
+    "share_column",
+    "state_columns",
+    "switches",
+    "whole_steps",
+]
 
 KEYS = ["scenario", "controller", "seed"]
-TEXTS, NUMBERS = (
-    ("scenario", "controller", "model", "status"),
-    ("seed", "step", "reward", "planning_seconds", "decision_seconds"),
-)
-NEEDED = {*TEXTS, *NUMBERS, "collision"}  # of the columns, those that are never empty
-MAY_LACK = "counted_seconds"  # numbers, where they are
+"""Columns that say which episode a step is of."""
+
+MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
+"""Columns of times as they were measured, which a simulation does not have."""
+
+COUNTED = "counted_seconds"
+CARS, STATE = ("robot", "human"), ("x", "y", "heading", "speed")
+NEVER_EMPTY = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
+NUMBERS = ("seed", "step", "reward", COUNTED, *MEASURED[:2])
 
 
 def columns() -> list[str]:
-    """Columns of a record of steps.
+    """Return the columns of a record of steps.
 
     ``counted_seconds`` is T(M), what decisions count for the step's plan; a gain, of which every known human model has
     one, is empty where none was estimated; states are in SI units after the step.
     """
-    return [
-        *KEYS,
-        "step",
-        "model",
-        "reward",
-        "collision",
-        "planning_seconds",
-        "counted_seconds",
-        "decision_seconds",
-        "compile_seconds",
-        "status",
-        *(f"gain_{name}" for name in MODELS),
-        *(f"{car}_{number}" for car in ("robot", "human") for number in ("x", "y", "heading", "speed")),
-    ]
+    planning, decision, compiling = MEASURED
+    gains = [gain_column(name) for name in MODELS]
+    states = [name for car in CARS for name in state_columns(car)]
+    steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
+    return [*KEYS, *steps, *gains, *states]
 
 
-def check_numbers(records: pd.DataFrame) -> None:
-    """Look for texts in the columns of numbers that results are made from.
+def gain_column(model: str) -> str:
+    """Return the column of the estimated gain of switching to a model."""
+    return f"gain_{model}"
+
+
+def state_columns(car: str) -> list[str]:
+    """Return the columns of the state of a car, ``robot`` or ``human``, in the order of `STATE`."""
+    return [f"{car}_{name}" for name in STATE]
+
+
+def share_column(model: str) -> str:
+    """Return the column of the share of steps that were planned with a model, in tables that summarise records."""
+    return f"share_{model}"
+
+
+def check_columns(records: pd.DataFrame) -> None:
+    """Check that records have the columns that results are made from, and numbers where numbers belong.
 
     Raises:
-        ValueError: naming the column.
+        ValueError: naming the columns that are missing, or one that has texts.
     """
-    for name in (*NUMBERS, MAY_LACK, *(column for column in records if column.startswith("gain_"))):
-        if not pd.api.types.is_numeric_dtype(records[name]):
+    absent = sorted({*NEVER_EMPTY, COUNTED} - set(records))
+    if absent:
+        raise ValueError(f"has no column {', '.join(absent)}")
+    gains = [name for name in records if name.startswith(gain_column(""))]
+    for name in (*NUMBERS, *gains):
+        if len(records) and not pd.api.types.is_numeric_dtype(records[name]):
             raise ValueError(f"has texts where numbers belong, in column {name}")
 
 
+def whole_steps(records: pd.DataFrame) -> pd.Series:
+    """Return the number of steps without empty cells that every episode has, by `KEYS`."""
+    return records.dropna(subset=NEVER_EMPTY).groupby(KEYS).size()
+
+
 def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int) -> pd.DataFrame:
-    """The records of one episode, in order of its steps.
+    """Return the records of one episode, in the order of its steps.
 
     Raises:
         ValueError: if there are none.
@@ -64,12 +96,13 @@ def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int
 
 
 def common_seeds(records: pd.DataFrame, scenario: str, controllers: Sequence[str]) -> list[int]:
-    """Seeds of the episodes that all of these controllers, one at least, have driven, ascending."""
+    """Return the seeds of the episodes that all of these controllers, one at least, have driven, ascending."""
     rows = records[records["scenario"] == scenario]
-    return sorted(set.intersection(*(set(rows.loc[rows["controller"] == name, "seed"]) for name in controllers)))
+    driven = (set(rows.loc[rows["controller"] == name, "seed"].tolist()) for name in controllers)
+    return sorted(set.intersection(*driven))
 
 
 def switches(episode: pd.DataFrame) -> list[int]:
-    """The first step of an episode, and those that were planned with another model than the step before."""
+    """Return the first step of an episode, and those that were planned with another model than the step before."""
     models = episode["model"].to_numpy()
     return [0, *(np.flatnonzero(models[1:] != models[:-1]) + 1).tolist()]

@@ -1,4 +1,4 @@
-"""A directory of results of ``ms-highway compare``, read and checked."""
+"""Read and check a directory of results of ``ms-highway compare``."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,15 +11,15 @@ from ms_highway.envs import SCENARIOS
 from ms_highway.experiments.comparison import episode_steps
 from ms_highway.experiments.provenance import read_runs
 from ms_highway.experiments.published import PUBLISHED, PUBLISHED_WITH, Published
-from ms_highway.experiments.records import MAY_LACK, NEEDED, check_numbers
+from ms_highway.experiments.records import check_columns, whole_steps
 from ms_highway.experiments.runner import STEPS_FILE
-from ms_highway.experiments.settings import GROWING, SETTINGS_FILE, read_settings
+from ms_highway.experiments.settings import EXTENDED, SETTINGS_FILE, read_settings
 from ms_highway.experiments.summary import summary
 from ms_highway.planning.human_models import MODELS
 
 __all__ = ["Results", "read_results"]
 
-UNKNOWN = "if it is of your own, --import the module that adds it"
+UNKNOWN = "if it is your own, --import the module that adds it"
 REMEDY = "name a directory that `ms-highway compare` wrote"
 
 
@@ -48,7 +48,7 @@ class Results:
 
     @property
     def missing(self) -> int:
-        """How many episodes were asked for that are not there yet."""
+        """The number of requested episodes that are not there yet."""
         rows = self.summaries.set_index(["scenario", "controller"])["episodes"]
         asked = self.settings.get("asked", {})
         return sum(
@@ -59,7 +59,7 @@ class Results:
 
     def published(self, scenario: str, controller: str) -> Published | None:
         """What the paper published of a controller, where these results may be compared with it."""
-        chosen = {key: value for key, value in self.settings.items() if key not in GROWING and value is not None}
+        chosen = {key: value for key, value in self.settings.items() if key not in EXTENDED and value is not None}
         return PUBLISHED.get((scenario, controller)) if chosen == PUBLISHED_WITH else None
 
     def config(self, scenario: str) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def read_results(directory: Path) -> Results:
 
 def common_config(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Of the settings, the configuration that all environments had in common."""
-    return {key: value for key, value in settings.items() if key not in ("costs", *GROWING)}
+    return {key: value for key, value in settings.items() if key not in ("costs", *EXTENDED)}
 
 
 def _read_records(file: Path, config: Mapping[str, Any]) -> pd.DataFrame:
@@ -103,22 +103,19 @@ def _read_records(file: Path, config: Mapping[str, Any]) -> pd.DataFrame:
         records = pd.read_csv(file)
     except (OSError, ValueError) as error:
         raise ValueError(f"{file} cannot be read ({str(error).strip()}); {REMEDY}") from error
-    missing = sorted({*NEEDED, MAY_LACK} - set(records))
-    if missing:
-        raise ValueError(f"{file} has no column {', '.join(missing)}; {REMEDY}")
-    if records.empty:
-        raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
     try:
-        check_numbers(records)
+        check_columns(records)
     except ValueError as error:
         raise ValueError(f"{file} {error}; {REMEDY}") from error
+    if records.empty:
+        raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
     for column, known in (("scenario", SCENARIOS), ("model", MODELS)):
         for name in records[column].dropna().unique():
             if name not in known:
                 raise ValueError(f"{file} holds {column} {name!r}, not one of {', '.join(known)}; {UNKNOWN}")
-    lengths = records.dropna(subset=list(NEEDED)).groupby(["scenario", "controller", "seed"]).size()
+    lengths = whole_steps(records)
     wanted = {name: episode_steps(name, config) for name in records["scenario"].unique()}
     whole = [length == wanted[scenario] for (scenario, *_), length in lengths.items()]
     if not all(whole) or lengths.sum() != len(records):
-        raise ValueError(f"{file} holds an unfinished episode; run the same `ms-highway compare` again, which goes on")
+        raise ValueError(f"{file} holds an unfinished episode; run the same `ms-highway compare` again, which resumes")
     return records

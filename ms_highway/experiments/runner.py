@@ -1,8 +1,7 @@
-"""Run episodes in the environments and keep their records in files that an interrupted run goes on with."""
+"""Run episodes in the environments and keep their records, so that an interrupted run can be resumed."""
 
 import csv
 import io
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from itertools import groupby
@@ -16,8 +15,9 @@ from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.drivers import controller_config
 from ms_highway.experiments.comparison import Comparison, episode_steps
-from ms_highway.experiments.records import KEYS, NEEDED, check_numbers, columns
-from ms_highway.experiments.settings import GROWING, SETTINGS_FILE, read_settings, refuse_others
+from ms_highway.experiments.records import CARS, KEYS, check_columns, columns, gain_column, state_columns, whole_steps
+from ms_highway.experiments.resuming import cannot_resume, missing, resumed_settings
+from ms_highway.experiments.settings import EXTENDED, SETTINGS_FILE, write_settings
 from ms_highway.planning.compiled import measure_costs
 from ms_highway.runtime.files import append, replacing
 
@@ -27,12 +27,12 @@ STEPS_FILE = "steps.csv"
 
 
 def make_environment(scenario: str, controller: str, render: bool = False, **config: Any) -> gym.Env:
-    """The environment of a scenario with the robot driven by a controller.
+    """Make the environment of a scenario with the robot driven by a controller.
 
     Args:
         scenario: its name.
         controller: short name of the controller, see `controller_config`.
-        render: whether ``rgb_array`` frames will be asked for.
+        render: whether to render ``rgb_array`` frames.
         config: further configuration of the environment.
 
     Raises:
@@ -43,7 +43,7 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
 
 
 def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
-    """Run one episode with the robot's own controller; yields a record per step, `columns` from ``step`` on."""
+    """Run one episode with the robot's own controller; yield a record per step, with the `columns` from ``step`` on."""
     env.reset(seed=seed)
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)
@@ -51,13 +51,11 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
     while not done:
         _, reward, terminated, truncated, info = env.step(0)
         done = terminated or truncated
-        told = {**info, **asdict(info["timing"])}
-        record = {key: told[key] for key in wanted if key in told} | {"step": step, "reward": reward}
-        record |= {f"gain_{name}": gain for name, gain in info["gains"].items()}
-        for car, state in zip(("robot", "human"), inner.car_states, strict=False):
-            record |= {
-                f"{car}_{name}": value for name, value in zip(("x", "y", "heading", "speed"), state, strict=True)
-            }
+        values = {**info, **asdict(info["timing"])}
+        record = {key: values[key] for key in wanted if key in values} | {"step": step, "reward": reward}
+        record |= {gain_column(name): gain for name, gain in info["gains"].items()}
+        for car, state in zip(CARS, inner.car_states, strict=False):
+            record |= dict(zip(state_columns(car), state, strict=True))
         yield record
         step += 1
 
@@ -65,7 +63,8 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
 def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
     """Run the episodes that ``directory`` lacks and write each to its ``steps.csv`` when it ends.
 
-    Yields how many episodes are there: first what an earlier run has left, then after every episode.
+    Yields:
+        The number of episodes there: first of those that earlier runs have left, then after every episode.
 
     Raises:
         ValueError: if the directory holds results of other settings, or records that cannot be read.
@@ -73,14 +72,12 @@ def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
     directory = Path(directory)
     done, costs = _take_up(comparison, directory)
     wanted = list(comparison.episodes())
-    count = sum(key in done for key in wanted)
+    lacking = missing(wanted, done)
+    count = len(wanted) - len(lacking)
     yield count
-    for (scenario, controller), group in groupby(wanted, key=lambda key: key[:2]):
-        missing = [seed for _, _, seed in group if (scenario, controller, seed) not in done]
-        if not missing:
-            continue
+    for (scenario, controller), keys in groupby(lacking, key=lambda key: key[:2]):
         env = make_environment(scenario, controller, costs=costs[scenario], **comparison.common_config())
-        for seed in missing:
+        for _, _, seed in keys:
             text = io.StringIO()
             writer = csv.DictWriter(text, columns(), lineterminator="\n")
             for record in episode(env, seed):
@@ -92,18 +89,17 @@ def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
 
 
 def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, str, int]], dict[str, Any]]:
-    """Prepare the directory.
+    """Prepare the directory, and keep the settings and the number of episodes that are asked for.
 
     Returns:
-        The episodes that it holds whole (half an episode at the end is dropped), and T(M) by scenario; measured times
-        are measured once, kept with the results, and used again when the run goes on. How many episodes were asked for
-        is kept as well.
+        The episodes that it holds whole (an unfinished one at the end is removed), and T(M) by scenario; measured times
+        are measured once, kept with the results, and used again when the run is resumed.
     """
-    steps, settings_file = directory / STEPS_FILE, directory / SETTINGS_FILE
-    settings = {**comparison.common_config(), "costs": comparison.costs}
-    known = read_settings(settings_file) if settings_file.exists() or steps.exists() else settings
-    known = {**known, **{key: known.get(key, {}) for key in GROWING}}
-    refuse_others(directory, {key: value for key, value in known.items() if key not in GROWING}, settings)
+    steps = directory / STEPS_FILE
+    known: dict[str, Any] = {**comparison.common_config(), "costs": comparison.costs}
+    if steps.exists() or (directory / SETTINGS_FILE).exists():
+        known = resumed_settings(directory, known)
+    known |= {key: known.get(key, {}) for key in EXTENDED}
     done = _whole_episodes(steps, comparison.common_config()) if steps.exists() else set()
     if comparison.costs == "measured":
         for scenario in comparison.controllers.keys() - known["measured"].keys():
@@ -111,8 +107,7 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     for scenario, controllers in comparison.controllers.items():
         asked = known["asked"].setdefault(scenario, {})
         asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
-    with replacing(settings_file) as path:
-        path.write_text(json.dumps(known, indent=2) + "\n")
+    write_settings(directory, known)
     if not steps.exists():
         with replacing(steps) as path:
             path.write_text(",".join(columns()) + "\n")
@@ -120,7 +115,7 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
 
 
 def _measured(scenario: str, config: dict[str, Any]) -> dict[str, float]:
-    """Seconds of a warm plan on this machine, for every model on the scenario's ladder."""
+    """Measure the seconds of a warm plan on this machine, for every model on the scenario's ladder."""
     env = make_environment(scenario, "naive", **config).unwrapped
     assert isinstance(env, InteractionEnv)
     seconds = measure_costs(env.game, env.models, env.car_states)
@@ -128,7 +123,7 @@ def _measured(scenario: str, config: dict[str, Any]) -> dict[str, float]:
 
 
 def _whole_episodes(steps: Path, config: Mapping[str, Any]) -> set[tuple[str, str, int]]:
-    """The episodes that a file of records holds whole; anything after them, from a run that was stopped, is removed.
+    """Return the episodes that a file of records holds whole; remove anything else, which a stopped run has left.
 
     Raises:
         ValueError: if the file does not hold records of this version.
@@ -139,15 +134,15 @@ def _whole_episodes(steps: Path, config: Mapping[str, Any]) -> set[tuple[str, st
         records = pd.read_csv(io.StringIO(whole_lines))
         if list(records) != columns():
             raise ValueError(f"its columns are not {', '.join(columns())}")
-        check_numbers(records)
+        check_columns(records)
         unknown = set(records["scenario"]) - set(SCENARIOS)
         if unknown:
             raise ValueError(f"it holds unknown scenarios, {', '.join(map(str, unknown))}")
     except ValueError as error:
         remedy = "choose another directory, or --import the modules that its scenarios and models are from"
-        raise ValueError(f"{steps} cannot be gone on with ({error}); {remedy}") from error
+        raise cannot_resume(steps, error, remedy) from error
     lengths = {name: episode_steps(name, config) for name in records["scenario"].unique()}
-    sizes = records.dropna(subset=list(NEEDED)).groupby(KEYS).size()
+    sizes = whole_steps(records)
     done = {key for key, length in sizes.items() if length == lengths[key[0]]}
     whole = [tuple(key) in done for key in records[KEYS].itertuples(index=False)]
     if whole_lines != text or not all(whole):
@@ -158,7 +153,7 @@ def _whole_episodes(steps: Path, config: Mapping[str, Any]) -> set[tuple[str, st
 
 
 def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
-    """The records of a comparison that `run` has finished in a directory, in the comparison's order."""
+    """Return the records of a comparison that `run` has finished in a directory, in the comparison's order."""
     records = pd.read_csv(Path(directory) / STEPS_FILE)
     places = {key: place for place, key in enumerate(comparison.episodes())}
     order = [places.get(key, -1) for key in records[KEYS].itertuples(index=False, name=None)]

@@ -1,6 +1,6 @@
-"""How often controllers collide, by how much plans may ask of the car: counted in simulated episodes."""
+"""Count in simulated episodes how often controllers collide under limits on plans."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -19,7 +19,7 @@ from ms_highway.experiments.simulated import make_batch, run_episodes, summarise
 from ms_highway.experiments.summary import CONFIDENCE
 from ms_highway.game.scenario import title
 
-__all__ = ["SAFETY_FILE", "Limit", "Safety", "count", "read_safety", "safety_cells", "safety_told"]
+__all__ = ["SAFETY_FILE", "Limit", "Safety", "count", "read_safety", "safety_cells", "safety_sentences"]
 
 SAFETY_FILE = "safety.csv"
 
@@ -48,18 +48,24 @@ class Safety:
     runs: list[dict[str, Any]]
 
 
-def count(comparison: Comparison, limits: Sequence[Limit], mesh: Mesh | None = None) -> Iterator[str | pd.DataFrame]:
-    """Simulate the same episodes under each of several limits; a scenario is compiled for once.
+def count(
+    comparison: Comparison,
+    limits: Sequence[Limit],
+    mesh: Mesh | None = None,
+    progress: Callable[[str], None] = lambda message: None,
+) -> pd.DataFrame:
+    """Simulate the same episodes under each of several limits; a scenario is compiled once.
 
     Args:
         comparison: the episodes.
         limits: on plans of robot and human.
         mesh: devices, see `ms_highway.simulation.loop.simulate`.
+        progress: called with a message before every batch.
 
-    Yields:
-        What it is doing, and at last a row per scenario, controller and limit: bounds on the magnitude of ``omega``
-        [1/m, and in released semantics rad/s] and ``acceleration`` [m/s^2], infinite for none; ``episodes``, and how
-        many of them have a collision of the robot; its ``reward`` per step.
+    Returns:
+        A row per scenario, controller and limit: bounds on the magnitude of ``omega`` [1/m, and in released semantics
+        rad/s] and ``acceleration`` [m/s^2], infinite for none; ``episodes``; ``collision_episodes``, those in which the
+        robot collides; its ``reward`` per step.
 
     Raises:
         ValueError: for anything unknown or impossible.
@@ -72,14 +78,14 @@ def count(comparison: Comparison, limits: Sequence[Limit], mesh: Mesh | None = N
     tables = []
     for batch in batches:
         bounds = [float(f"{bound:g}") for bound in np.asarray(batch.loop.game.planner.control_limit)]
-        yield f"{batch.scenario.name}: {batch.size} episodes within {bounds[0]:g}, {bounds[1]:g}"
+        progress(f"{batch.scenario.name}: {batch.size} episodes within {bounds[0]:g}, {bounds[1]:g}")
         episodes = summarised(batch, batch.keys(), run_episodes(batch, batch.keys(), mesh))
         by_controller = episodes.assign(hit=episodes["collisions"] > 0).groupby(["scenario", "controller"], sort=False)
         counted = by_controller.agg(
             episodes=("seed", "size"), collision_episodes=("hit", "sum"), reward=("reward", "mean")
         )
         tables.append(counted.reset_index().assign(**dict(zip(LIMIT, bounds, strict=True))))
-    yield pd.concat(tables, ignore_index=True)[COLUMNS]
+    return pd.concat(tables, ignore_index=True)[COLUMNS]
 
 
 def read_safety(directory: Path) -> Safety:
@@ -100,7 +106,7 @@ def read_safety(directory: Path) -> Safety:
 
 
 def safety_cells(safety: Safety) -> pd.DataFrame:
-    """Texts, a row per scenario and controller: episodes with a collision under each limit."""
+    """Return texts, a row per scenario and controller: episodes with a collision under each limit."""
     table = safety.table
     texts = [f"{hit} of {all_}" for hit, all_ in zip(table["collision_episodes"], table["episodes"], strict=True)]
     limits = [_limit(bounds, safety) for bounds in table[LIMIT].to_numpy().tolist()]
@@ -110,17 +116,17 @@ def safety_cells(safety: Safety) -> pd.DataFrame:
     return pd.DataFrame(list(rows.values())).fillna("")
 
 
-def safety_told(safety: Safety) -> list[str]:
-    """A sentence per limit: who collides, and how often; and one of what is left open where nobody does.
+def safety_sentences(safety: Safety) -> list[str]:
+    """Return a sentence per limit on who collides how often, and one on what remains possible if nobody does.
 
-    What is left open is the upper end of the 90 % interval of a share (Clopper and Pearson 1934).
+    That is the upper end of the 90 % interval of a share (Clopper and Pearson 1934).
     """
     table, sentences = safety.table, []
     for bounds, rows in table.groupby(LIMIT, sort=False):
         groups = {str(name): some for name, some in rows.groupby("scenario", sort=False)}
         hits = [_hits(name, groups[name]) for name in in_order(groups) if groups[name]["collision_episodes"].any()]
-        told = f"episodes with a collision are {'; '.join(hits)}" if hits else "no controller collides"
-        sentences.append(f"Within {_limit(bounds, safety)}, {told}.")
+        text = f"episodes with a collision are {'; '.join(hits)}" if hits else "no controller collides"
+        sentences.append(f"Within {_limit(bounds, safety)}, {text}.")
     none = table.loc[table["collision_episodes"] == 0, "episodes"]
     if len(none):
         share = stats.binomtest(0, int(none.min())).proportion_ci(CONFIDENCE).high
@@ -129,17 +135,17 @@ def safety_told(safety: Safety) -> list[str]:
 
 
 def _hits(scenario: str, rows: pd.DataFrame) -> str:
-    """Who collided in a scenario, and how often."""
+    """Say who collided in a scenario, and how often."""
     hit = rows[rows["collision_episodes"] > 0]
     first, *others = zip(hit["collision_episodes"], hit["episodes"], hit["controller"], strict=True)
     if len(hit) == len(rows) > 1 and hit["collision_episodes"].nunique() == 1:
         return f"in {title(scenario)} {first[0]} of {first[1]} with every controller"
-    told = [f"{first[0]} of {first[1]} with {first[2]}", *(f"{count} with {name}" for count, _, name in others)]
-    return f"in {title(scenario)} {listed(told)}"
+    text = [f"{first[0]} of {first[1]} with {first[2]}", *(f"{count} with {name}" for count, _, name in others)]
+    return f"in {title(scenario)} {listed(text)}"
 
 
 def _limit(bounds: Sequence[float], safety: Safety) -> str:
-    """A limit as people read it."""
+    """Return a limit as text."""
     omega, acceleration = bounds
     if not np.isfinite(bounds).all():
         return "no limits"

@@ -1,20 +1,22 @@
-"""The settings of results, kept beside them: results with others neither begin nor go on in the same directory."""
+"""The settings of results, kept in a file beside them."""
 
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ms_highway.runtime.files import PART, read_json
+from ms_highway.runtime.files import read_json, replacing
 
-__all__ = ["GROWING", "SETTINGS_FILE", "check_settings", "read_settings", "refuse_others"]
+__all__ = ["EXTENDED", "SETTINGS_FILE", "read_settings", "write_settings"]
 
 SETTINGS_FILE = "settings.json"
-GROWING = ("measured", "asked")  # of the settings, what comparisons in the same directory add to
+
+EXTENDED = ("measured", "asked")
+"""Keys of the settings that further comparisons in the same directory add to: T(M), and numbers of episodes."""
 
 
 def read_settings(file: Path) -> dict[str, Any]:
-    """What a directory's results were run with.
+    """Return what a directory's results were run with.
 
     Raises:
         ValueError: if the file cannot be read.
@@ -25,23 +27,11 @@ def read_settings(file: Path) -> dict[str, Any]:
         raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
 
 
-def check_settings(directory: Path, settings: Mapping[str, Any]) -> None:
-    """Look whether results with these settings can begin or go on in a directory.
+def write_settings(directory: Path, settings: Mapping[str, Any]) -> None:
+    """Write the settings of a directory's results.
 
     Raises:
-        ValueError: if it is none, or holds results of other settings, or other things.
+        OSError: if they cannot be written.
     """
-    if directory.exists() and not directory.is_dir():
-        raise ValueError(f"--out is {directory}, which is a file; name a directory, there already or not")
-    if (directory / SETTINGS_FILE).exists():
-        refuse_others(directory, read_settings(directory / SETTINGS_FILE), json.loads(json.dumps(settings)))
-    elif directory.exists() and any(not file.name.startswith(PART) for file in directory.iterdir()):
-        raise ValueError(f"{directory} is not empty, and has no {SETTINGS_FILE}; choose another directory with --out")
-
-
-def refuse_others(directory: Path, known: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
-    """Refuse a directory whose results have settings other than those that are wanted."""
-    differing = [key for key in {**known, **settings} if known.get(key) != settings.get(key)]
-    if differing:
-        told = ", ".join(f"{key} {known.get(key)!r} instead of {settings.get(key)!r}" for key in differing)
-        raise ValueError(f"{directory} holds results with {told}; choose another directory with --out")
+    with replacing(directory / SETTINGS_FILE) as path:
+        path.write_text(json.dumps(settings, indent=2) + "\n")

@@ -19,7 +19,7 @@ from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.drivers import Driver, controller_config, driver
 from ms_highway.envs.settings import Settings
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.records import columns
+from ms_highway.experiments.records import CARS, MEASURED, STATE, columns, gain_column, share_column, state_columns
 from ms_highway.game.scenario import Scenario
 from ms_highway.planning.human_models import MODELS
 from ms_highway.simulation.devices import usual_chunk
@@ -42,17 +42,13 @@ __all__ = [
 Key = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
 
-ASKED = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render"}
-"""What an environment may have of its own and be simulated: the rest a simulation does by itself, or not at all."""
-
-CARS = ("robot", "human")
-STATE = ("x", "y", "heading", "speed")
+OVERRIDABLE = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render"}
+"""Methods that a scenario's environment may override: a simulation calls these, and does the rest without it."""
 
 
 def columns_simulated() -> list[str]:
-    """Columns of a record of steps, `ms_highway.experiments.records.columns` without the measured times."""
-    measured = {"planning_seconds", "decision_seconds", "compile_seconds"}
-    return [name for name in columns() if name not in measured]
+    """Return the columns of a simulated step, `ms_highway.experiments.records.columns` without the measured times."""
+    return [name for name in columns() if name not in MEASURED]
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,7 @@ class Batch:
 
 
 def make_batch(comparison: Comparison, scenario: str) -> Batch:
-    """One scenario of a comparison, ready to be simulated.
+    """Make one scenario of a comparison ready to be simulated.
 
     Args:
         comparison: what is compared.
@@ -121,14 +117,16 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"costs are {comparison.costs!r}, and a simulation cannot measure plans; {remedy}")
     config = configs[0]
     if config["warm_start"] or config["terminate_on_collision"]:
-        told = ", ".join(f"{key} {config[key]!r}" for key in ("warm_start", "terminate_on_collision"))
-        raise ValueError(f"{scenario} is configured with {told}; a simulation starts plans anew and runs all steps")
+        reason = ", ".join(f"{key} {config[key]!r}" for key in ("warm_start", "terminate_on_collision"))
+        raise ValueError(
+            f"{scenario} is configured with {reason}; a simulation plans every step from scratch and runs all steps"
+        )
     kind = ENVIRONMENTS[scenario]
     classes = kind.__mro__[: kind.__mro__.index(InteractionEnv)]
     own = {name for one in classes for name in vars(one) if hasattr(InteractionEnv, name) and name[:2] != "__"}
-    if own - ASKED:
-        told = f"{kind.__name__} has its own {', '.join(sorted(own - ASKED))}, which a simulation does not call"
-        raise ValueError(f"{told}; change its scenario, its game (in `configure`) or `draw_starts`, or use `compare`")
+    if own - OVERRIDABLE:
+        reason = f"{kind.__name__} has its own {', '.join(sorted(own - OVERRIDABLE))}, which a simulation does not call"
+        raise ValueError(f"{reason}; change its scenario, its game (in `configure`) or `draw_starts`, or use `compare`")
     environment = kind(config)
     rungs = environment.models
     used = {name for one in settings for name in one.driver.names()}
@@ -139,7 +137,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 
 
 def start(batch: Batch, seed: int) -> Float[np.ndarray, "cars 4"]:
-    """The start that the environment draws for a seed, in SI units.
+    """Return the start that the environment draws for a seed, in SI units.
 
     Raises:
         ValueError: for a negative seed.
@@ -155,7 +153,7 @@ def _random(seed: int) -> np.random.Generator:
 
 
 def episodes_of(batch: Batch, keys: Sequence[Key]) -> Episodes:
-    """What is to be simulated, see `run_episodes`."""
+    """Return what the simulation is given for these episodes, see `run_episodes`."""
     drivers = {name: driver(controller_config(name)) for name, _ in keys}
     drawn = [_drawn(batch, drivers[name], seed) for name, seed in keys]
     weights = (np.asarray(reward.weights) for reward in (batch.loop.game.robot, batch.loop.game.human))
@@ -185,7 +183,7 @@ def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None) ->
 
 
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
-    """All records of a comparison, a row per step, in the comparison's order: `columns_simulated`.
+    """Simulate a comparison and return all records, a row per step, in the comparison's order: `columns_simulated`.
 
     Args:
         comparison: what to simulate.
@@ -203,7 +201,7 @@ def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
 
 
 def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:
-    """A row per step: `columns_simulated`."""
+    """Return a row per step: `columns_simulated`."""
     steps = batch.steps
     models, costs = np.array(batch.models), _costs(batch)
     cells: dict[str, Any] = {
@@ -217,10 +215,10 @@ def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFra
         "counted_seconds": costs[records.model].ravel(),
         "status": np.array(STATUSES)[records.status].ravel(),
     }
-    cells |= {f"gain_{name}": gain.ravel() for name, gain in _gains(batch, records).items()}
+    cells |= {gain_column(name): gain.ravel() for name, gain in _gains(batch, records).items()}
     for place, car in enumerate(CARS):
         states = np.asarray(records.states[:, :, place], float).reshape(-1, len(STATE))
-        cells |= {f"{car}_{name}": states[:, number] for number, name in enumerate(STATE)}
+        cells |= dict(zip(state_columns(car), states.T, strict=True))
     return pd.DataFrame(cells, columns=columns_simulated())
 
 
@@ -241,14 +239,14 @@ def _gains(batch: Batch, records: Records) -> dict[str, Float[np.ndarray, "episo
 
 
 def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:
-    """A row per episode.
+    """Return a row per episode.
 
     Columns: ``scenario``, ``controller`` and ``seed``; ``price``, that is lambda, empty where nothing is decided;
     ``reward`` and ``counted_seconds``, planning at T(M), as means over the steps; ``share_MODEL`` of the steps;
     ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed.
     """
     configs = {name: controller_config(name) for name, _ in keys}
-    shares = {f"share_{name}": np.mean(records.model == number, axis=1) for number, name in enumerate(batch.models)}
+    shares = {share_column(name): np.mean(records.model == number, axis=1) for number, name in enumerate(batch.models)}
     return pd.DataFrame(
         {
             "scenario": batch.scenario.name,

@@ -7,6 +7,7 @@ import pandas as pd
 from scipy import stats
 
 from ms_highway.envs.drivers import controller_config
+from ms_highway.experiments.records import share_column
 from ms_highway.planning.human_models import MODELS
 
 __all__ = ["CONFIDENCE", "earned", "interval", "summary"]
@@ -35,7 +36,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
                 "planning_ms": 1e3 * steps["planning_seconds"].mean(),
                 "counted_ms": 1e3 * steps["counted_seconds"].mean(skipna=False),
                 "decision_ms": 1e3 * steps["decision_seconds"].mean(),
-                **{f"share_{model}": (steps["model"] == model).mean() for model in MODELS},
+                **{share_column(model): (steps["model"] == model).mean() for model in MODELS},
                 "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
                 "fallbacks": int((steps["status"] != "planned").sum()),
             }

@@ -1,26 +1,27 @@
-"""Very many simulated episodes, kept in parts that an interrupted run goes on with and that need not fit in memory.
+"""Simulate very many episodes, kept in parts that need not fit in memory, so that an interrupted run can be resumed.
 
 A part is a Parquet file: small, typed, and read by ``pandas.read_parquet`` alone or with its whole directory. It is
 written under another name and moved to its own when it is whole, so that every part is either whole or not there.
 """
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from time import sleep
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 from jax.sharding import Mesh
 from pyarrow import parquet
 
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.settings import SETTINGS_FILE, check_settings
+from ms_highway.experiments.records import share_column
+from ms_highway.experiments.resuming import check_settings
+from ms_highway.experiments.settings import SETTINGS_FILE, write_settings
 from ms_highway.experiments.simulated import Batch, make_batch, run_episodes, summarised, tabulated
 from ms_highway.experiments.summary import earned
+from ms_highway.planning.human_models import MODELS
 from ms_highway.runtime.files import replacing
 
 __all__ = [
@@ -30,8 +31,7 @@ __all__ = [
     "STEPS",
     "Sweep",
     "Worker",
-    "missing",
-    "prices",
+    "missing_parts",
     "read_sweep",
     "run_sweep",
     "sweep_summary",
@@ -43,8 +43,6 @@ EPISODES, STEPS = "episodes", "steps"
 
 PART = 1024
 """Usual number of episodes in a part."""
-
-MOST_PRICES = 10_000
 
 PAUSE = 0.2  # s, between looks at what other processes have written
 
@@ -118,35 +116,6 @@ class Worker:
 ALONE = Worker()
 
 
-def prices(text: str) -> list[float]:
-    """Lambdas from a text: ``LOW:HIGH:COUNT``, evenly spaced in their logarithm, or several with commas between.
-
-    Spaced ones are rounded to three significant digits, which make short names of controllers.
-
-    Raises:
-        ValueError: if the text is neither, names negative lambdas, or spaces them so closely that some are equal.
-    """
-    try:
-        if ":" in text:
-            low, high, count = text.split(":")
-            if not 0 < float(low) < float(high) < np.inf or not 2 <= int(count) <= MOST_PRICES:
-                raise ValueError
-            values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
-            if len(set(values)) < int(count):
-                raise ValueError
-        else:
-            values = [float(part) for part in text.split(",")]
-            if not all(0 <= value < np.inf for value in values):
-                raise ValueError
-    except ValueError:
-        remedy = (
-            "give LOW:HIGH:COUNT with 0 < LOW < HIGH and two or more that differ in three digits, such as 0.001:10:25, "
-            "or lambdas like 0.1,0.5"
-        )
-        raise ValueError(f"lambdas are {text!r}; {remedy}") from None
-    return list(dict.fromkeys(abs(value) for value in values))  # also of -0
-
-
 def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: Worker = ALONE) -> Iterator[int]:
     """Compute the parts that a directory lacks and write each when it is done.
 
@@ -157,7 +126,7 @@ def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: W
         worker: which of the parts this process computes.
 
     Yields:
-        How many of this process's episodes are there: first what earlier runs have left, then after every part.
+        The number of this process's episodes there: first of those that earlier runs have left, then after every part.
 
     Raises:
         ValueError: if the sweep is impossible, or the directory holds something else.
@@ -165,7 +134,7 @@ def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: W
     batch = make_batch(sweep.comparison, sweep.scenario)
     _take_up(sweep, directory, worker)
     mine, together = worker.parts(sweep), 1 if mesh is None else mesh.size
-    lacking = [part for part in missing(sweep, directory) if part in mine]
+    lacking = [part for part in missing_parts(sweep, directory) if part in mine]
     count = sum(sweep.size(part) for part in mine) - sum(sweep.size(part) for part in lacking)
     yield count
     for first in range(0, len(lacking), together):
@@ -195,23 +164,23 @@ def _write(table: pd.DataFrame, file: Path) -> None:
 
 
 def _file(directory: Path, kind: str, part: int) -> Path:
-    return directory / kind / f"part-{part:06d}.parquet"
+    return directory / kind / _name(part)
 
 
-def missing(sweep: Sweep, directory: Path) -> list[int]:
-    """The parts that a directory lacks, of any process."""
-    kinds = list(sweep.rows(0))
-    there = {kind: {file.name for file in (directory / kind).glob("part-*")} for kind in kinds}
-    return [
-        part
-        for part in range(sweep.parts)
-        if not all(_file(directory, kind, part).name in there[kind] for kind in kinds)
-    ]
+def _name(part: int) -> str:
+    return f"part-{part:06d}.parquet"
+
+
+def missing_parts(sweep: Sweep, directory: Path) -> list[int]:
+    """Return the parts that a directory lacks, of any process."""
+    names = [{file.name for file in (directory / kind).glob("part-*")} for kind in sweep.rows(0)]
+    whole = set.intersection(*names)
+    return [part for part in range(sweep.parts) if _name(part) not in whole]
 
 
 def wait_for_all(sweep: Sweep, directory: Path) -> None:
     """Wait until the processes that share a sweep have written all parts."""
-    while missing(sweep, directory):
+    while missing_parts(sweep, directory):
         sleep(PAUSE)
 
 
@@ -224,12 +193,11 @@ def _take_up(sweep: Sweep, directory: Path, worker: Worker) -> None:
     while worker.place > 0 and not (directory / SETTINGS_FILE).exists():
         sleep(PAUSE)
     check_settings(directory, sweep.settings())
-    for part in sorted(set(worker.parts(sweep)) - set(missing(sweep, directory))):
+    for part in sorted(set(worker.parts(sweep)) - set(missing_parts(sweep, directory))):
         for kind, rows in sweep.rows(part).items():
             _check(_file(directory, kind, part), rows)
     if worker.place == 0:
-        with replacing(directory / SETTINGS_FILE) as path:
-            path.write_text(json.dumps(sweep.settings(), indent=2) + "\n")
+        write_settings(directory, sweep.settings())
 
 
 def _check(file: Path, rows: int) -> None:
@@ -253,14 +221,14 @@ def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
     Args:
         episodes: a row per episode, of `read_sweep`.
     """
-    rows = []
+    rows, shares = [], set(map(share_column, MODELS))
     for (scenario, controller), some in episodes.groupby(["scenario", "controller"], sort=False):
         rows.append(
             {
                 "scenario": scenario,
                 **earned(controller, some["reward"]),
                 "counted_ms": 1e3 * some["counted_seconds"].mean(skipna=False),
-                **{name: some[name].mean() for name in some if name.startswith("share_")},
+                **{name: some[name].mean() for name in some if name in shares},
                 "collision_episodes": int((some["collisions"] > 0).sum()),
                 "fallbacks": int(some["fallbacks"].sum()),
             }

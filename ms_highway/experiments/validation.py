@@ -38,7 +38,7 @@ __all__ = ["read_episodes", "validate", "validate_file"]
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
 SWITCHING = "switching_lambda_"
 KINDS = {"models": "iu", "ladder": "iu"}  # of numbers, where they have to be integers
-MOST_BYTES = 2**27
+MOST_BYTES = 2**27  # of a file, unpacked
 ARRAYS = ("states", "robot_controls", "human_controls", "rewards", "models", "ladder")
 
 

@@ -1,8 +1,8 @@
-"""Keep compiled functions on disk, in directories that only this user writes to, and check them when they are read.
+"""Keep compiled functions on disk: only in directories that nobody else can write to, each checked when it is read.
 
-They are machine code. JAX finds them by a key, a digest of the program, which is the name of the file: if two files
-were exchanged, the wrong program would run. So each file begins with a digest of its key and content; a file that does
-not agree is removed, and the function is compiled again.
+They are machine code, which runs unread. JAX finds them by a key, a digest of the program, and runs whatever is in the
+file of that name: if two files are swapped, the wrong program runs. So each is stored behind a digest of its key and
+content; one that does not agree is removed and compiled again.
 """
 
 import os
@@ -23,7 +23,7 @@ WRITABLE_BY_OTHERS = 0o022
 
 
 class CheckedCache:
-    """Compiled functions by key, in the files of a directory; replaces JAX's own cache.
+    """Keep compiled functions by key, in the files of a directory, in place of JAX's own cache.
 
     Attributes:
         path: the directory.
@@ -33,7 +33,7 @@ class CheckedCache:
         self.path = self._path = Path(path)  # JAX asks for the second
 
     def get(self, key: str) -> bytes | None:
-        """Return what was stored; None if there is nothing, or a file that fails the check, which is removed."""
+        """Return what was stored; None where there is nothing, or something else, which is removed."""
         file = self._file(key)
         with suppress(FileNotFoundError):
             content = file.read_bytes()
@@ -56,7 +56,11 @@ def _digest(key: str, value: bytes) -> bytes:
 
 
 def use_checked_cache() -> None:
-    """Replace the cache of JAX by a `CheckedCache`, where this version of JAX allows it."""
+    """Have JAX use a `CheckedCache` wherever it is told to keep compiled functions; its own where that is impossible.
+
+    This replaces JAX's cache in the whole process, also for functions of others, and ignores the option
+    ``jax_compilation_cache_max_size``: nothing limits the size of the directory, and nothing is evicted.
+    """
     jax_cache: Any = compilation_cache
     if hasattr(jax_cache, "get_file_cache"):
         jax_cache.get_file_cache = lambda path: (CheckedCache(path), path)
@@ -64,7 +68,7 @@ def use_checked_cache() -> None:
 
 
 def check_owner(directory: Path) -> None:
-    """Check that only this user, and the system's administrator, can write to a directory.
+    """Check that nobody but this user and the system's administrator can write to a directory.
 
     Raises:
         PermissionError: if others can, with the remedy.

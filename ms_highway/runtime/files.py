@@ -65,13 +65,15 @@ def tidy(*directories: Path) -> None:
 
 @contextmanager
 def held(directory: Path) -> Iterator[None]:
-    """Let no other command write to a directory while the block runs; it is made, and removed if it stays empty.
+    """Let no other command write to a directory while the block runs; make it, and remove it if it stays empty.
 
-    Windows and some shared disks know no such locks; there it is up to the user.
+    Windows and some shared disks have no such locks: there, the user has to take care.
 
     Raises:
-        ValueError: if another command is writing to it.
+        ValueError: if it is a file, or another command is writing to it.
     """
+    if directory.exists() and not directory.is_dir():
+        raise ValueError(f"results cannot go to {directory}, which is a file; name a directory, there already or not")
     made = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
     lock = _lock(directory)
@@ -153,8 +155,8 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        told = error.strerror or str(error)
-        raise OSError(f"{path} cannot be written: {told}; see to it, or choose another place") from error
+        reason = error.strerror or str(error)
+        raise OSError(f"{path} cannot be written: {reason}; make that possible, or choose another place") from error
 
 
 def read_json(path: Path) -> Any:

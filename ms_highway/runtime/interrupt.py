@@ -1,11 +1,12 @@
-"""End the command at once at Ctrl-C, with one sentence, whatever it is doing.
+"""End the command at once on Ctrl-C, with one sentence, whatever it is doing.
 
-Python itself would raise ``KeyboardInterrupt`` in the main thread between two instructions: only after a compilation or
-a batch. Within a callback of JAX or an import the exception is lost; elsewhere, Python would shut down while threads of
-JAX still compute, and the process would abort.
+Python itself would raise ``KeyboardInterrupt`` in the main thread once it is between two lines: not before a
+compilation or a batch has ended. During a callback of JAX's or an import, the exception is lost. And where it arrives,
+Python shuts down while threads of JAX still compute: those that then need the interpreter are unwound out of C++ code
+that does not allow it, and the process aborts.
 
-So a thread waits for the signal and ends the process. All results are written atomically: only what had not been
-written is lost.
+So a thread waits for the signal and ends the process. All results are written under temporary names and moved when they
+are whole, so that only what has not been written yet is lost.
 """
 
 import os
@@ -15,7 +16,7 @@ from contextlib import suppress
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
-if TYPE_CHECKING:  # slow imports wait until interrupts are watched
+if TYPE_CHECKING:  # slow imports come after interrupts are caught
     from socket import socket
 
 __all__ = ["INTERRUPTED", "STOPPED", "end", "watch"]
@@ -23,7 +24,7 @@ __all__ = ["INTERRUPTED", "STOPPED", "end", "watch"]
 INTERRUPTED = 128 + signal.SIGINT
 """Exit status of an interrupted command, by the convention of shells."""
 
-STOPPED = "ms-highway: stopped; started again in the same way, compare, sweep, frontier and irl record go on"
+STOPPED = "ms-highway: stopped; if started again in the same way, compare, sweep, frontier and irl record resume"
 
 FLUSHING = 1.0  # s, at most, as nobody may be reading the output
 SHOW_CURSOR = "\x1b[?25h"  # hidden by progress bars
@@ -39,20 +40,20 @@ def watch() -> None:
 
     import ms_highway.runtime.files  # noqa: F401  # `end` needs it, and would wait for imports of the main thread
 
-    watched, told = socketpair()
-    told.setblocking(False)
-    signal.set_wakeup_fd(told.fileno())
-    Thread(target=_wait, args=(watched, told), daemon=True).start()
+    watched, notified = socketpair()
+    notified.setblocking(False)
+    signal.set_wakeup_fd(notified.fileno())
+    Thread(target=_wait, args=(watched, notified), daemon=True).start()
     signal.signal(signal.SIGINT, lambda *_: None)
 
 
-def end(told: str, status: int) -> NoReturn:
-    """End this process at once, from any thread: print a line on standard error, and remove temporary files."""
+def end(message: str, status: int) -> NoReturn:
+    """End this process from any thread, at once: with a line on standard error, and without temporary files."""
     from threading import Thread
 
     from ms_highway.runtime.files import remove_temporary
 
-    _tell(told)
+    _report(message)
     if "multiprocessing" in sys.modules:
         for worker in sys.modules["multiprocessing"].active_children():
             worker.terminate()
@@ -63,15 +64,15 @@ def end(told: str, status: int) -> NoReturn:
     os._exit(status)
 
 
-def _tell(told: str) -> None:
+def _report(message: str) -> None:
     after_a_bar = f"{SHOW_CURSOR}\n" if sys.stderr.isatty() else ""
     with suppress(OSError):
-        os.write(sys.stderr.fileno(), f"{after_a_bar}{told}\n".encode())
+        os.write(sys.stderr.fileno(), f"{after_a_bar}{message}\n".encode())
 
 
 def _end_early(signal_number: int, frame: FrameType | None) -> NoReturn:
-    """End this process before the thread that waits for interrupts runs, when there is nothing to clean up."""
-    _tell(STOPPED)
+    """End this process before the thread is there that waits for interrupts, when there is nothing to clean up yet."""
+    _report(STOPPED)
     os._exit(INTERRUPTED)
 
 
@@ -82,9 +83,9 @@ def _is_command() -> bool:
     return (by_module or by_name) and "--multiprocessing-fork" not in sys.orig_argv
 
 
-def _wait(watched: "socket", told: "socket") -> None:
-    """Wait for the signal and end the process; keep ``told`` open until then."""
-    with told:
+def _wait(watched: "socket", notified: "socket") -> None:
+    """Wait for the signal and end the process; ``notified`` is kept open until then."""
+    with notified:
         while signal.SIGINT not in watched.recv(1):
             pass
         end(STOPPED, INTERRUPTED)

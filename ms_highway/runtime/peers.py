@@ -1,7 +1,7 @@
-"""Let processes that share a computation begin together, and end all of them if one ends early.
+"""Let processes share a computation: they begin together, and all end if one ends before it is done.
 
-Process 0 listens at a given address; the others connect to it and stay connected. Messages are single lines; a broken
-connection means that the process at its other end has ended. The computation itself needs no connection.
+Process 0 listens at a given address, and the others stay connected to it. They exchange single lines; a connection that
+breaks shows that the process at its other end has ended. The computation itself needs no connection.
 """
 
 import socket
@@ -16,7 +16,7 @@ __all__ = ["together"]
 
 PATIENCE = 300.0  # s, for which processes wait for each other at the beginning
 PAUSE = 0.2  # s, between attempts to connect
-GREETING = 5.0  # s, within which a connecting process must identify itself
+GREETING = 5.0  # s, within which a process that connects must say which one it is
 SILENCE = 60  # s, after which a connection is tested
 BEGIN, DONE = "begin", "done"
 
@@ -36,7 +36,7 @@ class _Link:
             self.connection.sendall(f"{line}\n".encode())
 
     def hear(self, seconds: float | None = None) -> str:
-        """Return the next line; empty when the connection has ended, or after this many seconds."""
+        """Return the next line; empty when the connection has broken, or after this many seconds."""
         self.connection.settimeout(seconds)
         try:
             return self._lines.readline(200).decode(errors="replace").strip()
@@ -141,12 +141,12 @@ def _reach(host: str, port: int, of: int, place: int, closing: ExitStack) -> dic
 
 
 def _watch(other: int, links: Mapping[int, _Link], leaving: Event) -> None:
-    """End this process if another ends early; process 0, to which all are connected, tells the others."""
+    """End this process if another ends before it is done; process 0, which all are connected to, informs the others."""
     heard = links[other].hear()
     if heard == DONE or leaving.is_set():
         return
-    told = heard or f"process {other} has ended before it was done"
+    message = heard or f"process {other} has ended before it was done"
     for place, link in links.items():
         if place != other:
-            link.say(told)
-    end(f"ms-highway: {told}, and so does this one; all go on when they are started again in the same way", status=1)
+            link.say(message)
+    end(f"ms-highway: {message}, and so does this one; start all again in the same way to resume", status=1)

@@ -15,27 +15,28 @@ from rich.console import JustifyMethod
 from rich.table import Table
 
 from ms_highway.envs.drivers import controller_config
+from ms_highway.experiments.records import share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import MODELS
 from ms_highway.visualization.colors import color_of
 
-__all__ = ["bars", "cells", "episodes_told", "table", "timeline"]
+__all__ = ["bars", "cells", "episode_count", "table", "timeline"]
 
 MEASURED = {"planning_ms": "plan ms", "decision_ms": "decide ms"}
 LEGEND_COLUMNS = 5
-HEADING_WIDTH = 11  # characters, at which headings of narrow columns go on in another line
+HEADING_WIDTH = 11  # characters, after which headings of narrow columns are wrapped
 SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
 
 
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """The summary of one scenario as people read it: a row per controller, and texts under the columns' headings.
+    """Return the summary of one scenario as text: a row per controller, and texts under the columns' headings.
 
-    Planning is told twice: as decisions count it, at T(M), and as it was measured, where it was. Steps driven without a
-    plan of their own are told where there are any.
+    Planning has two columns: as decisions count it, at T(M), and as it was measured, if it was. Steps driven by
+    fallback have a column if there are any.
     """
     chosen = summaries[summaries["scenario"] == scenario]
     failed = "fallbacks" in chosen and bool(chosen["fallbacks"].any())
-    models = [name for name in MODELS if f"share_{name}" in summaries]
+    models = [name for name in MODELS if share_column(name) in summaries]
     rows = [
         {
             "controller": row["controller"],
@@ -45,7 +46,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
             else "one episode",
             "counted ms": "" if np.isnan(row["counted_ms"]) else f"{row['counted_ms']:.0f}",
             **{heading: f"{row[name]:.2f}" for name, heading in MEASURED.items() if name in row},
-            f"{' / '.join(models)} %": " / ".join(f"{100 * row[f'share_{name}']:.0f}" for name in models),
+            f"{' / '.join(models)} %": " / ".join(f"{100 * row[share_column(name)]:.0f}" for name in models),
             "collisions": f"{row['collision_episodes']} of {row['episodes']}",
             **({"fallback steps": f"{row['fallbacks']}"} if failed else {}),
         }
@@ -55,7 +56,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
 
 def table(summaries: pd.DataFrame, scenario: str) -> Table:
-    """The summary of one scenario, to be printed."""
+    """Return the summary of one scenario, to be printed."""
     texts = cells(summaries, scenario)
     grid = Table(title=scenario, box=SIMPLE, title_justify="left", title_style="bold")
     for column in texts:
@@ -67,14 +68,14 @@ def table(summaries: pd.DataFrame, scenario: str) -> Table:
     return grid
 
 
-def episodes_told(rows: pd.DataFrame) -> str:
-    """How many episodes the rows of a summary stand for, as titles tell it."""
+def episode_count(rows: pd.DataFrame) -> str:
+    """Return the number of episodes that the rows of a summary stand for, as text for titles."""
     least, most = rows["episodes"].min(), rows["episodes"].max()
     return f"{most if least == most else f'{least} to {most}'} episodes per controller"
 
 
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
-    """Reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
+    """Draw reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
     rows = summaries[summaries["scenario"] == scenario]
     names, colors = list(rows["controller"]), _colors(list(rows["controller"]))
     figure = Figure(figsize=(10, 4), layout="constrained")
@@ -103,12 +104,12 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     for axes in (left, right):
         axes.tick_params(axis="x", rotation=20)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(f"{title(scenario)}: {episodes_told(rows)}")
+    figure.suptitle(f"{title(scenario)}: {episode_count(rows)}")
     return figure
 
 
 def timeline(records: pd.DataFrame, scenario: str) -> Figure:
-    """Time per step along the episode, and which model was in use, like Fig. 2 of the paper.
+    """Draw time per step along the episode, and the model in use, like Fig. 2 of the paper.
 
     The upper axes show the mean over episodes of planning plus deciding; below, a row per episode of each switching
     controller shows the model of every step.

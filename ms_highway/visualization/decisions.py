@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator, StrMethodFormatter
 
 from ms_highway.envs.graphics import PANEL_HEIGHT
-from ms_highway.experiments.records import switches
+from ms_highway.experiments.records import gain_column, switches
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import MODELS
 from ms_highway.visualization.colors import color_of
@@ -77,7 +77,7 @@ def _gains(axes: Axes, episode: pd.DataFrame) -> None:
 
 def _gains_of(episode: pd.DataFrame, model: str) -> pd.Series:
     """Estimated gains of switching to a model; none where it was not known yet."""
-    return episode.get(f"gain_{model}", pd.Series(np.nan, episode.index))
+    return episode.get(gain_column(model), pd.Series(np.nan, episode.index))
 
 
 def _rewards(axes: Axes, episode: pd.DataFrame, reference: pd.DataFrame | None) -> None:

@@ -88,8 +88,8 @@ def foresight_table(foresights: Sequence[Foresight]) -> Table:
 def _alongside(one: Foresight, states: Float[np.ndarray, "times cars 4"]) -> Float[np.ndarray, "times cars 4"]:
     """States in a frame that moves at the human's first speed, and starts where the human does."""
     x, _, _, speed = one.actual[0, 1]
-    gone = x + speed * one.time_step * np.arange(len(states))
-    return states - gone[:, None, None] * [1.0, 0.0, 0.0, 0.0]
+    moved = x + speed * one.time_step * np.arange(len(states))
+    return states - moved[:, None, None] * [1.0, 0.0, 0.0, 0.0]
 
 
 def _draw(axes: Axes, one: Foresight, scene: Scene) -> None:

@@ -25,7 +25,7 @@ DRAWN_PRICES = np.geomspace(1e-3, 1e3, 121)
 def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
     """Regrets per step in one scenario, a table for each price: what is fixed, what was found, and switching.
 
-    Switching is told at the best lambda for the scenario, and at the best one that all scenarios have in common.
+    Switching is shown with the best lambda for the scenario, and with the best one that all scenarios have in common.
 
     Args:
         behind: rows of `ms_highway.experiments.regret.regrets`, with columns ``scenario`` and ``price``.
@@ -37,19 +37,19 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
 def _regret_table(behind: pd.DataFrame, scenario: str, price: str) -> Table:
     """Regrets at one price in one scenario, out of those in all scenarios."""
     own = behind[behind["scenario"] == scenario].set_index("controller")
-    told = dict.fromkeys(own.index[own["kind"] != "switching"], "")
-    told[str(own.loc[own["kind"].isin(["fixed", "schedule"]), "regret"].idxmin())] = "best for all starts"
+    remarks = dict.fromkeys(own.index[own["kind"] != "switching"], "")
+    remarks[str(own.loc[own["kind"].isin(["fixed", "schedule"]), "regret"].idxmin())] = "best for all starts"
     switching = behind[behind["kind"] == "switching"].set_index(["controller", "scenario"])["regret"].unstack()
     if len(switching):
         here, anywhere = switching[scenario].idxmin(), switching.mean(axis=1).idxmin()
-        told[here] = "best lambda"
-        told[anywhere] = "best lambda, also common" if here == anywhere else "best common lambda"
+        remarks[here] = "best lambda"
+        remarks[anywhere] = "best lambda, also common" if here == anywhere else "best common lambda"
     grid = Table(title=f"{scenario}, a second of planning costs {price}", box=SIMPLE, title_justify="left")
     grid.add_column("controller", overflow="fold", max_width=NAME_WIDTH)
     grid.add_column("", no_wrap=True)
     for column in ("reward", "counted ms", "meta-reward", "regret", "90 % interval"):
         grid.add_column(column, justify="right", no_wrap=True)
-    for name, remark in told.items():
+    for name, remark in remarks.items():
         row = own.loc[name]
         interval = "" if np.isnan(row["regret_low"]) else f"{row['regret_low']:.3f}, {row['regret_high']:.3f}"
         means = f"{row['reward']:.2f}", f"{1e3 * row['counted_seconds']:.0f}", f"{row['meta_reward']:.3f}"

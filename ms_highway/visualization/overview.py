@@ -1,4 +1,4 @@
-"""Comparisons in one table, beside each other and beside what the paper published."""
+"""Set comparisons in one table, beside each other and beside what the paper published."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ PAGE_ONLY = ["counted ms", PUBLISHED[1]]
 
 
 def overview(results: Sequence[Results]) -> pd.DataFrame:
-    """Texts, a row per scenario and controller of the first results.
+    """Return texts, a row per scenario and controller of any of the results, those of the first ones first.
 
     Columns: ``scenario`` and ``controller``; of every directory the reward per step with its interval and the episodes
     with a collision, headed by what distinguishes it from the others; of the first also times and shares of models;
@@ -31,18 +31,18 @@ def overview(results: Sequence[Results]) -> pd.DataFrame:
         raise ValueError("a directory is named twice; name each once")
     found = [_by_controller(result) for result in results]
     rows = []
-    for key, first in found[0].items():
+    for key in dict.fromkeys(key for texts in found for key in texts):
         row = dict(zip(("scenario", "controller"), key, strict=True))
         for name, texts in zip(_names(results), found, strict=True):
             row |= _outcome(texts.get(key), name)
-        row |= {name: text for name, text in first.items() if name not in (*OUTCOME, "controller")}
+        row |= {name: text for name, text in found[0].get(key, {}).items() if name not in (*OUTCOME, "controller")}
         rows.append(row | _published(results, *key))
     table = pd.DataFrame(rows).fillna("")  # where one scenario has fallbacks, and another none
     return table if table[PUBLISHED[0]].any() else table.drop(columns=PUBLISHED)
 
 
 def markdown(table: pd.DataFrame) -> str:
-    """An `overview` as a table in Markdown, without what needs more explanation than there is room for."""
+    """Return an `overview` as a table in Markdown, without the columns that need more explanation."""
     table = table.drop(columns=PAGE_ONLY, errors="ignore")
     lines = [list(table), ["---"] * table.shape[1], *table.to_numpy().tolist()]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
@@ -72,15 +72,15 @@ def _published(results: Sequence[Results], scenario: str, controller: str) -> di
 
 
 def _names(results: Sequence[Results]) -> list[str]:
-    """What to call each: the first settings that tell all apart, else the directories; nothing where there is one."""
+    """Name each by the first settings that distinguish all, else by its directory; a single one has no name."""
     if len(results) == 1:
         return [""]
-    told: list[list[str]] = [[] for _ in results]
+    names: list[list[str]] = [[] for _ in results]
     for key in DISTINGUISHING:
         values = [result.settings.get(key) for result in results]
         if any(value != values[0] for value in values):
-            for name, value in zip(told, values, strict=True):
+            for name, value in zip(names, values, strict=True):
                 name.append(f"{value if isinstance(value, str) else 'given'} {key.replace('_', ' ')}")
-        if len({tuple(name) for name in told}) == len(results):
-            return [", " + ", ".join(name) for name in told]
+        if len({tuple(name) for name in names}) == len(results):
+            return [", " + ", ".join(name) for name in names]
     return [f", {result.directory}" for result in results]

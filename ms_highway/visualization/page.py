@@ -1,24 +1,26 @@
-"""One page that shows all of a comparison, in one file that needs nothing else."""
+"""Draw one page that shows all of a comparison, in one file that needs nothing else."""
 
 import base64
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 from PIL import Image
 
 from ms_highway.envs.graphics import MODEL_MEANINGS
-from ms_highway.experiments.findings import answer, in_order, worth_seeing
-from ms_highway.experiments.records import common_seeds
+from ms_highway.experiments.findings import answer, in_order
+from ms_highway.experiments.records import share_column
 from ms_highway.experiments.results import Results
-from ms_highway.experiments.safety import Safety, safety_cells, safety_told
+from ms_highway.experiments.safety import Safety, safety_cells, safety_sentences
+from ms_highway.experiments.selection import Selection
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import MODELS
 from ms_highway.visualization import video
-from ms_highway.visualization.figures import CAPTIONS, few, figures
+from ms_highway.visualization.figures import CAPTIONS, figures
 from ms_highway.visualization.overview import overview
 from ms_highway.visualization.side_by_side import side_by_side
 
@@ -73,49 +75,58 @@ class Section:
         return self.title, self.rows
 
 
-def draw(several: Sequence[Results], videos: bool = True) -> Iterator[str | list[Section]]:
-    """Everything that takes time to draw; yields what it is doing, then a section per scenario.
+def draw(
+    several: Sequence[Results],
+    selections: Mapping[str, Selection],
+    videos: bool = True,
+    progress: Callable[[str], None] = lambda message: None,
+) -> list[Section]:
+    """Draw everything that takes time, and return a section per scenario.
+
+    A section draws the first of the comparisons that has its scenario; the tables have all beside each other.
 
     Args:
-        several: comparisons, of which the first one is shown, and the others beside it in tables.
+        several: comparisons.
+        selections: what to show of each scenario, by its name, see `ms_highway.experiments.selection`.
         videos: whether films are made.
+        progress: called with a message before everything that takes time.
 
     Raises:
         ImportError: for videos without the packages of the extra ``video``.
         ValueError: if two comparisons are the same, or episodes cannot be run again under the settings of the results.
     """
-    results, table, sections = several[0], overview(several), []
-    for scenario in in_order(results.scenarios):
-        yield f"drawing {scenario}"
-        drawn = figures(results.records, results.summaries, scenario)
+    table, sections = overview(several), []
+    for scenario in in_order(selections):
+        progress(f"drawing {scenario}")
+        results, selection = next(one for one in several if scenario in one.scenarios), selections[scenario]
+        drawn = figures(results.records, results.summaries, scenario, selection)
         shown = {name: Shown(_png(figure), CAPTIONS.get(name, name)) for name, figure in drawn.items()}
         films = []
         if videos:
-            yield f"filming {scenario}"
-            films.append(_film(results, scenario))
+            progress(f"filming {scenario}")
+            films.append(_film(results, scenario, selection))
         own = table[table["scenario"] == scenario].drop(columns="scenario")
-        chosen = own["controller"].isin(few(results.summaries, scenario)["controller"])
+        chosen = own["controller"].isin(selection.main)
         rows, others = (part.to_numpy().tolist() for part in (own[chosen], own[~chosen]))
-        told = answer(results.records, results.summaries, scenario)
-        sections.append(Section(scenario, told, rows, others, shown, films))
-    yield sections
+        text = answer(results.records, results.summaries, scenario)
+        sections.append(Section(scenario, text, rows, others, shown, films))
+    return sections
 
 
 def render(several: Sequence[Results], sections: list[Section], safeties: Sequence[Safety] = ()) -> str:
-    """The page, as HTML, of what `draw` has drawn of the same comparisons, and of collisions that were counted."""
-    results = several[0]
-    shares = results.summaries.filter(like="share_").max()
-    shown = set(shares[shares > 0].index)
+    """Return the page, as HTML, of what `draw` has drawn of the same comparisons, and of collision counts."""
+    summaries = pd.concat([one.summaries for one in several])
+    used = [name for name in MODELS if (summaries.get(share_column(name), pd.Series(dtype=float)) > 0).any()]
     environment = Environment(
         loader=PackageLoader("ms_highway", "data"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     return environment.get_template("report.html.jinja").render(
         sections=sections,
         headings=list(overview(several)),
-        safeties=[_counted(safety) for safety in safeties],
-        episodes=sorted(set(results.summaries["episodes"])),
-        models={name: MODEL_MEANINGS.get(name, "a model of one's own") for name in MODELS if f"share_{name}" in shown},
-        kinds=set(results.summaries["kind"]),
+        safeties=[_counted(safety, number) for number, safety in enumerate(safeties, 1)],
+        episodes=sorted(set(summaries["episodes"])),
+        models={name: MODEL_MEANINGS.get(name, "a model that was added") for name in used},
+        kinds=set(summaries["kind"]),
         semantics={
             name: SEMANTICS[name] for name in SEMANTICS if name in [one.settings["semantics"] for one in several]
         },
@@ -124,25 +135,26 @@ def render(several: Sequence[Results], sections: list[Section], safeties: Sequen
     )
 
 
-def _counted(safety: Safety) -> dict[str, Any]:
-    """Collisions that were counted: what they say, and the texts of the table by the scenario's title."""
+def _counted(safety: Safety, number: int) -> dict[str, Any]:
+    """Return collision counts as the template takes them: sentences, and the texts of the table by scenario."""
     cells = safety_cells(safety)
     order = cells.groupby("scenario", sort=False)
     groups = {title(name): order.get_group(name).iloc[:, 1:].to_numpy().tolist() for name in in_order(order.groups)}
-    return {"told": " ".join(safety_told(safety)), "headings": list(cells), "groups": groups}
+    text = " ".join(safety_sentences(safety))
+    heading = {"id": f"safety-{number}", "title": "Safety" if number == 1 else f"Safety, {safety.directory}"}
+    return {**heading, "text": text, "headings": list(cells), "groups": groups}
 
 
 def _made(results: Results | Safety) -> dict[str, Any]:
-    """What made some results, in texts."""
+    """Return what made some results, in texts."""
     settings = {name: _text(value) for name, value in results.settings.items() if name != "asked" and value != {}}
     runs = [{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in results.runs]
     return {"directory": str(results.directory), "settings": settings, "runs": runs}
 
 
-def _film(results: Results, scenario: str) -> Shown:
-    """The first episode of the controllers that are worth seeing, from the same start."""
-    controllers = worth_seeing(results.summaries, scenario)
-    seed = int(next(iter(common_seeds(results.records, scenario, controllers)), 0))
+def _film(results: Results, scenario: str, selection: Selection) -> Shown:
+    """Film an episode of the selected controllers from the same start."""
+    controllers, seed = selection.filmed, selection.film_seed
     films = [video.film(scenario, name, seed, **results.config(scenario)) for name in controllers]
     pictures = side_by_side(films)
     content = video.encoded(pictures, ".mp4", films[0].frames_per_second)
@@ -165,7 +177,7 @@ def _data(kind: str, content: bytes) -> str:
 
 
 def _text(value: Any) -> str:
-    """A value as people read it; of a mapping, its parts."""
+    """Return a value as text; of a mapping, its parts."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {_text(part)}" for name, part in value.items())
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -52,8 +52,8 @@ def _heading(film: Film, place: int, width: int, longest: float) -> UInt8[np.nda
     reward = np.mean([record["reward"] for record in film.records[: place + 1]])
     name = words(film.controller, NAME_SIZE, PAPER)
     surface.blit(name, name.get_rect(midleft=(MARGIN, middle)))
-    told = f"reward per step {reward:+.2f}      computing {1e3 * taken[-1]:.1f} ms"
-    numbers = words(told, NUMBERS_SIZE, PAPER)
+    text = f"reward per step {reward:+.2f}      computing {1e3 * taken[-1]:.1f} ms"
+    numbers = words(text, NUMBERS_SIZE, PAPER)
     surface.blit(numbers, numbers.get_rect(midright=(width - MARGIN, middle)))
     ends = np.concatenate([[0], taken]) / longest * width
     for record, start, end in zip(film.records, ends, ends[1:], strict=False):

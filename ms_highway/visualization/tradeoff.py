@@ -8,7 +8,7 @@ from matplotlib.ticker import PercentFormatter
 from ms_highway.experiments.tradeoff import best_schedules, reference
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import color_of
-from ms_highway.visualization.comparison import episodes_told
+from ms_highway.visualization.comparison import episode_count
 
 __all__ = ["curve"]
 
@@ -35,7 +35,7 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
         axes.set(xlabel="planning + deciding per step, measured [ms]")
     _share_axes(left, summaries, scenario)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
-    figure.suptitle(f"{title(scenario)}: reward against computation, {episodes_told(rows)}")
+    figure.suptitle(f"{title(scenario)}: reward against computation, {episode_count(rows)}")
     return figure
 
 

@@ -12,8 +12,8 @@ import pytest
 from ms_highway.cli.main import main
 from ms_highway.envs.drivers import controller_config
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.frontier import Outcomes, named
-from ms_highway.experiments.regret import EACH
+from ms_highway.experiments.frontier import Outcomes, controller_name
+from ms_highway.experiments.regret import BEST_PER_START
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import make_batch
 
@@ -52,8 +52,8 @@ def test_nothing_that_was_tried_from_a_start_is_better_than_its_best_order(searc
     assert len(found) == SEEDS
     np.testing.assert_allclose(found, tried.groupby("seed")[str(price)].max())
     behind = pd.read_csv(searched / "regrets.csv").query("price == @price").set_index("controller")
-    assert behind.loc[EACH, "regret"] == 0
-    assert behind.loc[EACH, "meta_reward"] == pytest.approx(found.mean())
+    assert behind.loc[BEST_PER_START, "regret"] == 0
+    assert behind.loc[BEST_PER_START, "meta_reward"] == pytest.approx(found.mean())
     own = tried.groupby("controller")[str(price)].mean()[["naive", "turn", "switching:0.001", "switching:0.1"]]
     np.testing.assert_allclose(behind.loc[own.index, "regret"], found.mean() - own)
     assert (behind["regret"] >= 0).all()
@@ -76,7 +76,7 @@ def test_the_search_finds_orders_that_are_better_than_all_with_a_single_switch(s
     """Round 1 tries some of these orders; most it does not."""
     batch = make_batch(Comparison({"merger": LADDER}, ladder=LADDER), "merger")
     switches = [(one,) * end + (1 - one,) * (STEPS - end) for one, end in product(range(2), range(STEPS))]
-    keys = [(named(LADDER, order), seed) for order in switches for seed in range(SEEDS)]
+    keys = [(controller_name(LADDER, order), seed) for order in switches for seed in range(SEEDS)]
     outcomes = Outcomes(batch).of(keys)
     orders = pd.read_csv(searched / "orders.csv").set_index("seed")
     for price in PRICES:
@@ -106,16 +106,16 @@ def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path
     assert len(json.loads((directory / "provenance.json").read_text())) == 1
     assert imageio.imread(directory / "merger_frontier.png").std() > 5
     printed = capsys.readouterr().out
-    for price, word in product(PRICES, ("best lambda", "best for all starts", EACH)):
+    for price, word in product(PRICES, ("best lambda", "best for all starts", BEST_PER_START)):
         assert word in printed.partition(f"a second of planning costs {price:g}")[2]
 
 
 def test_the_name_of_an_order_stands_for_its_models_step_by_step():
     random = np.random.default_rng(0)
     for order in random.integers(2, size=(20, STEPS)).tolist():
-        models = controller_config(named(LADDER, tuple(order)))["models"]
+        models = controller_config(controller_name(LADDER, tuple(order)))["models"]
         assert [*models, *[models[-1]] * (STEPS - len(models))] == [LADDER[rung] for rung in order]
-    assert named(LADDER, (1,) * STEPS) == "turn"
+    assert controller_name(LADDER, (1,) * STEPS) == "turn"
 
 
 def test_a_search_refuses_a_directory_of_other_settings_and_one_of_other_things(searched, tmp_path, capsys):
@@ -131,7 +131,7 @@ def test_outcomes_that_were_damaged_are_named(searched, tmp_path, capsys):
     shutil.copytree(searched, tmp_path / "out")
     (tmp_path / "out" / "merger_episodes.csv").write_text("controller,seed\n")
     line = failure(capsys, *SEARCH, "--out", str(tmp_path / "out"))
-    assert "merger_episodes.csv cannot be gone on with" in line
+    assert "merger_episodes.csv cannot be resumed" in line
     assert "remove it" in line
 
 
@@ -149,7 +149,7 @@ def test_outcomes_that_were_damaged_are_named(searched, tmp_path, capsys):
         (["merger", "--devices", "1000"], "1000 devices are wanted; this process has"),
         (["merger", "--ladder", "tom", "naive"], "cheapest first"),
         (["merger", "--costs", "measured"], "cannot measure plans"),
-        (["merger", "--human-reward", "learned"], "--human-reward is neither"),
+        (["merger", "--human-reward", "lerned"], "--human-reward is neither"),
     ],
 )
 def test_a_wrong_search_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):

@@ -12,7 +12,7 @@ from ms_highway.cli.main import main
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.provenance import read_runs
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.experiments.safety import Safety, read_safety, safety_cells, safety_told
+from ms_highway.experiments.safety import Safety, read_safety, safety_cells, safety_sentences
 from ms_highway.experiments.simulated import make_batch
 
 ROAD = [0.2, 9.0]  # 1/m, m/s^2: what tyres hold
@@ -66,15 +66,15 @@ def test_who_collides_is_told_by_limit_and_what_none_in_many_episodes_leaves_ope
     rows = [("merger", "naive", 50.0, 0), ("merger", "tom", 50.0, 0), ("merger", "naive", 9.0, 0)]
     rows += [("merger", "tom", 9.0, 127), ("stay_back", "naive", 9.0, 300), ("stay_back", "turn", 9.0, 299)]
     safety = told(tmp_path, *rows)
-    assert safety_told(safety) == [
+    assert safety_sentences(safety) == [
         "Within 0.2 1/m and 50 m/s², no controller collides.",
         "Within 0.2 1/m and 9 m/s², episodes with a collision are in Merger 127 of 300 with tom; in Stay Back 300 of "
         "300 with naive and 299 with turn.",
         "None in 300 leaves open that up to 1.0 % have one (90 % interval).",
     ]
     rows[-1] = ("stay_back", "turn", 9.0, 300)
-    assert "in Stay Back 300 of 300 with every controller." in safety_told(told(tmp_path, *rows))[1]
-    assert "0.2 rad/s and 9 m/s²" in safety_told(told(tmp_path, *rows, semantics="released"))[1]
+    assert "in Stay Back 300 of 300 with every controller." in safety_sentences(told(tmp_path, *rows))[1]
+    assert "0.2 rad/s and 9 m/s²" in safety_sentences(told(tmp_path, *rows, semantics="released"))[1]
     cells = safety_cells(safety).set_index(["scenario", "controller"])
     assert cells.loc[("merger", "tom")].tolist() == ["0 of 300", "127 of 300"]
     assert cells.loc[("stay_back", "turn")].tolist() == ["", "299 of 300"]

@@ -16,9 +16,10 @@ import pandas as pd
 import pytest
 
 from ms_highway.cli.main import main
+from ms_highway.cli.options import prices
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.settings import check_settings
-from ms_highway.experiments.sweep import Sweep, Worker, prices, run_sweep
+from ms_highway.experiments.resuming import check_settings
+from ms_highway.experiments.sweep import Sweep, Worker, run_sweep
 
 SWEEP = ["sweep", "stay_back", "--ladder", "naive", "--lambdas", "0.1:10:2", "--episodes", "24", "--part", "16"]
 """Three controllers of which none thinks hard: 72 episodes in five parts."""

@@ -12,7 +12,7 @@ from markdown_it import MarkdownIt
 from ms_highway.cli.compare import comparison
 from ms_highway.cli.main import build_parser
 from ms_highway.experiments.provenance import read_runs
-from ms_highway.experiments.regret import EACH
+from ms_highway.experiments.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.experiments.safety import read_safety, safety_cells
 from ms_highway.experiments.settings import SETTINGS_FILE, read_settings
@@ -149,5 +149,5 @@ def test_regrets_are_those_of_the_results_they_come_from():
             f"{own['regret'][name]:.2f} ({name.removeprefix('switching:')})"
             for name in (switching[scenario].idxmin(), common)
         ]
-        cells = [scenario, f"{own.loc[EACH, 'meta_reward']:.2f}", *fixed, f"{best:.2f}", *lambdas]
+        cells = [scenario, f"{own.loc[BEST_PER_START, 'meta_reward']:.2f}", *fixed, f"{best:.2f}", *lambdas]
         assert f"| {' | '.join(cells)} |" in TEXT

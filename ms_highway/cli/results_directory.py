@@ -1,0 +1,49 @@
+"""A run that owns its results directory: alone in it, under the same settings, with what made it on record."""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ms_highway.experiments.provenance import add_run, differing_versions, read_runs, this_run
+from ms_highway.experiments.resuming import check_settings
+from ms_highway.experiments.settings import write_settings
+from ms_highway.runtime.files import held, tidy
+
+__all__ = ["own_results"]
+
+
+@contextmanager
+def own_results(
+    options: argparse.Namespace, settings: Mapping[str, Any] | None = None, *parts: Path
+) -> Iterator[Callable[[], None]]:
+    """Let only this run write to the directory ``--out`` while the block runs.
+
+    Args:
+        options: of the command.
+        settings: of the results; without, the block checks and writes them.
+        parts: directories below ``--out`` that may hold files of a killed run.
+
+    Yields:
+        A function that records settings and provenance, to be called once the results are begun or there.
+
+    Raises:
+        ValueError: if another command is writing there, or what is there has other settings or cannot be read.
+    """
+    with held(options.out):
+        if settings is not None:
+            check_settings(options.out, settings)
+        read_runs(options.out)
+        tidy(options.out, *parts)
+
+        def record() -> None:
+            if settings is not None:
+                write_settings(options.out, settings)
+            run = this_run(options.command_line)
+            if differing := differing_versions(options.out, run):
+                print(f"ms-highway: {options.out} continues with {differing}; results may not agree", file=sys.stderr)
+            add_run(options.out, run)
+
+        yield record

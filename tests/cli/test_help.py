@@ -1,0 +1,52 @@
+"""Help: what it teaches, and that it is there at once."""
+
+import subprocess
+import sys
+from typing import get_args
+
+import pytest
+
+from ms_highway.cli import options
+from ms_highway.cli.main import main
+from ms_highway.envs import PAPER_SCENARIOS
+from ms_highway.envs.settings import HUMAN_REWARDS
+from ms_highway.optimization.solvers import Solver
+from ms_highway.planning.human_models import PAPER_MODELS
+
+COMMANDS = ["compare", "sweep", "frontier", "safety", "video", "report", "bench", "validate"]
+IRL_COMMANDS = [["irl", name] for name in ("record", "fit", "evaluate", "recover", "report")]
+
+
+@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS), ["irl"], *IRL_COMMANDS])
+def test_help_teaches_the_command(command, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([*command, "--help"])
+    assert ended.value.code == 0
+    text = capsys.readouterr().out
+    assert text.startswith("usage: ms-highway")
+    assert len(text) > 250
+
+
+HELP = """
+import sys
+from ms_highway.cli.main import main
+for command in ([], *([name] for name in sys.argv[1:])):
+    try:
+        main([*command, "--help"])
+    except SystemExit as ended:
+        assert ended.code == 0
+print(f"loaded: {sorted({'highway_env', 'jax', 'matplotlib', 'pandas', 'rich', 'scipy'} & set(sys.modules))}")
+"""
+
+
+def test_help_loads_neither_jax_nor_highway_env_nor_what_draws():
+    run = subprocess.run([sys.executable, "-c", HELP, *COMMANDS], capture_output=True, text=True, check=True)
+    assert run.stdout.count("usage: ms-highway") == 1 + len(COMMANDS)
+    assert run.stdout.endswith("loaded: []\n")
+
+
+def test_the_names_in_help_texts_are_those_that_are_known():
+    assert options.SCENARIO_NAMES == PAPER_SCENARIOS
+    assert set(options.SEMANTICS) == set(HUMAN_REWARDS)
+    assert get_args(Solver) == options.SOLVERS
+    assert tuple(options.CONTROLLERS.split(", ")[: len(PAPER_MODELS)]) == tuple(PAPER_MODELS)

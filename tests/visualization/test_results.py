@@ -1,0 +1,101 @@
+"""Directories of results: what made them, what they may hold, and what is shown of them."""
+
+import json
+import re
+import shutil
+from importlib.metadata import version
+
+import pandas as pd
+import pytest
+from comparisons import COMPARE, failure
+
+from ms_highway.cli.main import main
+from ms_highway.envs.drivers import controller_config
+from ms_highway.experiments.results import read_results
+from ms_highway.experiments.selection import telling_pair
+
+
+def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
+    runs = json.loads((compared / "provenance.json").read_text())
+    assert [run["command"][-1] for run in runs] == ["1", "2"]
+    assert runs[0]["time"] < runs[1]["time"]
+    assert runs[0]["machine"]["cores"] >= 1
+    assert runs[0]["versions"]["highway-env"] == version("highway-env")
+    assert main([*COMPARE, str(compared), "--seeds", "2"]) == 0
+    assert json.loads((compared / "provenance.json").read_text()) == runs
+
+
+def test_a_comparison_refuses_provenance_that_cannot_be_read_and_leaves_everything(tmp_path, capsys):
+    (tmp_path / "provenance.json").write_text("[")
+    assert "provenance.json cannot be read" in failure(capsys, *COMPARE, str(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["provenance.json"]
+
+
+def without_column(directory):
+    pd.read_csv(directory / "steps.csv").drop(columns="model").to_csv(directory / "steps.csv", index=False)
+
+
+def with_a_broken_line(directory):
+    with (directory / "steps.csv").open("a") as file:
+        file.write("stay_back,naive,2,0,naive,0.5\n")
+
+
+def renamed(old, new):
+    def rename(directory):
+        text = (directory / "steps.csv").read_text()
+        (directory / "steps.csv").write_text(re.sub(rf"(?m)(^|,){re.escape(old)}(?=,)", rf"\1{new}", text))
+
+    return rename
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (shutil.rmtree, "there is no directory"),
+        (lambda directory: (directory / "steps.csv").unlink(), "has no steps.csv; name a directory"),
+        (lambda directory: (directory / "settings.json").unlink(), "has no settings.json"),
+        (lambda directory: (directory / "settings.json").write_text("{"), "settings.json cannot be read"),
+        (lambda directory: (directory / "settings.json").write_text("{}"), "holds no settings"),
+        (lambda directory: (directory / "steps.csv").write_text(""), "steps.csv cannot be read"),
+        (lambda directory: (directory / "steps.csv").write_bytes(bytes(range(256))), "steps.csv cannot be read"),
+        (lambda directory: (directory / "provenance.json").write_text("{}"), "provenance.json is no list of runs"),
+        (without_column, "has no column model"),
+        (with_a_broken_line, "holds an unfinished episode"),
+        (renamed("naive", "brief"), "holds model 'brief', not one of naive, turn, tom; if it is your own, --import"),
+        (renamed("switching:0.4", "swerving"), "unknown controller 'swerving'"),
+        (renamed("stay_back", "zipper"), "holds scenario 'zipper', not one of stay_back, merger, give_way"),
+        (renamed("0.09", "cheap"), "has texts where numbers belong, in column counted_seconds"),
+    ],
+)
+def test_results_that_are_no_results_are_refused_in_one_line(spoil, message, compared, tmp_path, capsys):
+    directory = shutil.copytree(compared, tmp_path / "results", ignore=shutil.ignore_patterns("*.html"))
+    spoil(directory)
+    assert message in failure(capsys, "report", str(directory), "--out", str(tmp_path / "page.html"))
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_results_know_the_settings_of_their_environments(compared):
+    config = read_results(compared).config("stay_back")
+    assert config == {"semantics": "paper", "solver": "gradient", "human_reward": "learned", "costs": "published"}
+
+
+def test_the_best_fixed_model_is_shown_beside_switching_at_the_papers_conservative_lambda():
+    rows = [("naive", 1.0), ("switching:0.6", 3.0), ("tom", 5.0), ("switching:0.1", 4.0), ("turn", 2.0)]
+    rows += [("switching:0.001", 4.5)]
+    summaries = pd.DataFrame(
+        [
+            {
+                "scenario": "merger",
+                "controller": name,
+                "reward": reward,
+                "kind": config["type"],
+                "price": config.get("lambda"),
+            }
+            for name, reward in rows
+            for config in [controller_config(name)]
+        ]
+    )
+    assert telling_pair(summaries, "merger") == ["tom", "switching:0.1"]  # the paper's
+    assert telling_pair(summaries[summaries["price"] != 0.1], "merger") == ["tom", "switching:0.001"]
+    assert telling_pair(summaries[summaries["reward"] < 3], "merger") == ["naive", "turn"]
+    assert telling_pair(summaries[summaries["reward"] == 5], "merger") == ["tom"]
