@@ -32,7 +32,7 @@ def printed(tmp_path_factory):
 
 
 def test_every_example_runs_and_prints_something(printed):
-    assert {"brief", "drive", "feature", "humans_in_highway", "plan", "work_zone", "zipper"} <= set(printed)
+    assert {"brief", "drive", "feature", "humans_in_highway", "plan", "rule", "work_zone", "zipper"} <= set(printed)
     assert all(printed.values())
 
 
@@ -60,6 +60,12 @@ def test_the_robot_plans_another_control_under_each_model(printed):
     plans = re.findall(r"^(\w+) +robot (\[.*?\])", printed["plan"], re.MULTILINE)
     assert [model for model, _ in plans] == ["naive", "turn", "tom"]
     assert len({control for _, control in plans}) == 3
+
+
+def test_a_rule_of_ones_own_opens_the_gap_with_theory_of_mind_in_some_steps_only(printed):
+    reward, used, steps = re.findall(r"[\d.]+", printed["rule"])
+    assert float(reward) > 5
+    assert 0 < int(used) < int(steps) / 2
 
 
 def test_humans_drive_in_a_stock_environment(printed):
