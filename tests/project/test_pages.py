@@ -2,6 +2,7 @@
 
 import ast
 import re
+from pkgutil import resolve_name
 
 import nbformat
 import pytest
@@ -64,3 +65,10 @@ def test_every_link_leads_somewhere(page, link):
     target = (page.parent / place).resolve() if place else page
     assert target.exists()
     assert not anchor or anchor in anchors(target)
+
+
+@pytest.mark.parametrize("page", PAGES + NOTEBOOKS + EXAMPLES, ids=lambda path: path.name)
+def test_every_name_of_the_package_in_a_page_leads_somewhere(page):
+    text = prose(page) if page.suffix != ".py" else page.read_text()
+    for name in re.findall(r"`(ms_highway(?:\.\w+)+)", text):
+        resolve_name(name)
