@@ -17,16 +17,17 @@ from ms_highway.control.controller import Controller
 from ms_highway.control.fixed import FixedModel, ScheduledModels
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.envs.actions import Autopilot, HumanModelAction
-from ms_highway.envs.configuration import draw_models, game_of, known_costs, merged, switching_of
+from ms_highway.envs.drivers import FixedDriver, SwitchingDriver
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
+from ms_highway.envs.settings import Settings, merged
 from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game.game import swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT, TIME_STEP, Scenario, draw_starts
-from ms_highway.optimization.gradient_steps import PAPER_ASCENT
+from ms_highway.optimization.gradient_steps import PAPER_PLANNING
 from ms_highway.planning.compiled import measure_costs
-from ms_highway.planning.human_models import MODELS, HumanModel, Naive, ladder
+from ms_highway.planning.human_models import MODELS, HumanModel, Naive
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
 __all__ = ["Cone", "InteractionEnv", "Timing"]
@@ -84,11 +85,14 @@ class InteractionEnv(StageEnv):
     * ``influence``: ``"damped"``, ``"exact"``, or None for what belongs to the semantics (damped and exact).
     * ``control_limit``: bounds (omega, acceleration) on plans; ``"unlimited"``; or None for what belongs to the
       semantics: `ms_highway.game.scenario.PHYSICAL_LIMIT` in paper semantics, unlimited in released semantics.
+    * ``grip``: the total acceleration that tyres hold, of steering and speeding up or braking together [m/s^2], such as
+      `ms_highway.game.scenario.GRIP`: plans are cut down to it and what is executed keeps to it, without reversing;
+      None (default) looks at neither, as the paper. Agents that drive by themselves are not held.
     * ``solver``: how the robot improves its plans under naive and turn: ``"gradient"``, the paper's, or ``"newton"``.
     * ``warm_start``: whether the robot's plans start from the rest of the last plan rather than from zero controls.
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
-      robot and human plan, see `ms_highway.optimization.gradient_steps.Ascent`. Where iterations and step size are
-      None, what suits the horizon is chosen; steps that are longer than
+      robot and human plan, see `ms_highway.optimization.gradient_steps.PlanningSettings`. Where iterations and step
+      size are None, what suits the horizon is chosen; steps that are longer than
       `ms_highway.optimization.gradient_steps.longest_step` are warned of.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
@@ -99,7 +103,6 @@ class InteractionEnv(StageEnv):
     scenario: ClassVar[Scenario]
     action_space: spaces.Space | None
     viewer: InteractionViewer | None
-    models: tuple[HumanModel, ...]
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -114,12 +117,13 @@ class InteractionEnv(StageEnv):
             "human_reward": None,
             "influence": None,
             "control_limit": None,
+            "grip": None,
             "solver": "gradient",
             "warm_start": False,
-            "horizon": PAPER_ASCENT.horizon,
-            "time_step": PAPER_ASCENT.time_step,
-            "iterations": PAPER_ASCENT.iterations,
-            "step_size": PAPER_ASCENT.step_size,
+            "horizon": PAPER_PLANNING.horizon,
+            "time_step": PAPER_PLANNING.time_step,
+            "iterations": PAPER_PLANNING.iterations,
+            "step_size": PAPER_PLANNING.step_size,
             "duration": cls.scenario.steps * TIME_STEP,
             "terminate_on_collision": False,
             "simulation_frequency": 10,
@@ -142,11 +146,10 @@ class InteractionEnv(StageEnv):
         Raises:
             ValueError: for an unknown key or an impossible value.
         """
-        settings = merged(self.config, config)
-        self.game = game_of(self.scenario, settings)
-        self.models = ladder(settings["ladder"])
-        self.config = settings
-        self._costs = None
+        self.config = merged(self.config, config)
+        self.settings = Settings.read(self.config)
+        self.game = self.settings.game(self.scenario)
+        self._costs = self.settings.costs
         super().configure(None)
 
     def update_metadata(self, video_real_time_ratio: int = 1) -> None:
@@ -192,11 +195,11 @@ class InteractionEnv(StageEnv):
         if unknown:
             raise ValueError(f"unknown reset options {unknown}; the options are 'initial_states' and 'config'")
         self._initial_states = self._checked_states(options.get("initial_states"))
-        before = self.config, self.game, self.models, self._costs
+        before = self.config, self.settings, self.game, self._costs
         try:
             return super().reset(seed=seed, options=options)
         except ValueError:
-            self.config, self.game, self.models, self._costs = before
+            self.config, self.settings, self.game, self._costs = before
             raise
 
     def _checked_states(self, states: Any) -> Float[np.ndarray, "cars 4"] | None:
@@ -234,23 +237,26 @@ class InteractionEnv(StageEnv):
         """A start of every car, robot first, then the human, in SI units; see `draw_starts`."""
         return draw_starts(self.scenario, random)
 
+    @property
+    def models(self) -> tuple[HumanModel, ...]:
+        """The ladder."""
+        return self.settings.models
+
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:
-        settings, warm_start = self.config["controller"], self.config["warm_start"]
+        driver, warm_start = self.settings.driver, self.settings.warm_start
         costs = self.costs(states)  # to be measured now, if at all, and not within a step
         if isinstance(self.action_type, HumanModelAction):
             return FixedModel(self.game, self.models[0], self.models, warm_start)
-        if settings["type"] == "fixed":
-            return FixedModel(self.game, MODELS[settings["model"]], warm_start=warm_start)
-        if names := draw_models(settings, self.episode_steps, self.np_random):
-            return ScheduledModels(self.game, [MODELS[name] for name in names], warm_start)
-        switching = switching_of(self.config, costs, settings["lambda"], self.models)
-        return ModelSwitching(self.game, switching, warm_start)
+        if isinstance(driver, SwitchingDriver):
+            return ModelSwitching(self.game, self.settings.switching(costs, driver.price), warm_start)
+        if isinstance(driver, FixedDriver):
+            return FixedModel(self.game, MODELS[driver.model], warm_start=warm_start)
+        names = driver.draw(self.episode_steps, self.np_random)
+        return ScheduledModels(self.game, [MODELS[name] for name in names], warm_start)
 
     def costs(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "rungs"]:
         """T(M) of every model on the ladder [s]; where to be measured, once after each change of configuration."""
         names = [model.name for model in self.models]
-        if self._costs is None:
-            self._costs = known_costs(self.config)
         if self._costs is None:
             self._costs = dict(zip(names, measure_costs(self.game, self.models, states).tolist(), strict=True))
         return np.array([self._costs[name] for name in names])

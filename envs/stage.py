@@ -11,8 +11,9 @@ from highway_env.road.road import RoadNetwork
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.features import features
 from ms_highway.game.game import Game
-from ms_highway.game.reward import Reward, features
+from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 
 __all__ = ["StageEnv", "evaluate", "straight_road"]

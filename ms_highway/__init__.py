@@ -4,6 +4,7 @@ Importing the package registers its environments with Gymnasium, see `ms_highway
 names below are loaded when they are first used. `ms_highway.cli` is the command.
 """
 
+from ms_highway.runtime import forks as forks
 from ms_highway.runtime import interrupt
 
 interrupt.watch()  # first of all, as what follows takes seconds

@@ -19,8 +19,9 @@ from ms_highway.runtime.jax_settings import keep_compilations
 
 @pytest.fixture(scope="session", autouse=True)
 def shared_compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Commands and spawned workers that tests start find what has been compiled already."""
-    cache = str(tmp_path_factory.mktemp("compilation_cache"))
+    """All workers of a run, and the processes that tests start, find what one of them has compiled already."""
+    run = tmp_path_factory.getbasetemp()
+    cache = str((run.parent if "PYTEST_XDIST_WORKER" in os.environ else run) / "compilation_cache")
     settings = {"jax_compilation_cache_dir": cache, "jax_persistent_cache_min_compile_time_secs": 0.1}
     for name, value in settings.items():
         os.environ[name.upper()] = str(value)

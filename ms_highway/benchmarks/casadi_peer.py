@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ms_highway.game.collision_risk import CAR_SHARPNESS, OBSTACLE_SHARE, OBSTACLE_SHARPNESS
+from ms_highway.game.features import HEADING_SHARE
 from ms_highway.game.game import Game
-from ms_highway.game.reward import CAR_SHARPNESS, HEADING_SHARE, OBSTACLE_SHARE, OBSTACLE_SHARPNESS, Reward
+from ms_highway.game.reward import Reward
 
 __all__ = ["compiled_peer"]
 
@@ -37,13 +39,15 @@ def compiled_peer(
 
     Raises:
         ImportError: without CasADi.
-        ValueError: for a model without a peer.
+        ValueError: for a model without a peer, and for a game that looks at what tyres hold.
         OSError: without gcc.
     """
     try:
         import casadi
     except ImportError:
         raise ImportError('the peer needs CasADi: pip install "ms-highway[bench]"') from None
+    if game.planner.grip is not None:
+        raise ValueError("the peer knows bounds of each control only; leave out the grip")
     function = _plan(casadi, game, model, cars)
     generator = casadi.CodeGenerator("plan.c")
     generator.add(function)

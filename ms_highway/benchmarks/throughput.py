@@ -20,7 +20,7 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import Batch, Key, make_batch, run_episodes
 from ms_highway.runtime.jax_settings import high_throughput, keep_compilations
-from ms_highway.simulation.loop import use_devices
+from ms_highway.simulation.devices import use_devices
 
 __all__ = ["throughput"]
 
@@ -43,7 +43,7 @@ def throughput(
         scenario: its name.
         controllers: short names of controllers.
         sizes: numbers of episodes in a batch.
-        devices: how many to use, see `ms_highway.simulation.loop.use_devices`.
+        devices: how many to use, see `ms_highway.simulation.devices.use_devices`.
         modules: to import in the other process, for scenarios and models that they add.
         planning: how robot and human plan, see `ms_highway.experiments.comparison.Comparison`.
 

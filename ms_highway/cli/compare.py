@@ -24,7 +24,7 @@ from ms_highway.experiments.provenance import read_runs
 from ms_highway.experiments.results import read_results
 from ms_highway.experiments.runner import read, run
 from ms_highway.experiments.summary import summary
-from ms_highway.optimization.ascent import Solver
+from ms_highway.optimization.solvers import Solver
 from ms_highway.runtime.files import held, replacing, tidy
 from ms_highway.visualization.comparison import table
 from ms_highway.visualization.figures import CAPTIONS, figures

@@ -3,7 +3,7 @@
 import argparse
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-__all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "work"]
+__all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "telling", "work"]
 
 TABLE_WIDTH = 120  # characters
 
@@ -76,14 +76,20 @@ def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
     return done
 
 
-def work(progress: Iterator[str | Result]) -> Result:
-    """Show on standard error what a computation says that it is doing, until it yields its result."""
+@contextmanager
+def telling() -> Iterator[Callable[[str], None]]:
+    """Show on standard error, while the block runs, the last message that it has passed to what this yields."""
     columns = TextColumn("{task.description}"), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("reading", total=None)
+        yield lambda message: bar.update(task, description=message)
+
+
+def work(progress: Iterator[str | Result]) -> Result:
+    """Show on standard error the messages that a computation yields; return its result, which it yields last."""
+    with telling() as tell:
         for message in progress:
-            if isinstance(message, str):
-                bar.update(task, description=message)
-            else:
+            if not isinstance(message, str):
                 return message
+            tell(message)
     raise RuntimeError("a computation ended without a result")

@@ -32,7 +32,7 @@ from ms_highway.experiments.settings import SETTINGS_FILE, check_settings
 from ms_highway.experiments.simulated import Batch, make_batch
 from ms_highway.runtime.files import held, replacing, tidy
 from ms_highway.runtime.jax_settings import high_throughput
-from ms_highway.simulation.loop import use_devices
+from ms_highway.simulation.devices import use_devices
 from ms_highway.visualization.frontier import figure, regret_tables
 
 __all__ = ["add_frontier"]

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ms_highway.envs.configuration import HUMAN_REWARDS, PLANNING
+from ms_highway.envs.settings import HUMAN_REWARDS, PLANNING
 from ms_highway.experiments.provenance import add_run, differing_versions, this_run
 from ms_highway.game.learned_reward import load
 
@@ -64,7 +64,9 @@ def human_reward(text: str | None) -> str | dict[str, float] | None:
 
 def add_planning(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how robot and human plan, see `planning`, to a command."""
-    group = parser.add_argument_group("plans of robot and human", "see ms_highway.optimization.gradient_steps.Ascent")
+    group = parser.add_argument_group(
+        "plans of robot and human", "see ms_highway.optimization.gradient_steps.PlanningSettings"
+    )
     group.add_argument("--horizon", type=int, metavar="K", help="controls that are planned (default: 5)")
     group.add_argument("--time-step", type=float, metavar="SECONDS", help="of plans and world (default: 0.1)")
     group.add_argument("--iterations", type=int, help="gradient steps (default: as suits the horizon; paper: 20)")
@@ -74,6 +76,12 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
         metavar="OMEGA,ACCELERATION",
         help="bounds on the controls, or unlimited (default: 0.2,50 in paper semantics, 1/m and m/s^2; unlimited in "
         "released semantics)",
+    )
+    group.add_argument(
+        "--grip",
+        type=float,
+        metavar="ACCELERATION",
+        help="what tyres hold in all, (v^2 kappa)^2 + a^2 <= grip^2, such as 8 m/s^2 (default: not looked at)",
     )
 
 
@@ -129,7 +137,7 @@ def costs(text: str) -> str | dict[str, float]:
 
 
 def add_devices(parser: argparse.ArgumentParser) -> None:
-    """Add ``--devices``, see `ms_highway.simulation.loop.use_devices`, to a command."""
+    """Add ``--devices``, see `ms_highway.simulation.devices.use_devices`, to a command."""
     parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")
 
 

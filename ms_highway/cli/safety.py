@@ -29,7 +29,7 @@ from ms_highway.experiments.safety import SAFETY_FILE, Limit, count, read_safety
 from ms_highway.experiments.settings import SETTINGS_FILE, check_settings
 from ms_highway.runtime.files import held, replacing, tidy
 from ms_highway.runtime.jax_settings import high_throughput
-from ms_highway.simulation.loop import use_devices
+from ms_highway.simulation.devices import use_devices
 
 __all__ = ["add_safety"]
 

@@ -27,7 +27,7 @@ from ms_highway.experiments.settings import check_settings
 from ms_highway.runtime.files import held, replacing, tidy
 from ms_highway.runtime.jax_settings import high_throughput
 from ms_highway.runtime.peers import together
-from ms_highway.simulation.loop import use_devices
+from ms_highway.simulation.devices import use_devices
 from ms_highway.visualization.comparison import table
 from ms_highway.visualization.tradeoff import curve
 

@@ -7,7 +7,7 @@ from typing import Any
 from ms_highway.cli.console import add_command, draw_unseen
 from ms_highway.cli.options import CONTROLLERS, add_planning, add_semantics, human_reward, planning
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
-from ms_highway.envs.configuration import controller_config
+from ms_highway.envs.drivers import controller_config
 from ms_highway.experiments.comparison import paper_controllers
 from ms_highway.visualization import video
 from ms_highway.visualization.side_by_side import side_by_side

@@ -1,7 +1,7 @@
-"""What a controller is, and the record of its steps.
+"""Define controllers, the records of their steps, and what all controllers that plan have in common.
 
-Controllers work at the public boundary: float64 NumPy states and controls in SI units, car 0 is the one that is
-driven, car 1 its partner. They are the only stateful objects of the core.
+Controllers take and return float64 NumPy states and controls in SI units; car 0 is driven, car 1 is its partner. They
+are the only stateful objects of the core.
 """
 
 from collections.abc import Mapping
@@ -11,12 +11,13 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.control.fallback import PLANNED, STATUSES, Status, brake, followed
+from ms_highway.control.fallback import PLANNED, STATUSES, Status, brake, fallback_status
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
+from ms_highway.planning.compiled import CompiledPlans
 from ms_highway.planning.human_models import HumanModel, JointPlan
 
-__all__ = ["ControlStep", "Controller", "control_step", "rest_of", "with_stranger"]
+__all__ = ["ControlStep", "Controller", "PlanningController"]
 
 
 @dataclass(frozen=True)
@@ -24,15 +25,15 @@ class ControlStep:
     """Record of one step of a controller.
 
     Attributes:
-        control: what to execute now, ``(omega, acceleration)``.
-        plan: the controls planned over the horizon, [steps, 2]; fewer where only part of the last plan is left.
-        human: the partner's controls that the plan counts on, as many.
+        control: to execute now, ``(omega, acceleration)``.
+        plan: controls over the horizon; fewer where only part of the last plan is left.
+        human: the partner's controls that the plan expects.
         model: name of the human model that planned.
-        planning_seconds: wall time of the plan, compilation excluded.
-        decision_seconds: wall time of choosing the model, compilation excluded; 0 without a choice.
-        compile_seconds: time spent compiling and warming up in this step.
-        gains: estimated gain of switching to each model that was considered, by name.
-        status: how the control came about.
+        planning_seconds: wall time of the plan, without compilation.
+        decision_seconds: wall time of choosing the model, without compilation; 0 without a choice.
+        compile_seconds: wall time of compiling and warming up in this step.
+        gains: estimated gain of switching to each model considered, by name.
+        status: whether the control is planned, see `ms_highway.control.fallback.Status`.
     """
 
     control: Float[np.ndarray, "2"]
@@ -47,10 +48,10 @@ class ControlStep:
 
 
 class Controller(Protocol):
-    """Drives car 0 of a game, one step at a time.
+    """Drive car 0 of a game, one step at a time.
 
     Attributes:
-        game: what is played; it may change between steps, and one of the same shapes compiles nothing.
+        game: may be replaced between steps; a game of the same shapes compiles nothing.
     """
 
     game: Game
@@ -58,49 +59,75 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forget the past, before a new episode."""
 
-    def meet(self) -> None:
-        """Forget the partner: from now on, car 1 is another."""
+    def reset_partner(self) -> None:
+        """Forget the partner: from now on, car 1 is another car."""
 
     def step(
         self, state: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None = None
     ) -> ControlStep:
-        """Control for the coming step, given all cars now.
+        """Return the control of the coming step.
 
         Args:
             state: all cars now.
-            before: all cars before the last step, in the coordinates of now, where these have changed since.
+            before: all cars before the last step, in the present coordinates; needed where these have changed since.
         """
 
 
-def control_step(
-    game: Game,
-    model: HumanModel,
-    plan: JointPlan,
-    state: Float[np.ndarray, "cars 4"],
-    last: ControlStep | None,
-) -> ControlStep:
-    """The record of a scaled plan; where the plan is not finite, of what is left of the last one, or of braking."""
-    robot, human = (np.asarray(side) * np.asarray(game.planner.control_scale, dtype=float) for side in plan)
-    finite = bool(np.isfinite(robot).all() and np.isfinite(human).all())
-    left = len(last.plan) if last is not None and last.status != "braking" else 0
-    status, _ = followed(finite, left, len(robot))
-    if last is not None and STATUSES[status] == "previous plan":
-        robot, human = last.plan[1:], last.human[1:]
-    elif status != PLANNED:
-        robot = brake(game, state[0])
-        human = np.tile(keep_velocity(game.dynamics, np.asarray(state, dtype=float)[1]), (len(robot), 1))
-    return ControlStep(robot[0], robot, human, model.name, 0.0, status=STATUSES[status])
+class PlanningController:
+    """Plan with a human model; fall back where the plan is not finite; remember the last step.
 
+    Args:
+        game: of which car 0 is driven.
+        warm_start: whether plans start from the last one instead of from zero controls.
+    """
 
-def rest_of(game: Game, last: ControlStep | None) -> JointPlan | None:
-    """Where a warm start begins: the rest of the last plan, scaled, its last control repeated; None without one."""
-    if last is None:
-        return None
-    rest = np.minimum(np.arange(1, game.planner.horizon + 1), len(last.plan) - 1)
-    scale = np.asarray(game.planner.control_scale)
-    return JointPlan(last.plan[rest] / scale, last.human[rest] / scale)
+    def __init__(self, game: Game, warm_start: bool) -> None:
+        self.warm_start = warm_start
+        self.game = game
+        self.reset()
 
+    @property
+    def game(self) -> Game:
+        """Game that is played; may be replaced between steps, and a game of the same shapes compiles nothing."""
+        return self._game
 
-def with_stranger(last: ControlStep | None) -> ControlStep | None:
-    """The last step of a controller that meets another partner: what it expected of the last one says nothing."""
-    return last and replace(last, human=np.zeros_like(last.human))
+    @game.setter
+    def game(self, game: Game) -> None:
+        self._game = game
+        self._prepare(game)
+
+    def _prepare(self, game: Game) -> None:
+        """Prepare what is compiled for a game."""
+        self._plans = CompiledPlans(game)
+
+    def reset(self) -> None:
+        """Forget the last plan."""
+        self._last: ControlStep | None = None
+
+    def reset_partner(self) -> None:
+        """Forget what the last plan expected of the partner."""
+        self._last = self._last and replace(self._last, human=np.zeros_like(self._last.human))
+
+    def _plan(
+        self, model: HumanModel, state: Float[np.ndarray, "cars 4"], single: Float[np.ndarray, "cars 4"]
+    ) -> ControlStep:
+        """Plan with a model in a state, also given as `ms_highway.planning.compiled.checked_state`."""
+        plan, seconds = self._plans.plan(model, single, self._warm_plan() if self.warm_start else None)
+        scale = np.asarray(self.game.planner.control_scale, dtype=float)
+        robot, human = (np.asarray(side) * scale for side in plan)
+        left = len(self._last.plan) if self._last is not None and self._last.status != "braking" else 0
+        status, _ = fallback_status(bool(np.isfinite(robot).all() and np.isfinite(human).all()), left, len(robot))
+        if self._last is not None and STATUSES[status] == "previous plan":
+            robot, human = self._last.plan[1:], self._last.human[1:]
+        elif status != PLANNED:
+            robot = brake(self.game, state[0])
+            human = np.tile(keep_velocity(self.game.dynamics, np.asarray(state, dtype=float)[1]), (len(robot), 1))
+        return ControlStep(robot[0], robot, human, model.name, seconds, status=STATUSES[status])
+
+    def _warm_plan(self) -> JointPlan | None:
+        """Return the rest of the last plan, scaled, its last control repeated; None without a last plan."""
+        if self._last is None:
+            return None
+        rest = np.minimum(np.arange(1, self.game.planner.horizon + 1), len(self._last.plan) - 1)
+        scale = np.asarray(self.game.planner.control_scale)
+        return JointPlan(self._last.plan[rest] / scale, self._last.human[rest] / scale)

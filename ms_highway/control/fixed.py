@@ -1,4 +1,4 @@
-"""Drive with human models that were chosen beforehand: one for all steps, or a schedule."""
+"""Drive with human models that are chosen beforehand: one for all steps, or a schedule."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,23 +6,23 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.control.controller import ControlStep, control_step, rest_of, with_stranger
+from ms_highway.control.controller import ControlStep, PlanningController
 from ms_highway.game.game import Game
-from ms_highway.planning.compiled import CompiledPlans, checked_state
+from ms_highway.planning.compiled import checked_state
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.jax_settings import refuse_after_fork
+from ms_highway.runtime.forks import refuse_after_fork
 
 __all__ = ["FixedModel", "ScheduledModels"]
 
 
-class FixedModel:
-    """Plans every step with the same human model.
+class FixedModel(PlanningController):
+    """Plan every step with the same human model.
 
     Args:
-        game: what is played; car 0 is driven.
-        model: the human model that plans; it may be replaced between steps.
-        ladder: the models that it may be replaced by, to be compiled before the first step.
-        warm_start: whether plans start from the last one rather than from zero controls.
+        game: of which car 0 is driven.
+        model: human model that plans; may be replaced between steps.
+        ladder: models that may replace it, compiled before the first step.
+        warm_start: whether plans start from the last one instead of from zero controls.
     """
 
     def __init__(
@@ -30,53 +30,30 @@ class FixedModel:
     ) -> None:
         self.model = model
         self.ladder = ladder
-        self.warm_start = warm_start
-        self.game = game
-        self.reset()
-
-    @property
-    def game(self) -> Game:
-        """What is played; it may change between steps, and one of the same shapes compiles nothing."""
-        return self._game
-
-    @game.setter
-    def game(self, game: Game) -> None:
-        self._game = game
-        self._plans = CompiledPlans(game)
-
-    def reset(self) -> None:
-        """Forget the last plan."""
-        self._last: ControlStep | None = None
-
-    def meet(self) -> None:
-        """Forget what the last plan expected of the partner."""
-        self._last = with_stranger(self._last)
+        super().__init__(game, warm_start)
 
     def step(
         self, state: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None = None
     ) -> ControlStep:
-        """Control for the coming step, whatever was before.
+        """Return the control of the coming step; ``before`` is ignored.
 
         Raises:
             ValueError: if the state is not a finite array [cars, 4] of two cars or more.
         """
         refuse_after_fork()
-        now = checked_state(state)
-        compiling = self._plans.warm_up([self.model] if self._last else [*self.ladder, self.model], now)
-        start = rest_of(self.game, self._last) if self.warm_start else None
-        plan, seconds = self._plans.plan(self.model, now, start)
-        planned = control_step(self.game, self.model, plan, state, self._last)
-        self._last = replace(planned, planning_seconds=seconds, compile_seconds=compiling)
+        single = checked_state(state)
+        compiling = self._plans.warm_up([self.model] if self._last else [*self.ladder, self.model], single)
+        self._last = replace(self._plan(self.model, state, single), compile_seconds=compiling)
         return self._last
 
 
-class ScheduledModels:
-    """Plans with human models in an order that was fixed beforehand, whatever happens.
+class ScheduledModels(FixedModel):
+    """Plan with human models in a given order.
 
     Args:
-        game: what is played; car 0 is driven.
-        models: one per step of the episode; the last one goes on.
-        warm_start: whether plans start from the last one rather than from zero controls.
+        game: of which car 0 is driven.
+        models: one per step of the episode; the last one stays.
+        warm_start: whether plans start from the last one instead of from zero controls.
 
     Raises:
         ValueError: without a model.
@@ -86,36 +63,22 @@ class ScheduledModels:
         if not models:
             raise ValueError("a schedule needs one human model at least")
         self.models = tuple(models)
-        self._driver = FixedModel(game, self.models[0], tuple(dict.fromkeys(self.models)), warm_start)
-        self.reset()
-
-    @property
-    def game(self) -> Game:
-        """What is played; it may change between steps, and one of the same shapes compiles nothing."""
-        return self._driver.game
-
-    @game.setter
-    def game(self, game: Game) -> None:
-        self._driver.game = game
+        super().__init__(game, self.models[0], tuple(dict.fromkeys(self.models)), warm_start)
 
     def reset(self) -> None:
         """Start the schedule again."""
-        self._driver.reset()
+        super().reset()
         self._steps = 0
-
-    def meet(self) -> None:
-        """Forget what the last plan expected of the partner; the schedule goes on."""
-        self._driver.meet()
 
     def step(
         self, state: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None = None
     ) -> ControlStep:
-        """Control for the coming step, by the model whose turn it is.
+        """Return the control of the coming step, planned with the model that is scheduled for it.
 
         Raises:
             ValueError: if the state is not a finite array [cars, 4] of two cars or more.
         """
-        self._driver.model = self.models[min(self._steps, len(self.models) - 1)]
-        planned = self._driver.step(state)
+        self.model = self.models[min(self._steps, len(self.models) - 1)]
+        planned = super().step(state)
         self._steps += 1
         return planned

@@ -1,71 +1,64 @@
-"""Drive with the human model that Algorithm 1 finds worth its time."""
+"""Drive with the human model that Algorithm 1 chooses."""
 
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.control.controller import ControlStep, control_step, rest_of, with_stranger
+from ms_highway.control.controller import ControlStep, PlanningController
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.compiled import CompiledDecision, Observation
-from ms_highway.metareasoning.switching import Switching, first_memory
-from ms_highway.planning.compiled import CompiledPlans, checked_state
-from ms_highway.runtime.jax_settings import refuse_after_fork
+from ms_highway.metareasoning.switching import Switching, check_costs, first_memory
+from ms_highway.planning.compiled import checked_state
+from ms_highway.runtime.forks import refuse_after_fork
 
 __all__ = ["ModelSwitching"]
 
 
-class ModelSwitching:
-    """Plans every step with the human model that Algorithm 1 finds worth its time.
+class ModelSwitching(PlanningController):
+    """Plan every step with the human model that Algorithm 1 chooses.
 
     Args:
-        game: what is played; car 0 is driven.
+        game: of which car 0 is driven.
         switching: ladder, costs, lambda and the numbers of the algorithm.
-        warm_start: whether plans start from the last one rather than from zero controls.
+        warm_start: whether plans start from the last one instead of from zero controls.
 
     Raises:
         ValueError: if there is not one cost for each rung of the ladder.
     """
 
     def __init__(self, game: Game, switching: Switching, warm_start: bool = False) -> None:
-        if np.shape(switching.costs) != (len(switching.ladder),):
-            names = ", ".join(model.name for model in switching.ladder)
-            raise ValueError(f"costs are {switching.costs}; give one for each of {names}")
+        check_costs(switching)
         self.switching = switching
-        self.warm_start = warm_start
-        self.game = game
-        self.reset()
+        super().__init__(game, warm_start)
 
-    @property
-    def game(self) -> Game:
-        """What is played; it may change between steps, and one of the same shapes compiles nothing."""
-        return self._game
-
-    @game.setter
-    def game(self, game: Game) -> None:
-        self._game = game
-        self._plans, self._decision = CompiledPlans(game), CompiledDecision(self.switching, game)
+    def _prepare(self, game: Game) -> None:
+        super()._prepare(game)
+        self._decision = CompiledDecision(self.switching, game)
         self._warm = False
 
     def reset(self) -> None:
         """Start again at the bottom of the ladder."""
-        self._memory = first_memory(self.switching)
-        self._last: ControlStep | None = None
-        self._before: Float[np.ndarray, "cars 4"] | None = None
+        super().reset()
+        self._start_again()
 
-    def meet(self) -> None:
-        """Start again at the bottom of the ladder; how the last step went tells nothing of another partner."""
+    def reset_partner(self) -> None:
+        """Start again at the bottom of the ladder: the last step says nothing about another partner."""
+        super().reset_partner()
+        self._start_again()
+
+    def _start_again(self) -> None:
         self._memory = first_memory(self.switching)
-        self._last, self._before = with_stranger(self._last), None
+        self._before: Float[np.ndarray, "cars 4"] | None = None
 
     def step(
         self, state: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None = None
     ) -> ControlStep:
-        """Control for the coming step, after choosing the model from how the last step went.
+        """Return the control of the coming step, after choosing the model from the outcome of the last step.
 
         Args:
             state: all cars now.
-            before: all cars before the last step, in the coordinates of now, where these have changed since.
+            before: all cars before the last step, in the present coordinates; needed where these have changed since.
 
         Raises:
             ValueError: if a state is not a finite array [cars, 4] of two cars or more.
@@ -76,17 +69,13 @@ class ModelSwitching:
         if self._last is not None and self._before is not None:
             before = self._before if before is None else checked_state(before)
             deciding, gains = self._choose(before, self._last.control, now)
-        model = self.switching.ladder[int(self._memory.rung)]
-        plan, planning = self._plans.plan(model, now, rest_of(self.game, self._last) if self.warm_start else None)
-        record = control_step(self.game, model, plan, state, self._last)
+        planned = self._plan(self.switching.ladder[int(self._memory.rung)], state, now)
         self._before = now
-        self._last = replace(
-            record, planning_seconds=planning, decision_seconds=deciding, compile_seconds=compiling, gains=gains
-        )
+        self._last = replace(planned, decision_seconds=deciding, compile_seconds=compiling, gains=gains)
         return self._last
 
     def _warm_up(self, state: Float[np.ndarray, "cars 4"]) -> float:
-        """Compile every rung and the decision before the first control of a game is due; seconds spent."""
+        """Compile every rung and the decision before the first control of a game; return the seconds spent."""
         if self._warm:
             return 0.0
         self._warm = True
@@ -95,7 +84,7 @@ class ModelSwitching:
     def _choose(
         self, before: Float[np.ndarray, "cars 4"], executed: Float[np.ndarray, "2"], now: Float[np.ndarray, "cars 4"]
     ) -> tuple[float, dict[str, float]]:
-        """Take the decision; seconds spent, and the gains estimated by name of the alternative."""
+        """Decide; return the seconds spent and the estimated gains by name of the alternative."""
         rung, ladder = int(self._memory.rung), self.switching.ladder
         decision, seconds = self._decision.decide(self._memory, Observation(before, executed, now))
         self._memory = decision.memory

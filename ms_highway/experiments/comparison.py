@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
-from ms_highway.envs.configuration import HUMAN_REWARDS, controller_config, merged
-from ms_highway.optimization.ascent import Solver
+from ms_highway.envs.drivers import controller_config
+from ms_highway.envs.settings import HUMAN_REWARDS, merged
+from ms_highway.optimization.solvers import Solver
 
 __all__ = ["Comparison", "episode_steps", "paper_controllers"]
 
@@ -21,12 +22,12 @@ class Comparison:
         semantics: ``paper`` or ``released``.
         costs: T(M) in the decisions: ``published``, ``measured``, or seconds by model.
         solver: how the robot improves its plans, ``gradient`` or ``newton``, see
-            `ms_highway.optimization.ascent.climb`.
+            `ms_highway.optimization.solvers.optimize_controls`.
         human_reward: what humans drive for: ``learned``, ``published``, weights by name, or None for what belongs to
             the semantics.
         ladder: names of the human models that switching chooses from; without it, the scenario's own.
         first_seed: of the first episode, from which all others count on.
-        planning: what differs from the scenarios' own of the keys `ms_highway.envs.configuration.PLANNING`, by key.
+        planning: what differs from the scenarios' own of the keys `ms_highway.envs.settings.PLANNING`, by key.
     """
 
     controllers: dict[str, list[str]]

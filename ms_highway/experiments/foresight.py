@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from ms_highway.control.fixed import FixedModel
 from ms_highway.game.dynamics import Dynamics, keep_velocity, step
+from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_roles
-from ms_highway.game.reward import reward
 from ms_highway.planning.compiled import checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
 

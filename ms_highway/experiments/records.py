@@ -11,7 +11,7 @@ __all__ = ["KEYS", "MAY_LACK", "NEEDED", "check_numbers", "columns", "common_see
 
 KEYS = ["scenario", "controller", "seed"]
 TEXTS, NUMBERS = (
-    ("scenario", "controller", "model"),
+    ("scenario", "controller", "model", "status"),
     ("seed", "step", "reward", "planning_seconds", "decision_seconds"),
 )
 NEEDED = {*TEXTS, *NUMBERS, "collision"}  # of the columns, those that are never empty

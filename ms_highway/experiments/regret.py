@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from ms_highway.envs.configuration import controller_config
+from ms_highway.envs.drivers import controller_config
 from ms_highway.experiments.summary import interval
 
 __all__ = ["EACH", "best", "best_for_all", "meta_reward", "regrets"]

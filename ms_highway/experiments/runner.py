@@ -14,7 +14,7 @@ import pandas as pd
 
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.configuration import controller_config
+from ms_highway.envs.drivers import controller_config
 from ms_highway.experiments.comparison import Comparison, episode_steps
 from ms_highway.experiments.records import KEYS, NEEDED, check_numbers, columns
 from ms_highway.experiments.settings import GROWING, SETTINGS_FILE, read_settings, refuse_others

@@ -16,12 +16,15 @@ from jaxtyping import Float, Int
 from ms_highway.control.fallback import STATUSES
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.configuration import controller_config, draw_models, known_costs, named_models, switching_of
+from ms_highway.envs.drivers import Driver, controller_config, driver
+from ms_highway.envs.settings import Settings
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import columns
 from ms_highway.game.scenario import Scenario
 from ms_highway.planning.human_models import MODELS
-from ms_highway.simulation.loop import DECIDES, Episodes, Loop, Records, simulate, usual_chunk
+from ms_highway.simulation.devices import usual_chunk
+from ms_highway.simulation.loop import simulate
+from ms_highway.simulation.records import DECIDES, Episodes, Loop, Records
 
 __all__ = [
     "Batch",
@@ -111,7 +114,8 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     if not controllers:
         raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")
     configs = [comparison.config(scenario, controller) for controller in controllers]
-    costs = known_costs(configs[0])
+    settings = [Settings.read(config) for config in configs]
+    costs = settings[0].costs
     if costs is None:
         remedy = "say 'published', or give seconds by model"
         raise ValueError(f"costs are {comparison.costs!r}, and a simulation cannot measure plans; {remedy}")
@@ -127,11 +131,10 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"{told}; change its scenario, its game (in `configure`) or `draw_starts`, or use `compare`")
     environment = kind(config)
     rungs = environment.models
-    used = {name for config in configs for name in named_models(config["controller"])}
+    used = {name for one in settings for name in one.driver.names()}
     others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
     seconds = np.array([costs[model.name] for model in rungs], np.float32)
-    switching = switching_of(config, seconds, 0.0, rungs)
-    loop = Loop(environment.game, switching, others, usual_chunk())
+    loop = Loop(environment.game, settings[0].switching(seconds, 0.0), others, usual_chunk())
     return Batch(comparison, environment.scenario, loop, dict(costs), environment)
 
 
@@ -153,24 +156,22 @@ def _random(seed: int) -> np.random.Generator:
 
 def episodes_of(batch: Batch, keys: Sequence[Key]) -> Episodes:
     """What is to be simulated, see `run_episodes`."""
-    configs = {name: controller_config(name) for name, _ in keys}
-    drawn = [_drawn(batch, configs[name], seed) for name, seed in keys]
+    drivers = {name: driver(controller_config(name)) for name, _ in keys}
+    drawn = [_drawn(batch, drivers[name], seed) for name, seed in keys]
     weights = (np.asarray(reward.weights) for reward in (batch.loop.game.robot, batch.loop.game.human))
     return Episodes(
         np.array([start for start, _ in drawn], np.float32),
-        np.array([configs[name].get("lambda", 0.0) for name, _ in keys], np.float32),
+        np.array([getattr(drivers[name], "price", 0.0) for name, _ in keys], np.float32),
         np.array([schedule for _, schedule in drawn], np.int32),
         *(np.broadcast_to(row, (len(keys), len(row))) for row in weights),
     )
 
 
-def _drawn(
-    batch: Batch, controller: dict[str, Any], seed: int
-) -> tuple[Float[np.ndarray, "cars 4"], Int[np.ndarray, "steps"]]:
+def _drawn(batch: Batch, driver: Driver, seed: int) -> tuple[Float[np.ndarray, "cars 4"], Int[np.ndarray, "steps"]]:
     """What the environment draws at a reset, in its order: the start, and the models of a random controller."""
     random, steps, models = _random(seed), batch.steps, batch.models
     states = batch.environment.draw_starts(random)
-    scheduled = [models.index(name) for name in draw_models(controller, steps, random)] or [DECIDES]
+    scheduled = [models.index(name) for name in driver.draw(steps, random)] or [DECIDES]
     return states, np.array(scheduled)[np.minimum(np.arange(steps), len(scheduled) - 1)]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ms_highway.envs.configuration import controller_config
+from ms_highway.envs.drivers import controller_config
 from ms_highway.planning.human_models import MODELS
 
 __all__ = ["CONFIDENCE", "earned", "interval", "summary"]
@@ -21,7 +21,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     ``reward_low`` and ``reward_high``, the 90 % interval of the mean over episodes (Student's t), and ``reward_std``
     over episodes; ``planning_ms`` and ``decision_ms`` per step as measured; ``counted_ms`` per step, planning at the
     seconds T(M) that decisions count, empty where one is not known; ``share_MODEL`` of steps; ``collision_episodes``,
-    in which the robot collided at least once.
+    in which the robot collided at least once; ``fallbacks``, steps whose plan failed, of all episodes together.
 
     Raises:
         ValueError: for an unknown controller.
@@ -37,6 +37,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
                 "decision_ms": 1e3 * steps["decision_seconds"].mean(),
                 **{f"share_{model}": (steps["model"] == model).mean() for model in MODELS},
                 "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
+                "fallbacks": int((steps["status"] != "planned").sum()),
             }
         )
     return pd.DataFrame(rows)

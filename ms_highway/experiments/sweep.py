@@ -153,7 +153,7 @@ def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: W
     Args:
         sweep: what to compute.
         directory: where the parts are.
-        mesh: devices, each of which computes a part at a time; see `ms_highway.simulation.loop.device_mesh`.
+        mesh: devices, each of which computes a part at a time; see `ms_highway.simulation.devices.device_mesh`.
         worker: which of the parts this process computes.
 
     Yields:
@@ -262,6 +262,7 @@ def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
                 "counted_ms": 1e3 * some["counted_seconds"].mean(skipna=False),
                 **{name: some[name].mean() for name in some if name.startswith("share_")},
                 "collision_episodes": int((some["collisions"] > 0).sum()),
+                "fallbacks": int(some["fallbacks"].sum()),
             }
         )
     return pd.DataFrame(rows)

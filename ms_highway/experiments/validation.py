@@ -18,8 +18,8 @@ from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.envs import SCENARIOS
+from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_roles
-from ms_highway.game.reward import reward
 from ms_highway.game.scenario import build_game
 from ms_highway.metareasoning.switching import (
     PUBLISHED_COSTS,

@@ -1,14 +1,13 @@
-"""How a car moves: one step, a rollout of several, and the inverse of a step.
+"""Move cars: one step, a rollout of several, and the inverse of a step.
 
-A car's state is ``(x, y, heading, speed)`` and its control ``(omega, acceleration)``. What a control does to the car
-is told by two words:
+A car's state is ``(x, y, heading, speed)`` and its control ``(omega, acceleration)``. Two options define the dynamics:
 
 * steering ``curvature``: omega is the curvature of the path [1/m], ``heading' = v omega`` (Sec. IV-A of the paper);
   ``yaw_rate``: omega is the yaw rate [rad/s], ``heading' = omega`` (the paper's released code).
 * friction ``linear``: ``v' = a - drag v`` with drag in 1/s (Sec. IV-A); ``quadratic``: ``v' = a - drag v^2`` with drag
   in 1/m (the released code's world).
 
-`step`, `keep_velocity` and `recover_control` take NumPy arrays as well as JAX arrays and answer in kind, so that
+`step`, `keep_velocity` and `recover_control` take and return either NumPy or JAX arrays, so that
 vehicles (float64, NumPy) and planners (float32, JAX) share the equations.
 """
 
@@ -39,11 +38,11 @@ __all__ = [
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Dynamics:
-    """A law of motion with its numbers.
+    """Parameters of the dynamics.
 
     Attributes:
-        steering: what omega is, ``curvature`` or ``yaw_rate`` (static).
-        friction: how drag depends on speed, ``linear`` or ``quadratic`` (static).
+        steering: meaning of omega, ``curvature`` or ``yaw_rate`` (static).
+        friction: dependence of drag on speed, ``linear`` or ``quadratic`` (static).
         drag: coefficient of friction, in 1/s or 1/m.
         time_step: duration of one step [s].
     """
@@ -55,7 +54,7 @@ class Dynamics:
 
 
 class Motion(NamedTuple):
-    """What rewards look at: where cars are, where they point, how fast they are; arrays of one shape [*cars, *times].
+    """Positions, directions and speeds of cars, from which rewards are computed; arrays [*cars, *times].
 
     Attributes:
         x, y: position [m].
@@ -71,20 +70,20 @@ class Motion(NamedTuple):
 
 
 def observe(states: Float[Array, "*shape 4"]) -> Motion:
-    """The motion, arrays [*shape], that an array of states describes."""
+    """Convert states to a motion, arrays [*shape]."""
     x, y, heading, speed = jnp.moveaxis(jnp.asarray(states), -1, 0)
     return Motion(x, y, jnp.cos(heading), jnp.sin(heading), speed)
 
 
 def _resistance(dynamics: Dynamics, speed: SameArray) -> SameArray:
-    """Deceleration by friction [m/s^2]."""
+    """Return the deceleration by friction [m/s^2]."""
     return (speed if dynamics.friction == "linear" else speed**2) * dynamics.drag
 
 
 def step(
     dynamics: Dynamics, state: Float[SameArray, "*cars 4"], control: Float[SameArray, "*cars 2"]
 ) -> Float[SameArray, "*cars 4"]:
-    """The state one time step later.
+    """Return the state one time step later.
 
     With a' the acceleration less friction, ``d = v dt + a' dt^2 / 2``, and old values on the right-hand side::
 
@@ -110,14 +109,14 @@ def step(
 def rollout(
     dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], controls: Float[jax.Array, "*cars steps 2"]
 ) -> Motion:
-    """The motion after each of a sequence of controls, arrays [*cars, steps] (the initial state is left out).
+    """Return the motion after each of a sequence of controls, arrays [*cars, steps] (without the initial state).
 
-    The same as as many calls of `step`, but all steps at once: with linear friction, speeds are a weighted sum of the
+    Equals repeated calls of `step`, but computes all steps at once: with linear friction, speeds are weighted sums of
     accelerations, ``v_k = (1 - drag dt)^k v_0 + dt sum_j (1 - drag dt)^(k-1-j) a_j``, and headings and positions are
-    cumulative sums. A few array operations compile and run many times faster than a chain of small ones.
+    cumulative sums. Few array operations compile and run many times faster than a chain of small ones.
 
     Raises:
-        ValueError: for quadratic friction, which has no such form.
+        ValueError: for quadratic friction, which has no such closed form.
     """
     if dynamics.friction != "linear":
         raise ValueError("a rollout needs linear friction; with quadratic friction, repeat `step`")
@@ -126,7 +125,7 @@ def rollout(
     before = speed[..., :-1]
     yaw_rate = before * controls[..., 0] if dynamics.steering == "curvature" else controls[..., 0]
     heading = _accumulate(plain, state[..., 2], yaw_rate * dt)
-    # The barrier keeps XLA from working out sines and cosines again wherever they are used.
+    # Without the barrier, XLA would compute sines and cosines again at each use.
     direction = jax.lax.optimization_barrier(jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=-2))
     distance = before * dt + (controls[..., 1] - _resistance(dynamics, before)) * dt**2 / 2
     position = _accumulate(plain[1:], state[..., :2], distance[..., None, :] * direction[..., :-1])
@@ -137,21 +136,21 @@ def rollout(
 def speeds(
     dynamics: Dynamics, speed: Float[jax.Array, "*cars"], accelerations: Float[jax.Array, "*cars steps"]
 ) -> Float[jax.Array, "*cars states"]:
-    """Speeds now and after each of a sequence of accelerations, with linear friction, see `rollout`."""
+    """Return the speeds now and after each of a sequence of accelerations, with linear friction, see `rollout`."""
     plain, age = _plain(accelerations.shape[-1], accelerations.dtype)
     fading = plain * (1 - dynamics.drag * dynamics.time_step) ** np.maximum(age, 0)
     return _accumulate(fading, speed, accelerations * dynamics.time_step)
 
 
 def _plain(steps: int, dtype: np.dtype) -> tuple[Float[jax.Array, "states terms"], Int[np.ndarray, "states terms"]]:
-    """Weights of plain sums, 1 for each term that counts for a state, and the steps from each term to each state."""
+    """Return weights of cumulative sums, 1 for terms up to a state, and the steps from each term to each state."""
     terms = np.arange(steps + 1)
     age = terms[:, None] - terms  # below 0: not yet
     return jnp.asarray(age >= 0, dtype=dtype), age
 
 
 def _accumulate(weights: Float[jax.Array, "states terms"], initial: jax.Array, changes: jax.Array) -> jax.Array:
-    """An initial value and its sums with the changes so far; unlike a small matrix product, fused with the rest."""
+    """Accumulate weighted changes on an initial value; unlike a small matrix product, XLA fuses this."""
     return jnp.sum(weights * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
 
 
@@ -162,17 +161,17 @@ def within_grip(
     control: Float[SameArray, "*cars 2"],
     bend: float | Float[SameArray, ""] = 0.0,
 ) -> Float[SameArray, "*cars 2"]:
-    """The nearest control that tyres hold and that does not reverse, in one step of a car of this speed.
+    """Scale a control down to the friction circle, and brake at most to a stop within one step.
 
     Tyres hold ``(v^2 k)^2 + v'^2 <= grip^2``, the friction circle: k is the curvature of the path, the road's included,
-    and v' the acceleration less friction. What leaves it is scaled down, to the side and along the path alike.
+    and v' the acceleration less friction. Lateral and longitudinal acceleration are scaled by the same factor.
 
     Args:
-        dynamics: the law of motion and the duration of the step.
-        grip: the total acceleration that the tyres hold [m/s^2].
+        dynamics: dynamics and duration of the step.
+        grip: total acceleration that the tyres hold [m/s^2].
         speed: before the step; a car that rolls backwards is stopped.
         control: in the coordinates of the road.
-        bend: curvature of the road [1/m], which such coordinates leave out.
+        bend: curvature of the road [1/m], which these coordinates straighten.
     """
     xp = control.__array_namespace__()
     turn = bend if dynamics.steering == "curvature" else bend * speed
@@ -185,7 +184,7 @@ def within_grip(
 
 
 def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) -> Motion:
-    """The motion over ``steps`` steps at constant velocity, arrays [*cars, steps] (the initial state is left out)."""
+    """Return the motion at constant velocity, arrays [*cars, steps] (without the initial state)."""
     now = Motion(*(field[..., None] for field in observe(state)))
     distance = now.speed * jnp.arange(1, steps + 1) * dynamics.time_step
     moved = now._replace(x=now.x + distance * now.cosine, y=now.y + distance * now.sine)
@@ -193,7 +192,7 @@ def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) ->
 
 
 def keep_velocity(dynamics: Dynamics, state: Float[SameArray, "*cars 4"]) -> Float[SameArray, "*cars 2"]:
-    """The control that keeps speed and heading: it only makes up for friction."""
+    """Return the control that keeps speed and heading: it only compensates friction."""
     xp = state.__array_namespace__()
     speed = state[..., 3]
     return xp.stack([xp.zeros_like(speed), _resistance(dynamics, speed)], axis=-1)
@@ -202,9 +201,9 @@ def keep_velocity(dynamics: Dynamics, state: Float[SameArray, "*cars 4"]) -> Flo
 def recover_control(
     dynamics: Dynamics, state: Float[SameArray, "*cars 4"], next_state: Float[SameArray, "*cars 4"]
 ) -> Float[SameArray, "*cars 2"]:
-    """The control that led from one state to the next: the inverse of `step`.
+    """Recover the control between two states: the inverse of `step`.
 
-    A standing car does not turn, so its curvature is unobservable at speed 0 and reported as 0.
+    The curvature of a standing car is unobservable and returned as 0.
     """
     xp = state.__array_namespace__()
     speed = state[..., 3]

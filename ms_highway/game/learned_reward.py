@@ -1,4 +1,4 @@
-"""A learned reward as a file: the weights, how sure they are, and where they come from."""
+"""A learned reward and its file: weights, their covariance, and provenance."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -11,35 +11,35 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.reward import linear_reward
-from ms_highway.game.reward_model import Model
+from ms_highway.game.reward_model import RewardModel
 from ms_highway.runtime.files import read_json, replacing
 
 __all__ = ["SHIPPED", "VERSION", "LearnedReward", "load", "save", "shipped"]
 
 VERSION = 2
-"""Of the file format; a file of another version is refused."""
+"""Version of the file format; files of other versions are refused."""
 
-ANEW = "learn it anew with `ms-highway irl fit`"
+ANEW = "learn it again with `ms-highway irl fit`"
 
 SHIPPED = {"demonstrations": "learned from simulated demonstrations", "us101": "learned from drivers on US-101"}
-"""The learned rewards that come with the package."""
+"""Name and description of the learned rewards in the package."""
 
 
 @dataclass(frozen=True)
 class LearnedReward:
-    """What `ms-highway irl fit` writes.
+    """Result of `ms-highway irl fit`.
 
     Attributes:
-        weights: by name, of features and comfort; in units in which the given comfort weights are what they are.
-        temperature: T of maximum entropy, in the same units.
+        weights: of features and comfort, by name; the given comfort weights set their scale.
+        temperature: T of maximum entropy, at the same scale.
         learned: names of the weights that were learned; the others were given.
         covariance: of the logarithms of the learned weights' sizes and, at the end, of the temperature.
-        horizon: K, number of steps of 0.1 s in the windows it was learned from.
-        converged: whether the optimiser reached the top.
-        iterations: how many the optimiser took.
-        windows: how many it was learned from.
-        log_likelihood: mean per window: ``train``, and ``held_out``, cross-validated by group of recordings (None where
-            there is one group only).
+        horizon: K, number of steps of 0.1 s in the windows.
+        converged: whether the optimiser reached the maximum.
+        iterations: of the optimiser.
+        windows: number of windows that were fitted.
+        log_likelihood: mean per window: ``train``, and ``held_out``, cross-validated by group of recordings (None if
+            there is only one group).
         feature_counts: mean sums of the features over a window: ``human``, and ``model``, expected under the reward.
         provenance: data, groups of recordings, and versions of the software.
     """
@@ -57,10 +57,10 @@ class LearnedReward:
     provenance: dict[str, Any]
 
     def __post_init__(self) -> None:
-        """Check it.
+        """Check the reward.
 
         Raises:
-            ValueError: naming what is wrong with it.
+            ValueError: naming the problem.
         """
         if not isinstance(self.weights, dict):
             raise ValueError(f"the weights are {self.weights}; they must be given by name")
@@ -82,32 +82,34 @@ class LearnedReward:
 
     @property
     def sharp_weights(self) -> dict[str, float]:
-        """The weights over the temperature: the reward in units of log-probability."""
+        """Weights divided by the temperature: the reward in units of log-probability."""
         return {name: weight / self.temperature for name, weight in self.weights.items()}
 
     @property
-    def model(self) -> Model:
-        """What was learned and what was given."""
-        return Model(self.learned, {name: value for name, value in self.weights.items() if name not in self.learned})
+    def model(self) -> RewardModel:
+        """The weights that were learned and those given."""
+        return RewardModel(
+            self.learned, {name: value for name, value in self.weights.items() if name not in self.learned}
+        )
 
     def interval(self, name: str, deviations: float = 1.645) -> Float[np.ndarray, "2"]:
-        """The weight at so many standard deviations of its logarithm below and above; 1.645 span 90 %."""
-        place = self.learned.index(name)
-        spread = deviations * np.sqrt(self.covariance[place][place])
+        """Return a weight's interval of so many standard deviations of its logarithm to each side; 1.645 give 90 %."""
+        index = self.learned.index(name)
+        spread = deviations * np.sqrt(self.covariance[index][index])
         return self.weights[name] * np.exp([-spread, spread])
 
 
 def save(learned: LearnedReward, path: Path) -> None:
-    """Write a learned reward as JSON, whole or not at all."""
+    """Write a learned reward as JSON, atomically."""
     with replacing(path) as temporary:
         temporary.write_text(json.dumps({"version": VERSION, **asdict(learned)}, indent=2) + "\n")
 
 
 def load(path: Path) -> LearnedReward:
-    """Read what `save` wrote.
+    """Read a learned reward that `save` wrote.
 
     Raises:
-        ValueError: if there is no such file, or it is damaged or of another version.
+        ValueError: if the file cannot be read, is damaged, or is of another version.
     """
     try:
         content = read_json(path)
@@ -118,7 +120,7 @@ def load(path: Path) -> LearnedReward:
 
 @cache
 def shipped(name: str) -> LearnedReward:
-    """One of the learned rewards that come with the package, see `SHIPPED`.
+    """Return a learned reward of the package, see `SHIPPED`.
 
     Raises:
         ValueError: for an unknown name.

@@ -1,4 +1,4 @@
-"""Which cars around a driver count: the nearest ahead and behind, in its own lane and in those beside it."""
+"""Find the neighbours of a driver: the nearest cars ahead and behind, in its own lane and in the adjacent ones."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -7,14 +7,14 @@ from ms_highway.runtime.arrays import SameArray
 
 __all__ = ["NEIGHBOURS", "far_behind", "headways", "neighbours", "places"]
 
-SLOWEST = 1.0  # m/s, of a follower whose headway is measured
+SLOWEST = 1.0  # m/s, least speed of a follower in its headway
 FAR_AWAY = 1000.0  # m behind, where absent cars are
 
 SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, of each place
-AHEAD = np.array([True, False] * 3)  # whether a place is for the car ahead, or for the one behind
+AHEAD = np.array([True, False] * 3)  # whether a place is ahead, or behind
 
 NEIGHBOURS = len(SIDES)
-"""Places for neighbours: ahead and behind, in the own lane, in the left one and in the right one, in this order."""
+"""Number of places: ahead and behind, in the own lane, the left one and the right one, in this order."""
 
 
 def places(
@@ -23,14 +23,14 @@ def places(
     present: Bool[SameArray, "*batch cars"],
     lane_width: float | Float[SameArray, "*batch"],
 ) -> tuple[Int[SameArray, "*batch 6"], Bool[SameArray, "*batch 6"]]:
-    """Which of the others takes each of the six places around a driver, and whether any does.
+    """Return which of the others takes each of the six places around a driver, and whether any does.
 
     A car is in the own lane if it is less than half a lane's width to the side.
 
     Args:
         driver: state of the driver.
         others: states of the other cars, in the same coordinates, along the road.
-        present: which of the others are there; the states of those that are not may be anything, even NaN.
+        present: which of the others exist; the states of those that do not may be anything, even NaN.
         lane_width: of a lane [m].
     """
     xp = driver.__array_namespace__()
@@ -48,9 +48,9 @@ def neighbours(
     present: Bool[SameArray, "*batch cars"],
     lane_width: float | Float[SameArray, "*batch"],
 ) -> Float[SameArray, "*batch 6 4"]:
-    """States of the neighbours of a driver, one for each of the six places; takes what `places` takes.
+    """Return the states of the neighbours of a driver, one for each of the six places; takes the arguments of `places`.
 
-    A place that no car takes holds a standing car far behind, so that the shape never changes.
+    An empty place holds a standing car far behind, so that the shape never changes.
     """
     xp = driver.__array_namespace__()
     cars, taken = places(driver, others, present, lane_width)
@@ -63,7 +63,7 @@ def headways(
     around: Float[SameArray, "*batch 6 4"],
     length: float,
 ) -> Float[SameArray, "*batch 6"]:
-    """Time gaps to the neighbours of a driver [s]: until whichever is behind is where the one ahead ends now.
+    """Return the time gaps to the neighbours of a driver [s]: bumper distance over the speed of whoever is behind.
 
     Args:
         driver: state of the driver.
@@ -77,7 +77,7 @@ def headways(
 
 
 def far_behind(driver: Float[SameArray, "*batch 4"]) -> Float[SameArray, "*batch 4"]:
-    """The state of a standing car that is too far behind a driver to matter."""
+    """Return the state of a standing car that is too far behind a driver to matter."""
     xp = driver.__array_namespace__()
     zero = xp.zeros_like(driver[..., 0])
     return xp.stack([driver[..., 0] - FAR_AWAY, driver[..., 1], zero, zero], axis=-1)

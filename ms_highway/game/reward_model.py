@@ -1,4 +1,4 @@
-"""Which weights of a reward are learned, and which are given."""
+"""The model of a linear reward: the weights to learn, their signs, and the weights given."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,27 +8,27 @@ from jaxtyping import Float
 
 from ms_highway.game.reward import COMFORT, weight_names
 
-__all__ = ["NO_GRADIENT", "PENALTIES", "Model"]
+__all__ = ["NO_GRADIENT", "PENALTIES", "RewardModel"]
 
 PENALTIES = ("collision_risk", "collision", "off_road")
-"""Features whose weights are negative; those of all others are positive."""
+"""Features with negative weights; all others are positive."""
 
 NO_GRADIENT = ("collision", "merged", "partner_merged")
-"""Indicators: a driver's slopes tell nothing about their weights."""
+"""Indicators: without a gradient, driving carries no information about their weights."""
 
-FLOOR = 0.5  # of the least comfort weight that is given: the least curvature of -R that is believed
+FLOOR = 0.5  # of the least given comfort weight: the least curvature of -R in a fit
 
 
 @dataclass(frozen=True)
-class Model:
-    """What is to be learned, and what is given.
+class RewardModel:
+    """A reward that is linear in its features: the weights to learn, and those given.
 
     Attributes:
         learned: names of the weights to learn, of `weight_names`.
-        given: weights that are fixed, by name; comfort's set the scale of all others.
+        given: fixed weights, by name; those of comfort set the scale of all others.
 
     Raises:
-        ValueError: for unknown names, an indicator, a weight both learned and given, or none for comfort.
+        ValueError: for unknown names, indicators, a weight named twice, or no given comfort weight.
     """
 
     learned: tuple[str, ...]
@@ -52,14 +52,14 @@ class Model:
 
     @property
     def floor(self) -> float:
-        """The least curvature of -R in any direction that a fit believes."""
+        """The least curvature of -R in any direction that a fit assumes."""
         return FLOOR * min(value for name, value in self.given.items() if name in COMFORT and value > 0)
 
     def signs(self) -> Float[np.ndarray, "learned"]:
-        """Signs of the learned weights, which are fixed."""
+        """Return the signs of the learned weights, which are fixed."""
         return np.array([-1.0 if name in PENALTIES else 1.0 for name in self.learned])
 
     def weights(self, logarithms: Float[np.ndarray, "parameters"]) -> dict[str, float]:
-        """All weights by name, from the logarithms of the learned ones' sizes and, at the end, of the temperature."""
+        """Return all weights by name, from the logarithms of the learned ones' sizes and, last, of the temperature."""
         learned = (self.signs() * np.exp(logarithms[:-1])).tolist()
         return {**dict(zip(self.learned, learned, strict=True)), **self.given}

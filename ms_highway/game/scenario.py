@@ -1,6 +1,6 @@
-"""A scenario: geometry, rewards, starts and noise, from which a game can be built in any unit of length.
+"""Define scenarios (geometry, rewards, starts, noise) and build their games in any unit of length.
 
-The numbers of a `Scenario` are kept as the paper gives them, in its own unit of length: 1 unit is 100/3 m, so that a
+The numbers of a `Scenario` are in the paper's unit of length, 100/3 m: a
 car of 0.15 x 0.075 is 5 m x 2.5 m and a speed of 0.6 per second is 20 m/s.
 """
 
@@ -16,9 +16,9 @@ from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.ascent import Planner, Solver
-from ms_highway.optimization.gradient_steps import PAPER_ASCENT, Ascent, gradient_steps
+from ms_highway.optimization.gradient_steps import PAPER_PLANNING, PlanningSettings, gradient_steps
 from ms_highway.optimization.second_derivatives import Influence
+from ms_highway.optimization.solvers import Planner, Solver
 
 __all__ = [
     "COMMON_WEIGHTS",
@@ -43,21 +43,25 @@ CONE_SIZE = (0.07, 0.0561166667)  # paper units
 LANE_WIDTH = 0.1  # paper units
 SPEED_LIMIT = 0.6  # paper units per second
 TIME_STEP = 0.1  # s
-PAPER_FRICTION = 0.2  # 1/s; the paper names alpha without a value
-RELEASED_DRAG = 0.2  # per paper unit, in the world only: the released planners assume none
+PAPER_FRICTION = 0.2  # 1/s; the paper gives no value of alpha
+RELEASED_DRAG = 0.2  # per paper unit, in the world only: the released planners neglect it
 
 PAPER_DYNAMICS = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
-"""The paper's motion with friction, Sec. IV-A; the same in any unit of length."""
+"""The paper's dynamics with friction, Sec. IV-A; the same in any unit of length."""
 
 PHYSICAL_LIMIT = (0.2, 50.0)  # 1/m and m/s^2
-"""Usual bounds on plans: the curvature of a front wheel turned by 45 degrees, and five times what road tyres hold.
+"""Default bounds on plans: the curvature of a front wheel turned by 45 degrees, and five times the grip of tyres.
 
-The paper's scenes do not work within what tyres hold: at 20 m/s a horizon of half a second sees a cone only 10 m
+The paper's scenes are infeasible within the grip of tyres: at 20 m/s a horizon of half a second sees a cone only 10 m
 ahead, so that gradient plans in Stay Back need 50 m/s^2, and the human in Merger yields with up to 21 m/s^2.
 """
 
 GRIP = 8.0  # m/s^2
-"""What tyres hold on a dry road, steering and acceleration together; plans outside the paper's scenes keep to it."""
+"""Grip of tyres on a dry road, steering and acceleration together.
+
+Outside the paper's scenes, and in them on request, the first control of every plan and all executed controls keep to
+it; later controls of a plan may exceed it by a quarter (`ms_highway.game.game.bounded`).
+"""
 
 COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
 """Weights that every driver of every scenario has."""
@@ -72,16 +76,16 @@ class Scenario:
     """One of the paper's situations.
 
     Attributes:
-        name: how commands and records call it.
+        name: in commands and records.
         lanes: lateral position of each lane's centre.
         cars: start (x, y) of the robot, the human, and the scripted cars; all start at the speed limit, heading 0.
         steps: length of an episode.
-        ladder: names of the human models that the paper compares here, cheapest first.
+        ladder: names of the human models that the paper compares, cheapest first.
         prices: the paper's two lambdas, aggressive and conservative [reward per second].
         robot_weights, human_weights: reward weights by feature.
-        robot_gap, human_gap: distance behind the leader that the gap feature asks for.
+        robot_gap, human_gap: distance behind the leader at which the gap feature is highest.
         cones: centres of the cones.
-        merging_car: index of the car whose start varies more.
+        merging_car: index of the car with additional noise on its start.
         corner: see `Scene`.
     """
 
@@ -101,7 +105,7 @@ class Scenario:
 
 
 def title(name: str) -> str:
-    """What people call the scenario of a name: ``Stay Back`` for ``stay_back``."""
+    """Return the title of a scenario's name: ``Stay Back`` for ``stay_back``."""
     return name.replace("_", " ").title()
 
 
@@ -110,24 +114,26 @@ def build_game(
     semantics: Semantics = "paper",
     influence: Influence = "damped",
     control_limit: tuple[float, float] | None = None,
+    grip: float | None = None,
     unit: float = PAPER_UNIT,
     solver: Solver = "gradient",
     human_driving: Mapping[str, float] | None = None,
-    ascent: Ascent = PAPER_ASCENT,
+    planning: PlanningSettings = PAPER_PLANNING,
 ) -> Game:
-    """The game of a scenario.
+    """Build the game of a scenario.
 
     Args:
-        scenario: which one.
+        scenario: to build.
         semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners; ``released``: the
             released code's, where planners ignore the world's drag.
         influence: form of the human's response, see `ms_highway.optimization.second_derivatives.response`.
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics.
-        unit: how long one paper unit is in the game's lengths; 1 keeps the released code's numbers.
-        solver: how plans are improved, see `ms_highway.optimization.ascent.climb`.
-        human_driving: weights by name that take the place of `COMMON_WEIGHTS` in the human's reward; what the human is
-            after in this scenario beyond driving stays, unless it is named here.
-        ascent: how far ahead and by which gradient steps both plan, and the time step of plans and world.
+        grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`.
+        unit: length of one paper unit in the game; 1 keeps the released code's numbers.
+        solver: how plans are improved, see `ms_highway.optimization.solvers.optimize_controls`.
+        human_driving: weights by name that replace `COMMON_WEIGHTS` in the human's reward; the other weights of the
+            scenario stay unless they are named here.
+        planning: horizon and gradient steps of both, and the time step of plans and world.
     """
     human_weights = scenario.human_weights
     if human_driving is not None:
@@ -152,7 +158,7 @@ def build_game(
     else:
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
-    game = _game(scene, robot, human, plans, world, control_limit, influence, solver, ascent)
+    game = _game(scene, robot, human, plans, world, control_limit, grip, influence, solver, planning)
     return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
 
 
@@ -162,27 +168,27 @@ def driving_game(
     weights: Mapping[str, float] = COMMON_WEIGHTS,
     names: tuple[str, ...] | None = None,
     solver: Solver = "gradient",
-    ascent: Ascent = PAPER_ASCENT,
+    planning: PlanningSettings = PAPER_PLANNING,
     grip: float | None = GRIP,
 ) -> Game:
-    """A game on any scene in which both cars only drive, with the paper's dynamics.
+    """Build a game on any scene in which both cars have the same reward, with the paper's dynamics.
 
-    Its numbers are left as they are: a driver on a road builds it anew whenever it acts, and JAX would take longer to
-    take them over than to plan.
+    Its numbers are not converted to arrays: a driver on a road builds it at every step, and the conversion would take
+    longer than the plan.
 
     Args:
-        scene: where.
-        speed_limit: the speed that is rewarded most [m/s].
+        scene: road, obstacles and bodies.
+        speed_limit: speed that is rewarded most [m/s].
         weights: of the reward of both, by name.
         names: of the features to compute, see `ms_highway.game.reward.linear_reward`.
-        solver: how plans are improved, see `ms_highway.optimization.ascent.climb`.
-        ascent: see `build_game`.
-        grip: what tyres hold [m/s^2], see `ms_highway.optimization.ascent.Planner`; None for plans that only have
+        solver: how plans are improved, see `ms_highway.optimization.solvers.optimize_controls`.
+        planning: see `build_game`.
+        grip: of tyres [m/s^2], see `ms_highway.optimization.solvers.Planner`; None for plans that are only limited by
             `PHYSICAL_LIMIT`.
     """
     driver = linear_reward(weights, speed_limit, names=names)
-    game = _game(scene, driver, driver, PAPER_DYNAMICS, PAPER_DYNAMICS, PHYSICAL_LIMIT, "damped", solver, ascent)
-    return replace(game, planner=replace(game.planner, grip=grip))
+    motion, limit = PAPER_DYNAMICS, PHYSICAL_LIMIT
+    return _game(scene, driver, driver, motion, motion, limit, grip, "damped", solver, planning)
 
 
 def _game(
@@ -192,23 +198,26 @@ def _game(
     plans: Dynamics,
     world: Dynamics,
     control_limit: tuple[float, float] | None,
+    grip: float | None,
     influence: Influence,
     solver: Solver,
-    ascent: Ascent,
+    planning: PlanningSettings,
 ) -> Game:
-    """A game with the control scale that makes a step of 0.03 what it is in the paper.
+    """Build a game with the control scale in which a gradient step of 0.03 has the paper's effect.
 
-    A unit of acceleration is one length unit; a unit of omega is one rad/s of yaw rate. With steering by curvature
-    that is taken at the paper's speed limit, ``omega = yaw_rate / v``; omega's gradient step is scaled by 1/v^2.
+    The unit of acceleration is one length unit per s^2, that of omega one rad/s of yaw rate. With steering by
+    curvature, it is converted at the paper's speed limit, ``omega = yaw_rate / v``: omega's gradient step scales with
+    1/v^2.
     """
-    plans, world = (replace(motion, time_step=ascent.time_step) for motion in (plans, world))
-    iterations, step_size = gradient_steps(ascent)
+    plans, world = (replace(motion, time_step=planning.time_step) for motion in (plans, world))
+    iterations, step_size = gradient_steps(planning)
     turn_scale = 1 / (SPEED_LIMIT * scene.length_unit) if plans.steering == "curvature" else 1.0
     planner = Planner(
         control_scale=np.array([turn_scale, scene.length_unit]),
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
+        grip=grip,
         step_size=step_size,
-        horizon=ascent.horizon,
+        horizon=planning.horizon,
         iterations=iterations,
         solver=solver,
     )
@@ -218,10 +227,10 @@ def _game(
 def draw_starts(
     scenario: Scenario, random: np.random.Generator, unit: float = PAPER_UNIT
 ) -> Float[np.ndarray, "cars 4"]:
-    """A start of every car, with the noise of the paper's experiments.
+    """Draw the start of every car, with the noise of the paper's experiments.
 
-    Normal noise of sd 5e-4 units on x and y and of 1e-3 on speed and heading, and a further 0.01 on the x of the
-    merging car.
+    Normal noise of standard deviation 5e-4 units on x and y and 1e-3 on speed and heading; another 0.01 units on the x
+    of the merging car.
     """
     cars = np.array([(x, y, 0.0, SPEED_LIMIT) for x, y in scenario.cars])
     noise = [POSITION_NOISE, POSITION_NOISE, MOTION_NOISE, MOTION_NOISE]

@@ -1,8 +1,9 @@
-"""The scene that cars drive in: lanes, obstacles, the cars' bodies, and who follows whom."""
+"""Define the scene: lanes, obstacles, the size of cars, and the leader."""
 
 from dataclasses import dataclass, field
 
 import jax
+import numpy as np
 from jaxtyping import Float
 
 from ms_highway.runtime.arrays import Array
@@ -18,16 +19,19 @@ class Scene:
     Attributes:
         lanes: lateral position of each lane's centre.
         lane_width: width of a lane; the road ends half of it beyond the outermost centres.
-        obstacles: centres (x, y) of the static obstacles, which lie along the axes.
+        obstacles: centres (x, y) of the static obstacles, which are parallel to the axes.
         obstacle_size: length and width of every obstacle.
         car_size: length and width of every car.
-        corner: position of the outermost body points that the collision feature looks at, as a share of length
-            and width (1/2 is the very corner).
-        target_lane: lateral position of the lane that a merging car is heading for.
-        length_unit: the length that features count in [m]; 100/3 in the paper's units.
-        bend: curvature of the road [1/m], positive to the right, which straightened coordinates leave out; None on a
-            straight road.
-        leader: index of the car in whose gap a car may settle, None without one (static).
+        corner: position of the outermost body points of the collision feature, as a share of length and width (1/2 is
+            the corner of the body).
+        target_lane: lateral position of the lane that a merging car enters.
+        length_unit: unit of lengths in features [m]; 100/3 in the paper's units.
+        bend: curvature of the road [1/m], positive to the right, which its coordinates straighten; None on a straight
+            road.
+        leader: index of the car that the gap feature refers to, None without one (static).
+
+    Raises:
+        ValueError: if cars have no size; arrays of JAX are not checked.
     """
 
     lanes: Float[Array, "lanes"]
@@ -40,3 +44,8 @@ class Scene:
     length_unit: float | Float[Array, ""]
     bend: float | Float[Array, ""] | None = None
     leader: int | None = field(default=None, metadata={"static": True})
+
+    def __post_init__(self) -> None:
+        size = self.car_size
+        if isinstance(size, np.ndarray) and not ((size > 0) & (size < np.inf)).all():
+            raise ValueError(f"Scene.car_size is {size.tolist()}; give length and width in metres, both positive")

@@ -1,6 +1,6 @@
-"""From recordings to a learned reward: windows, a fit on all of them, and what it is worth on those held out."""
+"""Learn a reward from recordings: cut windows, fit all of them, cross-validate, count features."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -11,18 +11,20 @@ from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.game.dynamics import Motion, observe
+from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move
 from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.game.reward import COMFORT, motion_reward
-from ms_highway.game.reward_model import Model
+from ms_highway.game.reward import COMFORT
+from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.irl.maximum_entropy import Fit, Slopes, fit, log_likelihoods, slopes_of
+from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit, log_likelihoods
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.windows import Window, Windows, at_window, regular_windows, template
-from ms_highway.optimization.ascent import climb
+from ms_highway.irl.windows import Windows, driver_game, regular_windows, with_window
+from ms_highway.optimization.solvers import optimize_controls
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
-from ms_highway.runtime.unrolled import total
+from ms_highway.runtime.progress import Progress, silent
+from ms_highway.runtime.reductions import unrolled_sum
 
 __all__ = [
     "COMFORT_GIVEN",
@@ -34,68 +36,72 @@ __all__ = [
     "expected_features",
     "folds",
     "learn",
-    "likelihoods",
+    "window_log_likelihoods",
 ]
 
 COMFORT_GIVEN = 0.1
-"""The comfort weight that sets the scale of all others; small against the published weights' curvature."""
+"""Comfort weight that sets the scale of all others; small against the curvature of the published weights."""
 
-SIMULATED = Model(
+SIMULATED = RewardModel(
     ("speed", "lane_alignment", "collision_risk"),
     {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)},
 )
-"""What is learned from simulated demonstrations: the weights that every driver of the paper has.
+"""Learned from simulated demonstrations: the weights that every driver in the paper has.
 
-What leaving the road costs is given: those who stay on it tell nothing about it, and those who slide along its edge
-nothing that slopes could tell, see `ms_highway.irl.windows.regular`.
+The weight of leaving the road is given: drivers on the road carry no information about it, and those who slide along
+its edge none that derivatives contain, see `ms_highway.irl.windows.regular`.
 """
 
-REAL = Model(
+REAL = RewardModel(
     (*SIMULATED.learned, "direction", "headway", "closing_speed", "induced_braking", "comfort_steering"),
     {"comfort_acceleration": COMFORT_GIVEN},
 )
-"""What is learned from real drivers: also what traffic needs, and how uneasy steering is against accelerating."""
+"""Learned from real drivers: also weights of interaction with traffic, and of steering relative to accelerating."""
 
 
 def folds(groups: Int[np.ndarray, "n"], number: int) -> list[Int[np.ndarray, "held"]]:
-    """Which groups to hold out, fold after fold, so that each is held out once."""
+    """Split group numbers into folds, so that each group is held out once."""
     names = np.unique(groups)
     return np.array_split(names, min(number, len(names)))
 
 
 def learn(
-    recordings: Sequence[Recording], model: Model, horizon: int, source: str, validations: int = 4
-) -> Iterator[LearnedReward | str]:
+    recordings: Sequence[Recording],
+    model: RewardModel,
+    horizon: int,
+    source: str,
+    validations: int = 4,
+    *,
+    progress: Progress = silent,
+) -> LearnedReward:
     """Learn a reward from all drivers of the recordings.
 
     Args:
-        recordings: from which.
-        model: what to learn.
+        recordings: the recordings to learn from.
+        model: the weights to learn and those given.
         horizon: K, the length of the windows in steps.
-        source: name of the data, for the record.
+        source: name of the data, for the provenance.
         validations: number of folds of the cross-validated likelihood.
-
-    Yields:
-        What is being done; at the end, the learned reward.
+        progress: called with a message when a part begins.
 
     Raises:
-        ValueError: if there is nothing to learn from, or the weights diverge or a fit does not converge.
+        ValueError: if no window is regular, the weights diverge, or a fit does not converge.
     """
-    yield "cutting windows"
+    progress("cutting windows")
     windows = regular_windows(recordings, horizon)
-    yield f"differentiating {len(windows)} windows"
-    slopes = slopes_of(windows, model.names)
-    yield "fitting"
-    found = converged(fit(slopes, model))
+    progress(f"differentiating {len(windows)} windows")
+    derivatives = differentiate(windows, model.names)
+    progress("fitting")
+    found = converged(fit(derivatives, model))
     held_out = []
     parts = folds(windows.group, validations)
     for number, names in enumerate(parts if len(parts) > 1 else [], 1):
         chosen = np.isin(windows.group, names)
-        yield f"cross-validating, {number} of {len(parts)}"
-        rest = converged(fit(slopes.of(~chosen), model, found))
-        held_out.append(likelihoods(slopes.of(chosen), model, rest.weights, rest.temperature))
-    yield "counting features"
-    yield LearnedReward(
+        progress(f"cross-validating, {number} of {len(parts)}")
+        rest = converged(fit(derivatives.of(~chosen), model, found))
+        held_out.append(window_log_likelihoods(derivatives.of(chosen), model, rest.weights, rest.temperature))
+    progress("counting features")
+    return LearnedReward(
         weights=found.weights,
         temperature=found.temperature,
         learned=model.learned,
@@ -109,7 +115,7 @@ def learn(
             "held_out": float(np.concatenate(held_out).mean()) if held_out else None,
         },
         feature_counts={
-            "human": dict(zip(model.names, slopes.features.mean(axis=0).tolist(), strict=True)),
+            "human": dict(zip(model.names, derivatives.features.mean(axis=0).tolist(), strict=True)),
             "model": dict(zip(model.names, expected_features(windows, found).tolist(), strict=True)),
         },
         provenance={
@@ -122,10 +128,10 @@ def learn(
 
 
 def converged(found: Fit) -> Fit:
-    """The fit, if it has converged.
+    """Return the fit.
 
     Raises:
-        ValueError: if it has not.
+        ValueError: if it has not converged.
     """
     if not found.converged:
         raise ValueError(
@@ -135,36 +141,36 @@ def converged(found: Fit) -> Fit:
     return found
 
 
-def likelihoods(
-    slopes: Slopes, model: Model, weights: Mapping[str, float], temperature: float
+def window_log_likelihoods(
+    derivatives: FeatureDerivatives, model: RewardModel, weights: Mapping[str, float], temperature: float
 ) -> Float[np.ndarray, "n"]:
-    """Log p of every window's scaled controls, see `log_likelihoods`, in double precision."""
+    """Return log p of the scaled controls in every window, see `log_likelihoods`, in double precision."""
     with jax.enable_x64(True):
         theta = jnp.array([weights[name] for name in model.names])
-        data = Slopes(*map(jnp.asarray, slopes))
+        data = FeatureDerivatives(*map(jnp.asarray, derivatives))
         return np.asarray(log_likelihoods(data, theta, temperature, model.floor))
 
 
 def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float[np.ndarray, "n K 2"]:
-    """The controls of a local optimum of a reward in every window, found from keeping the velocity.
+    """Return the controls of a local optimum of a reward in every window, found from keeping the velocity.
 
     Args:
-        windows: where, with the others as recorded.
-        sharp_weights: of the reward by name, over the temperature.
+        windows: start, road and recorded neighbours of each driver.
+        sharp_weights: weights of the reward by name, divided by the temperature.
     """
-    game = template(windows, sharp_weights)
+    game = driver_game(windows, sharp_weights)
     game = replace(game, planner=replace(game.planner, solver="newton"))
     return in_batches(partial(_best_controls, game), windows)
 
 
 @jit_quickly
 def _best_controls(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
-    def best(window: Window) -> Float[jax.Array, "K 2"]:
-        here, others = at_window(game, window), observe(window.others)
-        scaled = climb(
+    def best(window: Windows) -> Float[jax.Array, "K 2"]:
+        here, others = with_window(game, window), observe(window.others)
+        scaled = optimize_controls(
             here.planner,
             partial(move, here, window.start),
-            lambda path: total(motion_reward(here.scene, here.robot, Motion(*path), others)),
+            lambda path: unrolled_sum(motion_reward(here.scene, here.robot, Motion(*path), others)),
             partial(discomfort, here, window.start),
             constant_velocity(here, window.start),
             partial(bounded, here, window.start),
@@ -177,25 +183,27 @@ def _best_controls(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
 def curvatures(
     windows: Windows, controls: Float[np.ndarray, "n K 2"], found: Fit
 ) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
-    """Eigenvalues of -H / T under a fit at some controls, bounded from below as in the fit, and eigenvectors."""
-    slopes = slopes_of(replace(windows, controls=controls), found.model.names)
-    return _curvatures(slopes, found)
+    """Return eigenvalues of -H / T at given controls, bounded from below as in the fit, and eigenvectors."""
+    derivatives = differentiate(replace(windows, controls=controls), found.model.names)
+    return _curvatures(derivatives, found)
 
 
-def _curvatures(slopes: Slopes, found: Fit) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
+def _curvatures(
+    derivatives: FeatureDerivatives, found: Fit
+) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
     theta = np.array([found.weights[name] for name in found.model.names])
-    values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, slopes.hessians) / found.temperature)
+    values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, derivatives.hessians) / found.temperature)
     return np.maximum(values, found.model.floor / found.temperature), vectors
 
 
 def expected_features(windows: Windows, found: Fit) -> Float[np.ndarray, "names"]:
-    """What the features sum to in a window on average, if drivers draw their controls as the fit says.
+    """Return the features' expected sums over a window under the fit's distribution of controls, mean over windows.
 
-    To second order around the best controls u*: ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, whose
-    eigenvalues are bounded as in the fit.
+    To second order around the best controls u*: ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, the eigenvalues
+    of -H bounded as in the fit.
     """
     best = replace(windows, controls=best_controls(windows, found.sharp_weights))
-    slopes = slopes_of(best, found.model.names)
-    values, vectors = _curvatures(slopes, found)
+    derivatives = differentiate(best, found.model.names)
+    values, vectors = _curvatures(derivatives, found)
     spread = np.einsum("nde,ne,nfe->ndf", vectors, 1 / values, vectors)
-    return np.mean(slopes.features + np.einsum("nfde,nde->nf", slopes.hessians, spread) / 2, axis=0)
+    return np.mean(derivatives.features + np.einsum("nfde,nde->nf", derivatives.hessians, spread) / 2, axis=0)

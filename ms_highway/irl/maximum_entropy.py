@@ -1,17 +1,17 @@
 """Maximum-entropy inverse reinforcement learning: the reward that makes recorded driving likely.
 
-A driver is taken to draw the controls u of a window, in the planner's scaled units, from
+A driver is modelled as drawing the controls u of a window, in the planner's scaled units, from
 
     p(u) = exp(R(u) / T) / integral of exp(R(u') / T) du',    R(u) = theta . phi(u)
 
-with the features along the window, comfort among them, and the others moving as they were recorded. Laplace's
+with the features along the window, comfort among them, and the other cars moving as recorded. Laplace's
 approximation of the integral around what the driver did gives, with the gradient g and the Hessian H of R / T there
 (Levine and Koltun 2012, Eq. 4),
 
     log p(u) = g^T H^-1 g / 2 + log det(-H) / 2 - (d / 2) log 2 pi
 
-so that a reward is likely under which the driver was near an optimum (the first term), and a sharp one (the second).
-g and H are linear in theta: the features' derivatives are worked out once, and then a fit takes seconds.
+The first term is large if the driver was near an optimum, the second if that optimum is sharp. g and H are linear in
+theta: the features' derivatives are computed once, and a fit then takes seconds.
 """
 
 from collections.abc import Callable
@@ -28,14 +28,14 @@ from scipy import optimize
 
 from ms_highway.game.game import Game, move
 from ms_highway.game.reward import COMFORT
-from ms_highway.game.reward_model import Model
-from ms_highway.irl.windows import Window, Windows, features_at, template, unease
-from ms_highway.optimization.second_derivatives import slope_and_bend
+from ms_highway.game.reward_model import RewardModel
+from ms_highway.irl.windows import Windows, control_deviation, driver_game, features_along, path_features
+from ms_highway.optimization.second_derivatives import Trajectory, second_order_expansion
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
 
-__all__ = ["Fit", "Slopes", "fit", "floored", "log_likelihoods", "most_likely", "slopes_of"]
+__all__ = ["FeatureDerivatives", "Fit", "differentiate", "fit", "floored", "log_likelihoods", "most_likely"]
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
 MANY = 600  # windows, of which half as many are fitted first
@@ -44,11 +44,11 @@ TOLERANCE = 1e-3  # of the slope of the objective per window, in a fit that has 
 TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
 
 
-class Slopes(NamedTuple):
-    """The features' derivatives in the scaled controls of n windows, at what the drivers did.
+class FeatureDerivatives(NamedTuple):
+    """The features' derivatives in the d scaled controls of n windows, at the recorded controls.
 
     Attributes:
-        features: phi along each window.
+        features: phi, summed along each window.
         gradients: first derivatives.
         hessians: second derivatives.
     """
@@ -57,26 +57,26 @@ class Slopes(NamedTuple):
     gradients: Float[Array, "n names d"]
     hessians: Float[Array, "n names d d"]
 
-    def of(self, chosen: np.ndarray) -> "Slopes":
-        """Those of some windows."""
-        return Slopes(*(part[chosen] for part in self))
+    def of(self, chosen: np.ndarray) -> "FeatureDerivatives":
+        """Return the derivatives in the chosen windows."""
+        return FeatureDerivatives(*(part[chosen] for part in self))
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit found.
+    """Weights and temperature that were fitted.
 
     Attributes:
-        model: what was learned and what was given.
+        model: the weights that were learned and those given.
         logarithms: of the learned weights' sizes and, at the end, of the temperature T.
-        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior. It takes
-            windows for independent; of real drivers, whose windows are alike, it tells too narrow intervals.
-        converged: whether the optimiser reached the top.
-        iterations: how many the optimiser took.
+        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior. It assumes
+            independent windows; for real drivers, whose windows are correlated, its intervals are too narrow.
+        converged: whether the optimiser reached the maximum.
+        iterations: of the optimiser.
         log_likelihood: mean over the windows.
     """
 
-    model: Model
+    model: RewardModel
     logarithms: Float[np.ndarray, "parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
     converged: bool
@@ -90,7 +90,7 @@ class Fit:
 
     @property
     def temperature(self) -> float:
-        """T, how far from the optimum the drivers strayed, in the units of the reward."""
+        """T, the spread of the drivers around the optimum, in units of the reward."""
         return float(np.exp(self.logarithms[-1]))
 
     @property
@@ -99,64 +99,52 @@ class Fit:
         return {name: weight / self.temperature for name, weight in self.weights.items()}
 
 
-def slopes_of(windows: Windows, names: tuple[str, ...]) -> Slopes:
-    """The derivatives of these features in every window.
-
-    A feature looks at the motion one step at a time: with s_k the motion at step k, ``J_k = ds_k / du``, and g_k and
-    Q_k the feature's derivatives in s_k, its Hessian in the controls is ``sum_k J_k^T Q_k J_k + g_k d2s_k / du2``.
+def differentiate(windows: Windows, names: tuple[str, ...]) -> FeatureDerivatives:
+    """Return the derivatives of these features in every window, each by `expand`.
 
     Raises:
-        ValueError: if they are not finite somewhere.
+        ValueError: if a derivative is not finite.
     """
-    game = template(windows, {}, names)
-    places = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
+    game = driver_game(windows, {}, names)
+    columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
 
-    def named(batch: Windows) -> Slopes:
-        return Slopes(*(np.asarray(part)[:, places] for part in _slopes(game, batch)))
+    def named(batch: Windows) -> FeatureDerivatives:
+        return FeatureDerivatives(*(np.asarray(part)[:, columns] for part in _differentiate(game, batch)))
 
-    slopes = Slopes(*(part.astype(np.float64) for part in in_batches(named, windows)))
-    for part in slopes:
+    derivatives = FeatureDerivatives(*(part.astype(np.float64) for part in in_batches(named, windows)))
+    for part in derivatives:
         if not np.isfinite(part).all():
             window = int(np.argwhere(~np.isfinite(part))[0][0])
             start = windows.start[window]
             raise ValueError(f"the features of window {window} have no finite derivatives; it starts at {start}")
-    return slopes
+    return derivatives
 
 
 @jit_quickly
-def _slopes(game: Game, windows: Windows) -> Slopes:
-    """The derivatives of the game's features and of `COMFORT`: one compilation serves whatever is learned of them."""
+@partial(jax.vmap, in_axes=(None, 0))
+def _differentiate(game: Game, window: Windows) -> FeatureDerivatives:
+    """Return the derivatives of all features and of `COMFORT`, so that one compilation serves any choice of them."""
+    controls = window.controls / game.planner.control_scale
 
-    def derivatives(window: Window) -> Slopes:
-        def path(controls: Float[jax.Array, "d"]) -> Float[jax.Array, "fields K"]:
-            return move(game, window.start, controls.reshape(-1, 2))
+    def of_one(weights: Float[jax.Array, "names"]) -> tuple[Float[jax.Array, "d"], Float[jax.Array, "d d"]]:
+        def reward(path: Trajectory) -> Float[jax.Array, ""]:
+            return weights[:-2] @ path_features(game, window, path).sum(axis=0)
 
-        def at_step(own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]) -> Slopes:
-            function = partial(features_at, game, window, others=others)
-            return Slopes(function(own), *slope_and_bend(function)(own))
+        def cost(controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, ""]:
+            return weights[-2:] @ jnp.sum(control_deviation(game, window, controls) ** 2, axis=0) / 2
 
-        controls = (window.controls / game.planner.control_scale).ravel()
-        steps = path(controls)
-        first, second = slope_and_bend(path)(controls)
-        phi, slope, bend = jax.vmap(at_step, in_axes=(1, 1))(steps, window.others)
-        bent = jnp.einsum("knfg,gkd->knfd", bend, first)
-        gradients = jnp.einsum("knf,fkd->nd", slope, first)
-        hessians = jnp.einsum("knfd,fke->nde", bent, first) + jnp.einsum("knf,fkde->nde", slope, second)
-        uneasy = unease(game, window, controls.reshape(-1, 2))
-        of_kind = jnp.eye(2)[:, None, :]  # one of the two controls at every step
-        kinds = jnp.broadcast_to(of_kind, (2, *uneasy.shape)).reshape(2, -1)
-        ease = Slopes(-jnp.sum(uneasy**2, axis=0) / 2, -(of_kind * uneasy).reshape(2, -1), -jax.vmap(jnp.diag)(kinds))
-        everything = Slopes(phi.sum(axis=0), gradients, hessians)
-        return jax.tree.map(lambda paid, felt: jnp.concatenate([paid, felt]), everything, ease)
+        expansion = second_order_expansion(partial(move, game, window.start), reward, controls, cost)
+        return expansion.gradient, expansion.hessian
 
-    return jax.vmap(derivatives)(windows)
+    features = features_along(game, window, controls)
+    return FeatureDerivatives(features, *jax.vmap(of_one)(jnp.eye(len(features))))
 
 
 @jax.custom_jvp
 def floored(symmetric: Float[jax.Array, "d d"], floor: Float[jax.Array, ""]) -> Float[jax.Array, "d d"]:
-    """The symmetric matrix with eigenvalues below a floor set to the floor.
+    """Return a symmetric matrix with its eigenvalues below a floor set to the floor.
 
-    Its derivative is exact also where eigenvalues meet, where those of the eigenvectors are not finite: with divided
+    Its derivative is exact also at equal eigenvalues, where those of the eigenvectors are not finite: with divided
     differences F of max(., floor), ``d floored = V (F * (V^T dA V)) V^T``.
     """
     values, vectors = jnp.linalg.eigh(symmetric)
@@ -181,9 +169,9 @@ def _floored_jvp(
 
 @jax.jit
 def log_likelihoods(
-    slopes: Slopes, theta: Float[Array, "names"], temperature: float | Float[Array, ""], floor: float
+    derivatives: FeatureDerivatives, theta: Float[Array, "names"], temperature: float | Float[Array, ""], floor: float
 ) -> Float[jax.Array, "n"]:
-    """Laplace's log p of every window's scaled controls; eigenvalues of -H are floored at ``floor / T``."""
+    """Return Laplace's log p of the scaled controls in every window; eigenvalues of -H are at least ``floor / T``."""
 
     def window(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
         slope, bend = pair
@@ -193,35 +181,35 @@ def log_likelihoods(
         off = slope @ cho_solve((root, True), slope)
         return -off / 2 + jnp.sum(jnp.log(jnp.diagonal(root))) - len(slope) / 2 * jnp.log(2 * jnp.pi)
 
-    slope = jnp.einsum("f,nfd->nd", theta, slopes.gradients) / temperature
-    bend = -jnp.einsum("f,nfde->nde", theta, slopes.hessians) / temperature
+    slope = jnp.einsum("f,nfd->nd", theta, derivatives.gradients) / temperature
+    bend = -jnp.einsum("f,nfde->nde", theta, derivatives.hessians) / temperature
     return jax.lax.map(window, (slope, bend))
 
 
-def fit(slopes: Slopes, model: Model, near: Fit | None = None) -> Fit:
-    """The most likely weights and temperature, see `most_likely`.
+def fit(derivatives: FeatureDerivatives, model: RewardModel, near: Fit | None = None) -> Fit:
+    """Fit the most likely weights and temperature, see `most_likely`.
 
     Args:
-        slopes: of the features `Model.names`, in their order.
-        model: what to learn.
-        near: a fit to begin with; without, one of a few of the windows, where there are many.
+        derivatives: of the features `RewardModel.names`, in their order.
+        model: the weights to learn and those given.
+        near: a fit to start from; by default, with more than 600 windows, a fit of about 300 of them.
 
     Raises:
         ValueError: if the weights diverge.
     """
-    windows = len(slopes.features)
+    windows = len(derivatives.features)
     if near is None and windows > MANY:
-        near = fit(slopes.of(np.arange(0, windows, windows * 2 // MANY)), model)
+        near = fit(derivatives.of(np.arange(0, windows, windows * 2 // MANY)), model)
     begin = None if near is None else near.logarithms
-    return most_likely(_above_floor, (slopes, model.floor), model, begin)
+    return most_likely(_above_floor, (derivatives, model.floor), model, begin)
 
 
 def _above_floor(
-    data: tuple[Slopes, jax.Array], theta: Float[jax.Array, "names"], temperature: Float[jax.Array, ""]
+    data: tuple[FeatureDerivatives, jax.Array], theta: Float[jax.Array, "names"], temperature: Float[jax.Array, ""]
 ) -> Float[jax.Array, "n"]:
-    """`log_likelihoods` of slopes and a floor."""
-    slopes, floor = data
-    return log_likelihoods(slopes, theta, temperature, floor)
+    """`log_likelihoods` of derivatives and a floor."""
+    derivatives, floor = data
+    return log_likelihoods(derivatives, theta, temperature, floor)
 
 
 Likelihoods: TypeAlias = Callable[[Any, Float[jax.Array, "names"], Float[jax.Array, ""]], Float[jax.Array, "n"]]
@@ -231,20 +219,20 @@ Likelihoods: TypeAlias = Callable[[Any, Float[jax.Array, "names"], Float[jax.Arr
 def most_likely(
     likelihoods: Likelihoods,
     data: Any,
-    model: Model,
+    model: RewardModel,
     begin: Float[np.ndarray, "parameters"] | None = None,
 ) -> Fit:
-    """The weights and the temperature that make data most likely, under a weak prior, in double precision.
+    """Fit the weights and the temperature that make data most likely under a weak prior, in double precision.
 
     The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
-    deviation 4. Where the data tell nothing about a weight, the prior is what is left, and the covariance says so.
+    deviation 4. Where the data carry no information about a weight, its prior remains, and the covariance shows it.
 
     Args:
-        likelihoods: log p of each of n data, of (data, theta in the order of `Model.names`, temperature); a function of
-            a module, so that it is compiled once for data of the same shapes.
+        likelihoods: log p of each of n data, of (data, theta in the order of `RewardModel.names`, temperature); a
+            module-level function, so that it is compiled once for data of the same shapes.
         data: a pytree of arrays.
-        model: what to learn.
-        begin: the logarithms to begin with.
+        model: the weights to learn and those given.
+        begin: the logarithms to start from.
 
     Raises:
         ValueError: if the weights diverge.
@@ -289,7 +277,7 @@ def _loss(
     signs: Float[jax.Array, "learned"],
     given: Float[jax.Array, "given"],
 ) -> tuple[Float[jax.Array, ""], Float[jax.Array, "n"]]:
-    """Minus the mean log p under the prior, and log p of each of the data."""
+    """Return minus the mean log p under the prior, and log p of each of the data."""
     sizes = jnp.exp(logarithms)
     each = likelihoods(data, jnp.concatenate([signs * sizes[:-1], given]), sizes[-1])
     return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each), each

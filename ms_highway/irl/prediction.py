@@ -1,7 +1,7 @@
-"""How well driving is predicted: by a learned reward, by constant velocity and by highway-env's IDM, on the same cases.
+"""Predict recorded drivers by a learned reward, by constant velocity and by highway-env's IDM, on the same cases.
 
-A predicted driver starts where the recorded one was, with its recorded speed and heading, and then drives by itself
-for up to 5 s, at 10 Hz; it looks anew at the others before every step, as it would in an environment.
+A predicted driver starts in the recorded state and drives in closed loop for up to 5 s, at 10 Hz: it observes the
+other cars before every step, as in an environment.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -26,7 +26,7 @@ from ms_highway.game.reward import FEATURES, features_for
 from ms_highway.game.scenario import PAPER_DYNAMICS, driving_game
 from ms_highway.game.scene import Scene
 from ms_highway.irl.recordings.recording import Recording, number_groups
-from ms_highway.irl.windows import Windows, coasting, most_lanes, scene_of, template
+from ms_highway.irl.windows import Windows, coasting, driver_game, most_lanes, scene_of
 from ms_highway.planning.human_models import Naive
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
@@ -37,23 +37,23 @@ __all__ = [
     "STEPS",
     "Cases",
     "Others",
-    "cases_of",
     "constant_velocity",
+    "cut_cases",
     "drive",
     "errors",
-    "gaussian",
+    "gaussian_log_likelihoods",
     "idm",
     "idm_controls",
     "predictions",
 ]
 
 Others: TypeAlias = Literal["recorded", "coasting"]
-"""What the predicted driver meets: the others as they were recorded, or as they would go on from the start."""
+"""Motion of the other cars: as recorded, or at constant velocity from the start of the case."""
 
 HORIZONS = (1, 2, 3, 5)  # s
 STEPS = 50  # 0.1 s, of the longest
 APART = 10  # steps between the starts of two cases of a driver
-CARS = 64  # others that cases have place for at least: one compilation serves most recordings
+CARS = 64  # others, at least, so that one compilation serves most recordings
 MISS = 2.0  # m
 LEAST_DEVIATION = 1e-6  # of scaled controls
 
@@ -61,14 +61,14 @@ LEAST_DEVIATION = 1e-6  # of scaled controls
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Cases:
-    """n stretches of recorded driving to be predicted; arrays, of NumPy or JAX, in SI units and lane coordinates.
+    """n stretches of recorded driving to predict: arrays of NumPy or JAX, in SI units and lane coordinates.
 
     Attributes:
         scenes: the road and the driver's own size, every array with a leading axis [n].
         speed_limit: of the road [m/s].
         recorded: the driver at the start and after each of 50 steps, NaN after it was seen last.
         others: all other cars, at the same times but the last.
-        present: which of them are there.
+        present: which of them are seen.
         track: number of the driver's track.
         group: number of the recording's group, to split by.
     """
@@ -85,17 +85,17 @@ class Cases:
         return len(self.track)
 
     def of(self, chosen: Bool[np.ndarray, "n"]) -> "Cases":
-        """Some of the cases."""
+        """Return the chosen cases."""
         return jax.tree.map(lambda numbers: numbers[chosen], self)
 
 
-def cases_of(recordings: Sequence[Recording], others: Others = "recorded") -> Cases:
-    """The stretches of every driver's track that start at its beginning and at every full second after that.
+def cut_cases(recordings: Sequence[Recording], others: Others = "recorded") -> Cases:
+    """Cut every driver's track into cases that start at its beginning and at every full second after that.
 
     A case ends with the track, and counts for the horizons that it reaches.
 
     Args:
-        recordings: where to look.
+        recordings: the recordings to cut.
         others: see `Others`.
 
     Raises:
@@ -134,14 +134,14 @@ def cases_of(recordings: Sequence[Recording], others: Others = "recorded") -> Ca
 
 
 def drive(cases: Cases, weights: Mapping[str, float], horizon: int) -> Float[np.ndarray, "n 50 2"]:
-    """Where drivers get who drive for these weights.
+    """Predict the positions after each step of drivers who plan with these weights.
 
-    At every step the driver plans by second-order steps over a horizon, believes that its neighbours keep their
-    velocity, and executes the first control, as `ms_highway.vehicle.HumanVehicle` does.
+    At every step the driver plans by Newton steps over a horizon, assumes that its neighbours keep their velocity, and
+    executes the first control, as `ms_highway.vehicle.HumanVehicle` does.
 
     Args:
-        cases: where they start.
-        weights: of the reward by name, divided by the temperature: second-order steps need to know how much counts.
+        cases: the cases to predict.
+        weights: of the reward by name, divided by the temperature, which sets the scale that Newton steps need.
         horizon: of the plans, in steps.
     """
     scene = jax.tree.map(lambda numbers: numbers[0], cases.scenes)
@@ -171,16 +171,16 @@ def _drive(game: Game, cases: tuple[Any, ...]) -> Float[jax.Array, "n 50 2"]:
 
 
 def constant_velocity(cases: Cases) -> Float[np.ndarray, "n 50 2"]:
-    """Where drivers get who keep their velocity."""
+    """Predict the positions of drivers who keep their velocity."""
     x, y, heading, speed = np.moveaxis(np.asarray(cases.recorded)[:, 0], -1, 0)[..., None]
     distance = speed * np.arange(1, STEPS + 1) * PAPER_DYNAMICS.time_step
     return np.stack([x + distance * np.cos(heading), y + distance * np.sin(heading)], axis=-1)
 
 
 def idm(cases: Cases) -> Float[np.ndarray, "n 50 2"]:
-    """Where highway-env's IDM vehicles get, with its parameters, in their lane, and wanting the speed they start with.
+    """Predict the positions of highway-env's IDM vehicles, which keep their lane and whose target is their first speed.
 
-    They meet the six neighbours of each step. With highway-env's lane changes they are predicted worse.
+    They observe the six neighbours of each step. With highway-env's lane changes, predictions are worse.
     """
     single = (jax.tree.map(lambda numbers, case=case: numbers[case], cases) for case in range(len(cases)))
     return np.array(
@@ -192,7 +192,7 @@ def idm(cases: Cases) -> Float[np.ndarray, "n 50 2"]:
 
 
 def predictions(cases: Cases, weights: Mapping[str, float], horizon: int) -> dict[str, Float[np.ndarray, "n 50 2"]]:
-    """Where all predictors get: ``model``, see `drive` also for the arguments, ``constant_velocity`` and ``idm``."""
+    """Return the positions that each predictor gives; ``model`` is `drive`, which explains the arguments."""
     paths = {"model": drive(cases, weights, horizon), "constant_velocity": constant_velocity(cases)}
     return {**paths, "idm": idm(cases)}
 
@@ -203,7 +203,7 @@ def _idm(
     start: Float[np.ndarray, "4"],
     around: Iterable[tuple[Float[np.ndarray, "cars 4"], Bool[np.ndarray, "cars"]]],
 ) -> Iterator[Float[np.ndarray, "4"]]:
-    """States of an IDM vehicle after each step, given the others, and which of them are there, before it."""
+    """Yield an IDM vehicle's state after each step, given the others, and which are present, before the step."""
     network, width = RoadNetwork(), float(scene.lane_width)
     for y in np.unique(scene.lanes):
         network.add_lane("start", "end", StraightLane([-1e4, y], [1e4, y], width=width, speed_limit=float(speed_limit)))
@@ -220,7 +220,7 @@ def _idm(
 
 
 def idm_controls(windows: Windows) -> Float[np.ndarray, "n K 2"]:
-    """The controls of an IDM vehicle, see `idm`, in every window; its neighbours are where they are after each step."""
+    """Return the controls of an IDM vehicle, see `idm`, in every window; neighbours are taken after each step."""
     controls = []
     for number in range(len(windows)):
         window = jax.tree.map(lambda numbers, number=number: numbers[number], windows)
@@ -231,23 +231,23 @@ def idm_controls(windows: Windows) -> Float[np.ndarray, "n K 2"]:
     return np.array(controls)
 
 
-def gaussian(windows: Windows, expected: Float[np.ndarray, "n K 2"]) -> Float[np.ndarray, "n"]:
-    """Log p of every window's scaled controls, if they vary normally and independently around the expected ones.
+def gaussian_log_likelihoods(windows: Windows, expected: Float[np.ndarray, "n K 2"]) -> Float[np.ndarray, "n"]:
+    """Return log p of the scaled controls in every window, if independent and normal around the expected ones.
 
-    The two standard deviations are the likeliest for these very windows, which is more than a learned reward is given.
+    The two standard deviations are fitted to the same windows, an advantage that a learned reward does not have.
     """
-    scale = np.asarray(template(windows, {}).planner.control_scale, dtype=float)
+    scale = np.asarray(driver_game(windows, {}).planner.control_scale, dtype=float)
     difference = (np.asarray(windows.controls) - expected) / scale
     deviation = np.maximum(np.sqrt(np.mean(difference**2, axis=(0, 1))), LEAST_DEVIATION)
     return stats.norm.logpdf(difference, scale=deviation).sum(axis=(1, 2))
 
 
 def errors(paths: Float[np.ndarray, "n 50 2"], cases: Cases) -> dict[str, dict[str, float]]:
-    """How far paths end from the recorded ones, by horizon in seconds.
+    """Return the displacement errors of predicted paths, by horizon in seconds.
 
     Returns:
         ``fde``: mean distance at the horizon [m]; ``ade``: mean distance up to it [m]; ``rmse``: root mean square of
-        the distance at it [m]; ``miss``: share of cases that are more than 2 m off at it.
+        the distance at it [m]; ``miss``: share of cases whose distance at it exceeds 2 m.
     """
     distance = np.linalg.norm(paths - np.asarray(cases.recorded)[:, 1:, :2], axis=-1)
     found: dict[str, dict[str, float]] = {"fde": {}, "ade": {}, "rmse": {}, "miss": {}}

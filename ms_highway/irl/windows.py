@@ -1,10 +1,10 @@
-"""Recorded driving cut into windows: a driver's controls over a plan's horizon, and what went on around it."""
+"""Cut recorded driving into windows: a driver's controls over a plan's horizon, and its neighbours."""
 
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,75 +12,72 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.dynamics import Motion, keep_velocity, observe
+from ms_highway.game.features import motion_features
 from ms_highway.game.game import Game, move
 from ms_highway.game.neighbours import far_behind, places
-from ms_highway.game.reward import FEATURES, features_for, motion_features
+from ms_highway.game.reward import FEATURES, features_for
 from ms_highway.game.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT, driving_game
 from ms_highway.game.scene import Scene
 from ms_highway.irl.recordings.recording import Recording, number_groups
 from ms_highway.irl.recordings.tracks import track_of
+from ms_highway.optimization.second_derivatives import Trajectory
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
 
 __all__ = [
-    "Window",
     "Windows",
-    "at_window",
     "coasting",
-    "cut",
+    "control_deviation",
+    "cut_windows",
+    "driver_game",
     "features_along",
-    "features_at",
     "first_step",
     "most_lanes",
+    "path_features",
     "regular",
     "regular_windows",
     "scene_of",
-    "template",
-    "unease",
+    "with_window",
 ]
 
-KINK = 0.05  # sine of the heading, within which noise may turn the car to either side
+KINK = 0.05  # sine of the heading below which noise may turn the car to either side
 SATURATED = 0.8  # of the limits of plans
-LANES = 6  # that scenes have at least: one compilation serves most roads
+LANES = 6  # at least, so that one compilation serves most roads
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Windows:
-    """n windows of K steps, all arrays, of NumPy or JAX, in SI units.
+    """Windows of K steps: arrays of NumPy or JAX, in SI units, with a leading axis [n]; without it, one window.
 
     Attributes:
-        scenes: the road and the driver's own size, every array with a leading axis [n].
+        scenes: the road and the driver's own size, every array with the leading axis.
         speed_limit: of the road [m/s].
         start: the driver before the first step.
-        controls: what it did.
+        controls: of the driver, unscaled.
         others: its six neighbours (see `ms_highway.game.neighbours`) after each step, wherever they went.
         group: number of the recording's group, to split by.
     """
 
     scenes: Scene
-    speed_limit: Float[Any, "n"]
-    start: Float[Any, "n 4"]
-    controls: Float[Any, "n K 2"]
-    others: Float[Any, "n 6 K 4"]
-    group: Int[Any, "n"]
+    speed_limit: Float[Any, "*n"]
+    start: Float[Any, "*n 4"]
+    controls: Float[Any, "*n K 2"]
+    others: Float[Any, "*n 6 K 4"]
+    group: Int[Any, "*n"]
 
     def __len__(self) -> int:
         return len(self.start)
 
     def of(self, chosen: Bool[np.ndarray, "n"]) -> "Windows":
-        """Some of the windows."""
+        """Return the chosen windows."""
         return jax.tree.map(lambda numbers: numbers[chosen], self)
 
 
-Window: TypeAlias = Windows
-"""One of them: the same arrays without the axis [n]."""
-
-
 def scene_of(recording: Recording, driver: int, lanes: int) -> Scene:
-    """The scene that a driver is in: its own size stands for that of all cars, and lanes are padded to a number.
+    """Return a driver's scene: all cars have its size, and lanes are padded to a number by repeating the last.
 
-    The last lane is repeated, which changes no feature.
+    Repeated lanes change no feature.
     """
     missing = lanes - len(recording.lanes)
     return Scene(
@@ -96,19 +93,19 @@ def scene_of(recording: Recording, driver: int, lanes: int) -> Scene:
 
 
 def most_lanes(recordings: Sequence[Recording]) -> int:
-    """The number to pad lanes to, see `scene_of`."""
+    """Return the number to pad lanes to, see `scene_of`."""
     return max((LANES, *(len(item.lanes) for item in recordings)))
 
 
-def cut(recordings: Sequence[Recording], steps: int) -> Windows:
-    """All windows of the drivers' tracks, one after the other, without overlap.
+def cut_windows(recordings: Sequence[Recording], steps: int) -> Windows:
+    """Cut the drivers' tracks into consecutive windows without overlap.
 
     Args:
-        recordings: where to look.
+        recordings: the recordings to cut.
         steps: K, the length of a window.
 
     Raises:
-        ValueError: if there is none, or a recording's time step is not that of the planners.
+        ValueError: if there is no window, or a recording's time step differs from the planners'.
     """
     groups = number_groups(recordings)
     lanes = most_lanes(recordings)
@@ -130,12 +127,12 @@ def cut(recordings: Sequence[Recording], steps: int) -> Windows:
 
 
 def first_step(recording: Recording, car: int) -> int:
-    """When a car was first seen."""
+    """Return the time step at which a car was first seen."""
     return int(recording.seen[:, car].argmax())
 
 
 def coasting(states: Float[np.ndarray, "times cars 4"], time_step: float) -> Float[np.ndarray, "times cars 4"]:
-    """The states; a car that gets lost (NaN) keeps its velocity from there."""
+    """Return the states, with NaN after a car was last seen replaced by motion at constant velocity."""
     states = states.copy()
     for before, after in itertools.pairwise(states):
         lost = np.isnan(after).any(axis=-1)
@@ -146,7 +143,7 @@ def coasting(states: Float[np.ndarray, "times cars 4"], time_step: float) -> Flo
 
 
 def _others(recording: Recording, driver: int, time: int) -> Bool[np.ndarray, "cars"]:
-    """Which cars, beside the driver, are seen at a time."""
+    """Return which cars other than the driver are seen at a time."""
     others = recording.seen[time].copy()
     others[driver] = False
     return others
@@ -158,19 +155,19 @@ def _around(
     present: Bool[np.ndarray, "cars"],
     recording: Recording,
 ) -> Float[np.ndarray, "6 K 4"]:
-    """Where those go who are the driver's neighbours at first."""
+    """Return the paths of the driver's neighbours at the first time."""
     cars, taken = places(driver, everyone[0], present, recording.lane_width)
     paths = np.moveaxis(everyone[1:, cars], 0, 1)
     return np.where(taken[:, None, None], paths, far_behind(driver))
 
 
 def regular_windows(recordings: Sequence[Recording], steps: int) -> Windows:
-    """The windows of recordings, see `cut`, that can be learned from, see `regular`.
+    """Return the `regular` windows of recordings, see `cut_windows`.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if no window is regular.
     """
-    windows = cut(recordings, steps)
+    windows = cut_windows(recordings, steps)
     windows = windows.of(regular(windows))
     if not len(windows):
         raise ValueError(
@@ -181,13 +178,13 @@ def regular_windows(recordings: Sequence[Recording], steps: int) -> Windows:
 
 
 def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
-    """Where the slope of a reward at the driver's controls can tell what the driver is after.
+    """Return the windows in which the gradient at the driver's controls identifies the reward.
 
-    It cannot where a control is at its limit, as what holds the driver back there is no reward; nor where the car is
-    off the road and points along it: there ``off_road`` has a kink, as another corner becomes the outermost, and
-    whoever slides along the edge stays at the kink whatever the weight is.
+    Excluded are controls near their limit, where the limit and not the reward decides; and cars that are off the road
+    and point along it: there ``off_road`` has a kink, where another corner becomes the outermost, and a car that slides
+    along the edge stays at the kink whatever the weight is.
     """
-    off_road, slant = in_batches(partial(_edge, template(windows, {})), windows)
+    off_road, slant = in_batches(partial(_edge, driver_game(windows, {})), windows)
     at_kink = (off_road & (slant < KINK)).any(axis=1)
     saturated = (np.abs(windows.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(axis=(1, 2))
     return ~at_kink & ~saturated
@@ -195,17 +192,16 @@ def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
 
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
-def _edge(game: Game, window: Window) -> tuple[jax.Array, jax.Array]:
-    """Whether the driver is off the road, and the size of its heading's sine, after each step."""
+def _edge(game: Game, window: Windows) -> tuple[jax.Array, jax.Array]:
+    """Return whether the driver is off the road, and the magnitude of its heading's sine, after each step."""
     path = move(game, window.start, window.controls / game.planner.control_scale)
-    phi = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
-    return phi[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
+    return path_features(game, window, path)[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
 
 
-def template(windows: Windows, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
-    """A game in which a driver drives for these weights; `at_window` puts it where a window is.
+def driver_game(windows: Windows, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
+    """Return a game whose robot is a recorded driver with these weights; `with_window` sets its scene.
 
-    Computed are `FEATURES`, and features of one's own that are weighed or among the names.
+    It computes `FEATURES`, and users' own features that have a weight or are among the names.
     """
     scene = jax.tree.map(lambda numbers: numbers[0], windows.scenes)
     computed = features_for(weights, dict.fromkeys(names, 1.0), least=FEATURES)
@@ -214,33 +210,34 @@ def template(windows: Windows, weights: Mapping[str, float], names: Sequence[str
     return replace(game, planner=replace(game.planner, horizon=horizon))
 
 
-def at_window(game: Game, window: Window) -> Game:
-    """The game in one window."""
+def with_window(game: Game, window: Windows) -> Game:
+    """Return the game with the scene and the speed limit of one window."""
     return replace(game, scene=window.scenes, robot=replace(game.robot, speed_limit=window.speed_limit))
 
 
-def features_at(
-    game: Game, window: Window, own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]
-) -> Float[jax.Array, "features"]:
-    """The features that the game computes at one step of a window.
+def path_features(game: Game, window: Windows, path: Trajectory) -> Float[jax.Array, "K features"]:
+    """Return the game's features at each step of a driver's path in a window.
 
     Args:
-        game: as `template` makes it.
-        window: which one.
-        own: the driver's motion then, the fields of a `Motion`.
-        others: the neighbours' states then.
+        game: of `driver_game`.
+        window: one window.
+        path: the driver's motion after each step.
     """
-    here = at_window(game, window)
-    return jnp.stack(motion_features(here.scene, here.robot, Motion(*own), observe(others)))
+    here = with_window(game, window)
+
+    def at_step(own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]) -> Float[jax.Array, "features"]:
+        return jnp.stack(motion_features(here.scene, here.robot, Motion(*own), observe(others)))
+
+    return jax.vmap(at_step, in_axes=(1, 1))(path, window.others)
 
 
-def unease(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "K 2"]:
-    """How far scaled controls are from keeping the velocity; comfort's features are ``-unease^2 / 2``, summed."""
+def control_deviation(game: Game, window: Windows, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "K 2"]:
+    """Return scaled controls minus those that keep the velocity; comfort's features are ``-sum deviation^2 / 2``."""
     return controls - keep_velocity(game.dynamics, jnp.asarray(window.start)) / game.planner.control_scale
 
 
-def features_along(game: Game, window: Window, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "features"]:
-    """The game's features summed over a window's steps, and then those of comfort, under scaled controls."""
+def features_along(game: Game, window: Windows, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "features"]:
+    """Return the game's features, then those of comfort, summed over a window's steps under scaled controls."""
     path = move(game, jnp.asarray(window.start), controls)
-    steps = jax.vmap(lambda own, others: features_at(game, window, own, others), in_axes=(1, 1))(path, window.others)
-    return jnp.concatenate([steps.sum(axis=0), -jnp.sum(unease(game, window, controls) ** 2, axis=0) / 2])
+    paid = path_features(game, window, path).sum(axis=0)
+    return jnp.concatenate([paid, -jnp.sum(control_deviation(game, window, controls) ** 2, axis=0) / 2])

@@ -1,4 +1,4 @@
-"""Decisions as a car needs them live: compiled once, called with few arguments, timed warm."""
+"""Decide live: compiled once, called with few arguments, timed warm."""
 
 from functools import cache, partial
 from typing import NamedTuple
@@ -9,8 +9,8 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.dynamics import recover_control
+from ms_highway.game.features import reward
 from ms_highway.game.game import Game
-from ms_highway.game.reward import reward
 from ms_highway.metareasoning.switching import Decision, Memory, Switching, decide
 from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
 from ms_highway.runtime.packing import Layout, pack
@@ -20,7 +20,7 @@ __all__ = ["CompiledDecision", "Observation", "decide_function"]
 
 
 class Observation(NamedTuple):
-    """What a decision looks at: a step of the world, in the world's units."""
+    """A step of the world that a decision is based on, in the world's units."""
 
     before: Float[np.ndarray, "cars 4"]
     control: Float[np.ndarray, "2"]
@@ -28,22 +28,22 @@ class Observation(NamedTuple):
 
 
 class CompiledDecision:
-    """The decisions of Algorithm 1 in a game, compiled once for all games of the same shapes.
+    """Decide by Algorithm 1 in a game, compiled once for all games of the same shapes.
 
     Args:
         switching: ladder, costs, lambda and the numbers of the algorithm.
-        game: what is played.
+        game: may differ in numbers from the games that it was compiled for.
     """
 
     def __init__(self, switching: Switching, game: Game) -> None:
         self._numbers, self._layout = pack((switching, game))
 
     def decide(self, memory: Memory, observed: Observation) -> tuple[Decision, float]:
-        """The decision, in NumPy numbers, and the seconds that it took.
+        """Return the decision, in NumPy numbers, and the seconds that it took.
 
         Args:
             memory: of the steps before.
-            observed: the last step: all cars before it, the control that the robot executed, all cars after it.
+            observed: the last step.
         """
         decided, seconds = timed(self.function, *self.arguments(memory, observed))
         rung, step, *checks, up, down = np.asarray(decided)
@@ -51,27 +51,27 @@ class CompiledDecision:
         return Decision(memory, up, down), seconds
 
     def warm_up(self, memory: Memory, state: Float[np.ndarray, "cars 4"]) -> float:
-        """Compile and run once what has not run before; seconds spent, 0 if it was warm already."""
+        """Compile and run once what has not run before; return the seconds spent."""
         arguments = self.arguments(memory, Observation(state, np.zeros(2), state))
         return warm_up(self.function, *arguments)
 
     @property
     def function(self) -> jax.stages.Wrapped:
-        """The compiled function, which takes `arguments`; see `decide_function`."""
+        """Compiled function, which takes `arguments`; see `decide_function`."""
         return decide_function(self._layout)
 
     def arguments(self, memory: Memory, observed: Observation) -> tuple[np.ndarray, np.ndarray]:
-        """What a `decide_function` takes."""
+        """Return the arguments of a `decide_function`."""
         parts = [np.ravel(part) for part in (*memory, *observed)]
         return np.concatenate(parts, dtype=np.float32), self._numbers
 
 
 @cache
 def decide_function(layout: Layout) -> jax.stages.Wrapped:
-    """`decide`, compiled once for all that decide so.
+    """Compile `decide` once for all of a layout.
 
-    The compiled function takes an `observation` with the robot's control in the units of the world, and the numbers of
-    a packed (Switching, Game). It returns the new memory, packed, and the gains of going up and down.
+    The compiled function takes memory and `Observation` in one array, and the numbers of a packed (Switching, Game). It
+    returns the new memory and the gains of going up and down in one array.
     """
 
     @partial(jax.jit, compiler_options=known_options(QUICKLY))

@@ -1,8 +1,7 @@
-"""Which human model is worth its time: the paper's Algorithm 1 with the one-step estimate of Sec. III-D.
+"""Decide which human model is worth its time, by the paper's Algorithm 1 with the one-step estimate of Sec. III-D.
 
-After a step was executed with one rung of the ladder, a quadratic expansion of the one-step rewards around the
-executed controls tells how the robot's control would have changed under another rung and what that would have earned.
-All controls here are scaled, see `ms_highway.game.game`.
+After a step with one rung of the ladder, a quadratic expansion of the one-step rewards around the executed controls
+estimates the robot's control under another rung and its reward. All controls are scaled, see `ms_highway.game.game`.
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,16 +11,17 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ms_highway.game.dynamics import keep_velocity, step
-from ms_highway.game.game import Game, swap
-from ms_highway.game.reward import Reward, reward
+from ms_highway.game.features import reward
+from ms_highway.game.game import Game, swap_players
+from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.second_derivatives import eigenpairs, response, slope_and_bend
+from ms_highway.optimization.second_derivatives import jacobian_and_hessian, response
+from ms_highway.optimization.trust_region import trust_region_step
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.unrolled import total
 
 __all__ = [
     "PUBLISHED_COSTS",
@@ -29,18 +29,16 @@ __all__ = [
     "Decision",
     "Memory",
     "Switching",
+    "check_costs",
     "decide",
     "first_memory",
-    "trust_region_step",
 ]
 
 PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
-"""Planning seconds of each model that the paper's experiments decided with."""
+"""Planning time of each model in the decisions of the paper's experiments."""
 
 RELEASED_TRUST_TOLERANCE = 0.05
-"""The released code's solver stops within this share of the trust radius."""
-
-HALVINGS = 60  # of the shift's bracket at most: more than float32 can tell apart
+"""Share of the trust radius within which the released code's solver stops."""
 
 
 @jax.tree_util.register_dataclass
@@ -49,12 +47,12 @@ class Switching:
     """The numbers of Algorithm 1.
 
     Attributes:
-        costs: T(M), planning time of each rung [s].
+        costs: T(M), planning time of each rung [s]; NaN where it is not known: then no gain is, and the rung stays.
         price: lambda, reward per second of planning.
-        trust_radius: the longest change of control that the expansion is trusted with, in scaled units.
-        trust_tolerance: how far the step may end from the radius, as a share of it: 0.001, in the released code 0.05.
+        trust_radius: longest change of the scaled control for which the expansion is trusted.
+        trust_tolerance: of the step's length, as a share of the radius: 0.001, in the released code 0.05.
         cooldown: least number of steps between two downward checks of the same rung.
-        ladder: the human models, cheapest first (static).
+        ladder: human models, cheapest first (static).
     """
 
     costs: Float[Array, "rungs"]
@@ -66,7 +64,7 @@ class Switching:
 
 
 class Memory(NamedTuple):
-    """What the algorithm remembers between steps: the rung in use, the step, and each rung's last downward check."""
+    """State of the algorithm: the rung in use, the number of the step, and each rung's last downward check."""
 
     rung: Int[Array, ""]
     step: Int[Array, ""]
@@ -74,7 +72,7 @@ class Memory(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """Outcome of one decision: the new memory, and the estimated gains of going up and down, NaN if not estimated."""
+    """The new memory, and the estimated gains of going up and down, NaN if not estimated."""
 
     memory: Memory
     gain_up: Float[jax.Array, ""]
@@ -92,8 +90,19 @@ class _Expansion(NamedTuple):
     influence: Float[jax.Array, "2 2"]  # J1 = d u_H / d u_R
 
 
+def check_costs(switching: Switching) -> None:
+    """Look for a cost of each rung.
+
+    Raises:
+        ValueError: if there are fewer or more.
+    """
+    if np.shape(switching.costs) != (len(switching.ladder),):
+        names = ", ".join(model.name for model in switching.ladder)
+        raise ValueError(f"costs are of shape {np.shape(switching.costs)}; give one for each of {names}")
+
+
 def first_memory(switching: Switching, rung: int = 0) -> Memory:
-    """The memory before the first step; every rung may be checked at once."""
+    """Return the memory before the first step; every rung may be checked at once."""
     never = -np.ones(len(switching.ladder), np.int32) * switching.cooldown
     return Memory(np.asarray(rung, np.int32), np.zeros((), np.int32), never)
 
@@ -108,7 +117,7 @@ def decide(
     human: Float[jax.Array, "2"],
     observed_reward: Float[jax.Array, ""],
 ) -> Decision:
-    """Choose the rung for the coming step from what happened in the last one.
+    """Choose the rung of the coming step from the outcome of the last one.
 
     Up, tried at every step below the top: straight to the top rung, as if it had predicted the human control that
     was observed. Down, tried if not gone up and if this rung's last check is ``cooldown`` steps ago: one rung, with
@@ -122,7 +131,11 @@ def decide(
         robot: scaled control that the robot executed in it.
         human: scaled control that the human was observed to execute in it.
         observed_reward: the robot's reward after it.
+
+    Raises:
+        ValueError: if there is not one cost for each rung of the ladder.
     """
+    check_costs(switching)
     ladder, costs = switching.ladder, jnp.asarray(switching.costs)
     rung, top, now = memory.rung, len(ladder) - 1, memory.step + 1
     climbs = rung < top
@@ -163,7 +176,7 @@ def _earned(
     own: Float[jax.Array, "2"],
     partner: Float[jax.Array, "2"],
 ) -> Float[jax.Array, ""]:
-    """Car 0's reward after one step with these controls, in which the others keep their velocity."""
+    """Compute car 0's reward after one step with these controls; the others keep their velocity."""
     controls = jnp.stack([own, partner]) * game.planner.control_scale
     others = keep_velocity(game.dynamics, state[2:])
     return reward(scene, parameters, step(game.dynamics, state, jnp.concatenate([controls, others])))
@@ -172,11 +185,11 @@ def _earned(
 def _expand(
     game: Game, state: Float[jax.Array, "cars 4"], robot: Float[jax.Array, "2"], human: Float[jax.Array, "2"]
 ) -> _Expansion:
-    """Derivatives of the one-step rewards at the executed controls, and J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R.
+    """Differentiate the one-step rewards at the executed controls; J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R.
 
-    Robot's and human's reward are expanded together, each as the own one. What obstacles, other cars and another
-    leader add to a reward does not depend on the partner's control, and is left out of derivatives in that; unless
-    there is a feature of one's own, which may look at everything at once.
+    Both rewards are expanded in one batch, each from its own car's side. The terms of obstacles, other cars and another
+    leader do not depend on the partner's control and are left out of derivatives in it, unless there is a user-defined
+    feature, which may depend on everything.
     """
     pair, cars = game.scene, len(state)
     if not game.robot.own:
@@ -192,14 +205,14 @@ def _expand(
             slope = jax.jacfwd(lambda partner: _earned(game, pair, parameters, state[:cars], both[0], partner))(both[1])
             return slope, slope
 
-        own_slope, own_bend = slope_and_bend(lambda own: _earned(game, game.scene, parameters, state, own, partner))(
-            own
-        )
+        own_slope, own_bend = jacobian_and_hessian(
+            lambda own: _earned(game, game.scene, parameters, state, own, partner)
+        )(own)
         bend, partner_slope = jax.jacfwd(in_partner, has_aux=True)(jnp.stack([own, partner]))
         return own_slope, partner_slope, own_bend, bend[:, 0].T, bend[:, 1]
 
     rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human)
-    states = jnp.stack([state, swap(game, state)[1]])
+    states = jnp.stack([state, swap_players(game, state)[1]])
     controls = jnp.stack([robot, human])
     own, partner, own_own, own_partner, partner_partner = jax.vmap(derivatives)(
         rewards, states, controls, controls[::-1]
@@ -216,7 +229,7 @@ def _change_of_control(
     influence: Float[jax.Array, "2 2"],
     switching: Switching,
 ) -> Float[jax.Array, "2"]:
-    """The best first control under another model, less the executed one: ``delta u``.
+    """Return the best first control under another model, less the executed one: ``delta u``.
 
     With d = u' - u_H and J' the model's influence, the expansion is ``du^T A du / 2 + B du`` with
     ``A = r_RR + r_RH J' + (r_RH J')^T + J'^T r_HH J'`` and ``B = r_R + J'^T r_H + r_RH d + J'^T r_HH d``,
@@ -228,62 +241,3 @@ def _change_of_control(
     linear = expansion.robot + expansion.robot_human @ surprise
     linear += influence.T @ (expansion.human + expansion.human_human @ surprise)
     return trust_region_step(quadratic, linear, switching.trust_radius, switching.trust_tolerance)
-
-
-def trust_region_step(
-    quadratic: Float[jax.Array, "n n"],
-    linear: Float[jax.Array, "n"],
-    radius: float | Float[Array, ""],
-    tolerance: float | Float[Array, ""] = 0.0,
-) -> Float[jax.Array, "n"]:
-    """The maximiser of ``x^T A x / 2 + b^T x`` over the ball ``|x| <= radius``.
-
-    In A's eigenbasis, with eigenvalues l, the maximiser is ``x = b / (shift + max(l) - l)`` for the smallest
-    ``shift >= max(0, -max(l))`` that keeps x in the ball (More and Sorensen 1983). The shift is at most
-    ``|b| / radius`` and is bisected until ``|x|`` is within ``tolerance * radius`` of the radius. Where b has no part
-    along the top eigenvector (the "hard case"), the rest of the radius is spent along it.
-    """
-    values, vectors = eigenpairs((quadratic + quadratic.T) / 2)
-    along = vectors.T @ linear
-    gaps = values[-1] - values
-    least = jnp.maximum(0.0, -values[-1])
-
-    def at(shift: Float[jax.Array, ""]) -> Float[jax.Array, "n"]:
-        return jnp.where(along == 0, 0.0, along / (shift + gaps))
-
-    def excess(shift: Float[jax.Array, ""]) -> Float[jax.Array, ""]:
-        return jnp.sqrt(total(at(shift) ** 2)) - radius
-
-    def bracket(low: Float[jax.Array, ""], high: Float[jax.Array, ""], halvings: Int[jax.Array, ""]) -> _Bracket:
-        return _Bracket(low, high, halvings, excess((low + high) / 2))
-
-    def unfinished(found: _Bracket) -> Bool[jax.Array, ""]:
-        return (found.halvings < HALVINGS) & (jnp.abs(found.excess) > tolerance * radius)
-
-    def halve(found: _Bracket) -> _Bracket:
-        outside = found.excess > 0
-        low = jnp.where(outside, found.middle, found.low)
-        high = jnp.where(outside, found.high, found.middle)
-        return bracket(low, high, found.halvings + 1)
-
-    interior = (values[-1] < 0) & (excess(least) <= 0)
-    first = bracket(least, jnp.sqrt(total(along**2)) / radius, jnp.int32(0))
-    found = jax.lax.while_loop(unfinished, halve, first)
-    inside = at(jnp.where(interior, least, found.middle))
-    hard = (values[-1] > 0) & (found.halvings == HALVINGS)
-    left = radius**2 - total(inside**2)
-    rest = jnp.where(hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0)
-    return vectors @ inside.at[-1].add(jnp.where(along[-1] < 0, -rest, rest))
-
-
-class _Bracket(NamedTuple):
-    """Bounds of the shift, how often they were halved, and how far the step at their middle leaves the ball."""
-
-    low: Float[jax.Array, ""]
-    high: Float[jax.Array, ""]
-    halvings: Int[jax.Array, ""]
-    excess: Float[jax.Array, ""]
-
-    @property
-    def middle(self) -> Float[jax.Array, ""]:
-        return (self.low + self.high) / 2

@@ -1,32 +1,31 @@
-"""How far ahead both drivers plan, and the gradient steps that suit it."""
+"""Choose the number and size of gradient steps for a horizon and a time step."""
 
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
-__all__ = ["PAPER_ASCENT", "Ascent", "gradient_steps", "longest_step"]
+__all__ = ["PAPER_PLANNING", "PlanningSettings", "gradient_steps", "longest_step"]
 
-PAPER_STEPS = 20, 0.03  # their number and length
-SHARE = 0.6  # of the longest step that is chosen where a horizon needs one shorter than the paper's
+PAPER_STEPS = 20, 0.03  # number and size
+SHARE = 0.6  # of the longest step, taken where that is shorter than the paper's
 STEEPEST = 1000.0  # the largest weight on a squared lateral distance in the paper's scenes [1 / length unit^2]
 SPEED = 0.6  # the paper's speed limit [length units per second]
 
 
 @dataclass(frozen=True)
-class Ascent:
+class PlanningSettings:
     """Horizon, time step and gradient steps of the plans of robot and human alike.
 
-    They belong together. A control moves the car at the end of the plan further, the longer the horizon: the reward's
-    curvature in the controls grows with the fourth power of the number of steps, and a gradient step that is longer
-    than `longest_step` overshoots. At K = 10 the paper's step of 0.03 makes theory of mind earn -9 in Merger, where 60
-    steps of 0.01 earn 6.4. So what is left open is chosen by horizon and time step, see `gradient_steps`.
+    They belong together: the reward's curvature in the controls grows with the fourth power of the horizon, and a
+    gradient step longer than `longest_step` overshoots. At K = 10 the paper's step size of 0.03 makes theory of mind
+    earn -9 in Merger, where 60 steps of 0.01 earn 6.4. What is None is chosen by `gradient_steps`.
 
     Attributes:
-        horizon: number of controls that are planned, K.
+        horizon: number of planned controls, K.
         time_step: of plans and world [s].
-        iterations: number of gradient steps; None to be chosen.
-        step_size: length of a gradient step per unit of gradient; None to be chosen.
+        iterations: number of gradient steps, or None.
+        step_size: length of a gradient step per unit of gradient, or None.
     """
 
     horizon: int = 5
@@ -35,29 +34,29 @@ class Ascent:
     step_size: float | None = None
 
 
-PAPER_ASCENT = Ascent()
-"""How the paper's drivers plan: half a second ahead, in `PAPER_STEPS`."""
+PAPER_PLANNING = PlanningSettings()
+"""The paper's: half a second ahead, in `PAPER_STEPS`."""
 
 
 @cache
-def gradient_steps(ascent: Ascent) -> tuple[int, float]:
-    """How many gradient steps a plan takes, and their length; chosen where the ascent leaves them open.
+def gradient_steps(planning: PlanningSettings) -> tuple[int, float]:
+    """Return number and size of the gradient steps of a plan, chosen where the settings leave them open.
 
-    The step is the paper's, 0.03, or 0.6 of the `longest_step` where that is shorter; and there are as many that
-    together they are as long as the paper's 20 of 0.03, but no fewer than 20. At 0.1 s that makes 20 steps of 0.03 up
-    to K = 7, 58 of 0.0104 at K = 10, and 929 of 0.00065 at K = 20.
+    The step size is the paper's 0.03, or 0.6 of the `longest_step` where that is shorter; the number of steps keeps the
+    product of the paper's 20 steps of 0.03, but is at least 20. At 0.1 s: 20 steps of 0.03 up to K = 7, 58 of 0.0104 at
+    K = 10, and 929 of 0.00065 at K = 20.
     """
     papers_number, papers_length = PAPER_STEPS
-    length = ascent.step_size or min(papers_length, SHARE * longest_step(ascent.horizon, ascent.time_step))
-    return ascent.iterations or max(papers_number, round(papers_number * papers_length / length)), length
+    length = planning.step_size or min(papers_length, SHARE * longest_step(planning.horizon, planning.time_step))
+    return planning.iterations or max(papers_number, round(papers_number * papers_length / length)), length
 
 
 @cache
 def longest_step(horizon: int, time_step: float) -> float:
-    """The longest gradient step that does not overshoot the optimum of the paper's steepest feature.
+    """Return the longest gradient step that does not overshoot the optimum of the paper's steepest feature.
 
-    To first order, control j moves the car sideways by ``y_k = v dt^2 (k - 1 - j)`` at step k, a matrix M with the
-    largest singular value s; the curvature of ``-w y^2``, summed over the steps, is at most ``2 w s^2``, and its
+    To first order, control j moves the car sideways by ``y_k = v dt^2 (k - 1 - j)`` at step k. With s the largest
+    singular value of this matrix, the curvature of ``-w y^2``, summed over the steps, is at most ``2 w s^2``; its
     inverse is the step that reaches the optimum at once.
     """
     steps = np.arange(horizon)

@@ -1,4 +1,4 @@
-"""Second derivatives of what a path earns, in the controls that make the path, and steps that they tell of."""
+"""Differentiate a trajectory's reward twice in the controls, and compute steps and responses from the Hessian."""
 
 from collections.abc import Callable
 from typing import Literal, NamedTuple, TypeAlias
@@ -7,21 +7,30 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-__all__ = ["Expansion", "Influence", "Path", "damped_inverse", "eigenpairs", "expand", "response", "slope_and_bend"]
+__all__ = [
+    "Expansion",
+    "Influence",
+    "Trajectory",
+    "damped_inverse",
+    "eigenpairs",
+    "jacobian_and_hessian",
+    "response",
+    "second_order_expansion",
+]
 
 Influence: TypeAlias = Literal["exact", "damped"]
 
-Path: TypeAlias = Float[jax.Array, "fields steps"]
-"""The motion of one car over the steps of a plan, the fields of its `ms_highway.game.dynamics.Motion` stacked."""
+Trajectory: TypeAlias = Float[jax.Array, "fields steps"]
+"""Motion of one car over the steps of a plan, the fields of its `ms_highway.game.dynamics.Motion` stacked."""
 
 
 class Expansion(NamedTuple):
-    """A path's reward to second order in its n controls, which are ravelled.
+    """Expansion of a trajectory's reward to second order in its n ravelled controls.
 
     Attributes:
         gradient: of the reward in the controls.
         hessian: of the reward in the controls.
-        jacobian: of the path in the controls.
+        jacobian: of the trajectory in the controls.
     """
 
     gradient: Float[jax.Array, "n"]
@@ -29,29 +38,29 @@ class Expansion(NamedTuple):
     jacobian: Float[jax.Array, "fields steps n"]
 
 
-def expand(
-    path: Callable[[Float[jax.Array, "steps 2"]], Path],
-    reward: Callable[[Path], Float[jax.Array, ""]],
+def second_order_expansion(
+    path: Callable[[Float[jax.Array, "steps 2"]], Trajectory],
+    reward: Callable[[Trajectory], Float[jax.Array, ""]],
     controls: Float[jax.Array, "steps 2"],
     cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]] | None = None,
 ) -> Expansion:
-    """Gradient and Hessian, by the chain rule, of a reward that is a sum over the steps of the path.
+    """Compute gradient and Hessian, by the chain rule, of a reward that is a sum over the steps of a trajectory.
 
     With s_k the motion at step k, ``J_k = ds_k / du``, and g_k and Q_k the reward's gradient and Hessian at s_k::
 
         gradient = sum_k J_k^T g_k;  H = sum_k J_k^T Q_k J_k + sum_k g_k d2s_k / du2
 
-    The reward, which is dear, is differentiated twice in as many directions as a motion has fields, whatever the
-    number of controls; only the path, which is cheap, is differentiated in every control.
+    The expensive reward is differentiated twice in as many directions as a motion has fields, whatever the number of
+    controls; only the cheap trajectory is differentiated in every control.
 
     Args:
-        path: the path under the controls.
-        reward: what a path earns; no step may look at another.
+        path: trajectory under the controls.
+        reward: of a trajectory, a sum over its steps.
         controls: where to expand.
-        cost: what is paid for the controls themselves, a sum over them; it is taken off the reward.
+        cost: of the controls themselves, a sum over them; subtracted from the reward.
     """
 
-    def ravelled(controls: Float[jax.Array, "n"]) -> Path:
+    def ravelled(controls: Float[jax.Array, "n"]) -> Trajectory:
         return path(controls.reshape(-1, 2))
 
     point = controls.ravel()
@@ -71,12 +80,12 @@ def expand(
     return Expansion(gradient, hessian, jacobian)
 
 
-def slope_and_bend(
+def jacobian_and_hessian(
     function: Callable[[Float[jax.Array, "*shape"]], jax.Array],
 ) -> Callable[[Float[jax.Array, "*shape"]], tuple[jax.Array, jax.Array]]:
-    """First and second derivative, [*value, *shape] and [*value, *shape, *shape], forward over forward.
+    """Return a function's first and second derivative, [*value, *shape] and [*value, *shape, *shape].
 
-    For few variables that takes fewer operations than going back through the function.
+    Both are computed in forward mode, which takes fewer operations than reverse mode where variables are few.
     """
     slope = jax.jacfwd(function)
 
@@ -94,11 +103,11 @@ def slope_and_bend(
 def response(
     influence: Influence, hessian: Float[jax.Array, "n n"], vector: Float[jax.Array, "n *columns"]
 ) -> Float[jax.Array, "n *columns"]:
-    """``-H^-1 vector``: where a human moves the optimum of its reward, whose Hessian is H, under a push ``vector``.
+    """Compute ``-H^-1 vector``: how the optimum of a reward with Hessian H moves if its gradient changes by ``vector``.
 
-    * ``exact`` takes H as it is, like the paper and its released code; H need not be negative definite along the way
-      nor invertible, and then the answer is wild or not finite.
-    * ``damped`` first sets H's eigenvalues l to ``-max(|l|, 1)``, which makes every response an ascent and bounds it.
+    * ``exact`` takes H as it is, like the paper and its released code. Before convergence H may be indefinite or
+      singular, and the response arbitrary or not finite.
+    * ``damped`` replaces H's eigenvalues l by ``-max(|l|, 1)``, which makes every response an ascent and bounds it.
     """
     if influence == "damped":
         return damped_inverse(hessian, 1.0) @ vector
@@ -109,15 +118,15 @@ def response(
 
 
 def damped_inverse(hessian: Float[jax.Array, "n n"], floor: float) -> Float[jax.Array, "n n"]:
-    """``-H^-1`` with the eigenvalues l of H set to ``-max(|l|, floor)``: a metric in which every slope leads up."""
+    """Compute ``-H^-1`` with H's eigenvalues l replaced by ``-max(|l|, floor)``: positive definite, so steps ascend."""
     values, vectors = eigenpairs(hessian)
     return (vectors / jnp.maximum(jnp.abs(values), floor)) @ vectors.T
 
 
 def eigenpairs(symmetric: Float[jax.Array, "n n"]) -> tuple[Float[jax.Array, "n"], Float[jax.Array, "n n"]]:
-    """Eigenvalues, ascending, and eigenvectors in columns.
+    """Return eigenvalues, ascending, and eigenvectors in columns.
 
-    Two by two they are written out, which XLA compiles together with what stands around it; a call of LAPACK it cannot.
+    In closed form for 2 x 2, which XLA can fuse with the surrounding operations, unlike a call of LAPACK.
     """
     if len(symmetric) != 2:
         return jnp.linalg.eigh(symmetric)

@@ -1,4 +1,4 @@
-"""Plans as a car needs them live: compiled once, called with few arguments, timed warm."""
+"""Plan live: compiled once, called with few arguments, timed warm."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -10,9 +10,9 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.game import Game
-from ms_highway.planning.human_models import HumanModel, JointPlan, ladder
+from ms_highway.planning.human_models import HumanModel, JointPlan, ladder, plan_within_limits
 from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
-from ms_highway.runtime.jax_settings import refuse_after_fork
+from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up
 
@@ -22,43 +22,43 @@ State = Float[jax.Array, "cars 4"]
 
 
 class CompiledPlans:
-    """The plans of a game under each human model, compiled once for all games of the same shapes.
+    """Plan in a game under each human model, compiled once for all games of the same shapes.
 
     Args:
-        game: what is played.
+        game: may differ in numbers from the games that it was compiled for.
     """
 
     def __init__(self, game: Game) -> None:
         self._numbers, self._layout = pack(game)
-        self._cold = _still(game.planner.horizon)
+        self._steps = game.planner.horizon
 
     def plan(
         self, model: HumanModel, state: Float[np.ndarray, "cars 4"], start: JointPlan | None = None
     ) -> tuple[JointPlan, float]:
-        """The scaled plan in a `checked_state`, in NumPy arrays, and the seconds that it took.
+        """Return the scaled plan in a `checked_state`, in NumPy arrays, and the seconds that it took.
 
         Args:
-            model: the human model that plans.
+            model: human model that plans.
             state: all cars now.
-            start: the scaled plan to improve; zero controls without.
+            start: scaled plan to improve; by default, zero controls.
         """
         plan, seconds = timed(self.function(model), *self.arguments(state, start))
         return JointPlan(*np.asarray(plan)), seconds
 
     def warm_up(self, models: Sequence[HumanModel], state: Float[np.ndarray, "cars 4"]) -> float:
-        """Compile and run once those models' plans that have not run before; seconds spent, 0 if all were warm."""
+        """Compile and run once those models' plans that have not run before; return the seconds spent."""
         arguments = self.arguments(state)
         return sum((warm_up(self.function(model), *arguments) for model in models), 0.0)
 
     def function(self, model: HumanModel) -> jax.stages.Wrapped:
-        """The compiled function of a model's plans, which takes `arguments`; see `plan_function`."""
+        """Return the compiled function of a model's plans, which takes `arguments`; see `plan_function`."""
         return plan_function(model, self._layout)
 
     def arguments(
         self, state: Float[np.ndarray, "cars 4"], start: JointPlan | None = None
     ) -> tuple[np.ndarray, np.ndarray, jax.Array]:
-        """What a `plan_function` takes."""
-        begin = self._cold if start is None else jnp.asarray(np.asarray(start, dtype=np.float32))
+        """Return the arguments of a `plan_function`."""
+        begin = _still(self._steps) if start is None else jnp.asarray(np.asarray(start, dtype=np.float32))
         return self._numbers, state, begin
 
 
@@ -83,13 +83,13 @@ def plan(game: Game, state: Float[np.ndarray, "cars 4"], model: HumanModel | str
 
 @cache
 def _still(steps: int) -> Float[jax.Array, "2 steps 2"]:
-    """Zero controls for both players."""
+    """Return zero controls for both players."""
     return jnp.zeros((2, steps, 2))
 
 
 @cache
 def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
-    """``model.plan``, compiled once for all that plan so.
+    """Compile `plan_within_limits` once for all games of a layout.
 
     The compiled function takes the numbers of a packed game, all cars now, and the plan to start from; plans are arrays
     [2, steps, 2] of the robot's and the human's scaled controls.
@@ -98,15 +98,15 @@ def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
     def plan(
         numbers: Float[jax.Array, "n"], state: State, start: Float[jax.Array, "2 steps 2"]
     ) -> Float[jax.Array, "2 steps 2"]:
-        return jnp.stack(model.plan(layout.unpack(numbers), state, JointPlan(*start)))
+        return jnp.stack(plan_within_limits(model, layout.unpack(numbers), state, JointPlan(*start)))
 
-    if model.responds:  # through LAPACK (`eigh` or `solve`), whose calls no kernel can hold
+    if model.responds:  # by LAPACK (`eigh` or `solve`), whose calls cannot be part of a kernel
         return jax.jit(plan, compiler_options=known_options(QUICKLY))
     return jax.jit(in_one_kernel(plan))
 
 
 def checked_state(state: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars 4"]:
-    """A copy of the state in the core's precision; compiled functions take it over faster than JAX converts it.
+    """Copy a state in single precision, which is faster than a conversion by JAX.
 
     Raises:
         ValueError: if it is not a finite array [cars, 4] of two cars or more, in that precision.
@@ -127,7 +127,7 @@ def checked_state(state: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars
 def measure_costs(
     game: Game, ladder: Sequence[HumanModel], state: Float[np.ndarray, "cars 4"], repeats: int = 20
 ) -> Float[np.ndarray, "rungs"]:
-    """T(M) on this machine: the median seconds of a warm plan in this state, for each model.
+    """Measure T(M) on this machine: the median seconds of a warm plan in this state, for each model.
 
     Raises:
         ValueError: if the state is not a finite array [cars, 4] of two cars or more.

@@ -1,7 +1,6 @@
-"""The ladder of human models, cheap to dear, and the robot's plan under each.
+"""Plan under each human model of the ladder: naive, turn and theory of mind.
 
-A model is a frozen dataclass with a ``name``, a flag ``responds``, and two methods, ``predict`` and ``plan``; anything
-with these is a rung (`HumanModel`). All controls here are scaled, see `ms_highway.game.game`.
+Anything with the attributes of `HumanModel` is a model. All controls are scaled, see `ms_highway.game.game`.
 """
 
 from dataclasses import dataclass
@@ -12,9 +11,9 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, path_reward, swap
-from ms_highway.optimization.ascent import ascend, climb
-from ms_highway.optimization.second_derivatives import expand, response
+from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, swap_players, trajectory_reward
+from ms_highway.optimization.second_derivatives import response, second_order_expansion
+from ms_highway.optimization.solvers import optimize_controls, projected_ascent
 
 __all__ = [
     "MODELS",
@@ -26,6 +25,7 @@ __all__ = [
     "Turn",
     "cold_start",
     "ladder",
+    "plan_within_limits",
     "register",
 ]
 
@@ -34,7 +34,7 @@ Controls = Float[jax.Array, "steps 2"]
 
 
 class JointPlan(NamedTuple):
-    """A plan for the robot and the human controls that it counts on, scaled, [steps, 2] each."""
+    """The robot's controls and the human controls that they expect, scaled."""
 
     robot: Controls
     human: Controls
@@ -44,8 +44,8 @@ class HumanModel(Protocol):
     """A rung of the ladder.
 
     Attributes:
-        name: how configurations and reports call the model.
-        responds: whether the model lets the human respond to the robot's plan.
+        name: in configurations and reports.
+        responds: whether the human responds to the robot's plan.
 
     Models are hashable: a plan is compiled once per model.
     """
@@ -56,10 +56,13 @@ class HumanModel(Protocol):
     def __hash__(self) -> int: ...
 
     def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
-        """The human's controls as this model expects them."""
+        """Predict the human's controls."""
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-        """The robot's plan against this model of the human, improved from ``start``; from zero controls without."""
+        """Plan against this model of the human, improving ``start``, by default zero controls.
+
+        Whoever executes the plan limits it, see `plan_within_limits`.
+        """
 
 
 @dataclass(frozen=True)
@@ -70,64 +73,64 @@ class Naive:
     responds: ClassVar[bool] = False
 
     def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
-        """The controls that keep the human's speed and heading."""
+        """Return the controls that keep the human's speed and heading."""
         return constant_velocity(game, state[1])
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-        """The robot's best controls against that prediction."""
+        """Optimise the robot's controls against that prediction."""
         return _plan_against(game, state, self.predict(game, state), start)
 
 
 @dataclass(frozen=True)
 class Turn:
-    """The human optimises its own reward and believes that the robot keeps its velocity; then the robot moves."""
+    """The human optimises its own reward against a robot that keeps its velocity, whatever the robot plans."""
 
     name: ClassVar[str] = "turn"
     responds: ClassVar[bool] = False
 
     def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
-        """The human's plan against a robot that keeps its velocity."""
-        return Naive().plan(*swap(game, state), start and JointPlan(start.human, start.robot)).robot
+        """Return the human's plan against a robot that keeps its velocity."""
+        return Naive().plan(*swap_players(game, state), start and JointPlan(start.human, start.robot)).robot
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-        """The robot's best controls against that prediction."""
+        """Optimise the robot's controls against that prediction."""
         return _plan_against(game, state, self.predict(game, state, start), start)
 
 
 @dataclass(frozen=True)
 class TheoryOfMind:
-    """The human responds optimally to the robot's plan, and the robot knows it.
+    """The human responds optimally to the robot's plan, and the robot anticipates it.
 
-    Both ascend together. With J = -(d2R_H/du_H2)^-1 d2R_H/du_H du_R at the current controls, the robot steps along
-    ``dR_R/du_R + J^T dR_R/du_H`` and the human along ``dR_H/du_H``. J is never formed: one response of the human to
-    ``dR_R/du_H`` and one derivative of ``dR_H/du_H`` along it give J^T dR_R/du_H. Always ascends by gradient steps,
-    whatever the planner's solver: a joint ascent has no single reward that a line search could look at.
+    Both plans are improved together. With J = -(d2R_H/du_H2)^-1 d2R_H/du_H du_R at the current controls, the robot
+    steps along ``dR_R/du_R + J^T dR_R/du_H`` and the human along ``dR_H/du_H``. J is never formed (adjoint method): one
+    response of the human to ``dR_R/du_H`` and one derivative of ``dR_H/du_H`` along it give J^T dR_R/du_H. Always uses
+    gradient steps, whatever the planner's solver: a joint ascent has no single objective for a line search.
     """
 
     name: ClassVar[str] = "tom"
     responds: ClassVar[bool] = True
 
     def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
-        """The human's side of the joint plan."""
+        """Return the human's side of the joint plan."""
         return self.plan(game, state, start).human
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-        """The robot's and the human's controls after their joint ascent."""
-        mirrored, mirrored_state = swap(game, state)
+        """Improve the robot's and the human's controls by a joint ascent."""
+        mirrored, mirrored_state = swap_players(game, state)
 
         def direction(plan: JointPlan) -> JointPlan:
             robot, pull_robot = jax.vjp(partial(move, game, state[0]), plan.robot)
             human, pull_human = jax.vjp(partial(move, game, state[1]), plan.human)
-            along_robot, along_human = jax.grad(path_reward, argnums=(2, 3))(game, state, robot, human)
-            earned = expand(
+            along_robot, along_human = jax.grad(trajectory_reward, argnums=(2, 3))(game, state, robot, human)
+            earned = second_order_expansion(
                 partial(move, game, state[1]),
-                lambda human: path_reward(mirrored, mirrored_state, human, robot),
+                lambda human: trajectory_reward(mirrored, mirrored_state, human, robot),
                 plan.human,
                 partial(discomfort, mirrored, state[1]),
             )
             pushed = response(game.influence, earned.hessian, pull_human(along_human)[0].ravel())
             _, pull_back = jax.vjp(
-                lambda robot: jax.grad(path_reward, argnums=2)(mirrored, mirrored_state, human, robot), robot
+                lambda robot: jax.grad(trajectory_reward, argnums=2)(mirrored, mirrored_state, human, robot), robot
             )
             through_human = pull_back(jnp.sum(earned.jacobian * pushed, axis=-1))[0]
             eased = pull_robot(along_robot + through_human)[0] - jax.grad(partial(discomfort, game, state[0]))(
@@ -138,23 +141,23 @@ class TheoryOfMind:
         def within_limits(plan: JointPlan) -> JointPlan:
             return JointPlan(bounded(game, state[0], plan.robot), bounded(game, state[1], plan.human))
 
-        return ascend(game.planner, direction, start or cold_start(game), within_limits)
+        return projected_ascent(game.planner, direction, start or cold_start(game), within_limits)
 
 
 def cold_start(game: Game) -> JointPlan:
-    """The plan that the paper improves: zero controls for both."""
+    """Return the paper's initial plan: zero controls for both."""
     still = jnp.zeros((game.planner.horizon, 2))
     return JointPlan(still, still)
 
 
 @jax.jit  # traced once for the human and the robot, naive and turn
 def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | None) -> JointPlan:
-    """The robot's own ascent of its reward against fixed human controls."""
+    """Optimise the robot's controls against fixed human controls."""
     expected = move(game, state[1], human)
-    robot = climb(
+    robot = optimize_controls(
         game.planner,
         partial(move, game, state[0]),
-        lambda robot: path_reward(game, state, robot, expected),
+        lambda robot: trajectory_reward(game, state, robot, expected),
         partial(discomfort, game, state[0]),
         (start or cold_start(game)).robot,
         partial(bounded, game, state[0]),
@@ -162,23 +165,35 @@ def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | 
     return JointPlan(robot, human)
 
 
+def plan_within_limits(model: HumanModel, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+    """A model's plan as it may be executed: the robot's finite controls are cut down to the limits, see `bounded`.
+
+    The paper's models keep to the limits by themselves, and their plans are left as they are.
+    """
+    plan = model.plan(game, state, start)
+    if type(model) in (Naive, Turn, TheoryOfMind):
+        return plan
+    held = bounded(game, state[0], plan.robot)
+    return plan._replace(robot=jnp.where(jnp.isfinite(plan.robot), held, plan.robot))
+
+
 MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), Turn(), TheoryOfMind())}
-"""The known models by name, cheapest first."""
+"""Known models by name, cheapest first."""
 
 PAPER_MODELS = tuple(MODELS)
 """Names of the paper's models, cheapest first."""
 
 
 def register(model: HumanModel, before: str | None = None) -> None:
-    """Make a model of one's own known by its name, to configurations and commands of this process.
+    """Register a human model by its name, for configurations and commands of this process.
 
     Args:
-        model: hashable, and with all that a `HumanModel` has; it replaces the one that had its name.
-        before: name of the next dearer model on ladders; without it, the new model is dearer than all others.
+        model: hashable, with all attributes of a `HumanModel`; replaces a model of the same name.
+        before: name of the next more expensive model on ladders; by default, the new model is the most expensive.
 
     Raises:
-        ValueError: if the name is one of the paper's models, is no name, or ``before`` names no other model; if the
-            model lacks something, or is not hashable.
+        ValueError: if the name is one of the paper's models or no word, or ``before`` names no other model; if the
+            model lacks an attribute or is not hashable.
     """
     lacks = [part for part in ("name", "responds", "predict", "plan") if not hasattr(model, part)]
     if lacks:
@@ -201,10 +216,10 @@ def register(model: HumanModel, before: str | None = None) -> None:
 
 
 def ladder(names: tuple[str, ...] | list[str]) -> tuple[HumanModel, ...]:
-    """The models of these names, checked to be a ladder: known, not empty, cheapest first, each once.
+    """Return the models of these names.
 
     Raises:
-        ValueError: if they are not.
+        ValueError: unless all are known, and each is named once, cheapest first; if there is none.
     """
     for name in names:
         if not isinstance(name, str) or name not in MODELS:

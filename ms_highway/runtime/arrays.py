@@ -1,4 +1,4 @@
-"""Names of arrays that JAX and NumPy both have a form of."""
+"""Name the types of arrays of JAX and NumPy."""
 
 from typing import TypeAlias, TypeVar
 
@@ -9,4 +9,4 @@ __all__ = ["Array", "SameArray"]
 
 Array: TypeAlias = jax.Array | np.ndarray
 SameArray = TypeVar("SameArray", jax.Array, np.ndarray)
-"""An array that a function takes of either kind, and returns of the same."""
+"""An array of either kind, returned in the same kind."""

@@ -1,4 +1,4 @@
-"""Many like items through one compiled function, a batch at a time."""
+"""Compute a compiled function of many items in batches of one size."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,18 +8,17 @@ import numpy as np
 
 __all__ = ["BATCH", "in_batches"]
 
-BATCH = 32  # items; more are hardly faster, and fewer are computed in vain
+BATCH = 32  # items; more are hardly faster and waste more on the last batch
 
 
 def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
-    """What a function makes of all items, in NumPy arrays.
+    """Compute a function of all items; return NumPy arrays.
 
-    The last batch is filled up with copies of the last item, so that a compiled function is compiled once, however many
-    items there are.
+    The last batch is padded with copies of the last item, so that the function is compiled once for any n.
 
     Args:
-        function: of a pytree of arrays [BATCH, ...], to a pytree of arrays [BATCH, ...].
-        items: a pytree of arrays [n, ...]; floating-point numbers are passed on in single precision.
+        function: from a pytree of arrays [BATCH, ...] to a pytree of arrays [BATCH, ...].
+        items: pytree of arrays [n, ...]; floating-point numbers are converted to single precision.
     """
     items = jax.tree.map(_single, items)
     number, results = len(jax.tree.leaves(items)[0]), []

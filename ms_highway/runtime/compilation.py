@@ -10,15 +10,16 @@ from jax import numpy as jnp
 __all__ = ["QUICKLY", "in_one_kernel", "jit_quickly", "known_options"]
 
 QUICKLY = {"xla_cpu_use_fusion_emitters": False}
-"""Compiler options that halve compilation, where XLA knows them (JAX up to 0.11.0); they cost small plans a tenth of
-their speed, and large ones nothing."""
+"""Compiler options that halve compilation time, where XLA knows them (JAX up to 0.11.0); they make small plans
+a tenth slower, and large ones not."""
 
 
 def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-    """The same function of float arrays, the first of which begins with a finite number, as a loop that runs once.
+    """Wrap a function of float arrays, the first of which begins with a finite number, in a loop that runs once.
 
-    See `low_latency`; without that, the loop does no harm. XLA must not see that it runs once, nor that what it works
-    on stays the same, or else it would take it apart. NaN where the first number is NaN.
+    With `ms_highway.runtime.jax_settings.low_latency`, XLA compiles it as one kernel; without, the loop does no harm.
+    XLA must not find out that it runs once or that its inputs stay the same, or it would remove it. Returns NaN where
+    the first number is NaN.
     """
 
     @wraps(function)
@@ -38,12 +39,12 @@ def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array
 def jit_quickly(
     function: Callable[..., Any], *, static_argnums: tuple[int, ...] = (), options: Mapping[str, Any] | None = None
 ) -> Callable[..., Any]:
-    """`jax.jit` with the compiler options `QUICKLY`, and any others, as far as this version of XLA knows them.
+    """Apply `jax.jit` with the compiler options `QUICKLY`, and others, as far as this version of XLA knows them.
 
-    XLA is asked when the function is first called: whoever only imports a module does not start JAX.
+    XLA is asked at the first call, so that importing a module does not start JAX.
 
     Args:
-        function: what to compile.
+        function: to compile.
         static_argnums: see `jax.jit`.
         options: further compiler options by name.
     """
@@ -61,7 +62,7 @@ def jit_quickly(
 
 
 def known_options(options: Mapping[str, Hashable]) -> dict[str, Hashable]:
-    """Those of the compiler options that this version of XLA knows; starts JAX."""
+    """Select the compiler options that this version of XLA knows; starts JAX."""
     return {name: value for name, value in options.items() if _knows(name, value)}
 
 

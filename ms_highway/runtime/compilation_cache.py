@@ -1,8 +1,8 @@
-"""Compiled functions on disk: only from directories that nobody else writes to, and only what was stored by that name.
+"""Keep compiled functions on disk, in directories that only this user writes to, and check them when they are read.
 
-They are machine code, which runs as it is found. JAX looks them up by a key, a digest of the program, and takes what it
-finds in the file of that name: where two files have changed places, another program runs. So each is stored behind a
-digest of its key and its content, and what does not agree is removed and compiled anew.
+They are machine code. JAX finds them by a key, a digest of the program, which is the name of the file: if two files
+were exchanged, the wrong program would run. So each file begins with a digest of its key and content; a file that does
+not agree is removed, and the function is compiled again.
 """
 
 import os
@@ -11,7 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from jax._src import compilation_cache  # JAX has no public way to have a cache of one's own
+from jax._src import compilation_cache  # JAX has no public interface for other caches
 
 from ms_highway.runtime.files import replacing
 
@@ -23,7 +23,7 @@ WRITABLE_BY_OTHERS = 0o022
 
 
 class CheckedCache:
-    """Compiled functions by key, in the files of a directory; takes the place of JAX's own cache.
+    """Compiled functions by key, in the files of a directory; replaces JAX's own cache.
 
     Attributes:
         path: the directory.
@@ -33,7 +33,7 @@ class CheckedCache:
         self.path = self._path = Path(path)  # JAX asks for the second
 
     def get(self, key: str) -> bytes | None:
-        """What was stored; None where there is nothing, or something else, which is removed."""
+        """Return what was stored; None if there is nothing, or a file that fails the check, which is removed."""
         file = self._file(key)
         with suppress(FileNotFoundError):
             content = file.read_bytes()
@@ -43,7 +43,7 @@ class CheckedCache:
         return None
 
     def put(self, key: str, value: bytes) -> None:
-        """Store what was compiled."""
+        """Store a compiled function."""
         with replacing(self._file(key)) as path:
             path.write_bytes(_digest(key, value) + value)
 
@@ -56,7 +56,7 @@ def _digest(key: str, value: bytes) -> bytes:
 
 
 def use_checked_cache() -> None:
-    """Have JAX use a `CheckedCache` wherever it is told to keep compiled functions; its own where it cannot be told."""
+    """Replace the cache of JAX by a `CheckedCache`, where this version of JAX allows it."""
     jax_cache: Any = compilation_cache
     if hasattr(jax_cache, "get_file_cache"):
         jax_cache.get_file_cache = lambda path: (CheckedCache(path), path)
@@ -64,10 +64,10 @@ def use_checked_cache() -> None:
 
 
 def check_owner(directory: Path) -> None:
-    """Look whether nobody but this user, and the system's administrator, can write to a directory.
+    """Check that only this user, and the system's administrator, can write to a directory.
 
     Raises:
-        PermissionError: naming the remedy, if somebody can.
+        PermissionError: if others can, with the remedy.
     """
     if not hasattr(os, "getuid"):  # Windows
         return

@@ -1,4 +1,4 @@
-"""The processor's cores that this process may use."""
+"""Count the processor's cores."""
 
 import os
 
@@ -6,5 +6,5 @@ __all__ = ["cores"]
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,12 +1,11 @@
-"""Ctrl-C: it ends the command at once, with one sentence, whatever the command is in the midst of.
+"""End the command at once at Ctrl-C, with one sentence, whatever it is doing.
 
-Python itself would raise ``KeyboardInterrupt`` in the main thread once it is between two lines: not before a
-compilation or a batch has ended. Where a callback of JAX's or an import is at work, the exception is lost. And where
-it arrives, Python comes to its end while threads of JAX still compute: those that ask for Python then are thrown out
-of C++ code that must not be left so, and the process aborts.
+Python itself would raise ``KeyboardInterrupt`` in the main thread between two instructions: only after a compilation or
+a batch. Within a callback of JAX or an import the exception is lost; elsewhere, Python would shut down while threads of
+JAX still compute, and the process would abort.
 
-So a thread waits for the signal and ends the process. All results are written under other names and moved when they are
-whole, so that nothing is lost but what had not been written.
+So a thread waits for the signal and ends the process. All results are written atomically: only what had not been
+written is lost.
 """
 
 import os
@@ -16,29 +15,29 @@ from contextlib import suppress
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
-if TYPE_CHECKING:  # what takes time is imported once interrupts are waited for
+if TYPE_CHECKING:  # slow imports wait until interrupts are watched
     from socket import socket
 
 __all__ = ["INTERRUPTED", "STOPPED", "end", "watch"]
 
 INTERRUPTED = 128 + signal.SIGINT
-"""Exit status of a command that was interrupted, as shells have it."""
+"""Exit status of an interrupted command, by the convention of shells."""
 
 STOPPED = "ms-highway: stopped; started again in the same way, compare, sweep, frontier and irl record go on"
 
-FLUSHING = 1.0  # s, at most, as nobody may read what is printed
-SHOW_CURSOR = "\x1b[?25h"  # which progress bars hide
+FLUSHING = 1.0  # s, at most, as nobody may be reading the output
+SHOW_CURSOR = "\x1b[?25h"  # hidden by progress bars
 
 
 def watch() -> None:
-    """Let an interrupt end this process, if it is the command ``ms-highway`` and does not ignore interrupts."""
+    """Let interrupts end this process, if it is the command ``ms-highway`` and does not ignore them."""
     if not _is_command() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
     signal.signal(signal.SIGINT, _end_early)
     from socket import socketpair
     from threading import Thread
 
-    import ms_highway.runtime.files  # noqa: F401  # or else `end` would, and wait for the main thread's imports
+    import ms_highway.runtime.files  # noqa: F401  # `end` needs it, and would wait for imports of the main thread
 
     watched, told = socketpair()
     told.setblocking(False)
@@ -48,7 +47,7 @@ def watch() -> None:
 
 
 def end(told: str, status: int) -> NoReturn:
-    """End this process from any thread, at once: with a line on standard error, and without temporary files."""
+    """End this process at once, from any thread: print a line on standard error, and remove temporary files."""
     from threading import Thread
 
     from ms_highway.runtime.files import remove_temporary
@@ -71,20 +70,20 @@ def _tell(told: str) -> None:
 
 
 def _end_early(signal_number: int, frame: FrameType | None) -> NoReturn:
-    """End this process before the thread is there that waits for interrupts, when there is nothing to tidy up yet."""
+    """End this process before the thread that waits for interrupts runs, when there is nothing to clean up."""
     _tell(STOPPED)
     os._exit(INTERRUPTED)
 
 
 def _is_command() -> bool:
-    """Whether this process was started as ``ms-highway`` or ``python -m ms_highway``, and not as a worker of such."""
+    """Return whether this process was started as ``ms-highway`` or ``python -m ms_highway``, not as its worker."""
     by_module = sys.argv[0] == "-m" and "ms_highway" in sys.orig_argv
     by_name = os.path.splitext(os.path.basename(sys.argv[0]))[0] == "ms-highway"
     return (by_module or by_name) and "--multiprocessing-fork" not in sys.orig_argv
 
 
 def _wait(watched: "socket", told: "socket") -> None:
-    """Wait for the signal and end the process; ``told`` is kept open until then."""
+    """Wait for the signal and end the process; keep ``told`` open until then."""
     with told:
         while signal.SIGINT not in watched.recv(1):
             pass

@@ -1,4 +1,4 @@
-"""Set JAX up: for low latency or high throughput, what it compiles kept on disk, and not in forked processes."""
+"""Configure JAX: for low latency or high throughput, with compiled functions on disk."""
 
 import os
 from pathlib import Path
@@ -7,27 +7,23 @@ import jax
 
 from ms_highway.runtime.compilation_cache import check_owner, use_checked_cache
 
-__all__ = ["high_throughput", "keep_compilations", "low_latency", "refuse_after_fork"]
+__all__ = ["high_throughput", "keep_compilations", "low_latency"]
 
 KERNEL_BYTES = 100_000
-"""Loops that touch less per iteration become one kernel: those of a plan or a decision do, those of batches, which
-run faster as many vectorised kernels, do not."""
-
-_forked = False  # whether this process was forked from one in which JAX had begun
+"""Loops with less memory traffic per iteration become one kernel: those of a plan or a decision, but not those of
+batches, which run faster as many vectorised kernels."""
 
 
 def low_latency() -> None:
-    """Set JAX up for many small computations on the CPU, before it computes anything.
+    """Configure JAX for many small computations on the CPU, before it computes anything.
 
-    It holds for the whole process and for those that it starts. Two things make up much of a plan's time: handing a
-    computation over to another thread, and starting a hundred kernels per iteration. The first is switched off; against
-    the second, XLA is told to compile loops of up to `KERNEL_BYTES` per iteration as one kernel, as it does by itself
-    only with much smaller ones. Where ``XLA_FLAGS`` has that option already or names a file, it stays as it is; and
-    where JAX has begun already, plans are slower.
+    Applies to this process and those that it starts. Much of a plan's time is spent on dispatch to another thread,
+    which is switched off, and on starting a hundred kernels per iteration: XLA is told to compile loops of up to
+    `KERNEL_BYTES` per iteration as one kernel, as it does by default only for much smaller ones. ``XLA_FLAGS`` with
+    that option or with the name of a file are left unchanged; after JAX has begun, plans are slower.
 
-    The last digits of plans are others than without it, as everything that is compiled otherwise rounds otherwise.
-    Chaotic episodes make much of them: in Stay Back, single episodes may end otherwise, and means over 30 of them
-    differ in the first digit. So whoever compares with results of the command needs this call as well.
+    It changes the last digits of plans, and chaotic episodes amplify them: in Stay Back, single episodes may end
+    differently, and means over 30 episodes differ in the first digit. To reproduce results of the command, call it.
     """
     option = "xla_cpu_small_while_loop_byte_threshold"
     _tell_xla(option, f"--xla_backend_extra_options={option}={KERNEL_BYTES}")
@@ -35,11 +31,11 @@ def low_latency() -> None:
 
 
 def high_throughput() -> None:
-    """Set JAX up for many episodes at once (`ms_highway.simulation.loop`) on the CPU, before it computes anything.
+    """Configure JAX for many episodes at once (`ms_highway.simulation.loop`) on the CPU, before it computes anything.
 
-    It holds for the whole process and for those that it starts. XLA is told to keep to instructions of AVX2: wider ones
-    gain little here, and with them the last digits of a number depend on its place in a batch, of which chaotic
-    episodes make much. Where ``XLA_FLAGS`` has that option already or names a file, it stays as it is.
+    Applies to this process and those that it starts. XLA is limited to instructions of AVX2: wider ones gain little,
+    and make the last digits of a number depend on its place in a batch, which chaotic episodes amplify. ``XLA_FLAGS``
+    with that option or with the name of a file are left unchanged.
     """
     _tell_xla("xla_cpu_max_isa", "--xla_cpu_max_isa=AVX2")
 
@@ -50,37 +46,15 @@ def _tell_xla(option: str, flag: str) -> None:
         os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
 
 
-def _note_fork() -> None:
-    from jax._src import xla_bridge  # JAX tells it nowhere else
-
-    global _forked
-    _forked = _forked or xla_bridge.backends_are_initialized()
-
-
-if hasattr(os, "register_at_fork"):  # Windows forks nothing
-    os.register_at_fork(after_in_child=_note_fork)
-
-
-def refuse_after_fork() -> None:
-    """Refuse to compute in a process that was forked after JAX had begun, where it would wait for ever.
-
-    Raises:
-        RuntimeError: there.
-    """
-    if _forked:
-        remedy = "start it with context='forkserver' or 'spawn', or before JAX begins in the process that starts it"
-        raise RuntimeError(f"JAX cannot compute in a process forked from one in which it had begun; {remedy}")
-
-
 def keep_compilations(directory: Path | None = None) -> Path:
-    """Keep compiled functions in a directory of the user's, for later runs; returns it.
+    """Keep compiled functions in a directory for later runs; return it.
 
     Args:
-        directory: where; without, what the environment variable ``JAX_COMPILATION_CACHE_DIR`` names, or else
+        directory: by default that of the environment variable ``JAX_COMPILATION_CACHE_DIR``, or else
             ``ms_highway/compiled`` in the user's cache directory.
 
     Raises:
-        OSError: if that cannot be made, or others can write to it: then nothing is kept, nor used.
+        OSError: if it cannot be made, or others can write to it; then nothing is kept or used.
     """
     chosen, cache = os.environ.get("JAX_COMPILATION_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")
     home = Path(cache) if cache and Path(cache).is_absolute() else Path.home() / ".cache"

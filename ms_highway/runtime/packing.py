@@ -1,7 +1,4 @@
-"""Pytrees of numbers as one array.
-
-Calling a compiled function costs about a microsecond per argument, which counts where a plan takes a hundred.
-"""
+"""Pack pytrees of numbers into one array: each argument of a compiled function costs about a microsecond per call."""
 
 from math import prod
 from typing import Any, NamedTuple
@@ -15,13 +12,13 @@ __all__ = ["Layout", "Packed", "pack"]
 
 
 class Layout(NamedTuple):
-    """What has to be known, beside its numbers, to build a pytree of arrays; hashable."""
+    """Structure and shapes of a pytree of arrays; hashable."""
 
     structure: jax.tree_util.PyTreeDef
     shapes: tuple[tuple[int, ...], ...]
 
     def unpack(self, numbers: Float[jax.Array, "n"]) -> Any:
-        """The pytree of these numbers."""
+        """Build the pytree of these numbers."""
         ends = np.cumsum([prod(shape) for shape in self.shapes])
         leaves = jnp.split(numbers, ends[:-1])
         return jax.tree.unflatten(
@@ -30,14 +27,14 @@ class Layout(NamedTuple):
 
 
 class Packed(NamedTuple):
-    """A pytree as one array of numbers, and how to build it again."""
+    """A pytree as one array of numbers, and its layout."""
 
     numbers: Float[np.ndarray, "n"]
     layout: Layout
 
 
 def pack(tree: Any) -> Packed:
-    """A pytree of numbers, packed in float32; compiled functions take them over faster than JAX converts them."""
+    """Pack a pytree of numbers in float32 with NumPy, which is faster than a conversion by JAX."""
     leaves, structure = jax.tree.flatten(tree)
     arrays = [np.asarray(leaf, dtype=np.float32) for leaf in leaves]
     return Packed(

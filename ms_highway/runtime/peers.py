@@ -1,7 +1,7 @@
-"""Processes that share a computation: they begin together, and all end if one does before it is done.
+"""Let processes that share a computation begin together, and end all of them if one ends early.
 
-Process 0 listens where it is told to, and the others connect to it and stay so. What goes over a connection are single
-lines; that it breaks says that the process at its other end is no more. The computation itself needs no connection.
+Process 0 listens at a given address; the others connect to it and stay connected. Messages are single lines; a broken
+connection means that the process at its other end has ended. The computation itself needs no connection.
 """
 
 import socket
@@ -14,9 +14,9 @@ from ms_highway.runtime.interrupt import end
 
 __all__ = ["together"]
 
-PATIENCE = 300.0  # s, that processes wait for each other at the beginning
+PATIENCE = 300.0  # s, for which processes wait for each other at the beginning
 PAUSE = 0.2  # s, between attempts to connect
-GREETING = 5.0  # s, in which whoever connects has to say who it is
+GREETING = 5.0  # s, within which a connecting process must identify itself
 SILENCE = 60  # s, after which a connection is tested
 BEGIN, DONE = "begin", "done"
 
@@ -32,11 +32,11 @@ class _Link:
         self._lines = connection.makefile("rb", buffering=0)
 
     def say(self, line: str) -> None:
-        with suppress(OSError):  # whoever is no more is noticed by listening
+        with suppress(OSError):  # a process that has ended is noticed by listening
             self.connection.sendall(f"{line}\n".encode())
 
     def hear(self, seconds: float | None = None) -> str:
-        """The next line; empty when the connection is no more, or after this many seconds."""
+        """Return the next line; empty when the connection has ended, or after this many seconds."""
         self.connection.settimeout(seconds)
         try:
             return self._lines.readline(200).decode(errors="replace").strip()
@@ -51,15 +51,17 @@ class _Link:
 
 @contextmanager
 def together(address: str, of: int, place: int) -> Iterator[None]:
-    """Begin the block when all processes are there; while it runs, this process ends if one of them does.
+    """Run the block once all processes are connected; end this process if another ends meanwhile.
+
+    Process 0, through which the others know of each other, leaves the block when all have said that they are done.
 
     Args:
-        address: ``HOST:PORT`` of process 0, which listens there and nowhere else.
-        of: how many processes there are.
-        place: which of them this is, from 0.
+        address: ``HOST:PORT`` of process 0, which listens only there.
+        of: number of processes.
+        place: index of this process, from 0.
 
     Raises:
-        ValueError: if there is no such address, it is in use, or the others do not come, or count differently.
+        ValueError: if the address is wrong or in use, or the others do not connect or give another number.
     """
     with ExitStack() as closing:
         try:
@@ -69,10 +71,14 @@ def together(address: str, of: int, place: int) -> Iterator[None]:
             remedy = "give HOST:PORT, a free port of the machine of process 0"
             raise ValueError(f"--coordinator {address}: {error}; {remedy}") from error
         leaving = Event()
-        for other in links:
-            Thread(target=_watch, args=(other, links, leaving), daemon=True).start()
+        watches = [Thread(target=_watch, args=(other, links, leaving), daemon=True) for other in links]
+        for watch in watches:
+            watch.start()
         try:
             yield
+            if place == 0:
+                for watch in watches:
+                    watch.join()
             for link in links.values():
                 link.say(DONE)
         finally:
@@ -87,7 +93,7 @@ def _parts(address: str) -> tuple[str, int]:
 
 
 def _gather(host: str, port: int, of: int, closing: ExitStack) -> dict[int, _Link]:
-    """Connections with all other processes, by their places."""
+    """Return connections with all other processes, by their index."""
     links: dict[int, _Link] = {}
     family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
     with socket.create_server((host, port), family=family) as server:
@@ -116,7 +122,7 @@ def _gather(host: str, port: int, of: int, closing: ExitStack) -> dict[int, _Lin
 
 
 def _reach(host: str, port: int, of: int, place: int, closing: ExitStack) -> dict[int, _Link]:
-    """The connection with process 0."""
+    """Return the connection with process 0."""
     end_of_patience = monotonic() + PATIENCE
     while True:
         try:
@@ -135,7 +141,7 @@ def _reach(host: str, port: int, of: int, place: int, closing: ExitStack) -> dic
 
 
 def _watch(other: int, links: Mapping[int, _Link], leaving: Event) -> None:
-    """End this process if another ends before it is done; process 0, with which all are connected, tells the others."""
+    """End this process if another ends early; process 0, to which all are connected, tells the others."""
     heard = links[other].hear()
     if heard == DONE or leaving.is_set():
         return

@@ -1,4 +1,4 @@
-"""Time compiled functions: warm, and until the result is there."""
+"""Time compiled functions: warm, and until the result is ready."""
 
 from collections.abc import Callable, Hashable
 from time import perf_counter
@@ -9,11 +9,11 @@ import numpy as np
 
 __all__ = ["forget", "timed", "warm_up"]
 
-_warm: set[Hashable] = set()  # compiled functions that have run with arguments of these shapes
+_warm: set[Hashable] = set()  # compiled functions that have run, with the shapes of their arguments
 
 
 def warm_up(function: Callable[..., Any], *arguments: Any) -> float:
-    """Compile and run once what has not run before; seconds spent, 0 if it was warm already."""
+    """Compile and run a function that has not run before; return the seconds spent, 0 if it was warm."""
     leaves, structure = jax.tree.flatten(arguments)
     key = (function, structure, tuple(np.shape(leaf) for leaf in leaves))
     if key in _warm:
@@ -25,13 +25,13 @@ def warm_up(function: Callable[..., Any], *arguments: Any) -> float:
 
 
 def forget() -> None:
-    """Forget all that this process has compiled."""
+    """Forget all compiled functions of this process."""
     jax.clear_caches()
     _warm.clear()
 
 
 def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
-    """Result of a warm computation, and the seconds it took until the result was there."""
+    """Return the result of a warm computation, and the seconds until it was ready."""
     start = perf_counter()
     result = jax.block_until_ready(function(*arguments))
     return result, perf_counter() - start

@@ -1,4 +1,4 @@
-"""Cars that move like a bicycle with friction: told what to do, or on a script or a route."""
+"""Move highway-env vehicles like a bicycle with friction: by actions, on a script or along a route."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ __all__ = ["BicycleVehicle", "RoutedVehicle", "ScriptedVehicle"]
 
 
 def _apart(one: RoadObject, other: RoadObject) -> bool:
-    """Whether a line along or across the first body keeps the two apart."""
+    """Return whether an axis of the first body separates the two."""
     x, y = (other.position - one.position).tolist()
     forward, right = cos(one.heading), sin(one.heading)
     turn = other.heading - one.heading
@@ -31,14 +31,14 @@ def _apart(one: RoadObject, other: RoadObject) -> bool:
 
 
 class BicycleVehicle(Vehicle):
-    """A car with the paper's dynamics: ``heading' = v omega``, ``v' = a - alpha v``.
+    """Car with the paper's dynamics: ``heading' = v omega``, ``v' = a - alpha v``.
 
     Actions are highway-env's ``{"steering": delta, "acceleration": a}`` with the front-wheel angle delta [rad], so
     that ``omega = tan(delta) / LENGTH``. Positions, headings and speeds are updated by `ms_highway.game.dynamics.step`.
 
     Attributes:
-        dynamics: the law of motion; friction alpha is 0.2 1/s unless replaced.
-        control: what is executed, ``(omega, acceleration)`` in the units of the law.
+        dynamics: with friction alpha of 0.2 1/s unless replaced.
+        control: executed ``(omega, acceleration)``, in the units of the dynamics.
     """
 
     WIDTH = 2.5  # m
@@ -61,24 +61,24 @@ class BicycleVehicle(Vehicle):
         return states_of([self])[0]
 
     def act(self, action: dict[str, Any] | None = None) -> None:
-        """Take an action, to be executed until the next one; without one, go on with the last."""
+        """Execute an action until the next one; without one, continue the last."""
         if action:
             curvature = tan(float(action["steering"])) / self.LENGTH
             omega = curvature if self.dynamics.steering == "curvature" else curvature * self.speed
             self.execute(np.array([omega, float(action["acceleration"])]))
 
     def execute(self, control: Float[np.ndarray, "2"]) -> None:
-        """Take a control ``(omega, acceleration)`` in the units of the law of motion, until the next one."""
+        """Execute a control ``(omega, acceleration)``, in the units of the dynamics, until the next one."""
         self.control = np.asarray(control, dtype=float)
         omega, acceleration = self.control
         curvature = omega if self.dynamics.steering == "curvature" else omega / self.speed if self.speed else 0.0
         self.action = {"steering": atan(curvature * self.LENGTH), "acceleration": float(acceleration)}
 
     def randomize_behavior(self) -> None:
-        """Nothing to do: highway-env varies its own drivers like this, and nothing about this car is random."""
+        """Do nothing: highway-env randomises its own drivers here, and nothing of this car is random."""
 
     def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds; a crashed car brakes to a stop, as highway-env has it."""
+        """Move for ``dt`` seconds; a crashed car brakes to a stop, as in highway-env."""
         if self.crashed:
             self.execute(np.array([0.0, -self.speed]))
         dynamics = replace(self.dynamics, time_step=dt)
@@ -92,10 +92,10 @@ class BicycleVehicle(Vehicle):
         self.on_state_update()
 
     def _is_colliding(self, other: RoadObject, dt: float) -> tuple[bool, bool, Float[np.ndarray, "2"] | None]:
-        """Whether the bodies overlap, will within ``dt``, and how to push them apart; see `RoadObject`.
+        """Return whether the bodies overlap, whether they will within ``dt``, and the push apart; see `RoadObject`.
 
-        Where one of them is not solid, nothing will be pushed: then it only counts whether they overlap now, that is
-        whether no line along or across either body keeps them apart.
+        Where one of them is not solid, nothing is pushed, and only the present overlap counts: no axis of either
+        body separates them.
         """
         if self.solid and other.solid:
             return super()._is_colliding(other, dt)
@@ -103,20 +103,20 @@ class BicycleVehicle(Vehicle):
 
 
 class ScriptedVehicle(BicycleVehicle):
-    """A car that keeps its velocity, whatever happens."""
+    """Car that keeps its velocity, whatever happens."""
 
     COLOR = (150, 150, 160)
 
     def act(self, action: dict[str, Any] | None = None) -> None:
-        """Make up for friction; actions are ignored."""
+        """Compensate friction; ignore actions."""
         self.execute(keep_velocity(self.dynamics, self.state))
 
 
 class RoutedVehicle(BicycleVehicle):
-    """A car on a route that was worked out beforehand, whatever happens; past its end, the car keeps its velocity.
+    """Car on a given route, whatever happens; past its end, the car keeps its velocity.
 
     Args:
-        road: where.
+        road: to drive on.
         route: ``(x, y, heading, speed)`` now and after every step, [times, 4].
     """
 
@@ -129,11 +129,11 @@ class RoutedVehicle(BicycleVehicle):
         self.place = 0
 
     def act(self, action: dict[str, Any] | None = None) -> None:
-        """Make up for friction, for after the route; actions are ignored."""
+        """Compensate friction, for the time after the route; ignore actions."""
         self.execute(keep_velocity(self.dynamics, self.state))
 
     def step(self, dt: float) -> None:
-        """Go to the next state of the route, however long ``dt`` is."""
+        """Move to the next state of the route, whatever ``dt`` is."""
         self.place += 1
         if self.place >= len(self.route):
             super().step(dt)

@@ -1,4 +1,4 @@
-"""Cars that a controller drives, in a game that they are told or by themselves on any highway-env road."""
+"""Drive vehicles with a controller, in a given game or by themselves on any highway-env road."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,21 +18,21 @@ from ms_highway.game.game import Game
 from ms_highway.game.neighbours import far_behind, headways
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
 from ms_highway.vehicle.bicycle import BicycleVehicle
-from ms_highway.vehicle.road_view import RoadView, Route, follow, left_of, look, states_of
+from ms_highway.vehicle.road_view import RoadView, Route, along_route, look, remaining_route, states_of
 
 __all__ = ["PlanningVehicle", "RobotVehicle"]
 
-STEADINESS = 0.5  # s, by which another neighbour's time gap has to be shorter than the partner's
+STEADINESS = 0.5  # s, by which a neighbour's time gap must be shorter than the partner's to replace it
 
 
 class _Seen(NamedTuple):
-    """Where a driver and its neighbours were: which places were taken, and the states of who took them."""
+    """Previous states of a driver and its neighbours, and which places were taken."""
 
     taken: Bool[np.ndarray, "cars"]
     states: Float[np.ndarray, "taken 4"]
 
     def along(self, view: RoadView) -> Float[np.ndarray, "cars 4"]:
-        """Their states in the coordinates of a view, those of who was not there far behind."""
+        """Return their states in the coordinates of a view; states of empty places are far behind."""
         straight = view.straightened(self.states)
         states = np.tile(far_behind(straight[0]), (len(self.taken), 1))
         states[self.taken] = straight
@@ -44,37 +44,37 @@ def _seen(cars: Sequence[Vehicle | None]) -> _Seen:
 
 
 def _at(view: RoadView, game: Game, speed_limit: float) -> Game:
-    """A game in what a driver sees of a road."""
+    """Return a game in a driver's view of a road."""
     limit = min(view.speed_limit, speed_limit)
     robot, human = (replace(reward, speed_limit=limit) for reward in (game.robot, game.human))
     return replace(game, scene=view.scene, robot=robot, human=human)
 
 
 class PlanningVehicle(BicycleVehicle, ControlledVehicle):
-    """A car that a controller drives; without a controller it takes actions like any other car.
+    """Car driven by a controller; without one, it takes actions like any other car.
 
-    Told a controller and its companions, it plays the controller's game with them, as it is. Told a controller only,
-    it drives by itself on any highway-env road: whenever it acts, it looks at the road anew, in the coordinates of its
-    lane (see `ms_highway.vehicle.road_view`), and plays the controller's game in what it sees, with the speed limit
-    that the road has there; then ``last_state`` and ``last_step`` are in these coordinates too.
+    With a controller and companions, it plays the controller's game with them. With a controller only, it drives by
+    itself on any highway-env road: whenever it acts, it views the road in the coordinates of its lane (see
+    `ms_highway.vehicle.road_view`) and plays the controller's game in this view, with the speed limit of the road;
+    ``last_state`` and ``last_step`` are then in these coordinates.
 
-    Its partner is then the neighbour with the shortest time gap (see `ms_highway.game.neighbours.headways`), and stays
-    so until it is no neighbour any more, or another's gap is shorter by half a second. Then the controller is told that
-    it meets another (`ms_highway.control.controller.Controller.meet`).
+    Its partner is then the neighbour with the shortest time gap (see `ms_highway.game.neighbours.headways`), until it
+    is no longer a neighbour or another's gap is shorter by half a second; then the controller forgets the partner
+    (`ms_highway.control.controller.Controller.reset_partner`).
 
-    What tyres hold is looked at where the game's planner has a ``grip``, as those of
-    `ms_highway.game.scenario.driving_game` have.
+    The grip of tyres is respected where the game's planner has a ``grip``, as in
+    `ms_highway.game.scenario.driving_game`.
 
-    To highway-env's own drivers and rules, it is one of their kind: they see where it is heading, and predict it at
-    constant speed along its route. Where a ``RegulatedRoad`` lets it give way, it brakes.
+    highway-env's own drivers and rules treat it like their own: they see its lane and predict it at constant speed
+    along its route. Where a ``RegulatedRoad`` makes it yield, it brakes.
 
     Attributes:
-        controller: plans the controls, each time that the road lets its vehicles act.
-        companions: the other cars of the controller's game, its partner first; none if it drives by itself.
-        partner: the other player, None if there is none in sight.
+        controller: plans whenever the road lets its vehicles act.
+        companions: other cars of the controller's game, its partner first; none if it drives by itself.
+        partner: the other player, None if none is in sight.
         last_step: record of the controller's last step, None before the first.
-        last_state: what the controller saw then, [cars, 4].
-        route: the roads that it follows by itself, None to follow whichever it is on; those behind it are dropped.
+        last_state: states that the controller planned in then, [cars, 4].
+        route: roads to follow, None to follow whichever it is on; those behind it are dropped.
         target_lane_index: the lane that it is on.
     """
 
@@ -91,7 +91,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
 
     @classmethod
     def create_from(cls, vehicle: Vehicle) -> Self:
-        """A car of this kind in place of another, on the same route; what speed the other was told is forgotten."""
+        """Replace another vehicle by a car of this class, on the same route; its target speed is forgotten."""
         car = cls(vehicle.road, vehicle.position, vehicle.heading, vehicle.speed)
         route = getattr(vehicle, "route", None)
         car.route = route and list(route)
@@ -99,7 +99,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
 
     @property
     def target_speed(self) -> float:
-        """The speed that it would go at most [m/s]: what it was told or, told None, its lane's limit; 0 to stop."""
+        """Maximum speed [m/s], by default (None) that of its lane; 0 to stop."""
         if self._target_speed is not None:
             return self._target_speed
         limit = self.lane.speed_limit if self.road else None
@@ -110,19 +110,19 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self._target_speed = speed
 
     def drive_with(self, controller: Controller, companions: Sequence[Vehicle] = ()) -> None:
-        """Let a controller drive: in its game with these other cars, the partner first, or by itself without any."""
+        """Let a controller drive: in its game with these other cars, the partner first; without any, by itself."""
         self.controller = controller
         self.companions = list(companions)
         self.partner = self.companions[0] if self.companions else None
 
     def observe(self) -> Float[np.ndarray, "cars 4"]:
-        """States of this car and of its companions."""
+        """Return the states of this car and of its companions."""
         return states_of([self, *self.companions])
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
-        """Plan and take the plan's first control; an action that is given holds until the road lets vehicles act.
+        """Plan and execute the plan's first control; an action is executed instead, until vehicles act again.
 
-        Of highway-env's actions by name, a car that drives by itself takes ``"IDLE"`` only, which lets it.
+        Of highway-env's actions by name, only ``"IDLE"`` is allowed, which lets the car plan.
 
         Raises:
             ValueError: for another action by name.
@@ -154,7 +154,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
             return
         place = self._partners_place(view)
         if view.cars[place] is not self.partner or self._before is None:
-            controller.meet()
+            controller.reset_partner()
             self.partner, self._before = view.cars[place], None
         order = [place, *(other for other in range(len(view.cars)) if other != place)]
         self.last_state = view.states[[0, *(number + 1 for number in order)]]
@@ -162,7 +162,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self._before = _seen([self, *(view.cars[number] for number in order)])
 
     def _partners_place(self, view: RoadView) -> int:
-        """The place of the neighbour that is the partner from now on; 0 if there is none."""
+        """Return the place of the neighbour that is the partner from now on; 0 if there is none."""
         gaps = headways(view.states[0], view.states[1:], self.LENGTH)
         gaps = np.where([car is not None for car in view.cars], gaps, np.inf)
         nearest = int(np.argmin(gaps))
@@ -170,10 +170,10 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         return nearest if gaps[nearest] < gaps[last] - STEADINESS else last
 
     def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds; where tyres are looked at, by no more than they hold, and never backwards.
+        """Move for ``dt`` seconds; with a ``grip``, within it and never backwards.
 
         Raises:
-            ValueError: if it drives by itself with Algorithm 1, and not at the rate of its game.
+            ValueError: if it drives by itself with Algorithm 1, and ``dt`` is not the time step of its game.
         """
         self._check_rate(dt)
         grip = self.controller.game.planner.grip if self.controller else None
@@ -183,7 +183,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         super().step(dt)
 
     def _check_rate(self, dt: float) -> None:
-        """Algorithm 1 looks at one step of its game: by itself, the car has to act as often as that says."""
+        """Check that a car with Algorithm 1 that drives by itself acts at the time step of its game."""
         controller = self.controller
         if isinstance(controller, ModelSwitching) and not self.companions:
             wanted = float(controller.game.world.time_step)
@@ -194,18 +194,20 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
     def predict_trajectory_constant_speed(
         self, times: Float[np.ndarray, "times"]
     ) -> tuple[list[Float[np.ndarray, "2"]], list[float]]:
-        """Positions and headings at times from now [s], at this speed in the middle of its lane and along its route."""
+        """Predict positions and headings at times from now [s], at constant speed in its lane and along its route."""
         index, network = self.lane_index, self.road.network
         place, _ = network.get_lane(index).local_coordinates(self.position)
-        return follow(network, left_of(self.route or [index], index), index, place + self.speed * np.asarray(times))
+        return along_route(
+            network, remaining_route(self.route or [index], index), index, place + self.speed * np.asarray(times)
+        )
 
     def on_state_update(self) -> None:
-        """See in which lane it is now."""
+        """Update the lane that it is on."""
         super().on_state_update()
         self.target_lane_index = self.lane_index
 
 
 class RobotVehicle(PlanningVehicle):
-    """The robot: `drive_with` says which controller is its behaviour."""
+    """The robot; `drive_with` sets its controller."""
 
     COLOR = (45, 160, 80)

@@ -1,7 +1,6 @@
-"""What a driver sees of a highway-env road: its surroundings, straightened along the lane that it is on.
+"""View a highway-env road from a driver: its surroundings, straightened along its lane.
 
-Whatever the shape of the road and however many drive on it, a view has arrays of the same shapes, so that the plans of
-all drivers on all roads are compiled once.
+Views have arrays of the same shapes for all roads and any number of vehicles, so that plans are compiled once.
 """
 
 from collections.abc import Iterable
@@ -20,41 +19,50 @@ from ms_highway.game.neighbours import FAR_AWAY, neighbours, places
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
 from ms_highway.game.scene import Scene
 
-__all__ = ["MAX_LANES", "MAX_OBSTACLES", "RoadView", "Route", "follow", "followed_lane", "left_of", "look", "states_of"]
+__all__ = [
+    "MAX_LANES",
+    "MAX_OBSTACLES",
+    "RoadView",
+    "Route",
+    "along_route",
+    "followed_lane",
+    "look",
+    "remaining_route",
+    "states_of",
+]
 
 Number = TypeVar("Number", float, np.ndarray)
 LaneIndex: TypeAlias = tuple[str, str, int]
 Route: TypeAlias = list[tuple[str, str, int | None]]
-"""Roads to take one after the other, as highway-env's vehicles have them; which of a road's lanes may be left open."""
+"""Roads to follow in order, as in highway-env's vehicles; the lane of a road may be None."""
 
 MAX_LANES = 6
 MAX_OBSTACLES = 4
 
-SIGHT = 100.0  # m, in which cars are seen
-OBSTACLE_SIGHT = (-10.0, 60.0)  # m behind and ahead, where obstacles are seen
-TAPER = (80.0, 20.0)  # m before the end of a lane that does not go on, between which it runs into its neighbour
+SIGHT = 100.0  # m, of cars
+OBSTACLE_SIGHT = (-10.0, 60.0)  # m, behind and ahead, of obstacles
+TAPER = (80.0, 20.0)  # m before the end of a lane that ends, between which it merges with its neighbour
 PREVIEW = 0.1  # s, over which the bend of the lane is averaged
-BENDS_SEEN, BENDS_SPACING = 12, 5.0  # how many stretches of road ahead are looked at for bends, and their length [m]
+BENDS_SEEN, BENDS_SPACING = 12, 5.0  # number and length [m] of the segments ahead that are checked for bends
 STRAIGHT = 1e-6  # 1/m, the curvature of a straight road
-CORNERING = 4.0  # m/s^2, to the side, in bends that are seen ahead
-SLOWING = 3.0  # m/s^2, before them
+CORNERING = 4.0  # m/s^2, lateral, in bends ahead
+SLOWING = 3.0  # m/s^2, deceleration before them
 SLOWEST = 3.0  # m/s, in any bend
 
 
 @dataclass(frozen=True)
 class RoadView:
-    """A driver's surroundings in the coordinates of its lane: x along it from the driver on, y to the right of it.
+    """Surroundings of a driver in the coordinates of its lane: x along it from the driver on, y to the right.
 
     Attributes:
-        scene: `MAX_LANES` lanes and `MAX_OBSTACLES` obstacles. Where there are fewer lanes, the rightmost is repeated;
-            where there are fewer obstacles, the others are far behind. The target lane is the one that the route
-            names for the road, or else the nearest.
+        scene: `MAX_LANES` lanes, missing ones repeat the rightmost, and `MAX_OBSTACLES` obstacles, missing ones are far
+            behind. The target lane is that of the route or else the nearest.
         states: of the driver and its `neighbours`.
         cars: the neighbours, None where there is none.
-        speed_limit: of the lane and, lower, where it has to slow down for bends ahead [m/s].
-        route: what is left of the driver's, from the road that it is on; without a route, this road only.
-        lane: that the driver is on.
-        place: of the driver, along the lane [m].
+        speed_limit: of the lane, reduced before bends [m/s].
+        route: the driver's, from its present road on; without a route, this road only.
+        lane: of the driver.
+        place: position of the driver along the lane [m].
     """
 
     scene: Scene
@@ -71,23 +79,23 @@ class RoadView:
         return float(self.scene.bend or 0.0)
 
     def straightened(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars 4"]:
-        """States of cars, as highway-env has them, in the coordinates of the lane."""
+        """Transform states of cars from highway-env's coordinates to those of the lane."""
         return _straightened(self.lane, self.place, states)
 
 
 def states_of(cars: Iterable[Vehicle]) -> Float[np.ndarray, "cars 4"]:
-    """``(x, y, heading, speed)`` of any of highway-env's vehicles."""
+    """Return ``(x, y, heading, speed)`` of highway-env vehicles."""
     return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
 
 
 def look(driver: Vehicle, route: Route | None = None) -> RoadView:
-    """What a driver sees now of the road that it is on.
+    """View the road from a driver now.
 
-    Cars further away than 100 m are left out, and so are `Landmark` objects, which nobody runs into.
+    Cars further away than 100 m and `Landmark` objects, which are not solid, are left out.
 
     Args:
-        driver: who looks; its own size is what it takes all cars to have.
-        route: the roads that it follows, None to follow whichever road it is on.
+        driver: whose size is assumed for all cars.
+        route: roads that it follows, None to follow whichever road it is on.
     """
     network, others = driver.road.network, driver.road.vehicles
     index = followed_lane(driver, route)
@@ -103,7 +111,7 @@ def look(driver: Vehicle, route: Route | None = None) -> RoadView:
     centres = _lanes(network, index, route, driver)
     nearest = _nearest(centres, lateral)
     lanes = sorted(nearest[:MAX_LANES])
-    left = left_of(route or [(*index[:2], None)], index)
+    left = remaining_route(route or [(*index[:2], None)], index)
     ahead = max(driver.speed * PREVIEW, 0.5)
     scene = Scene(
         lanes=np.array(lanes + lanes[-1:] * (MAX_LANES - len(lanes))),
@@ -127,8 +135,8 @@ def look(driver: Vehicle, route: Route | None = None) -> RoadView:
     )
 
 
-def left_of(route: Route, index: LaneIndex) -> Route:
-    """What is left of a route for who is on this lane; this lane only, if it does not lead on to the route."""
+def remaining_route(route: Route, index: LaneIndex) -> Route:
+    """Return the rest of a route from a lane on; only this lane, if it does not lead to the route."""
     for number, leg in enumerate(route):
         if leg[:2] == index[:2]:
             return route[number:]
@@ -138,16 +146,16 @@ def left_of(route: Route, index: LaneIndex) -> Route:
     return [index]
 
 
-def follow(
+def along_route(
     network: RoadNetwork, route: Route, index: LaneIndex, places: Float[np.ndarray, "places"]
 ) -> tuple[list[Float[np.ndarray, "2"]], list[float]]:
-    """Positions in the middle of lanes, and headings there, along a route; beyond its end, along its last lane.
+    """Return positions in the middle of lanes, and headings, along a route; beyond its end, along its last lane.
 
     Args:
         network: of roads.
         route: from the road of the lane on.
         index: of the lane.
-        places: how far from the beginning of the lane, ascending [m].
+        places: distances from the beginning of the lane, ascending [m].
     """
     positions, headings, passed, lane, legs = [], [], 0.0, network.get_lane(index), iter(route[1:])
     for place in places.tolist():
@@ -162,22 +170,22 @@ def follow(
 
 
 def _bend_limit(network: RoadNetwork, route: Route, index: LaneIndex, place: float) -> float:
-    """The speed [m/s] from which all bends ahead can be reached slowly enough, without braking hard.
+    """Return the highest speed [m/s] from which moderate braking suffices for all bends ahead.
 
     Args:
         network: of roads.
-        route: from the road on that the driver is on.
+        route: from the driver's road on.
         index: of its lane.
-        place: along that lane [m].
+        place: position along that lane [m].
     """
-    _, headings = follow(network, route, index, place + BENDS_SPACING * np.arange(BENDS_SEEN + 1))
+    _, headings = along_route(network, route, index, place + BENDS_SPACING * np.arange(BENDS_SEEN + 1))
     bends = np.maximum(np.abs(_wrapped(np.diff(headings))) / BENDS_SPACING, STRAIGHT)
     ahead = BENDS_SPACING * np.arange(BENDS_SEEN)
     return float(np.sqrt(np.maximum(CORNERING / bends, SLOWEST**2) + 2 * SLOWING * ahead).min())
 
 
 def followed_lane(driver: Vehicle, route: Route | None) -> LaneIndex:
-    """The lane that a driver is on; where roads part or cross, the nearest one on its route."""
+    """Return the lane of a driver; with a route, the nearest lane on it."""
     if not route:
         return driver.lane_index
     network = driver.road.network
@@ -190,7 +198,7 @@ def _wrapped(angle: Number) -> Number:
 
 
 def _straightened(lane: AbstractLane, place: float, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars 4"]:
-    """States of cars, as highway-env has them, in the coordinates of a lane, x from ``place`` on."""
+    """Transform states of cars from highway-env's coordinates to those of a lane, with x from ``place`` on."""
     straight = []
     for *position, heading, speed in states:
         x, y = lane.local_coordinates(np.array(position))
@@ -201,7 +209,7 @@ def _straightened(lane: AbstractLane, place: float, states: Float[np.ndarray, "c
 def _obstacles(
     lane: AbstractLane, start: float, objects: Iterable[RoadObject]
 ) -> tuple[Float[np.ndarray, "obstacles 2"], Float[np.ndarray, "2"]]:
-    """Positions of the nearest obstacles in the coordinates of a lane, and the largest's size, which all count for."""
+    """Return positions of the nearest obstacles in the coordinates of a lane, and the largest size, assumed for all."""
     behind, ahead = OBSTACLE_SIGHT
     seen = []
     for item in objects:
@@ -215,10 +223,10 @@ def _obstacles(
 
 
 def _lanes(network: RoadNetwork, index: LaneIndex, route: Route | None, driver: Vehicle) -> list[float]:
-    """Centres of the road's lanes beside a driver, in the coordinates of the lane of this index.
+    """Return the centres of the road's lanes beside a driver, in the coordinates of the lane of this index.
 
-    A lane that ends where the road goes on, such as a ramp, tapers: over the last of its length its centre moves to
-    that of the nearest lane that goes on, and who follows it merges.
+    A lane that ends where the road continues, such as a ramp, tapers: towards its end its centre moves to that of the
+    nearest lane that continues, so that its followers merge.
     """
     lane = network.get_lane(index)
     sides = [network.get_lane(side) for side in network.all_side_lanes(index)]
@@ -238,18 +246,18 @@ def _lanes(network: RoadNetwork, index: LaneIndex, route: Route | None, driver: 
 
 
 def _goes_on(lane: AbstractLane, starts: Iterable[Float[np.ndarray, "2"]]) -> bool:
-    """Whether another lane begins at the end of this one."""
+    """Return whether another lane begins at the end of this one."""
     end, reach = lane.position(lane.length, 0), lane.width_at(lane.length) / 2
     return any(dist(start, end) < reach for start in starts)
 
 
 def _nearest(numbers: Iterable[float], number: float) -> list[float]:
-    """Numbers by their distance to another, the nearest first."""
+    """Sort numbers by their distance to another."""
     return sorted(numbers, key=lambda other: abs(other - number))
 
 
 def _lanes_ahead(network: RoadNetwork, node: str, route: Route | None) -> list[AbstractLane]:
-    """The lanes that begin at a node: those on the route, if it leads on from there, or else all."""
+    """Return the lanes that begin at a node: those on the route, if it continues there, or else all."""
     roads = network.graph.get(node, {})
     chosen = [end for start, end, _ in route or () if start == node]
     return [lane for end, lanes in roads.items() if not chosen or end in chosen for lane in lanes]

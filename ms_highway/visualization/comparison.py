@@ -14,7 +14,7 @@ from rich.box import SIMPLE
 from rich.console import JustifyMethod
 from rich.table import Table
 
-from ms_highway.envs.configuration import controller_config
+from ms_highway.envs.drivers import controller_config
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import MODELS
 from ms_highway.visualization.colors import color_of
@@ -30,8 +30,11 @@ SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """The summary of one scenario as people read it: a row per controller, and texts under the columns' headings.
 
-    Planning is told twice: as decisions count it, at T(M), and as it was measured, where it was.
+    Planning is told twice: as decisions count it, at T(M), and as it was measured, where it was. Steps driven without a
+    plan of their own are told where there are any.
     """
+    chosen = summaries[summaries["scenario"] == scenario]
+    failed = "fallbacks" in chosen and bool(chosen["fallbacks"].any())
     models = [name for name in MODELS if f"share_{name}" in summaries]
     rows = [
         {
@@ -44,8 +47,9 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
             **{heading: f"{row[name]:.2f}" for name, heading in MEASURED.items() if name in row},
             f"{' / '.join(models)} %": " / ".join(f"{100 * row[f'share_{name}']:.0f}" for name in models),
             "collisions": f"{row['collision_episodes']} of {row['episodes']}",
+            **({"fallback steps": f"{row['fallbacks']}"} if failed else {}),
         }
-        for row in summaries[summaries["scenario"] == scenario].to_dict("records")
+        for row in chosen.to_dict("records")
     ]
     return pd.DataFrame(rows)
 

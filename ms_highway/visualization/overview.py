@@ -37,7 +37,7 @@ def overview(results: Sequence[Results]) -> pd.DataFrame:
             row |= _outcome(texts.get(key), name)
         row |= {name: text for name, text in first.items() if name not in (*OUTCOME, "controller")}
         rows.append(row | _published(results, *key))
-    table = pd.DataFrame(rows)
+    table = pd.DataFrame(rows).fillna("")  # where one scenario has fallbacks, and another none
     return table if table[PUBLISHED[0]].any() else table.drop(columns=PUBLISHED)
 
 

@@ -172,7 +172,7 @@ def test_who_meets_another_partner_starts_again_at_the_bottom_with_its_own_plan(
     models = [controller.step(now).model for now in moved]
     assert models[-1] == "turn"
     own = controller._last.plan.copy()
-    controller.meet()
+    controller.reset_partner()
     np.testing.assert_array_equal(controller._last.plan, own)
     assert (controller._last.human == 0).all()
     step = controller.step(moved[-1])

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from importlib import reload
 
 import gymnasium as gym
 import numpy as np
@@ -56,7 +57,7 @@ def test_gymnasiums_checker_passes_without_a_warning(scenario, action):
 def test_ids_are_registered_once_and_for_good():
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # Gymnasium warns when an id is registered again
-        ms_highway.envs._register()
+        reload(ms_highway)
     assert all(environment_id(name).removeprefix("ms_highway:") in gym.registry for name in SCENARIOS)
 
 
@@ -264,8 +265,8 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"semantics": "real"}, "choose one of 'paper', 'released'"),
         ({"influence": "none"}, "'influence'"),
         (
-            {"human_reward": "learned"},
-            "'human_reward'.* is 'learned'; say 'learned', 'published', or give weights by name",
+            {"human_reward": "taught"},
+            "'human_reward'.* is 'taught'; say 'learned', 'published', or give weights by name",
         ),
         ({"human_reward": {"sped": 2.0}}, r"'sped' in config\['human_reward'\]; did you mean 'speed'"),
         (
@@ -286,6 +287,13 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"duration": -1}, "'duration'"),
         ({"control_limit": [1.0]}, "'control_limit'"),
         ({"control_limit": ["a", "b"]}, "'control_limit'"),
+        ({"control_limit": [0.2, 1e308]}, "'control_limit'"),
+        ({"control_limit": np.array(9.0)}, "'control_limit'"),
+        (
+            {"controller": {"type": "switching", "lambda": 1e308}},
+            r"\['lambda'\] is 1e\+308; it must be a number from 0",
+        ),
+        ({"action": {"type": "HumanModelAction", "lambda": -1}}, r"\['lambda'\] is -1; it must be a number from 0"),
         ({"costs": np.array([0.1, 0.2, 0.3])}, "'costs'"),
         ({"ladder": "tom"}, "'tom' is one name"),
         ({"terminate_on_collision": "no"}, "must be True or False"),
@@ -441,7 +449,7 @@ def test_workers_of_a_vector_environment_find_and_step_the_environments(context,
 
 
 FORKED = """
-import os
+import multiprocessing
 import warnings
 
 import gymnasium as gym
@@ -450,15 +458,20 @@ from jax import numpy as jnp
 
 jnp.ones(3).sum()
 warnings.simplefilter("ignore")  # JAX and Python warn of the fork
-if os.fork() == 0:
+
+
+def work():
     env = gym.make("ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
     env.reset(seed=0)
     try:
         env.step(0)
     except RuntimeError as error:
-        print(error)
-else:
-    os.wait()
+        print(error, flush=True)
+
+
+worker = multiprocessing.get_context("fork").Process(target=work)
+worker.start()
+worker.join()
 """
 
 

@@ -6,6 +6,8 @@ import pytest
 
 from ms_highway.experiments.findings import answer
 from ms_highway.experiments.summary import summary
+from ms_highway.experiments.sweep import sweep_summary
+from ms_highway.visualization.comparison import cells
 
 COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185}
 
@@ -17,8 +19,8 @@ def records(**rewards):
         controller = name.replace("_", ":0.")
         for seed, reward in enumerate(values):
             rows.append({"controller": controller, "seed": seed, "reward": float(reward), "step": 0})
-    table = pd.DataFrame(rows).assign(scenario="merger", model="naive", collision=False, planning_seconds=0.001)
-    return table.assign(decision_seconds=0.0, counted_seconds=table["controller"].map(COUNTED))
+    table = pd.DataFrame(rows).assign(scenario="merger", model="naive", status="planned", collision=False)
+    return table.assign(planning_seconds=0.001, decision_seconds=0.0, counted_seconds=table["controller"].map(COUNTED))
 
 
 def said(table):
@@ -69,3 +71,26 @@ def test_who_collides_is_told(hit, said_of_it):
     table = records(naive=[1, 1], turn=[1, 1], tom=[2, 3])
     table["collision"] = [key in hit for key in zip(table["controller"], table["seed"], strict=True)]
     assert said(table).endswith(said_of_it)
+
+
+def test_tables_tell_the_steps_whose_plans_failed_where_there_are_any():
+    table = records(naive=[1, 4, 2], tom=[3, 1, 4])
+    assert "fallback steps" not in cells(summary(table), "merger")
+    table.loc[[1, 2], "status"] = ["previous plan", "braking"]
+    assert cells(summary(table), "merger")["fallback steps"].tolist() == ["2", "0"]
+
+
+def test_a_sweep_tells_them_as_well():
+    rows = [
+        {
+            "controller": name,
+            "reward": 1.0,
+            "counted_seconds": 0.1,
+            "share_naive": 1.0,
+            "collisions": 0,
+            "fallbacks": count,
+        }
+        for name, count in (("naive", 0), ("naive", 3), ("turn", 0))
+    ]
+    summaries = sweep_summary(pd.DataFrame(rows).assign(scenario="merger"))
+    assert cells(summaries, "merger")["fallback steps"].tolist() == ["3", "0"]

@@ -20,7 +20,7 @@ from ms_highway.envs.stage import evaluate
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import simulated
-from ms_highway.game.game import move, path_reward, swap, total_reward
+from ms_highway.game.game import move, swap_players, total_reward, trajectory_reward
 from ms_highway.game.reward import FEATURES, OWN_FEATURES, PAPER_FEATURES, add_feature, linear_reward, weight_names
 from ms_highway.game.scenario import build_game, driving_game
 from ms_highway.metareasoning.switching import _expand
@@ -103,7 +103,7 @@ def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played):
 def test_theory_of_mind_steps_along_differences_of_both_slopes(played):
     game, state, _ = started(played, 5)
     still = np.zeros((5, 2), np.float32)
-    mirrored, mirrored_state = swap(game, state)
+    mirrored, mirrored_state = swap_players(game, state)
     slope_robot, slope_human = jax.jit(jax.grad(total_reward, argnums=(2, 3)))(game, state, still, still)
 
     @jax.jit
@@ -166,7 +166,7 @@ def test_what_nobody_weighs_is_not_computed(played):
     def lowered():
         game, state = played("merger")
         paths = (jax.eval_shape(move, game, car, jnp.zeros((5, 2))) for car in state[:2])
-        return jax.jit(path_reward.__wrapped__).lower(game, state, *paths).as_text()
+        return jax.jit(trajectory_reward.__wrapped__).lower(game, state, *paths).as_text()
 
     calls, before = [], lowered()
     add_feature("counted", counted)

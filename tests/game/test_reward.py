@@ -1,13 +1,16 @@
 """Features and rewards."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
 from jax.test_util import check_grads
 
-from ms_highway.game.game import swap, total_reward
-from ms_highway.game.reward import PAPER_FEATURES, _closeness, features, linear_reward, reward
+from ms_highway.game.features import features, reward
+from ms_highway.game.game import swap_players, total_reward
+from ms_highway.game.reward import PAPER_FEATURES, linear_reward
 
 INDICATORS = ["collision", "merged", "partner_merged"]
 
@@ -92,9 +95,9 @@ def test_indicators_have_no_gradient(played, name):
 
 def test_swapping_twice_gives_the_same_game(played):
     game, state = played("give_way")
-    seen_by_human = swap(game, state)
+    seen_by_human = swap_players(game, state)
     assert seen_by_human[0].robot is game.human
-    np.testing.assert_array_equal(swap(*seen_by_human)[1], state)
+    np.testing.assert_array_equal(swap_players(*seen_by_human)[1], state)
 
 
 def test_an_unknown_feature_is_refused_by_name():
@@ -102,19 +105,8 @@ def test_an_unknown_feature_is_refused_by_name():
         linear_reward({"sped": 1.0}, 20.0)
 
 
-def test_the_derivatives_of_closeness_are_those_of_its_formula():
-    """Its rules are written by hand, so both derivatives are compared with those of the plain sum."""
-    random = np.random.default_rng(0)
-    x, y = random.uniform(-1, 1, (2, 9)).astype(np.float32)
-    terms = jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y])
-    distances = jnp.asarray(random.normal(0, 0.5, (6, 2, 3)), dtype=jnp.float32)
-
-    def plain(distances):
-        return jnp.sum(jnp.exp(-1.5 * jnp.einsum("tbs,tp->bsp", distances, terms)))
-
-    def ours(distances):
-        return jnp.sum(_closeness(distances, terms, 1.5))
-
-    for derivative in (lambda function: function, jax.grad, jax.hessian, lambda f: jax.jacfwd(jax.jacfwd(f))):
-        expected = jax.jit(derivative(plain))(distances)
-        np.testing.assert_allclose(jax.jit(derivative(ours))(distances), expected, rtol=1e-4, atol=1e-4)
+@pytest.mark.parametrize("size", [[0.0, 2.5], [5.0, np.nan], [-5.0, 2.5], [np.inf, 2.5]])
+def test_cars_without_a_size_are_refused(played, size):
+    game, _ = played("merger")
+    with pytest.raises(ValueError, match=r"Scene.car_size is \[.*give length and width in metres, both positive"):
+        replace(game.scene, car_size=np.array(size))

@@ -3,6 +3,7 @@
 import gzip
 import re
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -183,7 +184,7 @@ def test_a_directory_without_scenarios_is_refused_by_name(tmp_path: Path) -> Non
 
 
 def test_the_extra_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "commonroad.common.file_reader", None)
+    monkeypatch.setitem(sys.modules, "commonroad.common.reader.file_reader_xml", None)
     with pytest.raises(ImportError, match=re.escape("pip install 'ms-highway[commonroad]'")):
         read(tmp_path, scenario())
 
@@ -276,3 +277,17 @@ def test_a_scenario_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
 def test_what_is_on_no_road_and_at_no_time_is_named(damage, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         read(tmp_path, scenario(**damage))
+
+
+WITHOUT_PROTOBUF = """
+import pathlib, sys
+sys.modules["google.protobuf"] = None
+from ms_highway.irl.recordings.commonroad import read_directory
+print(len(read_directory(pathlib.Path(sys.argv[1]))))
+"""
+
+
+def test_reading_needs_no_protobuf(tmp_path):
+    (tmp_path / "one.xml").write_text(scenario())
+    run = subprocess.run([sys.executable, "-c", WITHOUT_PROTOBUF, str(tmp_path)], capture_output=True, text=True)
+    assert run.stdout == "1\n", run.stderr

@@ -1,5 +1,6 @@
 """Demonstrations: the environment, those who drive in it, and what is recorded."""
 
+import importlib
 import json
 import os
 import re
@@ -28,14 +29,15 @@ from ms_highway.envs import DEMONSTRATION_ID
 from ms_highway.envs.demonstration import ABSENT, KEYBOARD_ACTION, demonstration_game
 from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.dynamics import recover_control, step
-from ms_highway.game.game import driven_reward
+from ms_highway.game.game import rollout_reward
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.recordings.demonstrations import actions, load, record
+from ms_highway.irl.recordings.datasets import load
+from ms_highway.irl.recordings.demonstrations import actions, record
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
 from ms_highway.vehicle import HumanVehicle, RoutedVehicle
 
-SLOPE = jax.jit(jax.grad(driven_reward, argnums=2))
-EARNED = jax.jit(jax.vmap(driven_reward, in_axes=(None, None, 0, None)))
+SLOPE = jax.jit(jax.grad(rollout_reward, argnums=2))
+EARNED = jax.jit(jax.vmap(rollout_reward, in_axes=(None, None, 0, None)))
 NAME = "ms-highway/mpc-v0"
 GAME = demonstration_game(DRIVER_WEIGHTS)
 
@@ -103,7 +105,7 @@ def test_gymnasiums_checker_passes_without_a_warning():
 def test_its_id_is_registered_once_and_for_good():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ms_highway.envs._register()
+        importlib.reload(ms_highway)
     assert "ms-highway/demonstration-v0" in gym.registry
 
 

@@ -12,15 +12,16 @@ from scipy import stats
 
 from ms_highway.envs import DEMONSTRATION_ID
 from ms_highway.game.reward import COMFORT, FEATURES, OWN_FEATURES
-from ms_highway.game.reward_model import NO_GRADIENT, Model
+from ms_highway.game.reward_model import NO_GRADIENT, RewardModel
 from ms_highway.irl.learning import SIMULATED, best_controls, expected_features
-from ms_highway.irl.maximum_entropy import Slopes, fit, floored, log_likelihoods, most_likely, slopes_of
+from ms_highway.irl.maximum_entropy import FeatureDerivatives, differentiate, fit, floored, log_likelihoods, most_likely
 from ms_highway.irl.recordings.demonstrations import actions
-from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, TEMPERATURE
+from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
+from ms_highway.irl.recordings.drivers import TEMPERATURE
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.recovery import recover
 from ms_highway.irl.sampled_maximum_entropy import fit_sampled
-from ms_highway.irl.windows import Windows, cut, features_along, regular, regular_windows, template
+from ms_highway.irl.windows import Windows, cut_windows, driver_game, features_along, regular, regular_windows
 from ms_highway.runtime.compilation import jit_quickly
 
 DENSITIES = ("sparse", "medium", "dense")
@@ -80,10 +81,10 @@ def test_floored_eigenvalues_have_exact_derivatives_also_where_they_meet(eigenva
 def test_slopes_of_features_also_of_ones_own_are_those_of_automatic_differentiation(demonstrated, monkeypatch):
     monkeypatch.setitem(OWN_FEATURES, "crowd", lambda scene, own, others: jnp.sum(jnp.cos((own.x - others.x) / 20)))
     computed = (*FEATURES, "crowd", *COMFORT)
-    names = Model(tuple(name for name in computed[:-1] if name not in NO_GRADIENT), {COMFORT[1]: 0.1}).names
+    names = RewardModel(tuple(name for name in computed[:-1] if name not in NO_GRADIENT), {COMFORT[1]: 0.1}).names
     places = np.array([computed.index(name) for name in names])
     few = demonstrated.of(np.arange(len(demonstrated)) % 40 == 0)
-    slopes, game = slopes_of(few, names), template(few, {}, names)
+    slopes, game = differentiate(few, names), driver_game(few, {}, names)
     single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), few)
 
     def along(window, controls):
@@ -101,14 +102,14 @@ def test_the_likelihood_of_a_driver_after_comfort_alone_is_that_of_a_normal_dist
     random = np.random.default_rng(0)
     uneasy = random.normal(size=(7, 6))
     hessians = np.broadcast_to(-np.eye(6), (7, 1, 6, 6))
-    slopes = Slopes(-np.sum(uneasy**2, axis=-1, keepdims=True) / 2, -uneasy[:, None], hessians)
+    slopes = FeatureDerivatives(-np.sum(uneasy**2, axis=-1, keepdims=True) / 2, -uneasy[:, None], hessians)
     with jax.enable_x64(True):
         found = log_likelihoods(slopes, np.array([2.0]), 0.5, 1e-3)
     np.testing.assert_allclose(found, stats.norm.logpdf(uneasy, scale=0.5).sum(axis=-1), rtol=1e-12)
 
 
 def test_weights_that_demonstrators_drove_for_are_recovered(demonstrated):
-    found = fit(slopes_of(demonstrated, SIMULATED.names), SIMULATED)
+    found = fit(differentiate(demonstrated, SIMULATED.names), SIMULATED)
     assert found.converged
     assert found.temperature == pytest.approx(TEMPERATURE, rel=0.15)
     for place, name in enumerate(SIMULATED.learned):
@@ -120,14 +121,14 @@ def test_weights_that_demonstrators_drove_for_are_recovered(demonstrated):
     for name in SIMULATED.learned:
         assert sampled.weights[name] == pytest.approx(found.weights[name], rel=0.15), name
 
-    human = dict(zip(SIMULATED.names, slopes_of(demonstrated, SIMULATED.names).features.mean(axis=0), strict=True))
+    human = dict(zip(SIMULATED.names, differentiate(demonstrated, SIMULATED.names).features.mean(axis=0), strict=True))
     model = dict(zip(SIMULATED.names, expected_features(demonstrated, found), strict=True))
     for name in ("speed", "lane_alignment", "comfort_steering", "comfort_acceleration"):
         assert model[name] == pytest.approx(human[name], rel=0.1), name
 
 
 def test_recovery_tells_how_far_off_weights_are_and_what_that_costs(demonstrations):
-    *_, rows = recover(demonstrations, [20, 4], held_out=8)
+    rows = recover(demonstrations, [20, 4], held_out=8)
     assert list(rows["demonstrations"].unique()) == [4, 20]
     assert list(rows["weight"].unique()) == list(SIMULATED.learned)
     assert rows["identifiable"].all()
@@ -137,7 +138,7 @@ def test_recovery_tells_how_far_off_weights_are_and_what_that_costs(demonstratio
     assert 0 <= many["regret"].iloc[0] < 0.01
     assert (rows["log_likelihood"] < rows["log_likelihood_true"] + 0.1).all()
     with pytest.raises(ValueError, match="takes 38: record more"):
-        next(recover(demonstrations, [30], held_out=8))
+        recover(demonstrations, [30], held_out=8)
 
 
 def test_the_best_controls_of_a_window_earn_more_than_what_was_done(demonstrated):
@@ -145,15 +146,15 @@ def test_the_best_controls_of_a_window_earn_more_than_what_was_done(demonstrated
     weights = {name: weight / TEMPERATURE for name, weight in DRIVER_WEIGHTS.items()}
     best = replace(few, controls=best_controls(few, weights))
     theta = np.array([weights[name] for name in SIMULATED.names])
-    gain = (slopes_of(best, SIMULATED.names).features - slopes_of(few, SIMULATED.names).features) @ theta
+    gain = (differentiate(best, SIMULATED.names).features - differentiate(few, SIMULATED.names).features) @ theta
     assert (gain > -0.01).all()
     assert np.median(gain) == pytest.approx(10 / 2, rel=0.5)  # half a unit of log p for each of ten noisy controls
 
 
 def test_drivers_that_tell_nothing_about_a_weight_leave_its_prior(demonstrated):
     few = demonstrated.of(np.arange(len(demonstrated)) < 40)
-    model = Model((*SIMULATED.learned, "gap"), SIMULATED.given)  # there is no leader to keep a gap to
-    found = fit(slopes_of(few, model.names), model)
+    model = RewardModel((*SIMULATED.learned, "gap"), SIMULATED.given)  # there is no leader to keep a gap to
+    found = fit(differentiate(few, model.names), model)
     assert np.sqrt(found.covariance[3, 3]) == pytest.approx(4.0, rel=1e-3)
     assert found.weights["gap"] == pytest.approx(1.0, rel=1e-2)
 
@@ -177,7 +178,7 @@ def test_windows_at_a_kink_or_at_a_limit_are_not_learned_from(demonstrated):
 )
 def test_an_impossible_model_is_refused(learned, given, message):
     with pytest.raises(ValueError, match=message):
-        Model(learned, given)
+        RewardModel(learned, given)
 
 
 def test_weights_that_diverge_and_features_that_are_not_finite_are_refused(demonstrated):
@@ -189,16 +190,16 @@ def test_weights_that_diverge_and_features_that_are_not_finite_are_refused(demon
     broken = demonstrated.of(np.arange(len(demonstrated)) < 3)
     broken.start[1, 3] = np.nan
     with pytest.raises(ValueError, match="window 1 have no finite derivatives"):
-        slopes_of(broken, SIMULATED.names)
+        differentiate(broken, SIMULATED.names)
 
 
 def test_recordings_that_are_too_short_or_sampled_otherwise_are_refused(played):
     scene = played("merger")[0].scene
     short = recorded(np.zeros((3, 2, 4)), scene, "a short one")
     with pytest.raises(ValueError, match="seen for 6 samples on end"):
-        cut([short], 5)
+        cut_windows([short], 5)
     with pytest.raises(ValueError, match=r"a short one has a time step of 0\.2 s"):
-        cut([replace(short, time_step=0.2)], 2)
+        cut_windows([replace(short, time_step=0.2)], 2)
     aside = np.tile([[0.0, 40.0, 0.0, 20.0], [0.0, 0.0, 0.0, 20.0]], (9, 1, 1))
     with pytest.raises(ValueError, match="nothing can be learned from the 1 recordings"):
         regular_windows([recorded(aside, scene, "off the road")], 5)

@@ -10,12 +10,20 @@ from scipy import stats
 
 from ms_highway.cli.main import main
 from ms_highway.game.learned_reward import load, shipped
-from ms_highway.game.reward_model import Model
+from ms_highway.game.reward_model import RewardModel
 from ms_highway.irl.evaluation import cross_validate
-from ms_highway.irl.prediction import cases_of, constant_velocity, drive, errors, gaussian, idm, idm_controls
+from ms_highway.irl.prediction import (
+    constant_velocity,
+    cut_cases,
+    drive,
+    errors,
+    gaussian_log_likelihoods,
+    idm,
+    idm_controls,
+)
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.situations import by_situation, situations
-from ms_highway.irl.windows import cut
+from ms_highway.irl.regimes import driving_regimes, errors_by_regime
+from ms_highway.irl.windows import cut_windows
 
 
 def following(gap: float, speed: float = 15.0, leader: float = 15.0, times: int = 61) -> Recording:
@@ -30,7 +38,7 @@ def following(gap: float, speed: float = 15.0, leader: float = 15.0, times: int 
 
 
 def test_constant_velocity_predicts_whoever_keeps_it_without_error():
-    cases = cases_of([following(20.0)])
+    cases = cut_cases([following(20.0)])
     assert len(cases) == 6  # from every full second that a second follows
     found = errors(constant_velocity(cases), cases)
     for kind in ("fde", "ade", "rmse", "miss"):
@@ -39,7 +47,7 @@ def test_constant_velocity_predicts_whoever_keeps_it_without_error():
 
 
 def test_errors_are_what_a_known_path_is_off():
-    cases = cases_of([following(20.0)])
+    cases = cut_cases([following(20.0)])
     off = constant_velocity(cases)
     off[:, :, 0] += 3.0 * 0.1 * np.arange(1, 51)  # 3 m/s too fast
     found = errors(off, cases)
@@ -55,10 +63,10 @@ def test_a_learned_driver_brakes_behind_a_leader_that_it_sees_braking():
     braking.states[:, 1, 3] = speed
     braking.states[1:, 1, 0] = 25.0 + np.cumsum(speed[:-1]) * 0.1
     weights = shipped("us101").sharp_weights
-    seen, unseen = (drive(cases_of([braking], others), weights, 5)[0] for others in ("recorded", "coasting"))
+    seen, unseen = (drive(cut_cases([braking], others), weights, 5)[0] for others in ("recorded", "coasting"))
     assert (seen[:, 0] + 5.0 < braking.states[1:51, 1, 0]).all()
     assert unseen[-1, 0] - seen[-1, 0] > 5.0
-    alone = drive(cases_of([following(300.0)]), weights, 5)[0]
+    alone = drive(cut_cases([following(300.0)]), weights, 5)[0]
     np.testing.assert_allclose(alone[:, 0], unseen[:, 0], atol=3.0)
 
 
@@ -71,8 +79,10 @@ def test_cross_validation_predicts_every_group_by_what_was_learned_from_the_othe
         recording.states[:, 0, 3] += random.normal(scale=0.05, size=61)
         recordings.append(replace(recording, group=str(number), measured=False))
     recordings[2].states[:, 0, 1] = 60.0  # off the road, where nothing can be learned, but something predicted
-    model = Model(("headway", "comfort_steering"), {"comfort_acceleration": 0.1})
-    *_, found = cross_validate(recordings, model, 5, 8)
+    model = RewardModel(("headway", "comfort_steering"), {"comfort_acceleration": 0.1})
+    told: list[str] = []
+    found = cross_validate(recordings, model, 5, 8, progress=told.append)
+    assert [message for message in told if "learning" in message] == [f"learning, fold {n} of 3" for n in (1, 2, 3)]
     assert len(found["folds"]) == 3
     assert found["windows"] == 18
     assert found["likelihood_windows"] == 24
@@ -80,31 +90,34 @@ def test_cross_validation_predicts_every_group_by_what_was_learned_from_the_othe
         assert np.isfinite(list(row.values()) if isinstance(row, dict) else row).all()
     assert found["model"]["fde"]["1"] < 2.0
     with pytest.raises(ValueError, match="two groups"):
-        list(cross_validate(recordings[:1], model, 5, 2))
+        cross_validate(recordings[:1], model, 5, 2)
 
 
 def test_highway_envs_idm_keeps_its_distance_and_its_lane():
-    cases = cases_of([following(4.0)])
+    cases = cut_cases([following(4.0)])
     path = idm(cases)[0]
     assert path[-1, 0] < constant_velocity(cases)[0, -1, 0] - 5.0
     np.testing.assert_allclose(path[:, 1], 3.4, atol=1e-6)
-    windows = cut([following(4.0)], 5)
+    windows = cut_windows([following(4.0)], 5)
     assert idm_controls(windows)[0, 0, 1] < -2.0
 
 
 def test_normal_noise_is_as_likely_around_what_was_expected_as_its_distribution_says():
-    windows = cut([following(20.0)], 5)
+    windows = cut_windows([following(20.0)], 5)
     noise = np.random.default_rng(0).normal(size=windows.controls.shape) * [0.001, 0.5]
     expected, scale = np.asarray(windows.controls) - noise, np.array([0.05, 100 / 3])
     deviation = np.sqrt(np.mean((noise / scale) ** 2, axis=(0, 1)))
     likely = stats.norm.logpdf(noise / scale, scale=deviation).sum(axis=(1, 2))
-    np.testing.assert_allclose(gaussian(windows, expected), likely, rtol=1e-5)
-    assert gaussian(windows, expected).mean() > gaussian(windows, expected + np.array([0.0, 2.0])).mean() + 5
+    np.testing.assert_allclose(gaussian_log_likelihoods(windows, expected), likely, rtol=1e-5)
+    assert (
+        gaussian_log_likelihoods(windows, expected).mean()
+        > gaussian_log_likelihoods(windows, expected + np.array([0.0, 2.0])).mean() + 5
+    )
 
 
 def test_situations_are_told_apart_by_what_drivers_did():
     def which(recording: Recording) -> set[str]:
-        return {name for name, chosen in situations(cases_of([recording])).items() if chosen[0]}
+        return {name for name, chosen in driving_regimes(cut_cases([recording])).items() if chosen[0]}
 
     assert which(following(20.0)) == {"following"}
     assert which(following(60.0)) == {"no leader"}
@@ -116,9 +129,9 @@ def test_situations_are_told_apart_by_what_drivers_did():
 
 
 def test_errors_by_situation_count_what_is_in_it():
-    cases = cases_of([following(20.0), following(60.0)])
+    cases = cut_cases([following(20.0), following(60.0)])
     late = constant_velocity(cases) - [1.0, 0.0]
-    found = by_situation({"late": late, "exact": constant_velocity(cases)}, cases)
+    found = errors_by_regime({"late": late, "exact": constant_velocity(cases)}, cases)
     assert list(found) == ["no leader", "following"]
     for row in found.values():
         assert row == pytest.approx({"windows": 4, "late": 1.0, "exact": 0.0}, abs=1e-9)
@@ -126,11 +139,11 @@ def test_errors_by_situation_count_what_is_in_it():
 
 def test_a_driver_that_is_never_seen_for_a_second_cannot_be_predicted():
     with pytest.raises(ValueError, match=r"seen for 1 s"):
-        cases_of([following(4.0, times=8)])
+        cut_cases([following(4.0, times=8)])
 
 
 def test_real_drivers_are_predicted_better_by_the_learned_reward(us101):
-    cases = cases_of(us101[::5])
+    cases = cut_cases(us101[::5])
     cases = cases.of(np.arange(len(cases)) % 6 == 0)
     found = errors(drive(cases, shipped("us101").sharp_weights, 5), cases)
     baseline = errors(constant_velocity(cases), cases)

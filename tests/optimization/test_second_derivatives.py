@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.optimization.second_derivatives import eigenpairs, response, slope_and_bend
+from ms_highway.optimization.second_derivatives import eigenpairs, jacobian_and_hessian, response
 
 
 def symmetric_matrices():
@@ -49,6 +49,6 @@ def test_slope_and_bend_are_the_first_two_derivatives():
         return jnp.sum(jnp.sin(variables[0]) * variables[1] ** 3)
 
     point = jnp.array([[0.3, -1.0], [0.7, 2.0]])
-    slope, bend = slope_and_bend(function)(point)
+    slope, bend = jacobian_and_hessian(function)(point)
     np.testing.assert_allclose(slope, jax.grad(function)(point), rtol=1e-6)
     np.testing.assert_allclose(bend, jax.hessian(function)(point), rtol=1e-6)

@@ -9,7 +9,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, step
-from ms_highway.game.reward import reward
+from ms_highway.game.features import reward
 from ms_highway.metareasoning.compiled import CompiledDecision, Observation
 from ms_highway.metareasoning.switching import Switching, decide, first_memory
 from ms_highway.planning.human_models import MODELS, ladder

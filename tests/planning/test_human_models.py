@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game.game import constant_velocity, swap, total_reward
+from ms_highway.game.game import constant_velocity, swap_players, total_reward
 from ms_highway.game.reward import PAPER_FEATURES
-from ms_highway.optimization.ascent import Planner, ascend
 from ms_highway.optimization.second_derivatives import response
+from ms_highway.optimization.solvers import Planner, projected_ascent
 from ms_highway.planning.compiled import plan_function
 from ms_highway.planning.human_models import MODELS, JointPlan, TheoryOfMind, Turn, _plan_against, cold_start, ladder
 from ms_highway.runtime.packing import pack
@@ -91,7 +91,7 @@ def test_theory_of_mind_steps_along_the_total_derivative(played, influence):
     """The first step is 0.03 (dR_R/du_R + J^T dR_R/du_H), with J = -H^-1 d2R_H/du_H du_R formed explicitly."""
     game, state = played("merger", influence=influence)
     still = jnp.zeros((5, 2))
-    mirrored, mirrored_state = swap(game, state)
+    mirrored, mirrored_state = swap_players(game, state)
 
     def human_reward(robot, human):
         return total_reward(mirrored, mirrored_state, human, robot)
@@ -147,7 +147,7 @@ def test_controls_stay_within_their_limits(played):
 def test_ascent_climbs_a_concave_hill_to_its_top():
     planner = Planner(jnp.ones(2), jnp.full(2, jnp.inf), step_size=0.4, iterations=60)
     top = jnp.array([[1.0, -2.0], [3.0, 0.5]])
-    reached = ascend(
+    reached = projected_ascent(
         planner,
         lambda plan: JointPlan(top - plan.robot, top - plan.human),
         JointPlan(jnp.zeros((2, 2)), jnp.zeros((2, 2))),

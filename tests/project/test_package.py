@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import venv
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,12 @@ def test_the_wheel_works_in_a_fresh_environment_from_another_directory(tmp_path)
         capture_output=True,
     )
     (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as files:
+        (license,) = (files.read(name).decode() for name in files.namelist() if name.endswith("licenses/LICENSE"))
+        assert "Copyright (c) 2026 the ms_highway authors" in license
+        (metadata,) = (files.read(name).decode() for name in files.namelist() if name.endswith("/METADATA"))
+        assert "License-Expression: MIT" in metadata
+        assert "US-101" in files.read("ms_highway/data/NOTICE.txt").decode()
     home = tmp_path / "environment"
     venv.create(home, with_pip=True)
     here = [path for path in sys.path if path.endswith("site-packages")]

@@ -46,6 +46,30 @@ def test_when_a_process_of_a_sweep_dies_the_others_end_with_one_sentence(killed,
             assert process.returncode == ENDED
 
 
+WAIT = """
+import sys, time
+from ms_highway.runtime.peers import together
+with together(sys.argv[1], 3, int(sys.argv[2])):
+    print("begun", flush=True)
+    time.sleep(float(sys.argv[3]))
+"""
+
+
+def test_when_process_0_is_done_first_it_stays_to_tell_the_others_that_one_died(address):
+    processes = [
+        subprocess.Popen([sys.executable, "-c", WAIT, address, str(place), seconds], stdout=-1, stderr=-1, text=True)
+        for place, seconds in enumerate(("0", "60", "60"))
+    ]
+    for process in processes:
+        assert process.stdout.readline() == "begun\n"
+    time.sleep(0.5)
+    processes[2].kill()
+    for process in processes[:2]:
+        assert "process 2 has ended before it was done" in process.communicate(timeout=30)[1]
+        assert process.returncode == ENDED
+    processes[2].communicate()
+
+
 def test_whoever_is_nobodys_process_is_not_counted_and_only_the_named_address_listens(address):
     host, port = address.split(":")
     begun = []

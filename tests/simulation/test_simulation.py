@@ -16,7 +16,8 @@ from ms_highway.experiments.simulated import columns_simulated, episodes_of, mak
 from ms_highway.experiments.summary import interval
 from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
-from ms_highway.simulation.loop import simulate, use_devices
+from ms_highway.simulation.devices import use_devices
+from ms_highway.simulation.loop import simulate
 
 KEYS = ["controller", "seed", "step"]
 COIN = "random:naive=0.25,turn=0.75"

@@ -15,7 +15,7 @@ from ms_highway.envs.base import Cone
 from ms_highway.game.dynamics import step
 from ms_highway.game.scenario import driving_game
 from ms_highway.metareasoning.switching import Switching
-from ms_highway.optimization.gradient_steps import Ascent
+from ms_highway.optimization.gradient_steps import PlanningSettings
 from ms_highway.planning.human_models import MODELS, ladder
 from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.vehicle.road_view import look
@@ -109,7 +109,7 @@ def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
 
 def test_a_human_that_plans_a_second_ahead_brakes_in_time_for_a_slower_car():
     class FarsightedHuman(HumanVehicle):
-        ascent = Ascent(horizon=10)
+        planning = PlanningSettings(horizon=10)
 
     road = straight_road()
     human = FarsightedHuman(road, [0.0, 4.0], speed=20.0)

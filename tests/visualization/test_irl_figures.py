@@ -11,21 +11,14 @@ from rich.console import Console
 
 from ms_highway.cli.main import main
 from ms_highway.game.learned_reward import shipped
+from ms_highway.irl.evaluation import load_evaluation
 from ms_highway.irl.learning import SIMULATED
-from ms_highway.irl.prediction import cases_of, constant_velocity, idm
+from ms_highway.irl.prediction import constant_velocity, cut_cases, idm
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
 from ms_highway.irl.recovery import recover
-from ms_highway.visualization.irl import (
-    counts_figure,
-    errors_figure,
-    evaluation_table,
-    examples,
-    likelihood_figure,
-    load_evaluation,
-    paths_figure,
-    recovery_table,
-    weights_figure,
-)
+from ms_highway.visualization.irl.prediction import counts_figure, errors_figure, examples, paths_figure
+from ms_highway.visualization.irl.recovery import likelihood_figure, weights_figure
+from ms_highway.visualization.irl.tables import evaluation_table, recovery_table
 
 KINDS = ("model", "constant_velocity", "idm")
 
@@ -93,7 +86,7 @@ def test_errors_and_misses_are_drawn_against_the_horizon_for_all_three():
 
 
 def test_examples_are_distinct_and_their_recorded_and_predicted_paths_are_drawn(us101, tmp_path):
-    cases = cases_of(us101[:2])
+    cases = cut_cases(us101[:2])
     chosen = examples(cases)
     assert len(chosen) == len(set(chosen.values())) == 4
     slowing = (cases.recorded[:, -1, 3] - cases.recorded[:, 0, 3])[chosen["the strongest braking"]]
@@ -155,7 +148,7 @@ def test_what_is_no_evaluation_is_refused(content, message, tmp_path):
 )
 def test_recovery_needs_enough_demonstrations(numbers, held_out, message, us101):
     with pytest.raises(ValueError, match=message):
-        next(recover(us101[:2], numbers, held_out=held_out))
+        recover(us101[:2], numbers, held_out=held_out)
 
 
 def test_commands_refuse_what_they_cannot_use_before_anything_is_written(tmp_path, capsys):

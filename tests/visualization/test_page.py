@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from ms_highway.cli.main import main
-from ms_highway.envs.configuration import controller_config
+from ms_highway.envs.drivers import controller_config
 from ms_highway.experiments.findings import worth_seeing
 from ms_highway.experiments.results import read_results
 from ms_highway.visualization.comparison import bars

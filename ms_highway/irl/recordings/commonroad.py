@@ -1,4 +1,4 @@
-"""Human driving from CommonRoad scenarios, such as those of the US-101 highway, as recordings in lane coordinates."""
+"""Read CommonRoad scenarios, such as those of the US-101 highway, as recordings in lane coordinates."""
 
 import gzip
 import warnings
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.irl.recordings.lane_coordinates import LaneCoordinates, along
+from ms_highway.irl.recordings.lane_coordinates import LaneCoordinates, fit_lane_coordinates
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.files import temporary_directory
 
@@ -19,12 +19,12 @@ __all__ = ["SPEED_LIMIT", "read_directory"]
 
 SPEED_LIMIT = 29.06  # m/s, 65 mph: on US-101, whose scenarios have no traffic signs
 
-LANE_SPREAD = 0.5  # m, median departure from the median offset; more, and a lane is not parallel to the others
-DISTINCT_LANES = 1.0  # m; chains of lanelets that are closer are one lane
+LANE_SPREAD = 0.5  # m, median deviation from the median offset, above which lanes are not parallel
+DISTINCT_LANES = 1.0  # m, offset below which chains of lanelets are one lane
 
 COMPRESSED = ".xml.gz"
 
-MOST_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some million
+MOST_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
 MOST_METRES = 100_000.0  # from one end of a scenario to the other
 MOST_SPEED, MOST_SIZE = 200.0, 100.0  # m/s and m, of a vehicle
 MOST_RADIANS = 1000.0  # of an orientation
@@ -32,18 +32,18 @@ MOST_STATES = 10_000_000  # of all cars at all times
 
 
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
-    """The CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
+    """Read the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
 
-    Every moving obstacle is a driver, except those that were seen once only or go against the road. Files of one
-    recording, such as ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``, form a group and may show the same tracks: a
-    track is among the drivers of the first file that shows it, and still there, as a neighbour, in the others.
+    Every moving obstacle is a driver, except those seen only once or moving against the road. Files of one recording,
+    such as ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``, form a group and may share tracks: a track is a driver in
+    the first file that has it, and a neighbour in the others.
 
     Args:
-        directory: where.
-        first: how many files to read; all without.
+        directory: of the files.
+        first: number of files to read; None for all.
 
     Raises:
-        ValueError: if there is nothing to read, or a file is no scenario with lanes, drivers and the time step 0.1 s.
+        ValueError: if there is no file, or one is no scenario with lanes, drivers and the time step 0.1 s.
         ImportError: without the packages of the extra ``commonroad``.
     """
     if not directory.is_dir():
@@ -56,11 +56,11 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
 
 
 def _open(path: Path) -> Any:
-    """The scenario of a file, as commonroad-io has it."""
+    """Return the scenario of a file, an object of commonroad-io."""
     with temporary_directory() as directory, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about what is of no interest here, such as unknown locations
+        warnings.simplefilter("ignore")  # about irrelevant things, such as unknown locations
         try:
-            from commonroad.common.file_reader import CommonRoadFileReader
+            from commonroad.common.reader.file_reader_xml import XMLFileReader  # by itself, without protobuf
         except ImportError as error:
             raise ImportError(
                 "CommonRoad needs the extra 'commonroad': pip install 'ms-highway[commonroad]'"
@@ -74,8 +74,8 @@ def _open(path: Path) -> Any:
             if readable.stat().st_size > MOST_BYTES:
                 raise ValueError(f"more than {MOST_BYTES} bytes of XML")
             _check_orientations(readable)
-            scenario, _ = CommonRoadFileReader(readable).open()
-        except Exception as error:  # of many kinds: whatever unpacking, parsing and the library stumble over
+            scenario, _ = XMLFileReader(readable).open()
+        except Exception as error:  # unpacking, parsing and the library raise many kinds
             raise ValueError(
                 f"{path} is no CommonRoad scenario, or damaged ({type(error).__name__}: {error}); fetch it again"
             ) from error
@@ -83,7 +83,7 @@ def _open(path: Path) -> Any:
 
 
 def _check_orientations(path: Path) -> None:
-    """Refuse angles that commonroad-io would never be done with: it takes off one turn after the other."""
+    """Refuse large angles: commonroad-io subtracts one turn after the other, which might never end."""
     for orientation in ElementTree.parse(path).iter("orientation"):
         for text in orientation.itertext():
             if text.strip() and not abs(float(text)) <= MOST_RADIANS:
@@ -91,7 +91,7 @@ def _check_orientations(path: Path) -> None:
 
 
 def _convert(scenario: Any, path: Path, counted: set[tuple]) -> Recording:
-    """A scenario as a recording; its drivers are added to those that were counted."""
+    """Convert a scenario to a recording; add its drivers to those already counted."""
     if not np.isclose(scenario.dt, TIME_STEP):
         raise ValueError(f"{path} has a time step of {scenario.dt} s; it must be {TIME_STEP} s")
     road, lanes, lane_width = _road(scenario.lanelet_network, path)
@@ -108,10 +108,10 @@ def _convert(scenario: Any, path: Path, counted: set[tuple]) -> Recording:
     drivers = []
     for car, (obstacle, track) in enumerate(zip(obstacles, tracks, strict=True)):
         time, position, orientation, speed = track[:, 0].astype(int), track[:, 1:3], track[:, 3], track[:, 4]
-        place = road.locate(position)
-        # Headings turn right here, orientations left; the difference of two angles is wrapped, not they.
-        heading = (place.heading - orientation + np.pi) % (2 * np.pi) - np.pi
-        states[time, car] = np.stack([place.x, place.y, heading, speed], axis=-1)
+        located = road.locate(position)
+        # Headings turn right here, orientations left; only their difference is wrapped.
+        heading = (located.heading - orientation + np.pi) % (2 * np.pi) - np.pi
+        states[time, car] = np.stack([located.x, located.y, heading, speed], axis=-1)
         identity = (group, obstacle.obstacle_id, *position[0].round(2))
         along_the_road = np.abs(np.median(heading)) < np.pi / 2
         if len(track) > 1 and along_the_road and identity not in counted:
@@ -131,7 +131,7 @@ def _convert(scenario: Any, path: Path, counted: set[tuple]) -> Recording:
 
 
 def _samples(obstacle: Any, path: Path) -> Float[np.ndarray, "times 5"]:
-    """Time step, position x and y, orientation and speed of an obstacle, as in the file."""
+    """Return time step, position x and y, orientation and speed of an obstacle, as in the file."""
     states = [obstacle.initial_state]
     states += getattr(getattr(obstacle.prediction, "trajectory", None), "state_list", [])
     try:
@@ -162,7 +162,7 @@ def _samples(obstacle: Any, path: Path) -> Float[np.ndarray, "times 5"]:
 
 
 def _check_extent(points: Float[np.ndarray, "points 2"], path: Path, of: str) -> None:
-    """Refuse points that are on no road."""
+    """Refuse points that are not finite or too far apart for a road."""
     if not np.isfinite(points).all():
         raise ValueError(f"{path}: coordinates of {of} are not finite; mend the file or leave it out")
     extent = np.ptp(points, axis=0).max()
@@ -171,7 +171,7 @@ def _check_extent(points: Float[np.ndarray, "points 2"], path: Path, of: str) ->
 
 
 def _size(shape: Any) -> tuple[float, float]:
-    """Length and width of an obstacle's shape."""
+    """Return length and width of an obstacle's shape."""
     if hasattr(shape, "length"):
         return shape.length, shape.width
     left, low, right, high = shape.shapely_object.bounds
@@ -179,17 +179,19 @@ def _size(shape: Any) -> tuple[float, float]:
 
 
 def _road(network: Any, path: Path) -> tuple[LaneCoordinates, Float[np.ndarray, "lanes"], float]:
-    """Coordinates along the leftmost lane, the lateral positions of lanes, ascending, and their width."""
+    """Return coordinates along the leftmost lane, the lateral positions of lanes, ascending, and their width."""
     chains = list(_chains(network))
     if not chains:
         raise ValueError(f"{path} has no lanelets from which lanes start; driving can only be judged on a road")
     lines = [np.concatenate([lanelet.center_vertices for lanelet in chain]) for chain in chains]
     _check_extent(np.concatenate(lines), path, "lanelets")
-    # Any lane tells which of the others are parallel to it. A ramp, to which nothing is, shows itself.
-    offsets = max((_offsets(along(line), lines) for line in lines), key=lambda offset: np.isfinite(offset).sum())
+    # Take the line that has most lines parallel to it: a ramp has none but itself.
+    offsets = max(
+        (_offsets(fit_lane_coordinates(line), lines) for line in lines), key=lambda offset: np.isfinite(offset).sum()
+    )
     if not np.isfinite(offsets).any():
         raise ValueError(f"{path} has no lane that is straight enough to measure driving along it")
-    road = along(lines[int(np.nanargmin(offsets))])
+    road = fit_lane_coordinates(lines[int(np.nanargmin(offsets))])
     found = np.sort(_offsets(road, lines))
     found = found[np.isfinite(found)]
     lanes = found[np.r_[True, np.diff(found) > DISTINCT_LANES]]
@@ -200,7 +202,7 @@ def _road(network: Any, path: Path) -> tuple[LaneCoordinates, Float[np.ndarray, 
 
 
 def _chains(network: Any) -> Iterator[list[Any]]:
-    """Every lane: a lanelet that none leads to, and those that follow it, always the first where there are several."""
+    """Yield every lane: a lanelet without predecessor, and its successors, always the first of several."""
     known = {lanelet.lanelet_id: lanelet for lanelet in network.lanelets}
     for start in network.lanelets:
         if known.keys() & set(start.predecessor):
@@ -212,14 +214,14 @@ def _chains(network: Any) -> Iterator[list[Any]]:
 
 
 def _offsets(road: LaneCoordinates, lines: list[Float[np.ndarray, "points 2"]]) -> Float[np.ndarray, "lines"]:
-    """How far to the right of a road's reference line other lines are; NaN for those that are no lanes of the road.
+    """Return how far to the right of a road's reference line other lines are; NaN for those that are no lanes of it.
 
-    Lanes run in the road's direction and parallel to it, with room for a beginning or an end as a ramp. In recording
-    10 of US-101, a ramp comes from 40 m away: its median offset, 23 m, is not where anybody drives.
+    Lanes run in the road's direction and parallel to it, except at the ends. In recording 10 of US-101, a ramp comes
+    from 40 m away: nobody drives at its median offset, 23 m.
     """
     offsets = np.full(len(lines), np.nan)
-    for line, places in enumerate(map(road.locate, lines)):
-        middle = np.median(places.y)
-        if places.x[-1] > places.x[0] and np.median(np.abs(places.y - middle)) < LANE_SPREAD:
+    for line, points in enumerate(map(road.locate, lines)):
+        middle = np.median(points.y)
+        if points.x[-1] > points.x[0] and np.median(np.abs(points.y - middle)) < LANE_SPREAD:
             offsets[line] = middle
     return offsets

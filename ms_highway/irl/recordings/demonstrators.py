@@ -1,67 +1,43 @@
-"""Programs that demonstrate driving: they know where the other cars will be, and act for a known reward.
+"""Simulated demonstrators, who know the other cars' future motion and maximise a known reward.
 
-Drivers plan a window of as many steps as the game's planner looks ahead, execute all of it, and plan the next. A
-window earns R_H, the sum of the reward over its steps less the discomfort of its controls, see `driven_reward`.
+They plan a window of the planner's horizon, execute all of it, and plan the next. A window earns R_H, the sum of the
+reward over its steps less the discomfort of its controls, see `rollout_reward`.
 """
 
 from functools import partial
-from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ms_highway.game.dynamics import Motion, observe
-from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, driven_reward, move
-from ms_highway.game.reward import motion_reward
+from ms_highway.game.features import motion_reward
+from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, rollout_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.optimization.second_derivatives import Path, damped_inverse, eigenpairs, expand
+from ms_highway.optimization.newton import Optimum, find_optimum
+from ms_highway.optimization.second_derivatives import Trajectory, eigenpairs
 
-__all__ = ["DRIVER_WEIGHTS", "TEMPERATURE", "Optimum", "maxent", "optimal", "window"]
+__all__ = ["DRIVER_WEIGHTS", "maxent", "optimal", "window"]
 
 DRIVER_WEIGHTS = {
     **{name: weight for name, weight in COMMON_WEIGHTS.items() if name != "collision"},
     "comfort_steering": 0.1,
     "comfort_acceleration": 0.1,
 }
-"""Weights of the demonstrated reward: the paper's, less the indicator of a collision, which is not differentiable, and
-some comfort, without which some controls would not matter at all."""
+"""Weights of the demonstrated reward: the paper's, without the indicator of a collision, which is not differentiable,
+and with comfort, without which some controls would have no effect on the reward."""
 
-TEMPERATURE = 1e-3  # reward; makes controls vary by up to 0.005 1/m and 3 m/s^2
-
-STEPS = 50  # of the search for an optimum, at most
-FLOOR = 0.05  # of the eigenvalues of Hessians, half the least that comfort gives them
-TOLERANCE = 1e-3  # reward per scaled control, the slope at which an optimum counts as found
-SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(np.float32)  # of a Newton step that its line search tries
-NOISE = 1e-6  # of a reward, relative, in float32
+FLOOR = 0.05  # of the eigenvalues of Hessians: half of comfort's curvature
 DRAWS = 20  # length of the chain that a sample ends
-
-
-class Optimum(NamedTuple):
-    """A local optimum of a window.
-
-    Attributes:
-        controls: scaled.
-        gradient: of the reward there.
-        hessian: of the reward there, in the ravelled controls.
-    """
-
-    controls: Float[jax.Array, "steps 2"]
-    gradient: Float[jax.Array, "steps 2"]
-    hessian: Float[jax.Array, "controls controls"]
-
-
-Search: TypeAlias = tuple[int, Float[jax.Array, "steps 2"], Optimum]
-"""Steps taken, where the next looks, and what the last found."""
 
 
 def window(
     car: Float[np.ndarray, "4"], routes: Float[np.ndarray, "others steps 4"]
 ) -> tuple[Float[jax.Array, "4"], Motion]:
-    """A driver's state and the motion of the others after each step, in coordinates that begin at the driver.
+    """Return a driver's state and the motion of the others after each step, with x measured from the driver.
 
-    Float32 resolves these better than places far down the road.
+    Float32 resolves these better than positions far along the road.
     """
     ahead = np.array([car[0], 0.0, 0.0, 0.0])
     return jnp.asarray(car - ahead, dtype=jnp.float32), observe((routes - ahead).astype(np.float32))
@@ -69,10 +45,7 @@ def window(
 
 @jax.jit
 def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
-    """The local optimum of a window that is uphill from keeping the velocity.
-
-    Newton steps, whose Hessian's eigenvalues l become ``-max(|l|, 0.05)``, with a line search, until the slope
-    vanishes. Where float32 no longer tells which controls earn more, whole steps go on to where it does.
+    """Find the local optimum of a window that is uphill from keeping the velocity, see `find_optimum`.
 
     Args:
         game: whose reward and motion; car 0 is driven.
@@ -80,46 +53,27 @@ def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
         others: motion of the others after each step, arrays [others, steps].
     """
 
-    def along(path: Path) -> Float[jax.Array, ""]:
+    def reward(path: Trajectory) -> Float[jax.Array, ""]:
         return jnp.sum(motion_reward(game.scene, game.robot, Motion(*path), others))
 
-    def climbing(search: Search) -> Bool[jax.Array, ""]:
-        count, controls, last = search
-        moved = (count == 0) | (controls != last.controls).any()
-        return moved & (count < STEPS) & (jnp.abs(last.gradient).max() > TOLERANCE)
-
-    def improve(search: Search) -> Search:
-        count, controls, _ = search
-        # The chain rule spares most of what XLA would have to compile for the Hessian of everything at once.
-        expansion = expand(partial(move, game, car), along, controls, partial(discomfort, game, car))
-        gradient, hessian = expansion.gradient.reshape(controls.shape), expansion.hessian
-        step = (damped_inverse(hessian, FLOOR) @ gradient.ravel()).reshape(controls.shape)
-        candidates = bounded(game, car, controls + SHARES[:, None, None] * step)
-        rewards = jax.vmap(lambda controls: driven_reward(game, car, controls, others))(candidates)
-        gains, noise = rewards - rewards[-1], NOISE * (1 + jnp.abs(rewards[-1]))
-        settling = (gains.max() <= noise) & (gains[0] >= -noise)
-        chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
-        return count + 1, chosen, Optimum(controls, gradient, hessian)
-
-    start = bounded(game, car, constant_velocity(game, car))
-    unknown = Optimum(start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size)))
-    return jax.lax.while_loop(climbing, improve, (0, start, unknown))[-1]
+    path, cost, within = (partial(function, game, car) for function in (move, discomfort, bounded))
+    return find_optimum(path, reward, cost, constant_velocity(game, car), within, FLOOR)
 
 
 def maxent(
     game: Game, car: Float[jax.Array, "4"], others: Motion, key: jax.Array, temperature: float
 ) -> Float[jax.Array, "steps 2"]:
-    """Scaled controls drawn from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum, within the limits of plans.
+    """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum, within the limits.
 
-    The end of an independence Metropolis-Hastings chain, which starts at the optimum and proposes from the Laplace
-    approximation ``N(u*, temperature (-H)^-1)``, the eigenvalues l of H set to ``-max(|l|, 0.05)``.
+    Returns the last draw of an independence Metropolis-Hastings chain, which starts at the optimum and proposes from
+    the Laplace approximation ``N(u*, temperature (-H)^-1)``, the eigenvalues l of H set to ``-max(|l|, 0.05)``.
 
     Args:
         game: whose reward and motion; car 0 is driven.
         car: its state.
         others: motion of the others after each step, arrays [others, steps].
         key: of the random numbers.
-        temperature: how far from optimal, in reward.
+        temperature: in reward.
     """
     return _sample(game, car, others, optimal(game, car, others), key, temperature)
 
@@ -133,7 +87,7 @@ def _sample(
     proposing, accepting = jax.random.split(key)
     normal = jax.random.normal(proposing, (DRAWS, len(values))).at[0].set(0.0)
     proposals = best.controls + (normal @ spread.T).reshape(DRAWS, *best.controls.shape)
-    earned = jax.vmap(lambda controls: driven_reward(game, car, controls, others))(proposals)
+    earned = jax.vmap(lambda controls: rollout_reward(game, car, controls, others))(proposals)
     inside = (proposals == bounded(game, car, proposals)).all(axis=(1, 2))
     excess = earned / temperature + jnp.sum(normal**2, axis=1) / 2  # log density over the proposal's
     excess = jnp.where(inside & jnp.isfinite(excess), excess, -jnp.inf).at[0].set(excess[0])

@@ -1,4 +1,4 @@
-"""Coordinates along a curved road, in which it looks straight."""
+"""Coordinates along a curved road, in which the road is straight."""
 
 from typing import NamedTuple
 
@@ -6,21 +6,21 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BSpline, make_smoothing_spline
 
-__all__ = ["LaneCoordinates", "Place", "along"]
+__all__ = ["LaneCoordinates", "LanePosition", "fit_lane_coordinates"]
 
 SPACING = 5.0  # m, between the points that the curve is fitted to
 STIFFNESS = 2000.0  # m^3; smooths what is shorter than 60 m, (2 pi / 60 m)^4 = 1 / (SPACING STIFFNESS)
 FEWEST_POINTS = 5  # that a smoothing spline can be fitted to
-ITERATIONS = 5  # each leaves of the error the share |offset / radius|, some percent on a highway
+ITERATIONS = 5  # each reduces the error to |offset / radius| of it, a few percent on a highway
 
 
-class Place(NamedTuple):
-    """Where points lie on a road, arrays [points].
+class LanePosition(NamedTuple):
+    """Positions of points on a road, arrays [points].
 
     Attributes:
         x: along the road [m].
         y: to the right of the reference line [m].
-        heading: of the road there [rad], counterclockwise, in the coordinates of the map.
+        heading: of the road at the point [rad], counterclockwise, in the coordinates of the map.
     """
 
     x: Float[np.ndarray, "points"]
@@ -29,7 +29,7 @@ class Place(NamedTuple):
 
 
 class LaneCoordinates(NamedTuple):
-    """A smooth reference line; beyond its ends it goes straight on.
+    """A smooth reference line, straight beyond its ends.
 
     Attributes:
         curve: from the distance along the line [m] to a point (x, y) of the map, whose y points to the left of its x.
@@ -39,8 +39,8 @@ class LaneCoordinates(NamedTuple):
     curve: BSpline
     length: float
 
-    def locate(self, points: Float[np.ndarray, "points 2"]) -> Place:
-        """The places on the road that are nearest to points of the map."""
+    def locate(self, points: Float[np.ndarray, "points 2"]) -> LanePosition:
+        """Return the positions on the road of points of the map."""
         samples = np.linspace(0, self.length, max(int(self.length / SPACING), 2))
         distance = np.linalg.norm(points[:, None] - self.curve(samples), axis=-1)
         x = samples[distance.argmin(axis=1)]
@@ -49,18 +49,18 @@ class LaneCoordinates(NamedTuple):
             x = x + (offset * tangent).sum(axis=-1)
         offset, tangent = self._offset(points, x)
         right = offset[:, 0] * tangent[:, 1] - offset[:, 1] * tangent[:, 0]
-        return Place(x, right, np.arctan2(tangent[:, 1], tangent[:, 0]))
+        return LanePosition(x, right, np.arctan2(tangent[:, 1], tangent[:, 0]))
 
     def _offset(self, points: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """From the line at x to the points, and the line's direction there, both [points, 2]."""
+        """Return the vectors from the line at x to the points, and the line's tangents there, both [points, 2]."""
         nearest_end = np.clip(x, 0, self.length)
         tangent = self.curve(nearest_end, 1)
         tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
         return points - self.curve(nearest_end) - (x - nearest_end)[:, None] * tangent, tangent
 
 
-def along(line: Float[np.ndarray, "points 2"]) -> LaneCoordinates:
-    """Coordinates along a line, which is smoothed: lines of maps have kinks that would look like steering."""
+def fit_lane_coordinates(line: Float[np.ndarray, "points 2"]) -> LaneCoordinates:
+    """Fit coordinates to a line, smoothed: lines of maps have kinks that would look like steering."""
     line = line[np.r_[True, np.any(np.diff(line, axis=0) != 0, axis=-1)]]
     distance = np.r_[0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=-1))]
     even = np.linspace(0, distance[-1], max(round(distance[-1] / SPACING) + 1, FEWEST_POINTS))

@@ -1,7 +1,7 @@
-"""Recorded driving, whether a simulator's or the real world's: who was where, in lane coordinates.
+"""Recorded driving, simulated or real: the states of all cars, in lane coordinates.
 
-Lane coordinates straighten the road: x runs along it, y to the right of its leftmost lane's centre, and headings are
-measured against its direction, so that recorded roads look like the straight roads of `ms_highway.game.scene`.
+In lane coordinates, x runs along the road, y to the right of its leftmost lane's centre, and headings are relative to
+its direction, so that recorded roads are straight like those of `ms_highway.game.scene`.
 """
 
 from collections.abc import Sequence
@@ -16,19 +16,19 @@ __all__ = ["Recording", "number_groups"]
 
 @dataclass(frozen=True)
 class Recording:
-    """What happened on one stretch of road, sampled at equal times. All lengths in metres, y points to the right.
+    """All cars on one stretch of road, sampled at equal times; lengths in metres, y points to the right.
 
     Attributes:
-        name: of the source, as messages call it.
-        group: recordings of one group may show the same drivers, so that they stay together in every split.
+        name: of the source, for messages.
+        group: recordings of one group may share drivers, so that no split divides them.
         time_step: between two samples [s].
         states: ``(x, y, heading, speed)`` of every car at every time; NaN where a car was not seen.
-        drivers: indices of the cars whose driving is of interest.
+        drivers: indices of the cars to learn from and to predict.
         sizes: length and width of every car.
         lanes: lateral position of each lane's centre, ascending.
         lane_width: width of a lane.
         speed_limit: of the road [m/s].
-        measured: whether states were measured, with noise, rather than simulated.
+        measured: whether states were measured, with noise; otherwise simulated.
     """
 
     name: str
@@ -43,10 +43,10 @@ class Recording:
     measured: bool = True
 
     def __post_init__(self) -> None:
-        """Check it.
+        """Check the recording.
 
         Raises:
-            ValueError: naming the recording and what is wrong with it.
+            ValueError: naming the recording and the problem.
         """
         times_and_cars = np.shape(self.states)[:2]
         if np.shape(self.states) != (*times_and_cars, 4) or len(times_and_cars) != 2:
@@ -70,10 +70,10 @@ class Recording:
 
     @cached_property
     def seen(self) -> Bool[np.ndarray, "times cars"]:
-        """Where a car was seen."""
+        """Whether each car was seen at each time."""
         return np.isfinite(self.states).all(axis=-1)
 
 
 def number_groups(recordings: Sequence[Recording]) -> dict[str, int]:
-    """A number for every group of recordings, by its name, in the order of their appearance."""
+    """Number the groups of recordings, by name, in order of appearance."""
     return {name: number for number, name in enumerate(dict.fromkeys(item.group for item in recordings))}

@@ -1,4 +1,4 @@
-"""What a recorded driver did: a smooth track, and the controls that drive a car along it."""
+"""A driver's smooth track, and the controls that drive a car along it."""
 
 from typing import NamedTuple
 
@@ -10,9 +10,9 @@ from ms_highway.irl.recordings.recording import Recording
 
 __all__ = ["Track", "smoothed", "track_of"]
 
-# What is plausible, as standard deviations. Errors of position and jerks decide together how smooth tracks are: here,
-# swings faster than (JERK dt / POSITION)^(1/3) / dt, a third of a hertz, are taken for noise. The other three are wide,
-# and only decide what positions leave open, such as the steering of a standing car.
+# Standard deviations. Errors of position and jerks together decide how smooth tracks are: here, oscillations faster
+# than (JERK dt / POSITION)^(1/3) / dt, a third of a hertz, count as noise. The other three are wide, and only decide
+# what positions leave open, such as the steering of a standing car.
 POSITION = 0.2  # m, error of recorded positions
 JERK = 2.0  # m/s^3, along the road
 LATERAL_JERK = 0.5  # m/s^3, across it
@@ -25,7 +25,7 @@ ROUNDS = 2  # of fitting speeds, then headings, each with the other as last know
 
 
 class Track(NamedTuple):
-    """A driven track: the step of its dynamics leads from every state, by its control, to the next.
+    """A track: one step of its dynamics with each control leads from each state to the next.
 
     Attributes:
         states: ``(x, y, heading, speed)``, one more than the controls.
@@ -37,7 +37,7 @@ class Track(NamedTuple):
 
 
 def track_of(recording: Recording, car: int, dynamics: Dynamics) -> Track:
-    """What a car did: `smoothed` if it was measured; if it was simulated, the recorded states as they are.
+    """Return a car's track: `smoothed` if it was measured, the recorded states if it was simulated.
 
     Raises:
         ValueError: if the car was seen less than twice, or the recording's time step is not that of the dynamics.
@@ -56,7 +56,7 @@ def track_of(recording: Recording, car: int, dynamics: Dynamics) -> Track:
 
 
 def smoothed(recorded: Float[np.ndarray, "times 2"], dynamics: Dynamics) -> Track:
-    """The likeliest track of a car, given its recorded positions and what accelerations and jerks are plausible.
+    """Return the most likely track of a car, given its recorded positions and priors of accelerations and jerks.
 
     Recorded speeds and headings, themselves derived from noisy positions, are not used. With a step's distance
     ``d = (v + v_next) dt / 2``, two linear least-squares problems are solved in turn, for the initial x and speed v
@@ -65,8 +65,8 @@ def smoothed(recorded: Float[np.ndarray, "times 2"], dynamics: Dynamics) -> Trac
         x = x_0 + sum of d cos(h)    v = v_0 + sum of a dt
         y = y_0 + sum of d sin(h)    h = h_0 + sum of v c dt
 
-    They penalise errors of position, jerks ``a'`` and ``v^2 c'``, and, weakly, a, c and h_0. Where a car stands, its
-    heading therefore stays and its curvature fades to 0.
+    They penalise errors of position, jerks ``a'`` and ``v^2 c'``, and, weakly, a, c and h_0: a standing car therefore
+    keeps its heading, and its curvature decays to 0.
     """
     dt = float(dynamics.time_step)
     steps = len(recorded) - 1
@@ -98,13 +98,13 @@ def smoothed(recorded: Float[np.ndarray, "times 2"], dynamics: Dynamics) -> Trac
 
 
 def _running(increments: Float[np.ndarray, "steps unknowns"]) -> Float[np.ndarray, "steps+1 unknowns+1"]:
-    """The matrix that yields a quantity at all times, from its initial value and the unknowns in its increments."""
+    """Return the matrix that maps a quantity's initial value and the unknowns in its increments to all its values."""
     sums = np.pad(np.cumsum(increments, axis=0), ((1, 0), (0, 0)))
     return np.column_stack([np.ones(len(sums)), sums])
 
 
 def _without_initial(*penalties: Float[np.ndarray, "_ steps"]) -> Float[np.ndarray, "rows steps+2"]:
-    """Penalties of controls only, before which stand two initial values."""
+    """Return penalties of controls only: zero columns for the two initial values come first."""
     return np.pad(np.vstack(penalties), ((0, 0), (2, 0)))
 
 
@@ -113,6 +113,6 @@ def _fit(
     recorded: Float[np.ndarray, "times"],
     likely: Float[np.ndarray, "rows unknowns"],
 ) -> Float[np.ndarray, "unknowns"]:
-    """The unknowns that explain positions best, with penalties in units of standard deviations."""
+    """Return the unknowns that fit the positions best, with penalties in units of standard deviations."""
     errors = np.pad(recorded / POSITION, (0, len(likely)))
     return np.linalg.lstsq(np.vstack([positions / POSITION, likely]), errors)[0]

@@ -1,4 +1,4 @@
-"""What recorded drivers were doing, to see where predictions of them fail."""
+"""Driving regimes of recorded drivers, to see where predictions fail."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -6,21 +6,21 @@ from jaxtyping import Bool, Float
 from ms_highway.game.neighbours import places
 from ms_highway.irl.prediction import Cases
 
-__all__ = ["HORIZON", "by_situation", "situations"]
+__all__ = ["HORIZON", "driving_regimes", "errors_by_regime"]
 
-HORIZON = 3  # s, at which situations are told apart and errors compared
+HORIZON = 3  # s, at which regimes are told apart and errors compared
 LANE_CHANGE = 1.5  # m to the side
 HARD = 1.0  # m/s^2, on average
 SLOW = 5.0  # m/s
 LEADER = 50.0  # m ahead, from centre to centre
 
 
-def situations(cases: Cases) -> dict[str, Bool[np.ndarray, "n"]]:
-    """Which cases are of each situation, by name; a case may be of several, or of none.
+def driving_regimes(cases: Cases) -> dict[str, Bool[np.ndarray, "n"]]:
+    """Return which cases belong to each regime, by name; a case may belong to several, or to none.
 
     A *lane change* is 1.5 m to the side within 3 s; *braking* and *accelerating* are more than 1 m/s^2 on average over
-    these; *slow* is below 5 m/s at the start; *no leader* means none within 50 m in the own lane at the start;
-    *following* is what has a leader and is none of the others.
+    that time; *slow* is below 5 m/s at the start; *no leader* is none within 50 m in the own lane at the start;
+    *following* is a leader and none of the other regimes.
     """
     recorded = np.asarray(cases.recorded)
     start, later = recorded[:, 0], recorded[:, 10 * HORIZON]
@@ -39,16 +39,16 @@ def situations(cases: Cases) -> dict[str, Bool[np.ndarray, "n"]]:
     return {**found, "following": ~np.any(list(found.values()), axis=0)}
 
 
-def by_situation(paths: dict[str, Float[np.ndarray, "n 50 2"]], cases: Cases) -> dict[str, dict[str, float]]:
-    """Mean distance [m] between predicted and recorded driver after 3 s, by situation and predictor.
+def errors_by_regime(paths: dict[str, Float[np.ndarray, "n 50 2"]], cases: Cases) -> dict[str, dict[str, float]]:
+    """Return the mean distance [m] between predicted and recorded driver after 3 s, by regime and predictor.
 
     Args:
-        paths: predicted, by name of the predictor.
-        cases: of which; those that end before are left out.
+        paths: predicted paths, by name of the predictor.
+        cases: the predicted cases; those that end before 3 s are left out.
     """
     recorded = np.asarray(cases.recorded)[:, 10 * HORIZON, :2]
     reached, found = np.isfinite(recorded).all(axis=-1), {}
-    for name, chosen in situations(cases).items():
+    for name, chosen in driving_regimes(cases).items():
         some = chosen & reached
         if some.any():
             off = {who: path[some, 10 * HORIZON - 1] - recorded[some] for who, path in paths.items()}

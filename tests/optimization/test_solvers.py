@@ -9,10 +9,10 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.game.game import move, path_reward, total_reward
+from ms_highway.game.game import move, total_reward, trajectory_reward
 from ms_highway.game.scenario import PHYSICAL_LIMIT
-from ms_highway.optimization.ascent import Planner, climb
-from ms_highway.optimization.second_derivatives import expand
+from ms_highway.optimization.second_derivatives import second_order_expansion
+from ms_highway.optimization.solvers import Planner, optimize_controls
 from ms_highway.planning.human_models import MODELS
 
 
@@ -24,7 +24,9 @@ def test_the_chain_rule_gives_the_hessian_of_the_whole_plan(played, scenario):
 
     @jax.jit
     def both(robot):
-        expansion = expand(partial(move, game, state[0]), lambda robot: path_reward(game, state, robot, human), robot)
+        expansion = second_order_expansion(
+            partial(move, game, state[0]), lambda robot: trajectory_reward(game, state, robot, human), robot
+        )
         objective = partial(total_reward, game, state, human=controls[1])
         return expansion, jax.grad(objective)(robot), jax.hessian(objective)(robot)
 
@@ -49,7 +51,9 @@ def test_newton_climbs_a_steep_hill_that_gradient_steps_overshoot():
 
     unlimited = jnp.full(2, jnp.inf)
     reached = {
-        solver: climb(Planner(jnp.ones(2), unlimited, solver=solver), path, hill, free, jnp.zeros((2, 2)), lambda u: u)
+        solver: optimize_controls(
+            Planner(jnp.ones(2), unlimited, solver=solver), path, hill, free, jnp.zeros((2, 2)), lambda u: u
+        )
         for solver in ("gradient", "newton")
     }
     assert not abs(reached["gradient"]).max() < 10  # it has left the hill

@@ -1,0 +1,222 @@
+"""The settings of the environments of human and robot: what their configuration says, checked once."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+from warnings import warn
+
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.envs.checks import is_number, is_one_of, is_whole, refuse_unknown
+from ms_highway.envs.configuration import changed
+from ms_highway.envs.drivers import Driver, driver
+from ms_highway.game.game import Game
+from ms_highway.game.learned_reward import shipped
+from ms_highway.game.reward import weight_names
+from ms_highway.game.scenario import COMMON_WEIGHTS, PHYSICAL_LIMIT, Scenario, Semantics, build_game
+from ms_highway.metareasoning.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
+from ms_highway.optimization.gradient_steps import PlanningSettings, gradient_steps, longest_step
+from ms_highway.optimization.second_derivatives import Influence
+from ms_highway.optimization.solvers import Solver
+from ms_highway.planning.human_models import MODELS, HumanModel, ladder
+
+__all__ = ["HUMAN_REWARDS", "PLANNING", "Settings", "merged"]
+
+PLANNING = ("horizon", "time_step", "iterations", "step_size", "control_limit", "grip")
+"""Keys that say how robot and human plan."""
+
+HUMAN_REWARDS = {"paper": "learned", "released": "published"}
+"""The human's reward that belongs to each semantics."""
+
+STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
+ACTION_DEFAULTS: dict[str, dict[str, Any]] = {
+    "ContinuousAction": {"steering_range": STEERING_RANGE},
+    "DiscreteAction": {"steering_range": STEERING_RANGE},
+}
+LONGEST_HORIZON = 100  # steps
+MOST_ITERATIONS = 5000  # of gradient steps: more take seconds per plan
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the configuration of an `ms_highway.envs.base.InteractionEnv` says, with what it leaves open chosen.
+
+    Attributes:
+        semantics: ``paper`` or ``released``.
+        driver: who drives the robot, where the agent does not.
+        models: the ladder.
+        costs: T(M) by model [s]; None where it is to be measured.
+        influence: form of the human's response.
+        control_limit: bounds on plans, None for none.
+        grip: the total acceleration that tyres hold [m/s^2], None where it is not looked at.
+        solver: how plans are improved.
+        human_weights: what the human drives for, by name.
+        warm_start: whether plans start from the rest of the last one.
+        planning: how far ahead, how often and by which gradient steps both plan.
+    """
+
+    semantics: Semantics
+    driver: Driver
+    models: tuple[HumanModel, ...]
+    costs: Mapping[str, float] | None
+    influence: Influence
+    control_limit: tuple[float, float] | None
+    grip: float | None
+    solver: Solver
+    human_weights: Mapping[str, float]
+    warm_start: bool
+    planning: PlanningSettings
+
+    @classmethod
+    def read(cls, config: Mapping[str, Any]) -> "Settings":
+        """The settings of a whole configuration, of which `ms_highway.envs.configuration.changed` has checked the rest.
+
+        Raises:
+            ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
+        """
+        paper = config["semantics"] == "paper"
+        return cls(
+            semantics=config["semantics"],
+            models=_ladder(config["ladder"]),
+            driver=driver(config["controller"]),
+            costs=_costs(config["costs"], config["ladder"]),
+            influence=config["influence"] or ("damped" if paper else "exact"),
+            control_limit=_limit(config["control_limit"], PHYSICAL_LIMIT if paper else None),
+            grip=_grip(config["grip"]),
+            solver=config["solver"],
+            planning=_planning(config),
+            human_weights=_human_weights(config["human_reward"], HUMAN_REWARDS[config["semantics"]]),
+            warm_start=bool(config["warm_start"]),
+        )
+
+    def game(self, scenario: Scenario) -> Game:
+        """The game of a scenario."""
+        return build_game(
+            scenario,
+            self.semantics,
+            self.influence,
+            control_limit=self.control_limit,
+            grip=self.grip,
+            solver=self.solver,
+            human_driving=self.human_weights,
+            planning=self.planning,
+        )
+
+    def switching(self, costs: Float[np.ndarray, "rungs"], price: float) -> Switching:
+        """The numbers of Algorithm 1 on the ladder, with T(M) and lambda."""
+        if self.semantics == "released":
+            return Switching(costs, price, self.models, trust_tolerance=RELEASED_TRUST_TOLERANCE)
+        return Switching(costs, price, self.models)
+
+
+def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The configuration of an `ms_highway.envs.base.InteractionEnv`: the defaults with the changes made, checked.
+
+    Raises:
+        ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
+    """
+    config = changed(defaults, changes)
+    config["action"] = {**ACTION_DEFAULTS.get(config["action"]["type"], {}), **config["action"]}
+    Settings.read(config)
+    return config
+
+
+def _ladder(names: Any) -> tuple[HumanModel, ...]:
+    try:
+        if isinstance(names, str):
+            raise ValueError(f"{names!r} is one name; give a list of names")
+        return ladder(names)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"config['ladder']: {error}") from None
+
+
+def _costs(costs: Any, names: Iterable[str]) -> Mapping[str, float] | None:
+    """T(M) by model; None where it is to be measured."""
+    if is_one_of(costs, ("measured",)):
+        return None
+    if is_one_of(costs, ("published",)):
+        for name in names:
+            if name not in PUBLISHED_COSTS:
+                raise ValueError(f"config['costs']: no seconds of {name!r} were published; say 'measured' or give them")
+        return PUBLISHED_COSTS
+    remedy = "say 'published', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
+    if not isinstance(costs, Mapping):
+        raise ValueError(f"config['costs'] is {costs!r}; {remedy}")
+    refuse_unknown("config['costs']", costs, MODELS)
+    for name in names:
+        if not is_number(costs.get(name)) or costs[name] < 0:
+            raise ValueError(f"config['costs'] has {costs.get(name)!r} seconds for {name!r}; {remedy}")
+    return costs
+
+
+def _limit(limit: Any, usual: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Bounds on plans; None where they are unlimited."""
+    if is_one_of(limit, (None, "unlimited")):
+        return usual if limit is None else None
+    pair = tuple(np.atleast_1d(limit).tolist()) if isinstance(limit, (list, tuple, np.ndarray)) else ()
+    if len(pair) != 2 or not all(is_number(bound) and bound > 0 for bound in pair):
+        raise ValueError(
+            f"config['control_limit'] is {limit!r}; give None for the usual limits, 'unlimited', "
+            "or two positive bounds, (omega, acceleration)"
+        )
+    return pair
+
+
+def _grip(grip: Any) -> float | None:
+    if grip is None:
+        return None
+    if not (is_number(grip) and grip > 0):
+        remedy = "give what tyres hold in m/s^2, such as 8 on a dry road, or None to look at nothing of the kind"
+        raise ValueError(f"config['grip'] is {grip!r}; {remedy}")
+    return float(grip)
+
+
+def _planning(config: Mapping[str, Any]) -> PlanningSettings:
+    horizon, iterations, length = config["horizon"], config["iterations"], config["step_size"]
+    time_step = float(config["time_step"])
+    if not is_whole(horizon) or not 0 < horizon <= LONGEST_HORIZON:
+        raise ValueError(f"config['horizon'] is {horizon!r}; it must be a whole number from 1 to {LONGEST_HORIZON}")
+    if iterations is not None and not (is_whole(iterations) and 0 < iterations <= MOST_ITERATIONS):
+        remedy = f"it must be a whole number from 1 to {MOST_ITERATIONS}, or None"
+        raise ValueError(f"config['iterations'] is {iterations!r}; {remedy}")
+    if length is not None and not (is_number(length) and length > 0):
+        raise ValueError(f"config['step_size'] is {length!r}; it must be a positive number, or None")
+    longest = longest_step(horizon, time_step)
+    if length is not None and length > longest:
+        why = f"plans of {horizon} steps of {time_step:g} s overshoot with steps longer than {longest:.2g}"
+        warn(f"config['step_size'] is {length:g}: {why}; leave it out to have one chosen", stacklevel=2)
+    planning = PlanningSettings(
+        int(horizon),
+        time_step,
+        None if iterations is None else int(iterations),
+        None if length is None else float(length),
+    )
+    chosen, _ = gradient_steps(planning)
+    if chosen > MOST_ITERATIONS:
+        why = f"{horizon} steps of {time_step:g} s need {chosen} gradient steps, which take seconds"
+        raise ValueError(f"config['horizon'] is {horizon}: {why}; plan less far ahead, or give 'iterations'")
+    if config["duration"] < time_step:
+        why = f"an episode has one time step at least, {time_step:g} s"
+        raise ValueError(f"config['duration'] is {config['duration']!r}; {why}")
+    return planning
+
+
+def _human_weights(reward: Any, usual: str) -> Mapping[str, float]:
+    """What the human drives for, by name."""
+    reward = usual if reward is None else reward
+    if is_one_of(reward, ("learned",)):
+        return shipped("demonstrations").weights
+    if is_one_of(reward, ("published",)):
+        return COMMON_WEIGHTS
+    if not isinstance(reward, Mapping):
+        raise ValueError(
+            f"config['human_reward'] is {reward!r}; say 'learned', 'published', or give weights by name, such as "
+            "{'speed': 2, 'lane_alignment': 75}; weights that were learned are in "
+            "ms_highway.game.learned_reward.load(path).weights"
+        )
+    refuse_unknown("config['human_reward']", reward, weight_names())
+    for name, weight in reward.items():
+        if not is_number(weight):
+            raise ValueError(f"config['human_reward'][{name!r}] is {weight!r}; it must be a finite number")
+    return reward

@@ -1,0 +1,61 @@
+"""The command ``ms-highway irl evaluate``."""
+
+import argparse
+import json
+import typing
+from typing import Any
+
+from ms_highway.cli.console import add_command, print_tables, telling
+from ms_highway.cli.irl.options import THETA_HELP, add_data, add_model, horizon, model, read, theta
+from ms_highway.irl.prediction import Others
+
+__all__ = ["add_evaluate"]
+
+HELP = """\
+Predict recorded drivers for up to 5 s, replanning at 10 Hz, and compare with where they went; beside constant velocity
+and highway-env's IDM, on the same stretches of road. With --folds instead of --theta, rewards are learned from the
+other recordings, fold after fold. ADE, FDE and RMSE are in metres; a miss is more than 2 m off."""
+
+EXAMPLES = """\
+examples:
+  ms-highway irl evaluate --theta us101 --data recordings --json
+  ms-highway irl evaluate --folds 4 --data recordings"""
+
+
+def add_evaluate(commands: Any) -> None:
+    """Add the command ``evaluate`` to a parser's subparsers."""
+    parser = add_command(commands, "evaluate", "predict recorded drivers", HELP, EXAMPLES)
+    add_data(parser)
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--theta", metavar="FILE", help=THETA_HELP)
+    which.add_argument("--folds", type=int, metavar="N", help="cross-validate by recording, in N folds")
+    add_model(parser)
+    parser.add_argument(
+        "--others",
+        choices=typing.get_args(Others),
+        default="recorded",
+        help="what predicted drivers meet: the others where they were recorded to be at each step (default), or where "
+        "they would be had they kept their velocity from the start, so that nothing of the future is known",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.set_defaults(run=_evaluate)
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    from ms_highway.irl.evaluation import cross_validate, evaluate
+    from ms_highway.visualization.irl.tables import evaluation_table, regimes_table
+
+    if options.theta and (options.learn or options.horizon):
+        raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
+    learned = theta(options.theta) if options.theta else None
+    recordings = read(options.data)
+    with telling() as tell:
+        if learned:
+            found = evaluate(recordings, learned, options.others, progress=tell)
+        else:
+            chosen, steps = model(options, recordings), horizon(options)
+            found = cross_validate(recordings, chosen, steps, options.folds, options.others, progress=tell)
+    if options.json:
+        print(json.dumps(found, indent=2))
+        return
+    print_tables(evaluation_table(found), regimes_table(found))

@@ -1,0 +1,49 @@
+"""The command ``ms-highway irl fit``."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from ms_highway.cli.console import add_command, print_tables, telling
+from ms_highway.cli.irl.options import MINARI, add_data, add_model, horizon, model, read
+
+__all__ = ["add_fit"]
+
+HELP = """\
+Learn the weights of a reward by maximum entropy: the reward that makes it most likely that drivers did what they did,
+window after window of --horizon steps of 0.1 s (Levine and Koltun 2012). Half the least comfort weight is the floor of
+the curvature that a fit believes. --out gets weights, temperature, covariance, likelihoods and where all of it is from.
+The indicator of a collision has no gradient and is left out."""
+
+EXAMPLES = """\
+examples:
+  ms-highway irl fit --data minari:ms-highway/maxent-v0 --out theta.json
+  ms-highway irl fit --data us101 --learn headway closing_speed comfort_steering --out theta.json"""
+
+
+def add_fit(commands: Any) -> None:
+    """Add the command ``fit`` to a parser's subparsers."""
+    parser = add_command(commands, "fit", "learn a reward", HELP, EXAMPLES)
+    add_data(parser)
+    add_model(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="a .json file for the learned reward")
+    parser.set_defaults(run=_fit)
+
+
+def _fit(options: argparse.Namespace) -> None:
+    from ms_highway.game.learned_reward import save
+    from ms_highway.irl.learning import learn
+    from ms_highway.visualization.irl.tables import learned_table
+
+    if options.out.is_dir():
+        raise ValueError(f"--out is {options.out}, a directory; name a .json file")
+    recordings = read(options.data)
+    source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
+    with telling() as tell:
+        learned = learn(recordings, model(options, recordings), horizon(options), source, progress=tell)
+    save(learned, options.out)
+    print_tables(learned_table(learned))
+    likely = learned.log_likelihood
+    held_out = "" if likely["held_out"] is None else f", {likely['held_out']:.3f} on those held out"
+    print(f"log-likelihood per window: {likely['train']:.3f}{held_out}")
+    print(f"the learned reward is in {options.out}")

@@ -1,0 +1,60 @@
+"""The command ``ms-highway irl record``."""
+
+import argparse
+from typing import Any
+
+from ms_highway.cli.console import add_command, count_episodes
+from ms_highway.cli.options import MOST, check_most
+from ms_highway.envs.routes import DENSITIES
+from ms_highway.irl.recordings.drivers import DRIVERS, TEMPERATURE
+
+__all__ = ["add_record"]
+
+HELP = """\
+Record episodes of driving on a highway as a Minari data set, in $MINARI_DATASETS_PATH or ~/.minari/datasets.
+
+Every episode is on disk when the next begins; stopped and started again with the same data set and settings, it goes
+on where it was. With --driver keyboard the arrow keys drive: up and down for speed, left and right to steer."""
+
+EXAMPLES = """\
+examples:
+  ms-highway irl record --driver maxent --episodes 200 --dataset ms-highway/maxent-v0
+  ms-highway irl record --driver keyboard --episodes 10 --dataset ms-highway/me-v0 --density sparse"""
+
+MOST_SEED = 2**32 - 1  # that JAX's random numbers take
+
+
+def add_record(commands: Any) -> None:
+    """Add the command ``record`` to a parser's subparsers."""
+    parser = add_command(commands, "record", "record demonstrations", HELP, EXAMPLES)
+    drivers = "; ".join(f"{name}: {meaning}" for name, meaning in DRIVERS.items())
+    parser.add_argument("--driver", choices=list(DRIVERS), required=True, help=drivers)
+    parser.add_argument("--episodes", type=int, required=True, metavar="N", help="episodes the data set shall have")
+    parser.add_argument("--dataset", required=True, metavar="NAME", help="such as ms-highway/maxent-v0")
+    parser.add_argument(
+        "--density",
+        nargs="+",
+        choices=list(DENSITIES),
+        default=list(DENSITIES),
+        help="densities of the traffic, in turn (default: all)",
+    )
+    parser.add_argument(
+        "--temperature",
+        type=float,
+        default=TEMPERATURE,
+        help=f"of the driver maxent, in reward (default: {TEMPERATURE:g})",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the first episode (default: 0)")
+    parser.set_defaults(run=_record)
+
+
+def _record(options: argparse.Namespace) -> None:
+    from ms_highway.irl.recordings.demonstrations import record
+
+    check_most(options, episodes=MOST, seed=MOST_SEED)
+    counts = record(
+        options.driver, options.episodes, options.dataset, options.density, options.seed, options.temperature
+    )
+    already = next(counts)
+    done = count_episodes(counts, already, options.episodes)
+    print(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")

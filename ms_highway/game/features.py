@@ -1,0 +1,155 @@
+"""Compute the features of driving states and rewards that are linear in them, r = theta . phi.
+
+Everything is computed for car 0 with car 1 as its partner. Lengths enter the features in the scene's ``length_unit`` U,
+so that weights do not depend on metres.
+"""
+
+from collections.abc import Callable
+from functools import partial, reduce
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.collision_risk import collision_risk
+from ms_highway.game.dynamics import Motion, observe
+from ms_highway.game.reward import TRAFFIC_FEATURES, Feature, Reward
+from ms_highway.game.scene import Scene
+from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.reductions import unrolled_reduce, unrolled_sum
+
+__all__ = ["HEADING_SHARE", "features", "motion_features", "motion_reward", "reward"]
+
+HEADING_SHARE = 0.01  # of directional relative to lateral alignment with a lane
+TIME_HEADWAY = 1.0  # s, between bumpers
+STANDSTILL_GAP = 0.06  # length units (2 m), between the bumpers of a standing queue
+SMALLEST_GAP = 0.03  # length units (1 m), below which induced braking grows no more
+ATTENTION = 0.6  # length units (20 m), gap at which the attention to a neighbour is 1 / e
+OWN_LANE = 0.25  # lane widths, standard deviation of the lateral distance of cars in the own lane
+
+
+def reward(scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]) -> Float[jax.Array, "*batch"]:
+    """Compute car 0's reward in each state, theta . phi."""
+    return motion_reward(scene, parameters, *_apart(states))
+
+
+def features(
+    scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]
+) -> Float[jax.Array, "*batch features"]:
+    """Compute the features phi of car 0 in each state, in the order of the reward's names.
+
+    * speed: ``-f (f - 2 s) / s^2`` with ``f = v cos(heading)`` and s the speed limit;
+    * lane_alignment: ``-min_lane (y - y_lane)^2 / U^2 + 0.01 cos(heading)``;
+    * collision_risk, collision: see `ms_highway.game.collision_risk`;
+    * off_road: ``(depth of the outermost corner beyond the road's edge)^2 / U^2``;
+    * target_lane: ``-(y - y_target)^2 / U^2``; gap: ``-(x - (x_leader - gap))^2 / U^2``;
+    * merged: 1 if ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane;
+    * partner_target_lane, partner_merged: the same for the partner;
+    * direction, headway, closing_speed, induced_braking: see `_traffic`;
+    * user-defined features: see `ms_highway.game.reward.add_feature`.
+
+    ``collision``, ``merged`` and ``partner_merged`` are indicators and have no gradient.
+    """
+    return jnp.stack(motion_features(scene, parameters, *_apart(states)), axis=-1)
+
+
+def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
+    """Compute the reward of a car along its motion, theta . phi.
+
+    Args:
+        scene: road, obstacles and bodies.
+        parameters: the reward.
+        own: motion of the car, arrays [*times].
+        others: motion of all others, its partner first, arrays [others, *times].
+    """
+    columns = motion_features(scene, parameters, own, others)
+    weighted = [weight * column for weight, column in zip(jnp.unstack(parameters.weights), columns, strict=True)]
+    return reduce(jnp.add, weighted)
+
+
+def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
+    """Return the motions of car 0, arrays [*batch], and of the others, arrays [others, *batch]."""
+    cars = observe(jnp.moveaxis(jnp.asarray(states), -2, 0))
+    return Motion(*(field[0] for field in cars)), Motion(*(field[1:] for field in cars))
+
+
+def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:
+    """Compute the features of a car along its motion, one array for each of the reward's names.
+
+    Takes the arguments of `motion_reward`. Constants are inverted once, not divided by at every state.
+    """
+    per_unit, per_limit = 1 / scene.length_unit, 1 / parameters.speed_limit
+    forward = own.speed * own.cosine * per_limit
+    lane = reduce(lambda a, b: jnp.where(jnp.abs(own.y - a) <= jnp.abs(own.y - b), a, b), jnp.unstack(scene.lanes))
+    risk, collision = collision_risk(scene, own, others)
+    leader_x = own.x if scene.leader is None else others.x[scene.leader - 1]
+    gap_error = jnp.zeros_like(own.x) if scene.leader is None else (own.x - (leader_x - parameters.gap)) * per_unit
+    partner = Motion(*(field[0] for field in others))
+    traffic = _traffic(scene, parameters, own, others) if TRAFFIC_FEATURES[0] in parameters.names else []
+    return [
+        -forward * (forward - 2),
+        -(((own.y - lane) * per_unit) ** 2) + HEADING_SHARE * own.cosine,
+        risk,
+        collision,
+        (_depth_off_road(scene, own) * per_unit) ** 2,
+        -(((own.y - scene.target_lane) * per_unit) ** 2),
+        -(gap_error**2),
+        _merged(scene, own),
+        -(((partner.y - scene.target_lane) * per_unit) ** 2),
+        _merged(scene, partner),
+        *traffic,
+        *(_at_every_moment(function, scene, own, others) for function in parameters.own),
+    ]
+
+
+def _at_every_moment(function: Feature, scene: Scene, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
+    """Compute a user-defined feature along a motion, mapped over times, so that it sees one moment only."""
+    mapped: Callable[[Motion, Motion], jax.Array] = partial(function, scene)
+    for _ in range(own.x.ndim):
+        mapped = jax.vmap(mapped, in_axes=-1, out_axes=-1)
+    return jnp.asarray(mapped(own, others), own.x.dtype)
+
+
+def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:
+    """Compute the features of following and being followed in real traffic.
+
+    With g the gap between bumpers in length units U, v the own speed, v_j the other's, and the attention
+    ``w = exp(-g / 0.6) exp(-(dy / (lane width / 4))^2 / 2)``, which decays with the gap and the lateral distance:
+
+    * direction: ``cos(heading)``, a fixed share of which is in ``lane_alignment``;
+    * headway: ``-sum w (g - (0.06 + v 1 s / U))^2`` over the cars ahead: the gap against 2 m plus 1 s;
+    * closing_speed: ``-sum w ((v - v_j) / s)^2`` over the cars ahead, s the speed limit;
+    * induced_braking: ``-sum w (max(v_j - v, 0)^2 / (2 U^2 max(g, 0.03)))^2`` over the cars behind: the braking [U/s^2]
+      with which they avoid hitting this car.
+    """
+    per_unit = 1 / scene.length_unit
+    along, across = (others.x - own.x) * per_unit, (others.y - own.y) / (OWN_LANE * scene.lane_width)
+    gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] * per_unit, 0.0)
+    attention = jnp.exp(-gap / ATTENTION - across**2 / 2)
+    ahead, behind = (jnp.where(place, attention, 0.0) for place in (along > 0, along <= 0))
+    speed = own.speed * per_unit
+    faster = jnp.maximum(others.speed * per_unit - speed, 0.0)
+    braking = faster**2 / (2 * jnp.maximum(gap, SMALLEST_GAP))
+    return [
+        own.cosine,
+        -unrolled_sum(ahead * (gap - STANDSTILL_GAP - TIME_HEADWAY * speed) ** 2, axis=0),
+        -unrolled_sum(ahead * ((own.speed - others.speed) / parameters.speed_limit) ** 2, axis=0),
+        -unrolled_sum(behind * braking**2, axis=0),
+    ]
+
+
+def _depth_off_road(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
+    """Return the distance of the outermost corner beyond the edge of the road, 0 on the road [m]."""
+    length, width = scene.car_size
+    reach = (length * jnp.abs(car.sine) + width * jnp.abs(car.cosine)) / 2
+    low, high = (unrolled_reduce(choice, jnp.asarray(scene.lanes)) for choice in (jnp.minimum, jnp.maximum))
+    depth = jnp.abs(car.y - (low + high) / 2) + reach - (high - low + scene.lane_width) / 2
+    return jnp.where(depth > 0, depth, 0.0)
+
+
+def _merged(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
+    """Return 1 where ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane, else 0."""
+    middle = unrolled_sum(jnp.asarray(scene.lanes)) / len(scene.lanes)
+    side = jnp.where(scene.target_lane <= middle, -1.0, 1.0)
+    inside = side * (car.y + scene.car_size[1] / 2 * car.sine - scene.target_lane) > -scene.lane_width / 2
+    return jax.lax.stop_gradient(inside.astype(car.y.dtype))

@@ -1,0 +1,18 @@
+"""The drivers whose demonstrations can be recorded."""
+
+from typing import Literal, TypeAlias
+
+__all__ = ["DRIVERS", "TEMPERATURE", "Driver"]
+
+Driver: TypeAlias = Literal["keyboard", "optimal", "maxent", "mpc"]
+
+DRIVERS: dict[Driver, str] = {
+    "keyboard": "a person, with the arrow keys",
+    "optimal": "window by window, the local optimum of the reward among cars whose routes it knows",
+    "maxent": "like optimal, but its controls are drawn from p(u) ~ exp(R(u) / temperature)",
+    "mpc": "the package's planner, which replans every step and expects the others to keep their velocity",
+}
+"""Name and description of each driver."""
+
+TEMPERATURE = 1e-3
+"""Of the driver ``maxent``, in reward; controls then vary by up to 0.005 1/m and 3 m/s^2."""

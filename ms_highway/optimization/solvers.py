@@ -1,0 +1,108 @@
+"""Improve the controls of a plan: projected gradient ascent, or Newton steps with a line search."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias, TypeVar
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float, PyTree
+
+from ms_highway.optimization.newton import newton_steps
+from ms_highway.optimization.second_derivatives import Trajectory
+from ms_highway.runtime.arrays import Array
+
+__all__ = ["Planner", "Solver", "optimize_controls", "project", "projected_ascent"]
+
+Controls = TypeVar("Controls", bound=PyTree)
+Solver: TypeAlias = Literal["gradient", "newton"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Planner:
+    """Horizon, solver and limits of plans.
+
+    Attributes:
+        control_scale: unit of each control; steps are taken in ``u / control_scale``, so that a larger scale means
+            larger steps of that control. ``(1, 1)`` in the units of the reward is the plain gradient.
+        control_limit: bound on the magnitude of each control, infinite for none.
+        grip: total acceleration that tyres hold [m/s^2]; plans are cut down to it and do not reverse, see
+            `ms_highway.game.game.bounded`. None for no such limit.
+        step_size: length of a gradient step per unit of gradient.
+        horizon: number of planned controls, K in the paper (static).
+        iterations: number of gradient steps (static).
+        solver: ``gradient``, the paper's, or ``newton``, see `optimize_controls` (static).
+    """
+
+    control_scale: Float[Array, "2"]
+    control_limit: Float[Array, "2"]
+    grip: float | Float[Array, ""] | None = None
+    step_size: float | Float[Array, ""] = 0.03
+    horizon: int = field(default=5, metadata={"static": True})
+    iterations: int = field(default=20, metadata={"static": True})
+    solver: Solver = field(default="gradient", metadata={"static": True})
+
+
+def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[jax.Array, "*batch 2"]:
+    """Clip scaled controls to ``control_limit``; for all limits see `ms_highway.game.game.bounded`."""
+    limit = jnp.asarray(planner.control_limit) / jnp.asarray(planner.control_scale)
+    return jnp.clip(controls, -limit, limit)
+
+
+def projected_ascent(
+    planner: Planner,
+    direction: Callable[[Controls], Controls],
+    start: Controls,
+    bounded: Callable[[Controls], Controls],
+) -> Controls:
+    """Improve controls by ``iterations`` projected steps, ``z <- bounded(z + step_size * direction(z))``.
+
+    Args:
+        planner: step size and number of steps.
+        direction: of ascent at given controls; the gradient of the objective for gradient ascent.
+        start: first controls, an array [..., 2] or a pytree of them, scaled.
+        bounded: projects scaled controls on their limits.
+
+    Returns:
+        The improved controls, like ``start``, within the limits.
+    """
+
+    def improve(_: int, controls: Controls) -> Controls:
+        slopes = direction(controls)
+        return bounded(jax.tree.map(lambda u, slope: u + planner.step_size * slope, controls, slopes))
+
+    return jax.lax.fori_loop(0, planner.iterations, improve, start)
+
+
+def optimize_controls(
+    planner: Planner,
+    path: Callable[[Float[jax.Array, "steps 2"]], Trajectory],
+    reward: Callable[[Trajectory], Float[jax.Array, ""]],
+    cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]],
+    start: Float[jax.Array, "steps 2"],
+    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
+) -> Float[jax.Array, "steps 2"]:
+    """Maximise ``reward(path(controls)) - cost(controls)`` over the controls, locally, by the planner's solver.
+
+    * ``gradient``: `projected_ascent` along the reward's gradient g, the paper's solver.
+    * ``newton``: 16 steps along ``sum_i v_i v_i^T g / max(|l_i|, 12)``, with the eigenpairs (l_i, v_i) of the Hessian,
+      computed every 8 steps. Such a step ascends also where the reward is not concave (the saddle-free Newton step of
+      Dauphin et al. 2014). The line search takes the best of the step, its halves and no step, projected on the limits.
+      Unlike the gradient, it sees jumps of the reward, such as the cost of a collision.
+
+    Args:
+        planner: solver and step size.
+        path: trajectory under scaled controls.
+        reward: of a trajectory, a sum over its steps.
+        cost: of the controls themselves, a sum over them.
+        start: first controls, scaled.
+        bounded: projects scaled controls on their limits.
+    """
+
+    def earned(controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
+        return reward(path(controls)) - cost(controls)
+
+    if planner.solver == "gradient":
+        return projected_ascent(planner, jax.grad(earned), start, bounded)
+    return newton_steps(path, reward, cost, start, bounded)

@@ -1,0 +1,32 @@
+"""Refuse to compute with JAX in a process that was forked after JAX had begun: it would wait for ever.
+
+The hook is set when the package is imported, without importing JAX.
+"""
+
+import os
+import sys
+
+__all__ = ["refuse_after_fork"]
+
+_forked = False  # whether this process was forked from one in which JAX had begun
+
+
+def _note_fork() -> None:
+    global _forked
+    bridge = sys.modules.get("jax._src.xla_bridge")  # JAX tells it nowhere else
+    _forked = _forked or (bridge is not None and bridge.backends_are_initialized())
+
+
+if hasattr(os, "register_at_fork"):  # Windows forks nothing
+    os.register_at_fork(after_in_child=_note_fork)
+
+
+def refuse_after_fork() -> None:
+    """Refuse to compute in a process that was forked after JAX had begun.
+
+    Raises:
+        RuntimeError: there.
+    """
+    if _forked:
+        remedy = "start it with context='forkserver' or 'spawn', or before JAX begins in the process that starts it"
+        raise RuntimeError(f"JAX cannot compute in a process forked from one in which it had begun; {remedy}")

@@ -1,0 +1,13 @@
+"""How a long computation reports what it is doing."""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+__all__ = ["Progress", "silent"]
+
+Progress: TypeAlias = Callable[[str], object]
+"""Called with a message when a part of a computation begins."""
+
+
+def silent(message: str) -> None:
+    """Report nothing."""

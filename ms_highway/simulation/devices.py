@@ -1,0 +1,89 @@
+"""Share the items of a computation among devices, chunk by chunk, with results that do not depend on their number."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from ms_highway.runtime.cores import cores
+
+__all__ = ["CHUNK", "CHUNKS", "device_mesh", "share_among", "use_devices", "usual_chunk"]
+
+AXIS = "items"  # of a mesh of devices
+CHUNK = 8  # items that a processor computes together, one in each lane of AVX2
+WIDE_CHUNK = 256  # items that an accelerator computes together
+CHUNKS = 128  # that a device takes at a time
+
+
+def usual_chunk() -> int:
+    """Return the size of a chunk that suits the devices that JAX uses by default."""
+    return CHUNK if jax.default_backend() == "cpu" else WIDE_CHUNK
+
+
+def device_mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
+    """Return a one-dimensional mesh of devices; by default, of all devices of this process."""
+    return Mesh(np.array(jax.local_devices() if devices is None else devices), (AXIS,))
+
+
+def use_devices(count: int | None = None) -> Mesh:
+    """Return a mesh of as many devices as wanted, by default all; split a CPU into one device per core at most.
+
+    A CPU can be split only before JAX begins to compute; ``XLA_FLAGS`` may split it into more devices than cores.
+
+    Raises:
+        ValueError: if there are fewer devices than wanted.
+    """
+    if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        most = cores()
+        with suppress(RuntimeError):  # JAX has begun, with the devices that it has
+            jax.config.update("jax_num_cpu_devices", min(count or most, most))
+    devices = jax.local_devices()
+    if count is not None and not 0 < count <= len(devices):
+        raise ValueError(f"{count} devices are wanted; this process has {len(devices)}, of kind {devices[0].platform}")
+    return device_mesh(devices[:count])
+
+
+def share_among(mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, chunk: int) -> Any:
+    """Compute a function of many items, shared by the devices of a mesh.
+
+    Each device runs the same program, compiled for it alone, whatever the number of devices and items: XLA compiles a
+    program for several devices differently from one for a single device, and their results differ in the last digits.
+
+    Args:
+        mesh: of `device_mesh`.
+        function: of items, a pytree of arrays [chunk * `CHUNKS`, ...], and of the number that counts among them, an
+            array [1]; the items beyond may give anything. Returns a pytree of arrays [chunk * `CHUNKS`, ...].
+        items: pytree of arrays [n, ...] with n > 0.
+        chunk: number of items that ``function`` computes together.
+
+    Returns:
+        A pytree of NumPy arrays [n, ...].
+    """
+    count = len(jax.tree.leaves(items)[0])
+    share = chunk * min(CHUNKS, -(-count // (chunk * mesh.size)))
+    shares = np.split(np.arange(count), range(share, count, share))
+    results = []
+    for first in range(0, len(shares), mesh.size):
+        results += _compute(mesh, function, items, shares[first : first + mesh.size], chunk * CHUNKS)
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *results)
+
+
+def _compute(
+    mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, shares: Sequence[np.ndarray], size: int
+) -> list[Any]:
+    """Compute shares of the items, given by their indices and padded to a size, one on each of the first devices."""
+    counts = np.array([len(share) for share in shares])
+    indices = np.concatenate([np.pad(share, (0, size - len(share)), mode="edge") for share in shares])
+    used = NamedSharding(Mesh(mesh.devices[: len(shares)], mesh.axis_names), PartitionSpec(AXIS))
+    given = jax.device_put((jax.tree.map(lambda part: np.asarray(part)[indices], items), counts), used)
+    leaves, structure = jax.tree.flatten(given)
+    own = zip(*([shard.data for shard in leaf.addressable_shards] for leaf in leaves), strict=True)
+    with ThreadPoolExecutor(len(shares)) as threads:  # a device's first computation compiles its program
+        each = threads.map(lambda parts: jax.device_get(function(*jax.tree.unflatten(structure, parts))), own)
+        done = list(each)  # wait here: Python 3.11 forgets a thread if it is interrupted while it waits for its end
+    return [jax.tree.map(lambda part, n=n: part[:n], result) for result, n in zip(done, counts, strict=True)]

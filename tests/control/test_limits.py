@@ -1,0 +1,114 @@
+"""Limits hold for what is executed, whoever planned it: bounds of each control, and what tyres hold in all."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+
+from ms_highway.control.fixed import FixedModel
+from ms_highway.envs import SCENARIOS
+from ms_highway.envs.merger import MergerEnv
+from ms_highway.envs.settings import Settings, merged
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.experiments.simulated import simulated
+from ms_highway.planning.human_models import MODELS, JointPlan, Naive, plan_within_limits, register
+
+GRIP = 8.0  # m/s^2
+STATES = [f"{car}_{number}" for car in ("robot", "human") for number in ("x", "y", "heading", "speed")]
+
+
+@dataclass(frozen=True)
+class Reckless(Naive):
+    """A model of a user's, whose plans leave all limits."""
+
+    name: ClassVar[str] = "reckless"
+    excess: float = 1e9
+
+    def plan(self, game, state, start=None):
+        plan = super().plan(game, state, start)
+        return JointPlan(plan.robot + self.excess, plan.human)
+
+
+@pytest.fixture
+def reckless():
+    register(Reckless())
+    yield "reckless"
+    del MODELS["reckless"]
+
+
+@pytest.mark.parametrize("grip", [None, GRIP])
+def test_a_plan_of_a_users_model_is_executed_within_the_limits(played, grip):
+    game, state = played("merger", control_limit=(0.05, 6.0), grip=grip)
+    step = FixedModel(game, Reckless()).step(np.asarray(state))
+    assert step.status == "planned"
+    assert (abs(step.plan) <= np.array([0.05, 6.0]) * 1.0001).all()
+    assert grip is None or held_by(step.control, float(state[0, 3])) <= GRIP * 1.0001
+    assert grip is not None or step.control == pytest.approx([0.05, 6.0])
+
+
+def test_a_users_plan_that_is_not_finite_fails_as_any_other_does(played):
+    game, state = played("merger", control_limit=(0.05, 6.0))
+    for excess in (np.inf, np.nan):
+        assert FixedModel(game, Reckless(excess=excess)).step(np.asarray(state)).status == "braking"
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_plans_of_the_papers_models_are_left_as_they_are(played, name):
+    game, state = played("merger", control_limit=(0.05, 6.0), grip=GRIP)
+    plans = [
+        jax.jit(plan)(game, state) for plan in (MODELS[name].plan, lambda *now: plan_within_limits(MODELS[name], *now))
+    ]
+    np.testing.assert_array_equal(*plans)
+
+
+@pytest.mark.parametrize("planning", [{"control_limit": [0.05, 6.0]}, {"grip": GRIP}])
+@pytest.mark.parametrize("controller", ["naive", "reckless"])
+def test_batches_keep_to_the_limits_as_environments_do(reckless, planning, controller):
+    comparison = Comparison(
+        {"merger": [controller]}, seeds=2, costs={"naive": 0.1, "turn": 0.2, "tom": 0.4}, planning=planning
+    )
+    comparison = replace(comparison, costs={**comparison.costs, "reckless": 0.1}, ladder=["naive", "turn", "tom"])
+    env = make_environment("merger", controller, costs=comparison.costs, **comparison.common_config())
+    expected = pd.DataFrame([record for seed in range(2) for record in episode(env, seed)])
+    found = simulated(comparison)
+    np.testing.assert_allclose(found[STATES], expected[STATES], atol=0.05, rtol=0)
+    assert (found["status"].to_numpy() == expected["status"].to_numpy()).all()
+
+
+@pytest.mark.parametrize("semantics", ["paper", "released"])
+def test_with_a_grip_no_car_of_the_papers_scenes_leaves_the_friction_circle(semantics):
+    """From places and speeds: the path's curvature times v^2, and the change of speed."""
+    records = simulated(Comparison({"merger": ["naive", "tom"]}, 5, semantics, planning={"grip": GRIP}))
+    free = simulated(Comparison({"merger": ["naive", "tom"]}, 5, semantics))
+    for car in ("robot", "human"):
+        assert accelerations(records, car).max() <= GRIP * 1.01
+    assert accelerations(free, "human").max() > 2 * GRIP
+
+
+def accelerations(records, car):
+    """The total acceleration of a car in every step but the first [m/s^2]."""
+    totals = []
+    for _, steps in records.groupby(["controller", "seed"]):
+        heading, speed = (steps[f"{car}_{name}"].to_numpy() for name in ("heading", "speed"))
+        totals.append(np.hypot(speed[:-1] * np.diff(heading), np.diff(speed)) / 0.1)
+    return np.concatenate(totals)
+
+
+def held_by(control, speed):
+    """What tyres hold under a control, with the paper's friction."""
+    return np.hypot(speed**2 * control[0], control[1] - 0.2 * speed)
+
+
+def test_the_papers_scenes_do_not_look_at_the_grip_unless_they_are_asked_to():
+    for scenario in SCENARIOS:
+        env = make_environment(scenario, "naive").unwrapped
+        assert env.game.planner.grip is None
+    asked = Settings.read(merged(MergerEnv.default_config(), {"grip": GRIP})).game(MergerEnv.scenario)
+    assert asked.planner.grip == np.float32(GRIP)
+    for wrong in (0, -8, "much", np.nan, True, [8.0]):
+        with pytest.raises(ValueError, match=r"config\['grip'\] is .*such as 8 on a dry road"):
+            merged(MergerEnv.default_config(), {"grip": wrong})

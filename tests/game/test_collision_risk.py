@@ -1,0 +1,52 @@
+"""The risk of a collision has the value and the derivatives of its plain formula."""
+
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.game.collision_risk import collision_risk, plain_collision_risk
+from ms_highway.game.dynamics import Motion, observe
+
+
+def close_together(played, scenario):
+    """A scenario's scene, and states of all cars near its first obstacle or the human, in any direction."""
+    game, state = played(scenario)
+    random, around = np.random.default_rng(0), np.array(state[1])
+    if len(game.scene.obstacles):
+        around[:2] = game.scene.obstacles[0]
+    states = around * [1, 1, 0, 1] + random.normal(0, [3, 3, 1, 2], (6, *state.shape))
+    return game.scene, jnp.asarray(states)
+
+
+def apart(states):
+    cars = observe(states)
+    return Motion(*(field[0] for field in cars)), Motion(*(field[1:] for field in cars))
+
+
+@pytest.mark.parametrize("scenario", ["merger", "stay_back", "give_way"])
+@pytest.mark.parametrize(
+    "derivative",
+    [lambda f: f, jax.grad, jax.hessian, lambda f: jax.jacfwd(jax.jacfwd(f))],
+    ids=["value", "gradient", "hessian", "forward over forward"],
+)
+def test_the_risk_and_its_first_two_derivatives_are_those_of_the_plain_formula(played, scenario, derivative):
+    with jax.enable_x64(True):
+        scene, states = jax.tree.map(partial(jnp.asarray, dtype=jnp.float64), close_together(played, scenario))
+        ours = jax.jit(jax.vmap(derivative(lambda cars: collision_risk(scene, *apart(cars))[0])))(states)
+        plain = jax.jit(jax.vmap(derivative(lambda cars: plain_collision_risk(scene, *apart(cars)))))(states)
+    plain = np.asarray(plain)
+    assert abs(plain).max() > 0.1, "the cars should be close"
+    np.testing.assert_allclose(ours, plain, rtol=1e-9, atol=1e-9 * abs(plain).max())
+
+
+@pytest.mark.parametrize("times", [(), (3,), (2, 3)])
+def test_the_risk_takes_every_shape_of_times(played, times):
+    game, state = played("stay_back")
+    states = jnp.broadcast_to(state, (*times, *state.shape))
+    own, others = apart(jnp.moveaxis(states, -2, 0))
+    risk, collision = collision_risk(game.scene, own, others)
+    assert risk.shape == collision.shape == times
+    np.testing.assert_allclose(risk, plain_collision_risk(game.scene, own, others), rtol=1e-4)
