@@ -14,9 +14,9 @@ import numpy as np
 from stable_baselines3 import DQN
 from stable_baselines3.common.monitor import Monitor
 
+from ms_highway import keep_compilations, low_latency
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.runtime.jax_settings import keep_compilations, low_latency
 
 BESIDE = ("switching:0.1", "tom")  # controllers that the agent is compared with
 LEARNER = {

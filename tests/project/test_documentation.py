@@ -10,6 +10,8 @@ from importlib import import_module
 from pkgutil import resolve_name, walk_packages
 from types import ModuleType
 
+import pytest
+
 import ms_highway
 
 REFERENCE = re.compile(r"(?<!`)`(\w+(?:\.\w+)*)`(?!`)")
@@ -81,6 +83,7 @@ def test_everything_public_has_a_docstring():
         assert list(without_docstring(module)) == [], module.__name__
 
 
+@pytest.mark.slow
 def test_the_documentation_is_built_without_a_warning(tmp_path):
     command = [sys.executable, "-W", "error", "-m", "pdoc", "ms_highway", "--docformat", "google", "-o", str(tmp_path)]
     built = subprocess.run(command, capture_output=True, text=True, check=False)

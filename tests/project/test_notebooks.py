@@ -79,6 +79,7 @@ def code(notebook):
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 
+@pytest.mark.slow
 def test_a_notebook_runs_and_shows_what_the_committed_one_shows(committed, tmp_path):
     quick = quickened(committed, tmp_path / "results")
     client = NotebookClient(quick, timeout=300, resources={"metadata": {"path": str(NOTEBOOKS[0].parent)}})

@@ -6,6 +6,8 @@ import venv
 import zipfile
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 USE = """
@@ -22,6 +24,7 @@ for name in ("stay-back", "merger", "give-way"):
 """
 
 
+@pytest.mark.slow
 def test_the_wheel_works_in_a_fresh_environment_from_another_directory(tmp_path):
     subprocess.run(
         [sys.executable, "-m", "build", "--wheel", "--outdir", str(tmp_path), str(ROOT)],

@@ -1,0 +1,123 @@
+"""Keep what lies in `results/` here, in four files, and rewrite the tables of the pages that show it.
+
+Run it in the project's directory after any of the commands in `notebooks/results/README.md`; runs that do not lie
+in `results/` stay as they were kept::
+
+    python notebooks/results/collect.py
+"""
+
+import json
+import re
+from pathlib import Path
+
+import pandas as pd
+
+from ms_highway.experiments.regret import EACH
+from ms_highway.experiments.results import Results
+from ms_highway.experiments.safety import Safety, safety_cells
+from ms_highway.visualization.overview import markdown, overview
+
+KEPT = Path(__file__).parent
+PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
+RUNS = "compare", "released", "published", "curve", "frontier", "safety"  # directories in results/
+TABLES = "summary", "regrets", "safety"  # what some of them hold, and what is kept with a column ``run``
+SHOWN = {  # in the project's README
+    "stay_back": ["naive", "turn"],
+    "merger": ["naive", "tom", "switching:0.1"],
+    "give_way": ["naive", "tom", "switching:0.01"],
+}
+
+
+def collect(results: Path, kept: Path = KEPT) -> None:
+    """Take over tables, settings and provenance of every run that lies in a directory of results."""
+    for name in TABLES:
+        parts = {}
+        for run in RUNS:
+            if (results / run / f"{name}.csv").is_file():
+                parts[run] = _texts(results / run / f"{name}.csv").assign(run=run)
+            elif (kept / f"{name}.csv").is_file():
+                parts[run] = _texts(kept / f"{name}.csv").query("run == @run")
+        table = pd.concat(parts.values())
+        table[["run", *table.columns.drop("run")]].to_csv(kept / f"{name}.csv", index=False)
+    file = kept / "settings.json"
+    settings = json.loads(file.read_text()) if file.is_file() else {}
+    for run in RUNS:
+        if (results / run).is_dir():
+            parts = {
+                name: json.loads((results / run / f"{name}.json").read_text()) for name in ("settings", "provenance")
+            }
+            settings[run] = parts
+    file.write_text(json.dumps({run: settings[run] for run in RUNS if run in settings}, indent=1) + "\n")
+
+
+def comparison(run: str, kept: Path = KEPT) -> Results:
+    """A kept comparison, without its records."""
+    made = json.loads((kept / "settings.json").read_text())[run]
+    return Results(Path(run), pd.DataFrame(), kept_table("summary", run, kept), made["settings"], made["provenance"])
+
+
+def safety(kept: Path = KEPT) -> Safety:
+    """The kept counts of collisions."""
+    made = json.loads((kept / "settings.json").read_text())["safety"]
+    return Safety(Path("safety"), kept_table("safety", "safety", kept), made["settings"], made["provenance"])
+
+
+def kept_table(name: str, run: str, kept: Path = KEPT) -> pd.DataFrame:
+    """A run's rows of a kept table."""
+    table = pd.read_csv(kept / f"{name}.csv")
+    return table[table["run"] == run].drop(columns="run").reset_index(drop=True)
+
+
+def tables(kept: Path = KEPT) -> dict[str, str]:
+    """The tables of the pages in Markdown, by the name that stands in the comment above each."""
+    compare = comparison("compare", kept)
+    rows = overview([compare])
+    few = [
+        controller in SHOWN[scenario] for scenario, controller in zip(rows["scenario"], rows["controller"], strict=True)
+    ]
+    return {
+        "shown": markdown(rows[few]),
+        "semantics": markdown(overview([compare, comparison("released", kept)])),
+        "human rewards": markdown(overview([compare, comparison("published", kept)])),
+        "safety": markdown(safety_cells(safety(kept))),
+        "regrets": markdown(regret_cells(kept_table("regrets", "frontier", kept), 1)),
+    }
+
+
+def regret_cells(behind: pd.DataFrame, price: float) -> pd.DataFrame:
+    """Texts, a row per scenario: what the best orders earn at a price, and how far others stay behind them."""
+    behind = behind[behind["price"] == price]
+    switching = behind[behind["kind"] == "switching"].pivot(index="controller", columns="scenario", values="regret")
+    common, rows = switching.mean(axis=1).idxmin(), []
+    for scenario, own in behind.groupby("scenario", sort=False):
+        own = own.set_index("controller")
+        regret = own["regret"].map("{:.2f}".format)
+        lambdas = switching[scenario].idxmin(), common
+        rows.append(
+            {"scenario": scenario, "best found": f"{own.loc[EACH, 'meta_reward']:.2f}"}
+            | {model: regret.get(model, "") for model in ("naive", "turn", "tom")}
+            | {"best order for all starts": regret[own[own["kind"].isin(["fixed", "schedule"])]["regret"].idxmin()]}
+            | {
+                f"switching, {which} lambda": f"{regret[name]} ({name.removeprefix('switching:')})"
+                for which, name in zip(("best", "common"), lambdas, strict=True)
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def rewrite(page: Path, texts: dict[str, str]) -> None:
+    """Put each table below the comment with its name."""
+    for name, text in texts.items():
+        old = re.compile(rf"(<!-- table: {name} -->\n)(?:\|.*\n)*")
+        page.write_text(old.sub(lambda match, text=text: f"{match[1]}{text}\n", page.read_text()))
+
+
+def _texts(file: Path) -> pd.DataFrame:
+    """A table whose numbers stay as they are written."""
+    return pd.read_csv(file, dtype=str, keep_default_na=False)
+
+
+if __name__ == "__main__":
+    collect(Path("results"))
+    for page in PAGES:
+        rewrite(page, tables())
