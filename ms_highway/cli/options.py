@@ -58,7 +58,7 @@ SEMANTICS = ("paper", "released")
 """Keys of `ms_highway.envs.settings.HUMAN_REWARDS`, for help texts."""
 
 SOLVERS = ("gradient", "newton")
-"""The values of `ms_highway.optimization.ascent.Solver`, for help texts."""
+"""The values of `ms_highway.optimization.solvers.Solver`, for help texts."""
 
 CONTROLLERS = "naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL, random:MODEL=SHARE,..."
 """What controllers are called on the command line, for help texts."""

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from ms_highway.control.fallback import STATUSES
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.drivers import Driver, controller_config, driver
+from ms_highway.envs.drivers import Driver, SwitchingDriver, controller_config, driver
 from ms_highway.envs.settings import Settings
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, MEASURED, STATE, columns, gain_column, share_column, state_columns
@@ -129,6 +129,9 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"{reason}; change its scenario, its game (in `configure`) or `draw_starts`, or use `compare`")
     environment = kind(config)
     rungs = environment.models
+    for one in settings:
+        if not one.driver.names() and not isinstance(one.driver, SwitchingDriver):
+            raise ValueError(f"a simulation does not know how {one.driver.type!r} chooses models; use `compare`")
     used = {name for one in settings for name in one.driver.names()}
     others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
     seconds = np.array([costs[model.name] for model in rungs], np.float32)
