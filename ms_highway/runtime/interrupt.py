@@ -77,7 +77,7 @@ def _end_early(signal_number: int, frame: FrameType | None) -> NoReturn:
 
 
 def _is_command() -> bool:
-    """Whether this process was started as ``ms-highway`` or ``python -m ms_highway``, and not as a worker of such."""
+    """Return whether this process was started as ``ms-highway`` or ``python -m ms_highway``, and not as a worker."""
     by_module = sys.argv[0] == "-m" and "ms_highway" in sys.orig_argv
     by_name = os.path.splitext(os.path.basename(sys.argv[0]))[0] == "ms-highway"
     return (by_module or by_name) and "--multiprocessing-fork" not in sys.orig_argv

@@ -116,7 +116,7 @@ def _gather(host: str, port: int, of: int, closing: ExitStack) -> dict[int, _Lin
 
 
 def _reach(host: str, port: int, of: int, place: int, closing: ExitStack) -> dict[int, _Link]:
-    """The connection with process 0."""
+    """Return the connection with process 0."""
     end_of_patience = monotonic() + PATIENCE
     while True:
         try:

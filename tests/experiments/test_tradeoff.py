@@ -6,7 +6,7 @@ import pytest
 
 from ms_highway.envs.configuration import controller_config
 from ms_highway.experiments.tradeoff import best_schedules, coin, meta_rewards, reference, shares
-from ms_highway.visualization.comparison import episodes_told
+from ms_highway.visualization.comparison import episode_count
 from ms_highway.visualization.tradeoff import curve
 
 ROWS = [
@@ -93,6 +93,6 @@ def test_the_curve_shows_every_controller_over_counted_and_over_measured_time(su
 
 
 def test_a_title_tells_that_controllers_have_several_numbers_of_episodes(summaries):
-    assert episodes_told(summaries) == "30 episodes per controller"
+    assert episode_count(summaries) == "30 episodes per controller"
     summaries.loc[0, "episodes"] = 5
-    assert episodes_told(summaries) == "5 to 30 episodes per controller"
+    assert episode_count(summaries) == "5 to 30 episodes per controller"
