@@ -84,7 +84,7 @@ def _bind(
 
 
 def _plan(ca: Any, game: Game, model: str, cars: int) -> Any:
-    """The plan as a CasADi function of the ravelled state."""
+    """Return the plan as a CasADi function of the ravelled state."""
     planner, dynamics = game.planner, game.dynamics
     steps, dt, drag = planner.horizon, float(dynamics.time_step), float(dynamics.drag)
     scale = np.asarray(planner.control_scale, dtype=float)

@@ -37,7 +37,7 @@ AGREEMENT = 1e-3  # between ours and the peer's scaled controls
 
 
 def bench(scenario: str, peer: bool = False, **planning: Any) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Measures each rung of a scenario's ladder, in microseconds, from its first start.
+    """Measure each rung of a scenario's ladder, in microseconds, from its first start.
 
     Compilation is measured on all cores, everything else warm, on one core. Yields for every rung its name and:
 
@@ -76,7 +76,7 @@ def bench(scenario: str, peer: bool = False, **planning: Any) -> Iterator[tuple[
 
 
 def _measured(game: Game, models: tuple[HumanModel, ...], rung: int, state: State, peer: bool) -> dict[str, Any]:
-    """What is measured warm of one rung."""
+    """Measure one rung, warm."""
     compiled, model = CompiledPlans(game), models[rung]
     plans: dict[str, Callable[[], None]] = {
         "plan_us": partial(_run, compiled.function(model), *compiled.arguments(state))
@@ -157,7 +157,7 @@ def _compile_seconds(
 def _peer(
     game: Game, model: HumanModel, state: State, ours: Float[np.ndarray, "steps 2"], directory: Path
 ) -> Callable[[], None]:
-    """What repeats the peer's plan, once its first result has been seen to agree with ours."""
+    """Return what repeats the peer's plan, after checking that its first result agrees with ours."""
     call, repeat = compiled_peer(game, model.name, len(state), directory)
     apart = float(abs(call(np.asarray(state)) - ours).max())
     if not apart < AGREEMENT:

@@ -118,7 +118,7 @@ def _batch(scenario: str, comparison: Comparison, devices: int | None) -> dict[s
 
 
 def _most_memory() -> float:
-    """The most memory that this process has had [MiB]."""
+    """Return the most memory that this process has had [MiB]."""
     status = Path("/proc/self/status")
     if not status.exists():
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIBIBYTE  # of its parent, too, if that had more

@@ -58,7 +58,7 @@ class Comparison:
                 self.config(scenario, controller)
 
     def config(self, scenario: str, controller: str) -> dict[str, Any]:
-        """The whole configuration of the environment of a scenario and a controller.
+        """Return the whole configuration of the environment of a scenario and a controller.
 
         Raises:
             ValueError: as `check`.
@@ -68,7 +68,7 @@ class Comparison:
         return merged(ENVIRONMENTS[scenario].default_config(), changes)
 
     def steps(self, scenario: str) -> int:
-        """The length of a scenario's episodes.
+        """Return the length of a scenario's episodes.
 
         Raises:
             ValueError: as `check`.
@@ -76,14 +76,14 @@ class Comparison:
         return episode_steps(scenario, self.common_config())
 
     def common_config(self) -> dict[str, Any]:
-        """The configuration that all environments have in common."""
+        """Return the configuration that all environments have in common."""
         reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
         config = {"semantics": self.semantics, "solver": self.solver, "human_reward": reward}
         return {**config, **self.planning} | ({} if self.ladder is None else {"ladder": list(self.ladder)})
 
 
 def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
-    """The number of steps in an episode of a scenario that nothing ends early.
+    """Return the number of steps in an episode of a scenario that nothing ends early.
 
     Raises:
         ValueError: for an unknown scenario or an impossible configuration.
@@ -94,7 +94,7 @@ def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
 
 
 def paper_controllers(scenario: str) -> list[str]:
-    """The controllers that the paper compares in a scenario: every rung, then switching, aggressive and conservative.
+    """Return the controllers that the paper compares: every rung, then switching, aggressive and conservative.
 
     Raises:
         ValueError: for an unknown scenario.

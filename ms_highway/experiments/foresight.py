@@ -67,7 +67,7 @@ class Foresight:
 
 
 def foresee(game: Game, ladder: Sequence[HumanModel], states: Float[np.ndarray, "cars 4"]) -> list[Foresight]:
-    """What comes of the robot's plan under every model, in one and the same situation.
+    """Compute what comes of the robot's plan under every model, in the same situation.
 
     Args:
         game: what is played; the human drives for its own reward in it, and believes that the robot keeps its velocity.
@@ -101,7 +101,7 @@ def _moved(
     robot: Float[np.ndarray, "2"],
     human: Float[np.ndarray, "2"],
 ) -> Float[np.ndarray, "cars 4"]:
-    """All cars a step later; those that nobody drives keep their velocity."""
+    """Return all cars a step later; those that nobody drives keep their velocity."""
     controls = np.concatenate([[robot, human], keep_velocity(dynamics, states[2:])])
     return step(dynamics, states, controls)
 

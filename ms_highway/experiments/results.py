@@ -58,12 +58,12 @@ class Results:
         )
 
     def published(self, scenario: str, controller: str) -> Published | None:
-        """What the paper published of a controller, where these results may be compared with it."""
+        """Return what the paper published of a controller, if these results may be compared with it."""
         chosen = {key: value for key, value in self.settings.items() if key not in EXTENDED and value is not None}
         return PUBLISHED.get((scenario, controller)) if chosen == PUBLISHED_WITH else None
 
     def config(self, scenario: str) -> dict[str, Any]:
-        """The configuration that a scenario's environment had, but for the controller."""
+        """Return the configuration that a scenario's environment had, but for the controller."""
         return {
             **common_config(self.settings),
             "costs": self.settings.get("measured", {}).get(scenario, self.settings["costs"]),

@@ -149,7 +149,7 @@ def start(batch: Batch, seed: int) -> Float[np.ndarray, "cars 4"]:
 
 
 def _random(seed: int) -> np.random.Generator:
-    """What the environment draws an episode from."""
+    """Return the random numbers that the environment draws an episode from."""
     if seed < 0:
         raise ValueError(f"the seed is {seed}; it must not be negative")
     return seeding.np_random(seed)[0]
@@ -169,7 +169,7 @@ def episodes_of(batch: Batch, keys: Sequence[Key]) -> Episodes:
 
 
 def _drawn(batch: Batch, driver: Driver, seed: int) -> tuple[Float[np.ndarray, "cars 4"], Int[np.ndarray, "steps"]]:
-    """What the environment draws at a reset, in its order: the start, and the models of a random controller."""
+    """Draw as the environment at a reset, in its order: the start, and the models of a random controller."""
     random, steps, models = _random(seed), batch.steps, batch.models
     states = batch.environment.draw_starts(random)
     scheduled = [models.index(name) for name in driver.draw(steps, random)] or [DECIDES]

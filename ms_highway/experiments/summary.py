@@ -45,7 +45,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
 
 
 def earned(controller: str, rewards: pd.Series) -> dict[str, Any]:
-    """What a summary says of a controller's rewards, each the mean of an episode; see `summary`.
+    """Summarise a controller's rewards, each the mean of an episode; see `summary`.
 
     Raises:
         ValueError: for an unknown controller.
@@ -64,7 +64,7 @@ def earned(controller: str, rewards: pd.Series) -> dict[str, Any]:
 
 
 def interval(values: pd.Series) -> tuple[float, float]:
-    """The 90 % interval of the mean, by Student's t; NaN of less than two values."""
+    """Return the 90 % interval of the mean, by Student's t; NaN of less than two values."""
     if len(values) < 2:
         return np.nan, np.nan
     half = stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * stats.sem(values)

@@ -70,20 +70,20 @@ class Sweep:
 
     @property
     def episodes(self) -> int:
-        """How many there are, of all controllers together."""
+        """The number of episodes, of all controllers together."""
         return self.comparison.seeds * len(self.comparison.controllers[self.scenario])
 
     @property
     def parts(self) -> int:
-        """How many there are."""
+        """The number of parts."""
         return -(-self.episodes // self.part)
 
     def size(self, part: int) -> int:
-        """The number of episodes in a part: in the last one, what is left."""
+        """Return the number of episodes in a part: in the last one, what is left."""
         return min(self.part, self.episodes - part * self.part)
 
     def settings(self) -> dict[str, Any]:
-        """What decides which numbers are found in which part, by the names of the options."""
+        """Return the settings that decide which numbers are in which part, by the names of the options."""
         comparison = self.comparison
         return {
             **comparison.common_config(),
@@ -96,7 +96,7 @@ class Sweep:
         }
 
     def rows(self, part: int) -> dict[str, int]:
-        """The number of rows of a part in each of the directories."""
+        """Return the number of rows of a part in each of the directories."""
         rows = {EPISODES: self.size(part)}
         return rows | {STEPS: self.size(part) * self.comparison.steps(self.scenario)} if self.steps else rows
 
@@ -109,7 +109,7 @@ class Worker:
     of: int = 1
 
     def parts(self, sweep: Sweep) -> range:
-        """The parts that this process computes."""
+        """Return the parts that this process computes."""
         return range(self.place, sweep.parts, self.of)
 
 
@@ -210,7 +210,7 @@ def _check(file: Path, rows: int) -> None:
 
 
 def read_sweep(sweep: Sweep, directory: Path) -> pd.DataFrame:
-    """A row per episode of a finished sweep, seed by seed; see `ms_highway.experiments.simulated.summarised`."""
+    """Read a row per episode of a finished sweep, seed by seed; see `ms_highway.experiments.simulated.summarised`."""
     return pd.concat([pd.read_parquet(_file(directory, EPISODES, part)) for part in range(sweep.parts)])
 
 

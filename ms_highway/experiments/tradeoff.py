@@ -11,13 +11,13 @@ DIGITS = 3  # of a share
 
 
 def reference(summaries: pd.DataFrame, scenario: str) -> str | None:
-    """The dearest of the fixed models that were compared, by what their plans count; None without any."""
+    """Return the dearest of the fixed models that were compared, by what their plans count; None without any."""
     fixed = summaries[(summaries["scenario"] == scenario) & (summaries["kind"] == "fixed")].dropna(subset="counted_ms")
     return None if fixed.empty else str(fixed.set_index("controller")["counted_ms"].idxmax())
 
 
 def shares(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """What controllers earn and think, as shares of what the `reference` does.
+    """Return what controllers earn and think, as shares of what the `reference` does.
 
     Args:
         summaries: of `ms_highway.experiments.summary.summary`.
@@ -39,7 +39,7 @@ def shares(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
 
 def coin(summaries: pd.DataFrame, scenario: str, controller: str) -> str:
-    """The short name of a random controller that has a controller's own shares of the models, and looks at nothing.
+    """Return the short name of a random controller with a controller's shares of the models, which looks at nothing.
 
     What decides well earns more than this with the same planning.
 
@@ -62,7 +62,7 @@ def coin(summaries: pd.DataFrame, scenario: str, controller: str) -> str:
 
 
 def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "counted_ms") -> pd.DataFrame:
-    """The rows of those fixed models and schedules that no other one beats with the same or less computation.
+    """Return the rows of those fixed models and schedules that no other one beats with the same or less computation.
 
     They are a yardstick for controllers that decide online: what could be had with an order of models that was fixed
     beforehand.
@@ -82,7 +82,7 @@ def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "c
 
 
 def meta_rewards(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """The meta-MDP's reward per step, ``r_R - lambda T(M)``, at every lambda that switching was compared with.
+    """Compute the meta-MDP's reward per step, ``r_R - lambda T(M)``, at every lambda that switching was given.
 
     Args:
         summaries: of `ms_highway.experiments.summary.summary`.

@@ -139,7 +139,7 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
 
 
 def _arrays(file: Path) -> dict[str, np.ndarray]:
-    """The arrays of a reference file, as far as they can be read safely."""
+    """Return the arrays of a reference file, as far as they can be read safely."""
     if not file.is_file():
         raise ValueError("it is a directory or a device")
     with zipfile.ZipFile(file) as archive:
@@ -184,7 +184,7 @@ def _choices(
     human: Float[jax.Array, "steps 2"],
     rewards: Float[jax.Array, "steps"],
 ) -> Int[jax.Array, "steps"]:
-    """The rung that is chosen after each step, each of which was driven with the logged one."""
+    """Return the rung that is chosen after each step, each of which was driven with the logged one."""
 
     def choose(memory: Memory, step: tuple[jax.Array, ...]) -> tuple[Memory, Any]:
         rung, *happened = step

@@ -35,7 +35,7 @@ _temporary: set[Path] = set()  # what `temporary` is to remove
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path``, which takes its place when the block ends well and is removed when it fails.
+    """Yield a temporary path, which replaces ``path`` when the block ends well and is removed when it fails.
 
     Its name cannot be foreseen, so that several may write the same file, and whichever is last stays, whole.
 
@@ -52,7 +52,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def part_of(path: Path) -> Path:
-    """A new name beside a file or directory, for what is to take its place; it cannot be foreseen."""
+    """Return a new, unpredictable name beside a file or directory, for what is to replace it."""
     return path.with_name(f"{PART}{token_hex(8)}.{path.name}")
 
 
@@ -88,7 +88,7 @@ def held(directory: Path) -> Iterator[None]:
 
 
 def _lock(directory: Path) -> int | None:
-    """A descriptor that holds the directory until it is closed, if only by the end of the process."""
+    """Return a descriptor that holds the directory until it is closed, if only by the end of the process."""
     try:
         import fcntl
     except ImportError:
@@ -123,7 +123,7 @@ def append(path: Path, text: str) -> None:
 
 @contextmanager
 def temporary(path: Path) -> Iterator[Path]:
-    """A file or directory that is removed when the block ends, and when an interrupt ends the process."""
+    """Yield a file or directory, and remove it when the block ends or an interrupt ends the process."""
     _temporary.add(path)
     try:
         yield path
@@ -134,7 +134,7 @@ def temporary(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def temporary_directory() -> Iterator[Path]:
-    """A new directory, `temporary` as well, where the system keeps such."""
+    """Yield a new directory, `temporary` as well, in the system's place for such."""
     with temporary(Path(tempfile.mkdtemp())) as path:
         yield path
 
@@ -160,7 +160,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file holds.
+    """Return the content of a JSON file.
 
     Raises:
         ValueError: if that is no JSON, or nested too deeply to be read.

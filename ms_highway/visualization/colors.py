@@ -6,10 +6,10 @@ __all__ = ["color_of", "paint"]
 
 
 def color_of(model: str) -> str:
-    """The colour of a human model in figures, as it is in videos."""
+    """Return the colour of a human model in figures, as it is in videos."""
     return paint(model_color(model))
 
 
 def paint(color: Color) -> str:
-    """A colour of red, green and blue from 0 to 255."""
+    """Return a colour of red, green and blue from 0 to 255 as Matplotlib takes it."""
     return "#{:02x}{:02x}{:02x}".format(*color)

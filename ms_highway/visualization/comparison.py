@@ -165,6 +165,6 @@ def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
 
 
 def _colors(controllers: Sequence[str]) -> list[str]:
-    """A model's own colour for a fixed model, greys for switching."""
+    """Return a model's own colour for a fixed model, greys for switching."""
     greys = iter(SWITCHING_COLORS * len(controllers))
     return [color_of(name) if name in MODELS else next(greys) for name in controllers]

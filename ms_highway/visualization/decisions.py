@@ -25,7 +25,7 @@ LINEAR = 0.01  # gain up to which the scale is linear
 
 
 def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None = None) -> Figure:
-    """What was decided in an episode, and what it was worth; a column per episode.
+    """Draw what was decided in an episode, and what it was worth; a column per episode.
 
     Above, the estimated net gains of switching to each model, on which Algorithm 1 decides: one above zero is taken.
     They are drawn at the step that is planned next; the scale is linear up to 0.01 and logarithmic beyond. Below, the
@@ -91,7 +91,7 @@ def _rewards(axes: Axes, episode: pd.DataFrame, reference: pd.DataFrame | None) 
 
 
 def _strip(axes: Axes, episode: pd.DataFrame) -> None:
-    """The background of each step in the colour of its model."""
+    """Draw the background of each step in the colour of its model."""
     for step, model in zip(episode["step"], episode["model"], strict=True):
         axes.axvspan(step - 0.5, step + 0.5, color=color_of(model), alpha=0.25, linewidth=0, zorder=0)
     axes.set_xlim(-0.5, len(episode) - 0.5)

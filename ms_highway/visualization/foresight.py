@@ -58,7 +58,7 @@ def foresight_figure(foresights: Sequence[Foresight], scene: Scene) -> Figure:
 
 
 def foresight_table(foresights: Sequence[Foresight]) -> Table:
-    """What the plan under each model counts on, and what comes of it."""
+    """Tabulate what the plan under each model counts on, and what comes of it."""
     title = f"{foresights[0].seconds:g} s ahead"
     grid = Table(title=title, box=SIMPLE, title_justify="left", title_style="bold")
     grid.add_column("model", no_wrap=True)
@@ -119,7 +119,7 @@ def _draw(axes: Axes, one: Foresight, scene: Scene) -> None:
 
 
 def _key() -> list[Any]:
-    """What outlines, lines and dots mean."""
+    """Explain outlines, lines and dots."""
     plan = "in the model's colour"
     return [
         Line2D([], [], marker="o", color=OTHERS, linewidth=2, label=f"robot's plan, {plan}"),

@@ -49,7 +49,7 @@ def markdown(table: pd.DataFrame) -> str:
 
 
 def _by_controller(result: Results) -> dict[tuple[str, str], dict[str, str]]:
-    """The texts of a comparison's cells by scenario and controller."""
+    """Return the texts of a comparison's cells by scenario and controller."""
     return {
         (scenario, row["controller"]): row
         for scenario in result.scenarios

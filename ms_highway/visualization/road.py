@@ -13,7 +13,7 @@ GROUND, EDGE, MARKING = "#f1f2f4", "#555b66", "#b4b9c2"
 
 
 def draw_road(axes: Axes, lanes: Float[np.ndarray, "lanes"], lane_width: float, stretch: tuple[float, float]) -> None:
-    """A stretch of straight road, at one scale along and across, with a tick at every lane's centre.
+    """Draw a stretch of straight road, at one scale along and across, with a tick at every lane's centre.
 
     Args:
         axes: where.
@@ -33,7 +33,7 @@ def draw_road(axes: Axes, lanes: Float[np.ndarray, "lanes"], lane_width: float, 
 
 
 def car_outline(state: Float[np.ndarray, "4"], size: Float[np.ndarray, "2"], **style: Any) -> Polygon:
-    """A car seen from above, to be added to axes.
+    """Return the outline of a car seen from above, to be added to axes.
 
     Args:
         state: ``(x, y, heading, speed)`` in metres, radians and metres per second.

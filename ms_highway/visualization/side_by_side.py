@@ -35,12 +35,12 @@ def side_by_side(films: Sequence[Film]) -> list[Picture]:
 
 
 def _seconds(film: Film) -> np.ndarray:
-    """What planning and deciding has taken from the start to each step [s]."""
+    """Return the time of planning and deciding from the start to each step [s]."""
     return np.cumsum([float(record["planning_seconds"] + record["decision_seconds"]) for record in film.records])
 
 
 def _titled(film: Film, place: int, longest: float) -> Picture:
-    """A picture of a film under its heading; ``longest`` [s] is the full length of the bar."""
+    """Return a picture of a film under its heading; ``longest`` [s] is the full length of the bar."""
     heading = _heading(film, place, film.pictures[0].shape[1], longest)
     return np.concatenate([heading, film.pictures[place]])
 

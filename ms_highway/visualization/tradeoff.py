@@ -40,7 +40,7 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
 
 
 def _share_axes(axes: Axes, summaries: pd.DataFrame, scenario: str) -> None:
-    """A second scale of computation, in shares of the dearest fixed model's."""
+    """Draw a second scale of computation, in shares of the dearest fixed model's."""
     name = reference(summaries, scenario)
     if name is None:
         return
@@ -52,7 +52,7 @@ def _share_axes(axes: Axes, summaries: pd.DataFrame, scenario: str) -> None:
 
 
 def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) -> None:
-    """All controllers over one measure of computation."""
+    """Draw all controllers over one measure of computation."""
     schedules, switching = (rows[rows["kind"] == kind] for kind in ("schedule", "switching"))
     switching = switching.sort_values("price")
     if len(schedules):

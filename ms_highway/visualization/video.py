@@ -82,7 +82,7 @@ def check_width(width: int, drawn: int) -> None:
 
 
 def scaled(pictures: Sequence[Picture], width: int) -> list[Picture]:
-    """The pictures at a width [px], their proportions kept; sides are even numbers, as mp4 wants them."""
+    """Scale pictures to a width [px] in proportion; sides are even numbers, as mp4 requires."""
     height, drawn = pictures[0].shape[:2]
     size = 2 * round(width / 2), 2 * round(height * width / drawn / 2)
     if size == (drawn, height):
@@ -104,7 +104,7 @@ def write(pictures: Sequence[Picture], path: Path, frames_per_second: float) -> 
 
 
 def encoded(pictures: Sequence[Picture], suffix: str, frames_per_second: float) -> bytes:
-    """The content of a video file, ``.mp4`` or ``.gif``.
+    """Return the content of a video file, ``.mp4`` or ``.gif``.
 
     Raises:
         ImportError: for ``.mp4`` without the packages of the extra ``video``.
@@ -113,7 +113,7 @@ def encoded(pictures: Sequence[Picture], suffix: str, frames_per_second: float) 
 
 
 def _imageio() -> Any:
-    """The library that writes .mp4 files."""
+    """Return the library that writes .mp4 files."""
     try:
         import av  # noqa: F401
         import imageio.v3 as imageio
