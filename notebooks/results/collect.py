@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from ms_highway.experiments.regret import EACH
+from ms_highway.experiments.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.experiments.safety import Safety, safety_cells
 from ms_highway.visualization.overview import markdown, overview
@@ -94,7 +94,7 @@ def regret_cells(behind: pd.DataFrame, price: float) -> pd.DataFrame:
         regret = own["regret"].map("{:.2f}".format)
         lambdas = switching[scenario].idxmin(), common
         rows.append(
-            {"scenario": scenario, "best found": f"{own.loc[EACH, 'meta_reward']:.2f}"}
+            {"scenario": scenario, "best found": f"{own.loc[BEST_PER_START, 'meta_reward']:.2f}"}
             | {model: regret.get(model, "") for model in ("naive", "turn", "tom")}
             | {"best order for all starts": regret[own[own["kind"].isin(["fixed", "schedule"])]["regret"].idxmin()]}
             | {

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from pages import README, RESULTS, ROOT
 
-from ms_highway.experiments.regret import EACH
+from ms_highway.experiments.regret import BEST_PER_START
 from ms_highway.experiments.tradeoff import meta_rewards, shares
 
 KEPT = RESULTS.parent
@@ -118,7 +118,7 @@ def test_regrets_are_those_of_the_results_they_come_from():
             f"{own['regret'][name]:.2f} ({name.removeprefix('switching:')})"
             for name in (switching[scenario].idxmin(), common)
         ]
-        cells = [scenario, f"{own.loc[EACH, 'meta_reward']:.2f}", *fixed, f"{best:.2f}", *lambdas]
+        cells = [scenario, f"{own.loc[BEST_PER_START, 'meta_reward']:.2f}", *fixed, f"{best:.2f}", *lambdas]
         assert f"| {' | '.join(cells)} |" in TEXT
 
 
