@@ -1,7 +1,7 @@
 """A robot car that decides online which model of the human driver is worth its computation.
 
-Importing the package registers its environments with Gymnasium, see `ms_highway.envs`, and loads nothing else; the
-names below are loaded when they are first used. `ms_highway.cli` is the command.
+Importing the package registers its environments with Gymnasium, see `envs`, and those of highway-env; the names below
+are loaded when they are first used. `ms_highway.cli` is the command.
 """
 
 from ms_highway.runtime import forks as forks
@@ -11,80 +11,62 @@ interrupt.watch()  # first of all, as what follows takes seconds
 
 from importlib import import_module  # noqa: E402
 from importlib.metadata import version  # noqa: E402
+from pkgutil import iter_modules  # noqa: E402
 from typing import Any  # noqa: E402
 
 from gymnasium.envs.registration import register as _register_environment  # noqa: E402
 from gymnasium.envs.registration import registry as _registry  # noqa: E402
 
+if not interrupt.is_command():  # which loads it when it needs it
+    import highway_env  # noqa: F401  # whose own environments are expected beside ours
+
 __version__ = version("ms-highway")
 
 _HOMES = {
-    "Autopilot": "envs.actions",
-    "BicycleVehicle": "vehicle",
-    "COMMON_WEIGHTS": "game.scenario",
-    "CommuterVehicle": "vehicle",
-    "FixedModel": "control.fixed",
-    "Game": "game.game",
-    "HumanModel": "planning.human_models",
-    "HumanVehicle": "vehicle",
-    "InteractionEnv": "envs.base",
-    "ModelSwitching": "control.switching",
-    "Naive": "planning.human_models",
-    "PAPER_UNIT": "game.scenario",
-    "PUBLISHED_COSTS": "metareasoning.switching",
-    "PlanningVehicle": "vehicle",
-    "RobotVehicle": "vehicle",
-    "Scenario": "game.scenario",
-    "Scene": "game.scene",
-    "ScheduledModels": "control.fixed",
-    "Switching": "metareasoning.switching",
-    "TheoryOfMind": "planning.human_models",
-    "Turn": "planning.human_models",
-    "add_feature": "game.reward",
-    "add_scenario": "envs",
-    "build_game": "game.scenario",
-    "decide": "metareasoning.switching",
-    "driving_game": "game.scenario",
-    "keep_compilations": "runtime.jax_settings",
-    "ladder": "planning.human_models",
-    "low_latency": "runtime.jax_settings",
-    "plan": "planning.compiled",
-    "register": "planning.human_models",
+    name: home
+    for home, names in {
+        "vehicle": ["BicycleVehicle", "CommuterVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle"],
+        "control.fixed": ["FixedModel", "ScheduledModels"],
+        "control.switching": ["ModelSwitching"],
+        "envs": ["SCENARIOS", "add_scenario"],
+        "envs.base": ["InteractionEnv"],
+        "envs.actions": ["Autopilot"],
+        "game.game": ["Game"],
+        "game.scene": ["Scene"],
+        "game.scenario": ["COMMON_WEIGHTS", "PAPER_UNIT", "Scenario", "build_game", "driving_game"],
+        "game.reward": ["add_feature"],
+        "planning.human_models": ["HumanModel", "Naive", "TheoryOfMind", "Turn", "ladder", "register"],
+        "planning.compiled": ["plan"],
+        "metareasoning.switching": ["PUBLISHED_COSTS", "Switching", "decide"],
+        "runtime.jax_settings": ["keep_compilations", "low_latency"],
+    }.items()
+    for name in names
 }
-_PACKAGES = (
-    "benchmarks",
-    "cli",
-    "control",
-    "envs",
-    "experiments",
-    "game",
-    "irl",
-    "metareasoning",
-    "optimization",
-    "planning",
-    "runtime",
-    "simulation",
-    "vehicle",
-    "visualization",
-)
-_ENVIRONMENTS = {"stay-back": "StayBackEnv", "merger": "MergerEnv", "give-way": "GiveWayEnv"} | {
-    "demonstration": "DemonstrationEnv"
+_PACKAGES = [module.name for module in iter_modules(__path__) if module.ispkg]
+_ENVIRONMENTS = {
+    "stay-back": "StayBackEnv",
+    "merger": "MergerEnv",
+    "give-way": "GiveWayEnv",
+    "demonstration": "DemonstrationEnv",
 }
-
-__all__ = [*_HOMES, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    """A name of the public interface, or a package, loaded when it is first asked for."""
+    """Load a public name or a package when it is first asked for; whoever asks for ``__all__`` loads all of them."""
+    if name == "__all__":
+        return [each for each in (*_HOMES, *_PACKAGES) if __getattr__(each) is not None]
     if name in _HOMES:
-        return getattr(import_module(f"ms_highway.{_HOMES[name]}"), name)
-    if name in _PACKAGES:
-        return import_module(f"ms_highway.{name}")
-    raise AttributeError(f"module 'ms_highway' has no attribute {name!r}")
+        value = getattr(import_module(f"ms_highway.{_HOMES[name]}"), name)
+    elif name in _PACKAGES:
+        value = import_module(f"ms_highway.{name}")
+    else:
+        raise AttributeError(f"module 'ms_highway' has no attribute {name!r}")
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, *_PACKAGES])
+    return [*globals(), *_HOMES, *_PACKAGES]
 
 
 for _name, _environment in _ENVIRONMENTS.items():  # by string, also for workers that are spawned

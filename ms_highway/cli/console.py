@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 if TYPE_CHECKING:
     from rich.table import Table
 
-__all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "telling", "work"]
+__all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "telling"]
 
 TABLE_WIDTH = 120  # characters
 
@@ -94,13 +94,3 @@ def telling() -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("reading", total=None)
         yield lambda message: bar.update(task, description=message)
-
-
-def work(progress: Iterator[str | Result]) -> Result:
-    """Show on standard error the messages that a computation yields; return its result, which it yields last."""
-    with telling() as tell:
-        for message in progress:
-            if not isinstance(message, str):
-                return message
-            tell(message)
-    raise RuntimeError("a computation ended without a result")

@@ -14,6 +14,7 @@ from ms_highway.cli.bench import add_bench
 from ms_highway.cli.compare import add_compare
 from ms_highway.cli.console import printing
 from ms_highway.cli.frontier import add_frontier
+from ms_highway.cli.irl import add_irl
 from ms_highway.cli.report import add_report
 from ms_highway.cli.safety import add_safety
 from ms_highway.cli.sweep import add_sweep
@@ -31,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if any("\ud800" <= letter <= "\udfff" for letter in text):  # how Python keeps other bytes
             print(f"ms-highway: {text!r} is not UTF-8, the encoding of all results; rename it", file=sys.stderr)
             return 2
-    options = build_parser(given).parse_args(given)
+    options = build_parser().parse_args(given)
     options.command_line = shlex.join(["ms-highway", *given])
     try:
         with _warnings_in_one_line():
@@ -86,13 +87,8 @@ def _set_jax_up(options: argparse.Namespace) -> None:
             print(f"ms-highway: compiled planners are not kept: {error}", file=sys.stderr)
 
 
-def build_parser(given: Sequence[str] | None = None) -> argparse.ArgumentParser:
-    """Return the parser of all commands, whose result has the function that runs the command in ``run``.
-
-    Args:
-        given: what is to be parsed, so that only a command that is named there is imported if that takes seconds;
-            without, all commands are imported.
-    """
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands, whose result has the function that runs the command in ``run``."""
     parser = argparse.ArgumentParser(
         prog="ms-highway", description="Robot cars that choose how hard to think about human drivers."
     )
@@ -112,12 +108,7 @@ def build_parser(given: Sequence[str] | None = None) -> argparse.ArgumentParser:
     )
     parser.set_defaults(simulates=False)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for add in (add_compare, add_sweep, add_frontier, add_safety, add_video, add_report, add_bench, add_validate):
+    everyday = add_compare, add_sweep, add_frontier, add_safety, add_video, add_report, add_bench, add_validate
+    for add in (*everyday, add_irl):
         add(commands)
-    if given is None or "irl" in given:
-        from ms_highway.cli.irl import add_irl
-
-        add_irl(commands)
-    else:
-        commands.add_parser("irl", help="record driving and learn rewards from it")
     return parser

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NoReturn
 if TYPE_CHECKING:  # slow imports come after interrupts are caught
     from socket import socket
 
-__all__ = ["INTERRUPTED", "STOPPED", "end", "watch"]
+__all__ = ["INTERRUPTED", "STOPPED", "end", "is_command", "watch"]
 
 INTERRUPTED = 128 + signal.SIGINT
 """Exit status of an interrupted command, by the convention of shells."""
@@ -32,7 +32,7 @@ SHOW_CURSOR = "\x1b[?25h"  # hidden by progress bars
 
 def watch() -> None:
     """Let interrupts end this process, if it is the command ``ms-highway`` and does not ignore them."""
-    if not _is_command() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    if not is_command() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
     signal.signal(signal.SIGINT, _end_early)
     from socket import socketpair
@@ -76,7 +76,7 @@ def _end_early(signal_number: int, frame: FrameType | None) -> NoReturn:
     os._exit(INTERRUPTED)
 
 
-def _is_command() -> bool:
+def is_command() -> bool:
     """Return whether this process was started as ``ms-highway`` or ``python -m ms_highway``, not as its worker."""
     by_module = sys.argv[0] == "-m" and "ms_highway" in sys.orig_argv
     by_name = os.path.splitext(os.path.basename(sys.argv[0]))[0] == "ms-highway"

@@ -8,7 +8,8 @@ hardly change lanes: roundabouts among cars that brake for nobody are not for th
 """
 
 import gymnasium as gym
-import highway_env  # noqa: F401  # registers its environments
+
+import ms_highway  # noqa: F401  # registers its environments, and those of highway-env
 
 config = {"other_vehicles_type": "ms_highway.vehicle.HumanVehicle"}  # or CommuterVehicle, who follows as on US-101
 env = gym.make("highway-v0", config={**config, "vehicles_count": 5, "duration": 3})

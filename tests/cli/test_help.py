@@ -7,17 +7,22 @@ from typing import get_args
 import pytest
 
 from ms_highway.cli import options
+from ms_highway.cli.irl import options as irl_options
 from ms_highway.cli.main import main
 from ms_highway.envs import PAPER_SCENARIOS
+from ms_highway.envs.routes import DENSITIES
 from ms_highway.envs.settings import HUMAN_REWARDS
+from ms_highway.game.learned_reward import SHIPPED
+from ms_highway.irl.learning import REAL, SIMULATED
+from ms_highway.irl.prediction import Others
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import PAPER_MODELS
 
-COMMANDS = ["compare", "sweep", "frontier", "safety", "video", "report", "bench", "validate"]
+COMMANDS = ["compare", "sweep", "frontier", "safety", "video", "report", "bench", "validate", "irl"]
 IRL_COMMANDS = [["irl", name] for name in ("record", "fit", "evaluate", "recover", "report")]
 
 
-@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS), ["irl"], *IRL_COMMANDS])
+@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS), *IRL_COMMANDS])
 def test_help_teaches_the_command(command, capsys):
     with pytest.raises(SystemExit) as ended:
         main([*command, "--help"])
@@ -29,8 +34,9 @@ def test_help_teaches_the_command(command, capsys):
 
 HELP = """
 import sys
+sys.argv[0] = "ms-highway"
 from ms_highway.cli.main import main
-for command in ([], *([name] for name in sys.argv[1:])):
+for command in ([], *(name.split() for name in sys.argv[1:])):
     try:
         main([*command, "--help"])
     except SystemExit as ended:
@@ -40,8 +46,9 @@ print(f"loaded: {sorted({'highway_env', 'jax', 'matplotlib', 'pandas', 'rich', '
 
 
 def test_help_loads_neither_jax_nor_highway_env_nor_what_draws():
-    run = subprocess.run([sys.executable, "-c", HELP, *COMMANDS], capture_output=True, text=True, check=True)
-    assert run.stdout.count("usage: ms-highway") == 1 + len(COMMANDS)
+    commands = [*COMMANDS, *(" ".join(command) for command in IRL_COMMANDS)]
+    run = subprocess.run([sys.executable, "-c", HELP, *commands], capture_output=True, text=True, check=True)
+    assert run.stdout.count("usage: ms-highway") == 1 + len(commands)
     assert run.stdout.endswith("loaded: []\n")
 
 
@@ -49,4 +56,9 @@ def test_the_names_in_help_texts_are_those_that_are_known():
     assert options.SCENARIO_NAMES == PAPER_SCENARIOS
     assert set(options.SEMANTICS) == set(HUMAN_REWARDS)
     assert get_args(Solver) == options.SOLVERS
+    assert get_args(Others) == irl_options.OTHERS
+    assert tuple(DENSITIES) == irl_options.DENSITY_NAMES
+    assert tuple(SHIPPED) == irl_options.SHIPPED_NAMES
+    assert REAL.learned == irl_options.REAL_WEIGHTS
+    assert SIMULATED.learned == irl_options.SIMULATED_WEIGHTS
     assert tuple(options.CONTROLLERS.split(", ")[: len(PAPER_MODELS)]) == tuple(PAPER_MODELS)

@@ -2,12 +2,10 @@
 
 import argparse
 import json
-import typing
 from typing import Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
-from ms_highway.cli.irl.options import THETA_HELP, add_data, add_model, horizon, model, read, theta
-from ms_highway.irl.prediction import Others
+from ms_highway.cli.irl.options import OTHERS, THETA_HELP, add_data, add_model, horizon, model, read, theta
 
 __all__ = ["add_evaluate"]
 
@@ -32,7 +30,7 @@ def add_evaluate(commands: Any) -> None:
     add_model(parser)
     parser.add_argument(
         "--others",
-        choices=typing.get_args(Others),
+        choices=OTHERS,
         default="recorded",
         help="what predicted drivers meet: the others where they were recorded to be at each step (default), or where "
         "they would be had they kept their velocity from the start, so that nothing of the future is known",

@@ -6,18 +6,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ms_highway.cli.options import check_most
-from ms_highway.game.learned_reward import SHIPPED, LearnedReward, load, shipped
-from ms_highway.game.reward import COMFORT
-from ms_highway.game.reward_model import RewardModel
-from ms_highway.irl.learning import COMFORT_GIVEN, REAL, SIMULATED
-from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from ms_highway.game.learned_reward import LearnedReward
+    from ms_highway.game.reward_model import RewardModel
+    from ms_highway.irl.recordings.recording import Recording
+
 __all__ = [
+    "DENSITY_NAMES",
     "MINARI",
+    "OTHERS",
+    "REAL_WEIGHTS",
+    "SHIPPED_NAMES",
+    "SIMULATED_WEIGHTS",
     "THETA_HELP",
     "add_data",
     "add_horizon",
@@ -33,7 +37,22 @@ __all__ = [
 MINARI = "minari:"
 """Prefix of a Minari data set's name on the command line."""
 
-THETA_HELP = f"a learned reward: a file, or one of {', '.join(SHIPPED)}"
+SHIPPED_NAMES = ("demonstrations", "us101")
+"""Keys of `ms_highway.game.learned_reward.SHIPPED`, for help texts."""
+
+DENSITY_NAMES = ("sparse", "medium", "dense")
+"""Keys of `ms_highway.envs.routes.DENSITIES`, for help texts."""
+
+OTHERS = ("recorded", "coasting")
+"""The values of `ms_highway.irl.prediction.Others`, for help texts."""
+
+SIMULATED_WEIGHTS = ("speed", "lane_alignment", "collision_risk")
+"""Weights that `ms_highway.irl.learning.SIMULATED` learns, for help texts."""
+
+REAL_WEIGHTS = (*SIMULATED_WEIGHTS, "direction", "headway", "closing_speed", "induced_braking", "comfort_steering")
+"""Weights that `ms_highway.irl.learning.REAL` learns, for help texts."""
+
+THETA_HELP = f"a learned reward: a file, or one of {', '.join(SHIPPED_NAMES)}"
 
 DPI = 110
 HORIZON = 5  # steps, as the paper plans
@@ -56,8 +75,8 @@ def add_model(parser: argparse.ArgumentParser) -> None:
         "--learn",
         nargs="+",
         metavar="WEIGHT",
-        help=f"names of the weights to learn (default: {', '.join(REAL.learned)}; of those, from a Minari data set, "
-        f"{', '.join(SIMULATED.learned)}); comfort weights that are not learned are 0.1 and set the scale",
+        help=f"names of the weights to learn (default: {', '.join(REAL_WEIGHTS)}; of those, from a Minari data set, "
+        f"{', '.join(SIMULATED_WEIGHTS)}); comfort weights that are not learned are 0.1 and set the scale",
     )
     add_horizon(parser)
 
@@ -69,7 +88,7 @@ def add_horizon(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def read(data: str) -> list[Recording]:
+def read(data: str) -> "list[Recording]":
     """Read the recordings that ``--data`` names."""
     if data.startswith(MINARI):
         from ms_highway.irl.recordings.datasets import load as load_dataset
@@ -80,8 +99,10 @@ def read(data: str) -> list[Recording]:
     return read_directory(Path(data))
 
 
-def theta(name: str) -> LearnedReward:
+def theta(name: str) -> "LearnedReward":
     """Read the learned reward that ``--theta`` names."""
+    from ms_highway.game.learned_reward import SHIPPED, load, shipped
+
     return shipped(name) if name in SHIPPED else load(Path(name))
 
 
@@ -98,8 +119,12 @@ def horizon(options: argparse.Namespace) -> int:
     return steps
 
 
-def model(options: argparse.Namespace, recordings: list[Recording]) -> RewardModel:
-    """Return the reward model that ``--learn`` selects; by default `REAL` for measured recordings, else `SIMULATED`."""
+def model(options: argparse.Namespace, recordings: "list[Recording]") -> "RewardModel":
+    """Return the reward model that ``--learn`` selects; by default REAL for measured recordings, else SIMULATED."""
+    from ms_highway.game.reward import COMFORT
+    from ms_highway.game.reward_model import RewardModel
+    from ms_highway.irl.learning import COMFORT_GIVEN, REAL, SIMULATED
+
     usual = REAL if recordings[0].measured else SIMULATED
     if not options.learn:
         return usual

@@ -4,8 +4,8 @@ import argparse
 from typing import Any
 
 from ms_highway.cli.console import add_command, count_episodes
+from ms_highway.cli.irl.options import DENSITY_NAMES
 from ms_highway.cli.options import MOST, check_most
-from ms_highway.envs.routes import DENSITIES
 from ms_highway.irl.recordings.drivers import DRIVERS, TEMPERATURE
 
 __all__ = ["add_record"]
@@ -34,8 +34,8 @@ def add_record(commands: Any) -> None:
     parser.add_argument(
         "--density",
         nargs="+",
-        choices=list(DENSITIES),
-        default=list(DENSITIES),
+        choices=DENSITY_NAMES,
+        default=list(DENSITY_NAMES),
         help="densities of the traffic, in turn (default: all)",
     )
     parser.add_argument(
