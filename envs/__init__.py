@@ -1,6 +1,6 @@
 """The environments: three scenarios of human and robot, and one to record driving in, as highway-env environments.
 
-Importing `ms_highway` registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
+Importing the package registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
 ``ms-highway/give-way-v0`` and ``ms-highway/demonstration-v0`` with Gymnasium. Imports `ms_highway.vehicle` and what
 stands below it.
 """
@@ -28,13 +28,17 @@ __all__ = [
     "actions",
     "add_scenario",
     "base",
+    "checks",
     "configuration",
     "demonstration",
+    "drivers",
     "environment_id",
     "give_way",
     "graphics",
     "merger",
     "observations",
+    "routes",
+    "settings",
     "stage",
     "stay_back",
 ]

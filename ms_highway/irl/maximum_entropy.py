@@ -100,7 +100,7 @@ class Fit:
 
 
 def differentiate(windows: Windows, names: tuple[str, ...]) -> FeatureDerivatives:
-    """Return the derivatives of these features in every window, each by `expand`.
+    """Return the derivatives of these features in every window, each by `second_order_expansion`.
 
     Raises:
         ValueError: if a derivative is not finite.

@@ -46,7 +46,7 @@ def newton_steps(
     start: Controls,
     bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
 ) -> Controls:
-    """Improve controls by 16 Newton steps, see `optimize_controls`, also for the arguments."""
+    """Improve controls by 16 Newton steps, see `ms_highway.optimization.solvers`, also for the arguments."""
 
     def earned(controls: Controls) -> Float[jax.Array, ""]:
         return reward(path(controls)) - cost(controls)

@@ -68,7 +68,7 @@ def plan(game: Game, state: Float[np.ndarray, "cars 4"], model: HumanModel | str
     Controls are in the units of the game's dynamics; compiled once for all games of the same shapes.
 
     Args:
-        game: what is played, see `ms_highway.game.scenario.build_game` and `driving_game`.
+        game: what is played, see `ms_highway.game.scenario`.
         state: x, y, heading, speed of all cars, the robot first, then its partner.
         model: the human model, or its name.
 

@@ -16,5 +16,9 @@ __all__ = [
     "RobotVehicle",
     "RoutedVehicle",
     "ScriptedVehicle",
+    "bicycle",
+    "human",
+    "planning",
+    "road_view",
     "states_of",
 ]

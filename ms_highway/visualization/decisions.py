@@ -32,7 +32,7 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
     reward per step, on a strip of the models in use.
 
     Args:
-        episodes: of switching controllers, see `one_episode`.
+        episodes: of switching controllers, see `ms_highway.experiments.records.one_episode`.
         reference: an episode from the same start, whose reward is drawn beside.
     """
     figure = Figure(figsize=(10, 5), layout="constrained")
@@ -102,7 +102,7 @@ def storyboard(episode: pd.DataFrame, pictures: Sequence[UInt8[np.ndarray, "h w 
     """Time along an episode, with the road at the steps at which the model changed.
 
     Args:
-        episode: see `one_episode`.
+        episode: see `ms_highway.experiments.records.one_episode`.
         pictures: the frames of the same episode, see `ms_highway.visualization.video.film`; their panels are cut off.
         most: how many steps are shown at most; where there are more `switches`, the first two, and of the others those
             after which the model stayed longest.

@@ -11,8 +11,6 @@ from ms_highway.cli.irl.record import add_record
 from ms_highway.cli.irl.recover import add_recover
 from ms_highway.cli.irl.report import add_report
 
-__all__ = ["add_irl"]
-
 HELP = "Learn what human drivers are after from recordings of how they drive."
 
 
