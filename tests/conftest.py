@@ -28,6 +28,13 @@ def shared_compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     keep_compilations(Path(cache))
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Reading recordings of real drivers takes long."""
+    for item in items:
+        if "us101" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="session")
 def reference() -> Path:
     """The directory of the reference episodes."""

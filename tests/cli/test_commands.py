@@ -8,7 +8,6 @@ import imageio.v3 as imageio
 import pandas as pd
 import pytest
 
-from ms_highway.benchmarks.latency import bench
 from ms_highway.cli.main import main
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS
 
@@ -90,6 +89,7 @@ def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(arguments, messa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["mp4", "gif"])
 def test_a_video_plays_at_true_speed(suffix, tmp_path, capsys):
     film = tmp_path / "films" / f"stay_back.{suffix}"
@@ -111,6 +111,7 @@ add_scenario(EmptyEnv)
 """
 
 
+@pytest.mark.slow
 def test_a_command_knows_the_scenarios_of_a_module_that_it_imports(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
@@ -123,6 +124,7 @@ def test_a_command_knows_the_scenarios_of_a_module_that_it_imports(tmp_path, mon
     assert pd.read_csv("results/summary.csv")["reward"].item() > 2  # nothing stands in the way
 
 
+@pytest.mark.slow
 def test_commands_keep_compiled_planners_in_the_users_own_cache_unless_told_not_to(tmp_path):
     """In processes of their own, as no process forgets what it has compiled."""
     home = tmp_path / "home"
@@ -145,18 +147,6 @@ def test_a_command_goes_on_where_compiled_planners_cannot_be_kept(tmp_path, monk
     said = capsys.readouterr().err.splitlines()
     assert "not kept" in said[0]
     assert "roundabout" in said[1]
-
-
-def test_bench_measures_a_plan_and_a_peer_that_plans_the_same():
-    name, result = next(bench("stay_back", peer=True))
-    assert name == "naive"
-    assert 0 < result["plan_us"]["p50"] <= result["plan_us"]["p99"] < 1e6
-    assert 0 < result["peer_us"]["p50"] < 1e6
-    assert 0 < result["decision_us"] < 1e6
-    assert 0 < result["step_us"] < 1e6
-    assert 0 < result["compile_s"]["cached"] < result["compile_s"]["cold"]
-    assert result["flop"] > 1e5
-    assert set(result["plans_per_s"]) == {"1", "32", "1024"}
 
 
 def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_path):

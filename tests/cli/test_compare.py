@@ -63,6 +63,7 @@ def test_compare_goes_on_where_it_was_stopped(compared, tmp_path, capsys):
     assert (tmp_path / "steps.csv").read_text() == before
 
 
+@pytest.mark.slow
 def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(compared, tmp_path, capsys):
     for name in ("settings.json", "steps.csv"):
         (tmp_path / name).write_text((compared / name).read_text())
@@ -92,6 +93,7 @@ def test_a_controller_named_twice_runs_once(compared, tmp_path):
     assert len(pd.read_csv(tmp_path / "steps.csv")) == 35
 
 
+@pytest.mark.slow
 def test_compare_keeps_measured_costs_with_the_results(tmp_path):
     arguments = ["compare", "stay_back", "--controllers", "switching:1", "--seeds", "1", "--costs", "measured"]
     assert main([*arguments, "--out", str(tmp_path)]) == 0
@@ -130,6 +132,7 @@ def test_compare_refuses_a_directory_of_other_settings(compared, capsys):
     assert "choose another directory" in line
 
 
+@pytest.mark.slow
 def test_compare_plans_with_the_solver_that_is_asked_for_and_keeps_its_results_apart(compared, tmp_path, capsys):
     arguments = ["compare", "stay_back", "--controllers", "naive", "--seeds", "1", "--solver", "newton", "--out"]
     assert "choose another directory" in failure(capsys, *arguments, str(compared))
@@ -139,6 +142,7 @@ def test_compare_plans_with_the_solver_that_is_asked_for_and_keeps_its_results_a
     assert (abs(untimed(tmp_path)["reward"].to_numpy() - plain["reward"].to_numpy()) > 1e-3).any()
 
 
+@pytest.mark.slow
 def test_compare_keeps_results_among_other_humans_apart(compared, tmp_path, capsys):
     assert json.loads((compared / "settings.json").read_text())["human_reward"] == "learned"
     assert "choose another directory" in failure(capsys, *COMPARE, str(compared), "--human-reward", "published")

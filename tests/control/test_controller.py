@@ -37,6 +37,7 @@ def compilations(controller):
     return [function._cache_size() for function in (*plans, decide_function(layouts[1]))]
 
 
+@pytest.mark.slow
 def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later(played):
     plan_function.cache_clear()  # what other tests have compiled, with other settings of JAX, does not count
     decide_function.cache_clear()
@@ -142,6 +143,7 @@ def slower(game):
     return replace(game, robot=replace(game.robot, speed_limit=game.robot.speed_limit / 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
     [

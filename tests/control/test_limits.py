@@ -65,28 +65,28 @@ def test_plans_of_the_papers_models_are_left_as_they_are(played, name):
     np.testing.assert_array_equal(*plans)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planning", [{"control_limit": [0.05, 6.0]}, {"grip": GRIP}])
-@pytest.mark.parametrize("controller", ["naive", "reckless"])
-def test_batches_keep_to_the_limits_as_environments_do(reckless, planning, controller):
-    comparison = Comparison(
-        {"merger": [controller]}, seeds=2, costs={"naive": 0.1, "turn": 0.2, "tom": 0.4}, planning=planning
-    )
-    comparison = replace(comparison, costs={**comparison.costs, "reckless": 0.1}, ladder=["naive", "turn", "tom"])
-    env = make_environment("merger", controller, costs=comparison.costs, **comparison.common_config())
-    expected = pd.DataFrame([record for seed in range(2) for record in episode(env, seed)])
+def test_batches_keep_to_the_limits_as_environments_do(reckless, planning):
+    costs, controllers = {"naive": 0.1, "reckless": 0.1}, ["naive", "reckless"]
+    comparison = Comparison({"merger": controllers}, seeds=2, costs=costs, ladder=["naive"], planning=planning)
+    envs = [make_environment("merger", name, costs=costs, **comparison.common_config()) for name in controllers]
+    expected = pd.DataFrame([record for env in envs for seed in range(2) for record in episode(env, seed)])
     found = simulated(comparison)
     np.testing.assert_allclose(found[STATES], expected[STATES], atol=0.05, rtol=0)
     assert (found["status"].to_numpy() == expected["status"].to_numpy()).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("semantics", ["paper", "released"])
 def test_with_a_grip_no_car_of_the_papers_scenes_leaves_the_friction_circle(semantics):
     """From places and speeds: the path's curvature times v^2, and the change of speed."""
-    records = simulated(Comparison({"merger": ["naive", "tom"]}, 5, semantics, planning={"grip": GRIP}))
-    free = simulated(Comparison({"merger": ["naive", "tom"]}, 5, semantics))
+    free = Comparison({"merger": ["naive", "tom"]}, 5, semantics, ladder=["naive", "tom"])
+    records = simulated(replace(free, planning={"grip": GRIP}))
     for car in ("robot", "human"):
         assert accelerations(records, car).max() <= GRIP * 1.01
-    assert accelerations(free, "human").max() > 2 * GRIP
+    if semantics == "paper":
+        assert accelerations(simulated(free), "human").max() > 2 * GRIP
 
 
 def accelerations(records, car):

@@ -38,6 +38,7 @@ def check(step):
     assert (abs(step.plan) <= LIMIT * (1 + 1e-6)).all()
 
 
+@pytest.mark.slow
 def test_every_model_plans_finite_controls_within_the_limits_from_wild_starts(scenario, wild):
     game, starts = wild
     for model in ladder(SCENARIOS[scenario].ladder):
@@ -46,6 +47,7 @@ def test_every_model_plans_finite_controls_within_the_limits_from_wild_starts(sc
             check(controller.step(start))
 
 
+@pytest.mark.slow
 def test_switching_goes_on_from_wild_starts(scenario, wild):
     """Five steps from every start, the human driving at random: enough to go up and all the way down."""
     game, starts = wild

@@ -440,7 +440,9 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("context", [None, "spawn", "forkserver"])
+@pytest.mark.parametrize(
+    "context", [None, *(pytest.param(name, marks=pytest.mark.slow) for name in ("spawn", "forkserver"))]
+)
 def test_workers_of_a_vector_environment_find_and_step_the_environments(context, tmp_path):
     script = tmp_path / "vector.py"
     script.write_text(VECTOR.format(context=context))

@@ -53,6 +53,7 @@ def layouts(monkeypatch):
     return seen
 
 
+@pytest.mark.slow
 def test_humans_drive_twenty_episodes_of_stock_environments_with_one_compilation(layouts):
     episodes = [("highway-v0", {"vehicles_count": 10, "duration": 10}, 10), ("merge-v0", {}, 12)]
     plan_function.cache_clear()  # what other tests have compiled, with other settings of JAX, does not count
@@ -71,6 +72,7 @@ def test_humans_drive_twenty_episodes_of_stock_environments_with_one_compilation
     assert plan_function(Naive(), layout)._cache_size() == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["HumanVehicle", "CommuterVehicle"])
 def test_a_human_on_a_ramp_merges_before_it_ends(kind):
     for seed in range(3):
@@ -180,6 +182,7 @@ def test_humans_keep_to_what_tyres_hold_and_never_reverse_in_a_roundabout():
     assert slowest >= -1e-9
 
 
+@pytest.mark.slow
 def test_a_robot_by_itself_drives_stock_episodes_and_chooses_its_models_with_one_compilation():
     plan_function.cache_clear()
     decide_function.cache_clear()
@@ -204,6 +207,7 @@ def test_a_robot_by_itself_drives_stock_episodes_and_chooses_its_models_with_one
     assert plan_function.cache_info().currsize == 2
 
 
+@pytest.mark.slow
 def test_a_robot_by_itself_with_algorithm_1_refuses_another_rate_than_its_games():
     environment = humans_in("highway-v0", 0, vehicles_count=2)
     (robot,) = replaced(environment, [RobotVehicle])

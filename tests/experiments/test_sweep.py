@@ -75,6 +75,7 @@ def test_a_sweep_is_opened_in_one_line_with_a_row_per_episode_and_per_step(swept
     assert len(json.loads((swept / "provenance.json").read_text())) == 1
 
 
+@pytest.mark.slow
 def test_a_sweep_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one_with_two_devices_gives(
     swept, tmp_path
 ):
@@ -92,6 +93,7 @@ def test_a_sweep_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one
     assert contents(tmp_path / "out") == contents(swept)
 
 
+@pytest.mark.slow
 def test_two_processes_and_other_parts_give_the_episodes_of_one_with_two_devices(swept, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

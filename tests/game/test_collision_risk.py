@@ -42,6 +42,7 @@ def test_the_risk_and_its_first_two_derivatives_are_those_of_the_plain_formula(p
     np.testing.assert_allclose(ours, plain, rtol=1e-9, atol=1e-9 * abs(plain).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [(), (3,), (2, 3)])
 def test_the_risk_takes_every_shape_of_times(played, times):
     game, state = played("stay_back")

@@ -100,6 +100,7 @@ def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played):
     close(expansion.human_human, bend[1, :, 1], 5e-3)
 
 
+@pytest.mark.slow
 def test_theory_of_mind_steps_along_differences_of_both_slopes(played):
     game, state, _ = started(played, 5)
     still = np.zeros((5, 2), np.float32)
@@ -120,6 +121,7 @@ def test_theory_of_mind_steps_along_differences_of_both_slopes(played):
     close(step, expected, 2e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tom", "switching:0.1"])
 def test_a_robot_that_is_paid_for_it_drives_for_it(roomy, controller):
     rooms = {}
@@ -142,6 +144,7 @@ def test_a_robot_that_is_paid_for_it_drives_for_it(roomy, controller):
     assert rooms[30.0][-1] > rooms[0.0][-1] + 0.01
 
 
+@pytest.mark.slow
 def test_batches_earn_what_the_environment_does(roomy):
     comparison = Comparison({"roomy": ["naive"]}, seeds=2, ladder=["naive"])
     found = simulated(comparison)
@@ -246,6 +249,7 @@ def test_a_game_with_it_is_pickled_and_equal(roomy):
     assert again.robot.own == (roomy.room,)
 
 
+@pytest.mark.slow
 def test_a_spawned_worker_finds_it_by_the_module_in_the_id(roomy):
     config = {"controller": {"type": "fixed", "model": "naive"}}
     envs = AsyncVectorEnv([lambda: gym.make("roomy:ms-highway/roomy-v0", config=config)], context="spawn")
@@ -261,6 +265,7 @@ def test_a_spawned_worker_finds_it_by_the_module_in_the_id(roomy):
     assert infos["rewards"]["room"][0] == pytest.approx(info["rewards"]["room"], abs=1e-5) != 0
 
 
+@pytest.mark.slow
 def test_a_command_finds_it_in_a_module_that_it_imports(roomy, tmp_path):
     controllers = ["--controllers", "naive", "--ladder", "naive", "--seeds", "1", "--costs", "naive=0.1"]
     command = [sys.executable, "-m", "ms_highway", "--import", "roomy", "compare", "roomy", *controllers]

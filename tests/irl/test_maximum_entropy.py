@@ -108,6 +108,7 @@ def test_the_likelihood_of_a_driver_after_comfort_alone_is_that_of_a_normal_dist
     np.testing.assert_allclose(found, stats.norm.logpdf(uneasy, scale=0.5).sum(axis=-1), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_weights_that_demonstrators_drove_for_are_recovered(demonstrated):
     found = fit(differentiate(demonstrated, SIMULATED.names), SIMULATED)
     assert found.converged
@@ -127,6 +128,7 @@ def test_weights_that_demonstrators_drove_for_are_recovered(demonstrated):
         assert model[name] == pytest.approx(human[name], rel=0.1), name
 
 
+@pytest.mark.slow
 def test_recovery_tells_how_far_off_weights_are_and_what_that_costs(demonstrations):
     rows = recover(demonstrations, [20, 4], held_out=8)
     assert list(rows["demonstrations"].unique()) == [4, 20]

@@ -70,6 +70,7 @@ def test_a_learned_driver_brakes_behind_a_leader_that_it_sees_braking():
     np.testing.assert_allclose(alone[:, 0], unseen[:, 0], atol=3.0)
 
 
+@pytest.mark.slow
 def test_cross_validation_predicts_every_group_by_what_was_learned_from_the_others():
     random = np.random.default_rng(0)
     recordings = []
@@ -152,6 +153,7 @@ def test_real_drivers_are_predicted_better_by_the_learned_reward(us101):
         assert found["miss"][horizon] < baseline["miss"][horizon]
 
 
+@pytest.mark.slow
 def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
     data, theta = tmp_path / "two", tmp_path / "theta.json"
     data.mkdir()

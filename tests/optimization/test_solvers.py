@@ -61,6 +61,7 @@ def test_newton_climbs_a_steep_hill_that_gradient_steps_overshoot():
     assert hill(path(reached["newton"])) > -0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("solver", ["gradient", "newton"])
 def test_no_plan_leaves_its_limits_or_the_finite_numbers_from_wild_starts(played, name, solver):
@@ -76,6 +77,7 @@ def test_no_plan_leaves_its_limits_or_the_finite_numbers_from_wild_starts(played
     assert (abs(plans.robot * game.planner.control_scale) <= limit * 1.0001).all()
 
 
+@pytest.mark.slow
 def test_newton_passes_the_cones_of_stay_back_where_gradient_steps_collide():
     """Seeds 39 and 94 are those of the first hundred in which gradient steps collide."""
     seeds = (0, 39, 94)
@@ -89,6 +91,7 @@ def test_newton_passes_the_cones_of_stay_back_where_gradient_steps_collide():
     assert rewards["newton"].mean() > max(2.6, rewards["gradient"].mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["naive", "tom"])
 def test_plans_within_the_grip_keep_to_the_friction_circle_and_do_not_reverse(played, name):
     game, state = played("merger", control_limit=PHYSICAL_LIMIT)

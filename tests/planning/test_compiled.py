@@ -6,6 +6,7 @@ import sys
 
 import jax
 import numpy as np
+import pytest
 from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, step
@@ -16,7 +17,7 @@ from ms_highway.planning.human_models import MODELS, ladder
 from ms_highway.runtime.compilation import in_one_kernel, jit_quickly, known_options
 
 IN_A_PROCESS_OF_ITS_OWN = """
-import os
+import os, sys
 from ms_highway import low_latency
 low_latency()
 import jax, numpy as np
@@ -30,12 +31,14 @@ game = build_game(STAY_BACK)
 state = draw_starts(STAY_BACK, np.random.default_rng(0)).astype(np.float32)
 plans = CompiledPlans(game)
 plan = plans.function(MODELS["naive"]).lower(*plans.arguments(state)).compile()
+compiled = [plan]
 switching = Switching(np.array([0.09, 0.17]), 0.1, ladder(("naive", "turn")))
 decisions = CompiledDecision(switching, game)
 observed = decisions.arguments(first_memory(switching), Observation(state, np.zeros(2), state))
-decision = decisions.function.lower(*observed).compile()
+if "decision" in sys.argv:
+    compiled.append(decisions.function.lower(*observed).compile())
 print(os.environ["XLA_FLAGS"])
-for function in (plan, decision):  # what is left to do outside of the kernel
+for function in compiled:  # what is left to do outside of the kernel
     text = function.as_text()
     print(text[text.index("ENTRY"):].count(" fusion(") if 'xla_cpu_small_call="true"' in text else 1000)
 print(jax.device_count())
@@ -43,9 +46,9 @@ print(*np.asarray(plan(*plans.arguments(state))[0]).ravel().tolist())
 """
 
 
-def run_with_low_latency(**environment):
+def run_with_low_latency(*compiled, **environment):
     clean = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    command = [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN]
+    command = [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN, *compiled]
     run = subprocess.run(command, capture_output=True, text=True, check=True, env=clean | environment)
     flags, *numbers, controls = run.stdout.splitlines()
     return flags, *(int(number) for number in numbers), np.array(controls.split(), dtype=float)
@@ -59,7 +62,7 @@ def test_compiler_options_that_this_xla_does_not_know_are_left_out():
 
 
 def test_low_latency_makes_a_plan_and_a_decision_one_kernel_each_that_plans_the_same(played):
-    _, outside_plan, outside_decision, _, controls = run_with_low_latency()
+    _, outside_plan, outside_decision, _, controls = run_with_low_latency("decision")
     assert outside_plan < 5
     assert outside_decision < 5
     game, state = played("stay_back")
@@ -67,8 +70,9 @@ def test_low_latency_makes_a_plan_and_a_decision_one_kernel_each_that_plans_the_
     np.testing.assert_allclose(controls.reshape(5, 2), expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_low_latency_keeps_the_flags_that_the_user_has_set():
-    flags, outside, _, devices, _ = run_with_low_latency(XLA_FLAGS="--xla_force_host_platform_device_count=2")
+    flags, outside, devices, _ = run_with_low_latency(XLA_FLAGS="--xla_force_host_platform_device_count=2")
     assert "--xla_force_host_platform_device_count=2" in flags
     assert devices == 2
     assert outside < 5
@@ -78,10 +82,11 @@ def test_low_latency_keeps_the_flags_that_the_user_has_set():
     assert outside == 1000
 
 
+@pytest.mark.slow
 def test_low_latency_leaves_a_file_of_flags_alone(tmp_path):
     file = tmp_path / "flags"
     file.write_text("--xla_force_host_platform_device_count=2\n")
-    flags, _, _, devices, _ = run_with_low_latency(XLA_FLAGS=str(file))
+    flags, _, devices, _ = run_with_low_latency(XLA_FLAGS=str(file))
     assert flags == str(file)
     assert devices == 2
 

@@ -65,6 +65,7 @@ def test_an_interrupt_while_a_batch_is_computed_ends_the_command_at_once(tmp_pat
     assert not list(tmp_path.rglob(".part.*"))
 
 
+@pytest.mark.slow
 def test_threads_of_an_interrupted_simulation_are_waited_for():
     """In Python 3.11, those that `Thread.join` was waiting for count as ended, and outlive Python."""
     batch = make_batch(Comparison({"stay_back": ["naive"]}, seeds=64), "stay_back")

@@ -29,6 +29,7 @@ def begin(address, of, place, out):
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("killed", [0, 2])
 def test_when_a_process_of_a_sweep_dies_the_others_end_with_one_sentence(killed, address, tmp_path):
     processes = [begin(address, 3, place, tmp_path) for place in range(3)]

@@ -79,6 +79,7 @@ def test_means_of_theory_of_mind_and_switching_lie_in_the_intervals_of_the_envir
             np.testing.assert_allclose(*gains, atol=1e-2)  # NaN where none was estimated
 
 
+@pytest.mark.slow
 def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(reference):
     comparison = Comparison({"give_way": ["naive", "turn"]}, seeds=10, semantics="released", ladder=["naive", "turn"])
     batch = make_batch(comparison, "give_way")
@@ -131,6 +132,7 @@ def nearsighted():
     gym.registry.pop("ms-highway/nearsighted-v0")
 
 
+@pytest.mark.slow
 def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(nearsighted, monkeypatch):
     comparison = Comparison({nearsighted: ["naive"]}, seeds=2)
     expected, found = driven(comparison, nearsighted, "naive"), simulated(comparison).set_index(KEYS)
@@ -141,6 +143,7 @@ def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(nearsighted, monkey
         make_batch(comparison, nearsighted)
 
 
+@pytest.mark.slow
 def test_a_batch_plans_as_far_ahead_and_as_often_as_the_environment():
     planning = {"horizon": 3, "time_step": 0.2, "control_limit": [0.2, 9.0]}
     comparison = Comparison({"merger": ["turn"]}, seeds=2, planning=planning)
@@ -162,6 +165,7 @@ def test_a_batch_without_controllers_episodes_known_costs_or_devices_is_refused(
         use_devices(1000)
 
 
+@pytest.mark.slow
 def test_the_throughput_of_environment_and_batches_is_measured(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")  # little is computed
     ((name, result),) = throughput("stay_back", ["naive"], [1, 20])

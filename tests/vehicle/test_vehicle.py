@@ -123,6 +123,7 @@ def test_a_human_that_plans_a_second_ahead_brakes_in_time_for_a_slower_car():
     assert human.speed == pytest.approx(12.0, abs=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("leader_speed", "gaps"), [(0.0, (2, 6)), (10.0, (4, 12)), (20.0, (10, 35))])
 def test_a_commuter_follows_at_the_distances_of_real_drivers_and_stops_behind_a_standing_car(leader_speed, gaps):
     road = straight_road(lanes=1)
@@ -138,6 +139,7 @@ def test_a_commuter_follows_at_the_distances_of_real_drivers_and_stops_behind_a_
     assert gaps[0] < leader.position[0] - commuter.position[0] - commuter.LENGTH < gaps[1]
 
 
+@pytest.mark.slow
 def test_a_robot_drives_in_a_foreign_scene_with_its_own_game():
     road = straight_road()
     robot = RobotVehicle(road, [0.0, 0.0], speed=18.0)

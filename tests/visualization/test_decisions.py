@@ -73,6 +73,7 @@ def brief():
     del MODELS["brief"]
 
 
+@pytest.mark.slow
 def test_a_model_of_ones_own_is_compared_recorded_and_drawn_like_the_papers(brief, tmp_path):
     assert list(MODELS) == ["naive", "turn", "brief", "tom"]
     costs = {"naive": 0.09, "brief": 0.12}

@@ -1,0 +1,18 @@
+"""How long plans and decisions take; in a file of its own, as it forgets all that was compiled before."""
+
+import pytest
+
+from ms_highway.benchmarks.latency import bench
+
+
+@pytest.mark.slow
+def test_bench_measures_a_plan_and_a_peer_that_plans_the_same():
+    name, result = next(bench("stay_back", peer=True))
+    assert name == "naive"
+    assert 0 < result["plan_us"]["p50"] <= result["plan_us"]["p99"] < 1e6
+    assert 0 < result["peer_us"]["p50"] < 1e6
+    assert 0 < result["decision_us"] < 1e6
+    assert 0 < result["step_us"] < 1e6
+    assert 0 < result["compile_s"]["cached"] < result["compile_s"]["cold"]
+    assert result["flop"] > 1e5
+    assert set(result["plans_per_s"]) == {"1", "32", "1024"}
