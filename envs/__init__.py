@@ -1,6 +1,6 @@
 """The environments: three scenarios of human and robot, and one to record driving in, as highway-env environments.
 
-Importing the package registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
+``import ms_highway`` registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
 ``ms-highway/give-way-v0`` and ``ms-highway/demonstration-v0`` with Gymnasium. Imports `ms_highway.vehicle` and what
 stands below it.
 """
@@ -30,8 +30,8 @@ __all__ = [
     "base",
     "checks",
     "configuration",
+    "controllers",
     "demonstration",
-    "drivers",
     "environment_id",
     "give_way",
     "graphics",
@@ -51,7 +51,7 @@ ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
 SCENARIOS: dict[str, Scenario] = {name: environment.scenario for name, environment in ENVIRONMENTS.items()}
 """The scenarios by name."""
 
-PAPER_SCENARIOS = tuple(SCENARIOS)
+PAPER_SCENARIOS = ("stay_back", "merger", "give_way")
 """Names of the paper's scenarios."""
 
 DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"

@@ -17,16 +17,16 @@ from ms_highway.control.controller import Controller
 from ms_highway.control.fixed import FixedModel, ScheduledModels
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.envs.actions import Autopilot, HumanModelAction
-from ms_highway.envs.drivers import FixedDriver, SwitchingDriver
+from ms_highway.envs.controllers import FixedSettings, SwitchingSettings, controller_settings
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates
 from ms_highway.envs.settings import Settings, merged
 from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game.game import swap_roles
+from ms_highway.game.planning_settings import PAPER_PLANNING
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT, TIME_STEP, Scenario, draw_starts
-from ms_highway.optimization.gradient_steps import PAPER_PLANNING
-from ms_highway.planning.compiled import measure_costs
+from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.planning.human_models import MODELS, HumanModel, Naive
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
@@ -72,7 +72,7 @@ class InteractionEnv(StageEnv):
       accelerations of +-5 m/s^2 and front-wheel angles of +-0.1 rad unless ``acceleration_range`` and
       ``steering_range`` say otherwise (highway-env's own +-45 degrees spin a car of 20 m/s at the first step).
     * ``controller``: ``{"type": "switching", "lambda": 0.1}``, ``{"type": "fixed", "model": "tom"}``, ``{"type":
-      "schedule", "models": ["tom", "tom", "naive"]}``, a model per step of which the last goes on, or ``{"type":
+      "schedule", "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept, or ``{"type":
       "random", "shares": {"naive": 0.7, "tom": 0.3}}``, a model per step that is drawn when the episode starts.
     * ``ladder``: names of the human models to choose from, cheapest first.
     * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model.
@@ -87,13 +87,13 @@ class InteractionEnv(StageEnv):
       semantics: `ms_highway.game.scenario.PHYSICAL_LIMIT` in paper semantics, unlimited in released semantics.
     * ``grip``: the total acceleration that tyres hold, of steering and speeding up or braking together [m/s^2], such as
       `ms_highway.game.scenario.GRIP`: plans are cut down to it and what is executed keeps to it, without reversing;
-      None (default) looks at neither, as the paper. Agents that drive by themselves are not held.
+      None (default) sets no such limit, as in the paper. It does not apply where the agent drives.
     * ``solver``: how the robot improves its plans under naive and turn: ``"gradient"``, the paper's, or ``"newton"``.
     * ``warm_start``: whether the robot's plans start from the rest of the last plan rather than from zero controls.
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
-      robot and human plan, see `ms_highway.optimization.gradient_steps.PlanningSettings`. Where iterations and step
+      robot and human plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step
       size are None, what suits the horizon is chosen; steps that are longer than
-      `ms_highway.optimization.gradient_steps.longest_step` are warned of.
+      `ms_highway.game.planning_settings.longest_step` are warned of.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push
@@ -243,15 +243,15 @@ class InteractionEnv(StageEnv):
         return self.settings.models
 
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:
-        driver, warm_start = self.settings.driver, self.settings.warm_start
+        controller, warm_start = controller_settings(self.config["controller"]), bool(self.config["warm_start"])
         costs = self.costs(states)  # to be measured now, if at all, and not within a step
         if isinstance(self.action_type, HumanModelAction):
             return FixedModel(self.game, self.models[0], self.models, warm_start)
-        if isinstance(driver, SwitchingDriver):
-            return ModelSwitching(self.game, self.settings.switching(costs, driver.price), warm_start)
-        if isinstance(driver, FixedDriver):
-            return FixedModel(self.game, MODELS[driver.model], warm_start=warm_start)
-        names = driver.draw(self.episode_steps, self.np_random)
+        if isinstance(controller, SwitchingSettings):
+            return ModelSwitching(self.game, self.settings.switching(costs, controller.price), warm_start)
+        if isinstance(controller, FixedSettings):
+            return FixedModel(self.game, MODELS[controller.model], warm_start=warm_start)
+        names = controller.draw(self.episode_steps, self.np_random)
         return ScheduledModels(self.game, [MODELS[name] for name in names], warm_start)
 
     def costs(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "rungs"]:

@@ -12,8 +12,8 @@ from highway_env.envs.common.observation import (
     OccupancyGridObservation,
 )
 
-from ms_highway.envs.checks import is_number, is_one_of, refuse_unknown
-from ms_highway.envs.drivers import check_price
+from ms_highway.envs.checks import LARGEST, is_number, is_one_of, refuse_unknown
+from ms_highway.envs.controllers import check_price
 from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.scenario import TIME_STEP
 
@@ -90,7 +90,7 @@ def _check_scalar(key: str, default: Any, value: Any) -> None:
     if isinstance(default, bool) and not isinstance(value, (bool, np.bool_)):
         raise ValueError(f"config[{key!r}] is {value!r}; it must be True or False")
     if is_number(default) and not (is_number(value) and value > 0):
-        raise ValueError(f"config[{key!r}] is {value!r}; it must be a positive number")
+        raise ValueError(f"config[{key!r}] is {value!r}; it must be a positive number of at most {LARGEST:.2g}")
 
 
 def _merged_value(default: Any, value: Any) -> Any:

@@ -8,15 +8,15 @@ from warnings import warn
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.envs.checks import is_number, is_one_of, is_whole, refuse_unknown
+from ms_highway.envs.checks import LARGEST, is_number, is_one_of, is_whole, refuse_unknown
 from ms_highway.envs.configuration import changed
-from ms_highway.envs.drivers import Driver, driver
+from ms_highway.envs.controllers import ControllerSettings, controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
+from ms_highway.game.planning_settings import PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, PHYSICAL_LIMIT, Scenario, Semantics, build_game
 from ms_highway.metareasoning.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
-from ms_highway.optimization.gradient_steps import PlanningSettings, gradient_steps, longest_step
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import MODELS, HumanModel, ladder
@@ -40,11 +40,11 @@ MOST_ITERATIONS = 5000  # of gradient steps: more take seconds per plan
 
 @dataclass(frozen=True)
 class Settings:
-    """What the configuration of an `ms_highway.envs.base.InteractionEnv` says, with what it leaves open chosen.
+    """Checked settings of an `ms_highway.envs.base.InteractionEnv`, with open choices filled in.
 
     Attributes:
         semantics: ``paper`` or ``released``.
-        driver: who drives the robot, where the agent does not.
+        controller: drives the robot, unless the agent does.
         models: the ladder.
         costs: T(M) by model [s]; None where it is to be measured.
         influence: form of the human's response.
@@ -57,7 +57,7 @@ class Settings:
     """
 
     semantics: Semantics
-    driver: Driver
+    controller: ControllerSettings
     models: tuple[HumanModel, ...]
     costs: Mapping[str, float] | None
     influence: Influence
@@ -79,7 +79,7 @@ class Settings:
         return cls(
             semantics=config["semantics"],
             models=_ladder(config["ladder"]),
-            driver=driver(config["controller"]),
+            controller=controller_settings(config["controller"]),
             costs=_costs(config["costs"], config["ladder"]),
             influence=config["influence"] or ("damped" if paper else "exact"),
             control_limit=_limit(config["control_limit"], PHYSICAL_LIMIT if paper else None),
@@ -118,7 +118,12 @@ def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> di
     """
     config = changed(defaults, changes)
     config["action"] = {**ACTION_DEFAULTS.get(config["action"]["type"], {}), **config["action"]}
-    Settings.read(config)
+    planning = Settings.read(config).planning
+    longest = longest_step(planning.horizon, planning.time_step)
+    if planning.step_size is not None and planning.step_size > longest:
+        steps = f"{planning.horizon} steps of {planning.time_step:g} s"
+        why = f"plans of {steps} overshoot with steps longer than {longest:.2g}"
+        warn(f"config['step_size'] is {planning.step_size:g}: {why}; leave it out to have one chosen", stacklevel=2)
     return config
 
 
@@ -154,7 +159,7 @@ def _limit(limit: Any, usual: tuple[float, float] | None) -> tuple[float, float]
     """Bounds on plans; None where they are unlimited."""
     if is_one_of(limit, (None, "unlimited")):
         return usual if limit is None else None
-    pair = tuple(np.atleast_1d(limit).tolist()) if isinstance(limit, (list, tuple, np.ndarray)) else ()
+    pair = tuple(limit) if isinstance(limit, (list, tuple)) or np.ndim(limit) == 1 else ()
     if len(pair) != 2 or not all(is_number(bound) and bound > 0 for bound in pair):
         raise ValueError(
             f"config['control_limit'] is {limit!r}; give None for the usual limits, 'unlimited', "
@@ -167,7 +172,7 @@ def _grip(grip: Any) -> float | None:
     if grip is None:
         return None
     if not (is_number(grip) and grip > 0):
-        remedy = "give what tyres hold in m/s^2, such as 8 on a dry road, or None to look at nothing of the kind"
+        remedy = "give what tyres hold in m/s^2, such as 8 on a dry road, or None for no limit"
         raise ValueError(f"config['grip'] is {grip!r}; {remedy}")
     return float(grip)
 
@@ -182,10 +187,6 @@ def _planning(config: Mapping[str, Any]) -> PlanningSettings:
         raise ValueError(f"config['iterations'] is {iterations!r}; {remedy}")
     if length is not None and not (is_number(length) and length > 0):
         raise ValueError(f"config['step_size'] is {length!r}; it must be a positive number, or None")
-    longest = longest_step(horizon, time_step)
-    if length is not None and length > longest:
-        why = f"plans of {horizon} steps of {time_step:g} s overshoot with steps longer than {longest:.2g}"
-        warn(f"config['step_size'] is {length:g}: {why}; leave it out to have one chosen", stacklevel=2)
     planning = PlanningSettings(
         int(horizon),
         time_step,
@@ -218,5 +219,7 @@ def _human_weights(reward: Any, usual: str) -> Mapping[str, float]:
     refuse_unknown("config['human_reward']", reward, weight_names())
     for name, weight in reward.items():
         if not is_number(weight):
-            raise ValueError(f"config['human_reward'][{name!r}] is {weight!r}; it must be a finite number")
+            raise ValueError(
+                f"config['human_reward'][{name!r}] is {weight!r}; it must be a finite number of at most {LARGEST:.2g}"
+            )
     return reward

@@ -12,13 +12,47 @@ interrupt.watch()  # first of all, as what follows takes seconds
 from importlib import import_module  # noqa: E402
 from importlib.metadata import version  # noqa: E402
 from pkgutil import iter_modules  # noqa: E402
-from typing import Any  # noqa: E402
+from typing import TYPE_CHECKING, Any  # noqa: E402
 
 from gymnasium.envs.registration import register as _register_environment  # noqa: E402
 from gymnasium.envs.registration import registry as _registry  # noqa: E402
 
 if not interrupt.is_command():  # which loads it when it needs it
     import highway_env  # noqa: F401  # whose own environments are expected beside ours
+
+if TYPE_CHECKING:
+    from ms_highway.control.fixed import FixedModel as FixedModel
+    from ms_highway.control.fixed import ScheduledModels as ScheduledModels
+    from ms_highway.control.switching import ModelSwitching as ModelSwitching
+    from ms_highway.envs import SCENARIOS as SCENARIOS
+    from ms_highway.envs import add_scenario as add_scenario
+    from ms_highway.envs.actions import Autopilot as Autopilot
+    from ms_highway.envs.base import InteractionEnv as InteractionEnv
+    from ms_highway.game.game import Game as Game
+    from ms_highway.game.reward import add_feature as add_feature
+    from ms_highway.game.scenario import COMMON_WEIGHTS as COMMON_WEIGHTS
+    from ms_highway.game.scenario import PAPER_UNIT as PAPER_UNIT
+    from ms_highway.game.scenario import Scenario as Scenario
+    from ms_highway.game.scenario import build_game as build_game
+    from ms_highway.game.scenario import driving_game as driving_game
+    from ms_highway.game.scene import Scene as Scene
+    from ms_highway.metareasoning.switching import PUBLISHED_COSTS as PUBLISHED_COSTS
+    from ms_highway.metareasoning.switching import Switching as Switching
+    from ms_highway.metareasoning.switching import decide as decide
+    from ms_highway.planning.compiled_plans import plan as plan
+    from ms_highway.planning.human_models import HumanModel as HumanModel
+    from ms_highway.planning.human_models import Naive as Naive
+    from ms_highway.planning.human_models import TheoryOfMind as TheoryOfMind
+    from ms_highway.planning.human_models import Turn as Turn
+    from ms_highway.planning.human_models import ladder as ladder
+    from ms_highway.planning.human_models import register as register
+    from ms_highway.runtime.jax_settings import keep_compilations as keep_compilations
+    from ms_highway.runtime.jax_settings import low_latency as low_latency
+    from ms_highway.vehicle import BicycleVehicle as BicycleVehicle
+    from ms_highway.vehicle import CommuterVehicle as CommuterVehicle
+    from ms_highway.vehicle import HumanVehicle as HumanVehicle
+    from ms_highway.vehicle import PlanningVehicle as PlanningVehicle
+    from ms_highway.vehicle import RobotVehicle as RobotVehicle
 
 __version__ = version("ms-highway")
 
@@ -36,7 +70,7 @@ _HOMES = {
         "game.scenario": ["COMMON_WEIGHTS", "PAPER_UNIT", "Scenario", "build_game", "driving_game"],
         "game.reward": ["add_feature"],
         "planning.human_models": ["HumanModel", "Naive", "TheoryOfMind", "Turn", "ladder", "register"],
-        "planning.compiled": ["plan"],
+        "planning.compiled_plans": ["plan"],
         "metareasoning.switching": ["PUBLISHED_COSTS", "Switching", "decide"],
         "runtime.jax_settings": ["keep_compilations", "low_latency"],
     }.items()
@@ -66,7 +100,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *_HOMES, *_PACKAGES]
+    return sorted({*globals(), *_HOMES, *_PACKAGES})
 
 
 for _name, _environment in _ENVIRONMENTS.items():  # by string, also for workers that are spawned

@@ -30,7 +30,8 @@ from ms_highway.cli.main import main
 from ms_highway.control.fixed import FixedModel
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS
 from ms_highway.envs.settings import Settings, merged
-from ms_highway.experiments.settings import check_settings, read_settings
+from ms_highway.experiments.resuming import check_settings
+from ms_highway.experiments.settings import read_settings
 from ms_highway.game.scenario import draw_starts
 from ms_highway.irl.recordings.commonroad import read_directory
 from ms_highway.planning.human_models import Naive

@@ -18,9 +18,9 @@ from ms_highway.benchmarks.casadi_peer import compiled_peer
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiments.runner import make_environment
 from ms_highway.game.game import Game
-from ms_highway.metareasoning.compiled import CompiledDecision, Observation
+from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
 from ms_highway.metareasoning.switching import PUBLISHED_COSTS, Switching, first_memory
-from ms_highway.planning.compiled import CompiledPlans, checked_state
+from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.files import temporary_directory
 from ms_highway.runtime.timing import forget, timed

@@ -29,7 +29,7 @@ def add_command(commands: Any, name: str, summary: str, description: str, epilog
 
 
 def draw_unseen() -> None:
-    """Keep SDL from looking for a screen, as pictures are drawn in memory, unless the environment names a driver."""
+    """Use SDL's dummy display, unless the environment names a driver."""
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 
 
@@ -86,7 +86,7 @@ def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
 
 @contextmanager
 def telling() -> Iterator[Callable[[str], None]]:
-    """Show on standard error, while the block runs, the last message that it has passed to what this yields."""
+    """Show progress messages on standard error; yields the function that sets the message."""
     from rich.console import Console
     from rich.progress import Progress, TextColumn, TimeElapsedColumn
 

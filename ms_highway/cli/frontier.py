@@ -58,8 +58,9 @@ def add_frontier(commands: Any) -> None:
     parser = add_command(commands, "frontier", "search for the best orders of models", HELP, EXAMPLES)
     add_scenarios(parser)
     parser.add_argument(
-        "--prices",
         "--meta-prices",
+        "--prices",
+        dest="prices",
         nargs="+",
         type=float,
         default=[0.1, 1.0, 10.0],

@@ -35,12 +35,12 @@ __all__ = [
     "controllers_by_scenario",
     "costs",
     "human_reward",
+    "lambdas",
     "planning",
-    "prices",
 ]
 
 MOST = 1_000_000
-"""Of episodes per controller, of parts of a sweep, and of what else is counted: more takes years, or all memory."""
+"""Upper bound on episodes, parts and other counts; more would take years or all memory."""
 
 MOST_LAMBDAS = 10_000
 """Lambdas of switching in a sweep."""
@@ -55,10 +55,10 @@ SCENARIO_NAMES = ("stay_back", "merger", "give_way")
 """`ms_highway.envs.PAPER_SCENARIOS`, for help texts."""
 
 SEMANTICS = ("paper", "released")
-"""Keys of `ms_highway.envs.settings.HUMAN_REWARDS`, for help texts."""
+"""Keys of `ms_highway.envs.settings.HUMAN_REWARDS`; told here so that help needs no JAX."""
 
 SOLVERS = ("gradient", "newton")
-"""The values of `ms_highway.optimization.solvers.Solver`, for help texts."""
+"""The values of `ms_highway.optimization.solvers.Solver`; told here so that help needs no JAX."""
 
 CONTROLLERS = "naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL, random:MODEL=SHARE,..."
 """What controllers are called on the command line, for help texts."""
@@ -130,7 +130,7 @@ def human_reward(text: str | None) -> str | dict[str, float] | None:
 def add_planning(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how robot and human plan, see `planning`, to a command."""
     group = parser.add_argument_group(
-        "plans of robot and human", "see ms_highway.optimization.gradient_steps.PlanningSettings"
+        "plans of robot and human", "see ms_highway.game.planning_settings.PlanningSettings"
     )
     group.add_argument("--horizon", type=int, metavar="K", help="controls in a plan (default: 5)")
     group.add_argument("--time-step", type=float, metavar="SECONDS", help="of plans and world (default: 0.1)")
@@ -146,7 +146,7 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
         "--grip",
         type=float,
         metavar="ACCELERATION",
-        help="what tyres hold in all, (v^2 kappa)^2 + a^2 <= grip^2, such as 8 m/s^2 (default: not looked at)",
+        help="what tyres hold in all, (v^2 kappa)^2 + a^2 <= grip^2, such as 8 m/s^2 (default: no limit)",
     )
 
 
@@ -249,7 +249,7 @@ def asked_comparison(
     )
 
 
-def prices(text: str) -> list[float]:
+def lambdas(text: str) -> list[float]:
     """Return the lambdas of switching that ``--lambdas`` gives: a range or several.
 
     A range is ``LOW:HIGH:COUNT``, evenly spaced in the logarithm and rounded to three significant digits, which make

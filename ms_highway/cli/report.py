@@ -53,8 +53,8 @@ def _report(options: argparse.Namespace) -> None:
     from ms_highway.experiments.safety import SAFETY_FILE, read_safety, safety_cells
     from ms_highway.experiments.selection import select_of_several
     from ms_highway.runtime.files import replacing
+    from ms_highway.visualization.html_page import draw, render
     from ms_highway.visualization.overview import markdown, overview
-    from ms_highway.visualization.page import draw, render
     from ms_highway.visualization.video import check_format
 
     out = options.out or options.directories[0] / "report.html"

@@ -20,7 +20,7 @@ from ms_highway.cli.options import (
     asked_comparison,
     check_least,
     check_most,
-    prices,
+    lambdas,
 )
 
 if TYPE_CHECKING:
@@ -155,10 +155,10 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
 
     environment_id(options.scenario)
     scenario = SCENARIOS[options.scenario]
-    lambdas = prices(options.lambdas) if options.lambdas is not None else [] if options.controllers else scenario.prices
+    prices = lambdas(options.lambdas) if options.lambdas is not None else [] if options.controllers else scenario.prices
     controllers = [
         *(options.controllers or options.ladder or scenario.ladder),
-        *(f"switching:{price:g}" for price in lambdas),
+        *(f"switching:{price:g}" for price in prices),
     ]
     comparison = asked_comparison(options, {options.scenario: controllers}, options.episodes)
     comparison.check()

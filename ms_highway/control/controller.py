@@ -14,7 +14,7 @@ from jaxtyping import Float
 from ms_highway.control.fallback import PLANNED, STATUSES, Status, brake, fallback_status
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
-from ms_highway.planning.compiled import CompiledPlans
+from ms_highway.planning.compiled_plans import CompiledPlans
 from ms_highway.planning.human_models import HumanModel, JointPlan
 
 __all__ = ["ControlStep", "Controller", "PlanningController"]
@@ -111,7 +111,7 @@ class PlanningController:
     def _plan(
         self, model: HumanModel, state: Float[np.ndarray, "cars 4"], single: Float[np.ndarray, "cars 4"]
     ) -> ControlStep:
-        """Plan with a model in a state, also given as `ms_highway.planning.compiled.checked_state`."""
+        """Plan with a model in a state, also given as `ms_highway.planning.compiled_plans.checked_state`."""
         plan, seconds = self._plans.plan(model, single, self._warm_plan() if self.warm_start else None)
         scale = np.asarray(self.game.planner.control_scale, dtype=float)
         robot, human = (np.asarray(side) * scale for side in plan)

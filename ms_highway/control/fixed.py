@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ms_highway.control.controller import ControlStep, PlanningController
 from ms_highway.game.game import Game
-from ms_highway.planning.compiled import checked_state
+from ms_highway.planning.compiled_plans import checked_state
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.forks import refuse_after_fork
 

@@ -7,9 +7,9 @@ from jaxtyping import Float
 
 from ms_highway.control.controller import ControlStep, PlanningController
 from ms_highway.game.game import Game
-from ms_highway.metareasoning.compiled import CompiledDecision, Observation
+from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
 from ms_highway.metareasoning.switching import Switching, check_costs, first_memory
-from ms_highway.planning.compiled import checked_state
+from ms_highway.planning.compiled_plans import checked_state
 from ms_highway.runtime.forks import refuse_after_fork
 
 __all__ = ["ModelSwitching"]

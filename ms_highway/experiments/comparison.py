@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
-from ms_highway.envs.drivers import controller_config
+from ms_highway.envs.controllers import controller_config
 from ms_highway.envs.settings import HUMAN_REWARDS, merged
 from ms_highway.optimization.solvers import Solver
 
@@ -48,7 +48,7 @@ class Comparison:
                     yield scenario, controller, seed
 
     def check(self) -> None:
-        """Look for mistakes before anything is run or written.
+        """Check everything before anything is run or written.
 
         Raises:
             ValueError: for an unknown scenario, controller or solver, or impossible costs or weights.

@@ -40,7 +40,7 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
 
 
 def in_order(scenarios: Iterable[str]) -> list[str]:
-    """Return scenarios in the order of texts: those first in which models differ most, then as they come."""
+    """Order scenarios for texts: Merger, Give Way, then the others as given."""
     return sorted(scenarios, key=lambda name: FIRST.index(name) if name in FIRST else len(FIRST))
 
 

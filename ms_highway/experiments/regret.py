@@ -1,17 +1,44 @@
 """Compute regret: how far controllers stay behind the best order of models that is known for every start."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from ms_highway.envs.drivers import controller_config
+from ms_highway.envs.controllers import named_controller
 from ms_highway.experiments.summary import interval
 
-__all__ = ["BEST_PER_START", "best", "best_for_all", "meta_reward", "regrets"]
+__all__ = [
+    "BEST_PER_START",
+    "BestControllers",
+    "best",
+    "best_controllers",
+    "best_for_all",
+    "frontier_curve",
+    "meta_reward",
+    "regrets",
+]
 
 BEST_PER_START = "best order of each start"
 """Name that `regrets` gives to the best order that was found for every start."""
+
+
+CURVE_PRICES = np.geomspace(1e-3, 1e3, 121)  # reward per second
+
+
+class BestControllers(NamedTuple):
+    """The controllers of the least regret in a scenario, at one price.
+
+    Attributes:
+        order: of the fixed models and fixed orders.
+        switching: with the best lambda for the scenario; None without any.
+        common: switching with the lambda that has the least mean regret over all scenarios; None without any.
+    """
+
+    order: str
+    switching: str | None
+    common: str | None
 
 
 def meta_reward(episodes: pd.DataFrame, price: float) -> pd.Series:
@@ -38,7 +65,7 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
 def best_for_all(table: pd.DataFrame, seeds: Sequence[int], price: float) -> str:
     """Return the order with the highest mean meta-reward among those that were tried from every start; see `best`."""
     earned = meta_reward(table, price).unstack("seed")[list(seeds)].dropna()
-    fixed = [name for name in earned.index if controller_config(name)["type"] in ("fixed", "schedule")]
+    fixed = [name for name in earned.index if named_controller(name).type in ("fixed", "schedule")]
     return str(earned.loc[fixed].mean(axis=1).idxmax())
 
 
@@ -60,7 +87,7 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
         KeyError: if a controller was not driven from every start.
     """
     found, rows = best(table, seeds, price), {}
-    drivers = {name: controller_config(name)["type"] for name in controllers}
+    drivers = {name: named_controller(name).type for name in controllers}
     drivers.setdefault(best_for_all(table, seeds, price), "schedule")
     for name, kind in [*drivers.items(), (BEST_PER_START, "search")]:
         own = found if name == BEST_PER_START else table.loc[[(name, seed) for seed in seeds]].droplevel("controller")
@@ -75,3 +102,23 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
             "regret_high": high,
         }
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("controller")
+
+
+def best_controllers(behind: pd.DataFrame, scenario: str) -> BestControllers:
+    """Find the controllers of the least regret in a scenario.
+
+    Args:
+        behind: rows of `regrets` at one price, of all scenarios, with columns ``controller`` and ``scenario``.
+        scenario: its name.
+    """
+    own = behind[behind["scenario"] == scenario].set_index("controller")
+    order = str(own.loc[own["kind"].isin(["fixed", "schedule"]), "regret"].idxmin())
+    switching = behind[behind["kind"] == "switching"].pivot(index="controller", columns="scenario", values="regret")
+    if switching.empty:
+        return BestControllers(order, None, None)
+    return BestControllers(order, str(switching[scenario].idxmin()), str(switching.mean(axis=1).idxmin()))
+
+
+def frontier_curve(table: pd.DataFrame, seeds: Sequence[int]) -> pd.DataFrame:
+    """Return mean ``reward`` and ``counted_seconds`` of the `best` orders, from price to price."""
+    return pd.DataFrame([best(table, seeds, price)[["reward", "counted_seconds"]].mean() for price in CURVE_PRICES])

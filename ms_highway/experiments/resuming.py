@@ -23,7 +23,7 @@ def check_settings(directory: Path, settings: Mapping[str, Any]) -> None:
         ValueError: if it is a file, or holds results of other settings, or other things.
     """
     if directory.exists() and not directory.is_dir():
-        raise ValueError(f"--out is {directory}, which is a file; name a directory, there already or not")
+        raise ValueError(f"--out is {directory}, which is a file; name a new or existing directory")
     if (directory / SETTINGS_FILE).exists():
         resumed_settings(directory, settings)
     elif directory.exists() and any(not file.name.startswith(PART) for file in directory.iterdir()):

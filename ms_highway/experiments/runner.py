@@ -13,12 +13,12 @@ import pandas as pd
 
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.drivers import controller_config
+from ms_highway.envs.controllers import controller_config
 from ms_highway.experiments.comparison import Comparison, episode_steps
 from ms_highway.experiments.records import CARS, KEYS, check_columns, columns, gain_column, state_columns, whole_steps
 from ms_highway.experiments.resuming import cannot_resume, missing, resumed_settings
 from ms_highway.experiments.settings import EXTENDED, SETTINGS_FILE, write_settings
-from ms_highway.planning.compiled import measure_costs
+from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.files import append, replacing
 
 __all__ = ["STEPS_FILE", "episode", "make_environment", "read", "run"]

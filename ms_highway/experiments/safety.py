@@ -1,6 +1,6 @@
 """Count in simulated episodes how often controllers collide under limits on plans."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -18,6 +18,7 @@ from ms_highway.experiments.settings import SETTINGS_FILE, read_settings
 from ms_highway.experiments.simulated import make_batch, run_episodes, summarised
 from ms_highway.experiments.summary import CONFIDENCE
 from ms_highway.game.scenario import title
+from ms_highway.runtime.progress import Progress, silent
 
 __all__ = ["SAFETY_FILE", "Limit", "Safety", "count", "read_safety", "safety_cells", "safety_sentences"]
 
@@ -52,7 +53,7 @@ def count(
     comparison: Comparison,
     limits: Sequence[Limit],
     mesh: Mesh | None = None,
-    progress: Callable[[str], None] = lambda message: None,
+    progress: Progress = silent,
 ) -> pd.DataFrame:
     """Simulate the same episodes under each of several limits; a scenario is compiled once.
 

@@ -82,7 +82,7 @@ def select_of_several(several: Sequence[Results]) -> dict[str, Selection]:
 
 
 def telling_pair(summaries: pd.DataFrame, scenario: str) -> list[str]:
-    """Return the two controllers of a scenario that say most beside each other.
+    """Return the two controllers of a scenario that are most informative side by side.
 
     These are the fixed model of the highest mean reward, and switching, at the paper's conservative lambda or else at
     the smallest; where either is missing, the first two; the only one where there is one.

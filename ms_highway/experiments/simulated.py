@@ -1,6 +1,6 @@
 """Episodes of a comparison, computed many at a time rather than in the environments: the same starts, the same records.
 
-`ms_highway.experiments.comparison` runs the same `Comparison` in the environments.
+`ms_highway.experiments.runner` runs the same `Comparison` in the environments.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from ms_highway.control.fallback import STATUSES
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.drivers import Driver, SwitchingDriver, controller_config, driver
+from ms_highway.envs.controllers import ControllerSettings, SwitchingSettings, named_controller
 from ms_highway.envs.settings import Settings
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, MEASURED, STATE, columns, gain_column, share_column, state_columns
@@ -43,7 +43,7 @@ Key = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
 
 OVERRIDABLE = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render"}
-"""Methods that a scenario's environment may override: a simulation calls these, and does the rest without it."""
+"""Names that a scenario's environment may override; a simulation calls these and no others."""
 
 
 def columns_simulated() -> list[str]:
@@ -130,9 +130,9 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     environment = kind(config)
     rungs = environment.models
     for one in settings:
-        if not one.driver.names() and not isinstance(one.driver, SwitchingDriver):
-            raise ValueError(f"a simulation does not know how {one.driver.type!r} chooses models; use `compare`")
-    used = {name for one in settings for name in one.driver.names()}
+        if not one.controller.names() and not isinstance(one.controller, SwitchingSettings):
+            raise ValueError(f"a simulation does not know how {one.controller.type!r} chooses models; use `compare`")
+    used = {name for one in settings for name in one.controller.names()}
     others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
     seconds = np.array([costs[model.name] for model in rungs], np.float32)
     loop = Loop(environment.game, settings[0].switching(seconds, 0.0), others, usual_chunk())
@@ -157,22 +157,24 @@ def _random(seed: int) -> np.random.Generator:
 
 def episodes_of(batch: Batch, keys: Sequence[Key]) -> Episodes:
     """Return what the simulation is given for these episodes, see `run_episodes`."""
-    drivers = {name: driver(controller_config(name)) for name, _ in keys}
-    drawn = [_drawn(batch, drivers[name], seed) for name, seed in keys]
+    controllers = {name: named_controller(name) for name, _ in keys}
+    drawn = [_drawn(batch, controllers[name], seed) for name, seed in keys]
     weights = (np.asarray(reward.weights) for reward in (batch.loop.game.robot, batch.loop.game.human))
     return Episodes(
         np.array([start for start, _ in drawn], np.float32),
-        np.array([getattr(drivers[name], "price", 0.0) for name, _ in keys], np.float32),
+        np.array([np.nan_to_num(controllers[name].price) for name, _ in keys], np.float32),
         np.array([schedule for _, schedule in drawn], np.int32),
         *(np.broadcast_to(row, (len(keys), len(row))) for row in weights),
     )
 
 
-def _drawn(batch: Batch, driver: Driver, seed: int) -> tuple[Float[np.ndarray, "cars 4"], Int[np.ndarray, "steps"]]:
+def _drawn(
+    batch: Batch, controller: ControllerSettings, seed: int
+) -> tuple[Float[np.ndarray, "cars 4"], Int[np.ndarray, "steps"]]:
     """Draw as the environment at a reset, in its order: the start, and the models of a random controller."""
     random, steps, models = _random(seed), batch.steps, batch.models
     states = batch.environment.draw_starts(random)
-    scheduled = [models.index(name) for name in driver.draw(steps, random)] or [DECIDES]
+    scheduled = [models.index(name) for name in controller.draw(steps, random)] or [DECIDES]
     return states, np.array(scheduled)[np.minimum(np.arange(steps), len(scheduled) - 1)]
 
 
@@ -248,14 +250,13 @@ def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFr
     ``reward`` and ``counted_seconds``, planning at T(M), as means over the steps; ``share_MODEL`` of the steps;
     ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed.
     """
-    configs = {name: controller_config(name) for name, _ in keys}
     shares = {share_column(name): np.mean(records.model == number, axis=1) for number, name in enumerate(batch.models)}
     return pd.DataFrame(
         {
             "scenario": batch.scenario.name,
             "controller": [name for name, _ in keys],
             "seed": [seed for _, seed in keys],
-            "price": [configs[name].get("lambda", np.nan) for name, _ in keys],
+            "price": [named_controller(name).price for name, _ in keys],
             "reward": np.mean(records.reward, axis=1, dtype=float),
             "counted_seconds": np.mean(_costs(batch)[records.model], axis=1),
             **shares,

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ms_highway.envs.drivers import controller_config
+from ms_highway.envs.controllers import named_controller
 from ms_highway.experiments.records import share_column
 from ms_highway.planning.human_models import MODELS
 
@@ -50,11 +50,11 @@ def earned(controller: str, rewards: pd.Series) -> dict[str, Any]:
     Raises:
         ValueError: for an unknown controller.
     """
-    driver, (low, high) = controller_config(controller), interval(rewards)
+    settings, (low, high) = named_controller(controller), interval(rewards)
     return {
         "controller": controller,
-        "kind": driver["type"],
-        "price": driver.get("lambda", np.nan),
+        "kind": settings.type,
+        "price": settings.price,
         "episodes": len(rewards),
         "reward": rewards.mean(),
         "reward_low": low,

@@ -1,4 +1,4 @@
-"""Reward against computation: what controllers earn for what they think."""
+"""Compare reward with computation."""
 
 import pandas as pd
 
@@ -11,13 +11,13 @@ DIGITS = 3  # of a share
 
 
 def reference(summaries: pd.DataFrame, scenario: str) -> str | None:
-    """Return the dearest of the fixed models that were compared, by what their plans count; None without any."""
+    """Return the dearest of the fixed models that were compared, by counted planning time; None without any."""
     fixed = summaries[(summaries["scenario"] == scenario) & (summaries["kind"] == "fixed")].dropna(subset="counted_ms")
     return None if fixed.empty else str(fixed.set_index("controller")["counted_ms"].idxmax())
 
 
 def shares(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """Return what controllers earn and think, as shares of what the `reference` does.
+    """Return reward and computation as shares of the `reference`'s.
 
     Args:
         summaries: of `ms_highway.experiments.summary.summary`.

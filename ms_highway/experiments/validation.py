@@ -29,7 +29,7 @@ from ms_highway.metareasoning.switching import (
     decide,
     first_memory,
 )
-from ms_highway.planning.compiled import CompiledPlans
+from ms_highway.planning.compiled_plans import CompiledPlans
 from ms_highway.planning.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, ladder
 from ms_highway.runtime.compilation import jit_quickly
 

@@ -17,9 +17,9 @@ from ms_highway.runtime.files import read_json, replacing
 __all__ = ["SHIPPED", "VERSION", "LearnedReward", "load", "save", "shipped"]
 
 VERSION = 2
-"""Version of the file format; files of other versions are refused."""
+"""Version of the file format; files of version 1 can be read, others are refused."""
 
-ANEW = "learn it again with `ms-highway irl fit`"
+REMEDY = "learn it again with `ms-highway irl fit`"
 
 SHIPPED = {"demonstrations": "learned from simulated demonstrations", "us101": "learned from drivers on US-101"}
 """Name and description of the learned rewards in the package."""
@@ -132,10 +132,12 @@ def shipped(name: str) -> LearnedReward:
 
 def _checked(content: Any, place: str) -> LearnedReward:
     version = content.get("version") if isinstance(content, dict) else None
+    if version == 1:  # differs in the name of a key only
+        content, version = {"learned" if key == "learnt" else key: value for key, value in content.items()}, VERSION
     if version != VERSION:
-        raise ValueError(f"{place} holds a learned reward of version {version}, not {VERSION}; {ANEW}")
+        raise ValueError(f"{place} holds a learned reward of version {version}, not {VERSION}; {REMEDY}")
     fields = {name: value for name, value in content.items() if name != "version"}
     try:
         return LearnedReward(**{**fields, "learned": tuple(content["learned"])})
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{place} is damaged: {error}; {ANEW}") from error
+        raise ValueError(f"{place} is damaged: {error}; {REMEDY}") from error

@@ -14,9 +14,9 @@ from jaxtyping import Float
 
 from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
+from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings, gradient_steps
 from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.gradient_steps import PAPER_PLANNING, PlanningSettings, gradient_steps
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, Solver
 

@@ -1,12 +1,12 @@
-"""Driving regimes of recorded drivers, to see where predictions fail."""
+"""Driving regimes of recorded drivers, and examples, to see where predictions fail."""
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ms_highway.game.neighbours import places
-from ms_highway.irl.prediction import Cases
+from ms_highway.irl.prediction import STEPS, Cases, constant_velocity
 
-__all__ = ["HORIZON", "driving_regimes", "errors_by_regime"]
+__all__ = ["HORIZON", "driving_regimes", "errors_by_regime", "examples"]
 
 HORIZON = 3  # s, at which regimes are told apart and errors compared
 LANE_CHANGE = 1.5  # m to the side
@@ -55,3 +55,32 @@ def errors_by_regime(paths: dict[str, Float[np.ndarray, "n 50 2"]], cases: Cases
             errors = {who: float(np.linalg.norm(difference, axis=-1).mean()) for who, difference in off.items()}
             found[name] = {"windows": int(some.sum()), **errors}
     return found
+
+
+def examples(cases: Cases) -> dict[str, int]:
+    """Choose example cases, by what is special about them; each was recorded for the whole 5 s.
+
+    The typical case has the median error of constant velocity. None is chosen by the model's error.
+
+    Raises:
+        ValueError: if no driver was recorded for 5 s.
+    """
+    recorded = np.asarray(cases.recorded)
+    whole = np.flatnonzero(np.isfinite(recorded).all(axis=(1, 2)))
+    if not len(whole):
+        raise ValueError(f"no driver was recorded for {STEPS / 10:g} s on end; there is no example to be drawn")
+    tracks = recorded[whole]
+    end = np.linalg.norm(constant_velocity(cases)[whole, -1] - tracks[:, -1, :2], axis=-1)
+    faster = tracks[:, -1, 3] - tracks[:, 0, 3]
+    kinds = {
+        "a typical case": np.abs(end - np.median(end)),
+        "the strongest braking": faster,
+        "the strongest acceleration": -faster,
+        "the largest lateral motion": -np.abs(tracks[:, -1, 1] - tracks[:, 0, 1]),
+    }
+    chosen: dict[str, int] = {}
+    for kind, order in kinds.items():
+        rest = [int(whole[place]) for place in np.argsort(order) if int(whole[place]) not in chosen.values()]
+        if rest:
+            chosen[kind] = rest[0]
+    return chosen

@@ -47,7 +47,7 @@ class Switching:
     """The numbers of Algorithm 1.
 
     Attributes:
-        costs: T(M), planning time of each rung [s]; NaN where it is not known: then no gain is, and the rung stays.
+        costs: T(M), planning time of each rung [s]; NaN if unknown: then no gain is estimated, and the rung stays.
         price: lambda, reward per second of planning.
         trust_radius: longest change of the scaled control for which the expansion is trusted.
         trust_tolerance: of the step's length, as a share of the radius: 0.001, in the released code 0.05.
@@ -91,7 +91,7 @@ class _Expansion(NamedTuple):
 
 
 def check_costs(switching: Switching) -> None:
-    """Look for a cost of each rung.
+    """Check that there is one cost per rung.
 
     Raises:
         ValueError: if there are fewer or more.

@@ -170,7 +170,7 @@ def plan_within_limits(model: HumanModel, game: Game, state: State, start: Joint
 
     The paper's models keep to the limits by themselves, and their plans are left as they are.
     """
-    plan = model.plan(game, state, start)
+    plan = JointPlan(*model.plan(game, state, start))
     if type(model) in (Naive, Turn, TheoryOfMind):
         return plan
     held = bounded(game, state[0], plan.robot)
@@ -180,7 +180,7 @@ def plan_within_limits(model: HumanModel, game: Game, state: State, start: Joint
 MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), Turn(), TheoryOfMind())}
 """Known models by name, cheapest first."""
 
-PAPER_MODELS = tuple(MODELS)
+PAPER_MODELS = ("naive", "turn", "tom")
 """Names of the paper's models, cheapest first."""
 
 

@@ -1,6 +1,6 @@
 """Keep compiled functions on disk: only in directories that nobody else can write to, each checked when it is read.
 
-They are machine code, which runs unread. JAX finds them by a key, a digest of the program, and runs whatever is in the
+They are machine code and run unverified. JAX finds them by a key, a digest of the program, and runs whatever is in the
 file of that name: if two files are swapped, the wrong program runs. So each is stored behind a digest of its key and
 content; one that does not agree is removed and compiled again.
 """

@@ -73,7 +73,7 @@ def held(directory: Path) -> Iterator[None]:
         ValueError: if it is a file, or another command is writing to it.
     """
     if directory.exists() and not directory.is_dir():
-        raise ValueError(f"results cannot go to {directory}, which is a file; name a directory, there already or not")
+        raise ValueError(f"results cannot go to {directory}, which is a file; name a new or existing directory")
     made = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
     lock = _lock(directory)

@@ -7,8 +7,8 @@ from highway_env.road.road import Road
 
 from ms_highway.control.fixed import FixedModel
 from ms_highway.game.learned_reward import shipped
+from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings
 from ms_highway.game.scenario import COMMON_WEIGHTS, driving_game
-from ms_highway.optimization.gradient_steps import PAPER_PLANNING, PlanningSettings
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import Naive
 from ms_highway.vehicle.planning import PlanningVehicle

@@ -14,7 +14,7 @@ from rich.box import SIMPLE
 from rich.console import JustifyMethod
 from rich.table import Table
 
-from ms_highway.envs.drivers import controller_config
+from ms_highway.envs.controllers import named_controller
 from ms_highway.experiments.records import share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import MODELS
@@ -116,7 +116,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     """
     rows = records[records["scenario"] == scenario]
     controllers = list(dict.fromkeys(rows["controller"]))
-    switching = [name for name in controllers if controller_config(name)["type"] == "switching"]
+    switching = [name for name in controllers if named_controller(name).type == "switching"]
     figure = Figure(figsize=(10, 4 + 1.6 * len(switching)), layout="constrained")
     heights = [2.5] + [1] * len(switching)
     axes = np.atleast_1d(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))

@@ -1,4 +1,4 @@
-"""What a search for the best orders of models has found: a table, and a figure."""
+"""Draw what a search for the best orders of models has found: tables and a figure."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
 
-from ms_highway.experiments.regret import best
+from ms_highway.experiments.regret import best_controllers, frontier_curve
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import color_of
 
@@ -19,7 +19,6 @@ FRONTIER_COLOR, SWITCHING_COLOR, SCHEDULE_COLOR = "#c2185b", "#1b1f27", "#8a93a5
 MEANS = ["reward", "counted_seconds"]
 LABEL = np.array([0.08, 0.05])  # width and height of a label, as shares of the axes
 NAME_WIDTH = 32  # characters
-DRAWN_PRICES = np.geomspace(1e-3, 1e3, 121)
 
 
 def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
@@ -38,10 +37,9 @@ def _regret_table(behind: pd.DataFrame, scenario: str, price: str) -> Table:
     """Regrets at one price in one scenario, out of those in all scenarios."""
     own = behind[behind["scenario"] == scenario].set_index("controller")
     remarks = dict.fromkeys(own.index[own["kind"] != "switching"], "")
-    remarks[str(own.loc[own["kind"].isin(["fixed", "schedule"]), "regret"].idxmin())] = "best for all starts"
-    switching = behind[behind["kind"] == "switching"].set_index(["controller", "scenario"])["regret"].unstack()
-    if len(switching):
-        here, anywhere = switching[scenario].idxmin(), switching.mean(axis=1).idxmin()
+    order, here, anywhere = best_controllers(behind, scenario)
+    remarks[order] = "best for all starts"
+    if here is not None and anywhere is not None:
         remarks[here] = "best lambda"
         remarks[anywhere] = "best lambda, also common" if here == anywhere else "best common lambda"
     grid = Table(title=f"{scenario}, a second of planning costs {price}", box=SIMPLE, title_justify="left")
@@ -75,8 +73,7 @@ def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequ
     orders = table[~table.index.get_level_values("controller").str.startswith(("switching:", "random:"))]
     shared = {name: orders[name].unstack("seed")[list(seeds)].dropna().mean(axis=1) for name in MEANS}
     _points(axes, pd.DataFrame(shared), ".", SCHEDULE_COLOR, "other orders")
-    found = pd.DataFrame([best(table, seeds, price)[MEANS].mean() for price in DRAWN_PRICES])
-    _points(axes, found, "-", FRONTIER_COLOR, None)
+    _points(axes, frontier_curve(table, seeds), "-", FRONTIER_COLOR, None)
     searched = rows[rows["kind"] == "search"].sort_values("counted_seconds", ascending=False)
     prices = ", ".join(f"{price:g}" for price in searched["price"])
     _points(axes, searched, "D", FRONTIER_COLOR, "best order of each start")

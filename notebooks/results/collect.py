@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from ms_highway.experiments.regret import BEST_PER_START
+from ms_highway.experiments.regret import BEST_PER_START, best_controllers
 from ms_highway.experiments.results import Results
 from ms_highway.experiments.safety import Safety, safety_cells
 from ms_highway.visualization.overview import markdown, overview
@@ -87,19 +87,18 @@ def tables(kept: Path = KEPT) -> dict[str, str]:
 def regret_cells(behind: pd.DataFrame, price: float) -> pd.DataFrame:
     """Texts, a row per scenario: what the best orders earn at a price, and how far others stay behind them."""
     behind = behind[behind["price"] == price]
-    switching = behind[behind["kind"] == "switching"].pivot(index="controller", columns="scenario", values="regret")
-    common, rows = switching.mean(axis=1).idxmin(), []
+    rows = []
     for scenario, own in behind.groupby("scenario", sort=False):
         own = own.set_index("controller")
         regret = own["regret"].map("{:.2f}".format)
-        lambdas = switching[scenario].idxmin(), common
+        best = best_controllers(behind, str(scenario))
         rows.append(
             {"scenario": scenario, "best found": f"{own.loc[BEST_PER_START, 'meta_reward']:.2f}"}
             | {model: regret.get(model, "") for model in ("naive", "turn", "tom")}
-            | {"best order for all starts": regret[own[own["kind"].isin(["fixed", "schedule"])]["regret"].idxmin()]}
+            | {"best order for all starts": regret[best.order]}
             | {
                 f"switching, {which} lambda": f"{regret[name]} ({name.removeprefix('switching:')})"
-                for which, name in zip(("best", "common"), lambdas, strict=True)
+                for which, name in (("best", best.switching), ("common", best.common))
             }
         )
     return pd.DataFrame(rows)

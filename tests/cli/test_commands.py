@@ -43,7 +43,7 @@ def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, 
         (["compare", "merger", "--controllers", "schedule:tom,naive"], "say it like schedule:tom=6,naive"),
         (["compare", "merger", "--controllers", "schedule:oracle"], "['oracle']; give a list of human models"),
         (["compare", "merger", "--controllers", "schedule:tmo=3,naive"], "unknown human model 'tmo'"),
-        (["compare", "merger", "--controllers", "schedule:tom=5"], "the last model goes on, so name it without steps"),
+        (["compare", "merger", "--controllers", "schedule:tom=5"], "the last model takes no number of steps"),
         (
             ["compare", "merger", "--controllers", "random:tom"],
             "'tom' where a share belongs; say it like random:naive=0.7",

@@ -10,9 +10,9 @@ from ms_highway.control.fallback import brake
 from ms_highway.control.fixed import FixedModel, ScheduledModels
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.game.dynamics import step as move
-from ms_highway.metareasoning.compiled import decide_function
+from ms_highway.metareasoning.compiled_decision import decide_function
 from ms_highway.metareasoning.switching import Switching
-from ms_highway.planning.compiled import measure_costs, plan_function
+from ms_highway.planning.compiled_plans import measure_costs, plan_function
 from ms_highway.planning.human_models import MODELS, ladder
 from ms_highway.runtime.packing import pack
 

@@ -50,6 +50,22 @@ def test_a_plan_of_a_users_model_is_executed_within_the_limits(played, grip):
     assert grip is not None or step.control == pytest.approx([0.05, 6.0])
 
 
+@dataclass(frozen=True)
+class Paired(Naive):
+    """A model of a user's, whose plans are plain pairs."""
+
+    name: ClassVar[str] = "paired"
+
+    def plan(self, game, state, start=None):
+        return tuple(super().plan(game, state, start))
+
+
+def test_a_users_model_may_return_a_plain_pair(played):
+    game, state = played("merger")
+    plans = [FixedModel(game, model).step(np.asarray(state)).plan for model in (Paired(), Naive())]
+    np.testing.assert_allclose(*plans, rtol=1e-6)
+
+
 def test_a_users_plan_that_is_not_finite_fails_as_any_other_does(played):
     game, state = played("merger", control_limit=(0.05, 6.0))
     for excess in (np.inf, np.nan):

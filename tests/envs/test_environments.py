@@ -181,8 +181,17 @@ def test_a_horizon_of_a_second_is_planned_with_steps_that_hold():
     assert len(env.unwrapped.robot.last_step.plan) == len(env.unwrapped.human.last_step.plan) == 10
     assert rewards.mean() > 1.3
     assert not any(info["collision"] for info in infos)
-    with pytest.warns(UserWarning, match=r"step_size'\] is 0.03: plans of 10 steps of 0.1 s overshoot"):
-        make("merger", horizon=10, step_size=0.03)
+    with pytest.warns(UserWarning, match=r"step_size'\] is 0.03: plans of 10 steps of 0.1 s overshoot") as warned:
+        env = gym.make(environment_id("merger"), config={"horizon": 10, "step_size": 0.03})
+    assert len(warned) == 1
+    env.close()
+
+
+def test_a_controller_that_is_set_in_the_configuration_itself_drives_from_the_next_reset_on():
+    env = make("merger", controller=FIXED)
+    env.unwrapped.config["controller"] = {"type": "fixed", "model": "turn"}
+    env.reset(seed=0)
+    assert env.step(0)[-1]["model"] == "turn"
 
 
 def test_a_longer_time_step_makes_fewer_steps_of_the_same_episode():
@@ -289,6 +298,9 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"control_limit": ["a", "b"]}, "'control_limit'"),
         ({"control_limit": [0.2, 1e308]}, "'control_limit'"),
         ({"control_limit": np.array(9.0)}, "'control_limit'"),
+        ({"control_limit": [[1], [2, 3]]}, "'control_limit'.* or two positive bounds"),
+        ({"control_limit": (True, 9)}, "'control_limit'"),
+        ({"human_reward": {"speed": 1e39}}, "at most 3.4e"),
         (
             {"controller": {"type": "switching", "lambda": 1e308}},
             r"\['lambda'\] is 1e\+308; it must be a number from 0",
@@ -465,10 +477,12 @@ warnings.simplefilter("ignore")  # JAX and Python warn of the fork
 def work():
     env = gym.make("ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
     env.reset(seed=0)
-    try:
-        env.step(0)
-    except RuntimeError as error:
-        print(error, flush=True)
+    inner = env.unwrapped
+    for compute in (lambda: env.step(0), lambda: ms_highway.plan(inner.game, inner.car_states, "naive")):
+        try:
+            compute()
+        except RuntimeError as error:
+            print(error, flush=True)
 
 
 worker = multiprocessing.get_context("fork").Process(target=work)
@@ -479,7 +493,7 @@ worker.join()
 
 def test_a_worker_that_was_forked_after_jax_had_begun_says_so_instead_of_waiting_for_ever():
     done = subprocess.run([sys.executable, "-c", FORKED], timeout=120, capture_output=True, text=True)
-    assert "start it with context='forkserver' or 'spawn'" in done.stdout
+    assert done.stdout.count("start it with context='forkserver' or 'spawn'") == 2
 
 
 def test_stable_baselines_workers_step_the_environments():

@@ -9,9 +9,9 @@ from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.game.scenario import driving_game
-from ms_highway.metareasoning.compiled import decide_function
+from ms_highway.metareasoning.compiled_decision import decide_function
 from ms_highway.metareasoning.switching import Switching
-from ms_highway.planning.compiled import plan_function
+from ms_highway.planning.compiled_plans import plan_function
 from ms_highway.planning.human_models import Naive, ladder
 from ms_highway.vehicle import HumanVehicle, RobotVehicle
 from ms_highway.vehicle.road_view import look
@@ -49,7 +49,7 @@ def layouts(monkeypatch):
         seen.add(layout)
         return plan_function(model, layout)
 
-    monkeypatch.setattr("ms_highway.planning.compiled.plan_function", watched)
+    monkeypatch.setattr("ms_highway.planning.compiled_plans.plan_function", watched)
     return seen
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from ms_highway.cli.main import main
-from ms_highway.envs.drivers import controller_config
+from ms_highway.envs.controllers import controller_config
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.frontier import Outcomes, controller_name
 from ms_highway.experiments.regret import BEST_PER_START

@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 
 from ms_highway.cli.main import main
-from ms_highway.cli.options import prices
+from ms_highway.cli.options import lambdas
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.resuming import check_settings
 from ms_highway.experiments.sweep import Sweep, Worker, run_sweep
@@ -142,9 +142,9 @@ def test_a_part_that_was_damaged_is_named(swept, tmp_path, capsys):
 
 
 def test_lambdas_are_spaced_evenly_in_their_logarithm_or_listed():
-    assert prices("0.001:10:5") == [0.001, 0.01, 0.1, 1, 10]
-    assert prices("0.001:10:4") == [0.001, 0.0215, 0.464, 10]
-    assert prices("0.5,0.1,0.5,-0") == [0.5, 0.1, 0]
+    assert lambdas("0.001:10:5") == [0.001, 0.01, 0.1, 1, 10]
+    assert lambdas("0.001:10:4") == [0.001, 0.0215, 0.464, 10]
+    assert lambdas("0.5,0.1,0.5,-0") == [0.5, 0.1, 0]
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,12 @@ def test_a_damaged_file_or_one_of_another_version_is_refused_with_a_remedy(chang
     assert "ms-highway irl fit" in str(error.value)
 
 
+def test_a_file_of_version_1_which_named_a_key_otherwise_is_read(tmp_path):
+    path = broken(tmp_path, version=1)
+    path.write_text(path.read_text().replace('"learned"', '"learnt"'))
+    assert load(path) == shipped("demonstrations")
+
+
 def test_what_is_no_file_or_no_json_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"nowhere\.json cannot be read"):
         load(tmp_path / "nowhere.json")

@@ -25,7 +25,7 @@ from ms_highway.game.reward import FEATURES, OWN_FEATURES, PAPER_FEATURES, add_f
 from ms_highway.game.scenario import build_game, driving_game
 from ms_highway.metareasoning.switching import _expand
 from ms_highway.optimization.second_derivatives import response
-from ms_highway.planning.compiled import plan_function
+from ms_highway.planning.compiled_plans import plan_function
 from ms_highway.planning.human_models import Naive, TheoryOfMind, cold_start
 from ms_highway.runtime.packing import pack
 

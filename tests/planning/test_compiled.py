@@ -11,7 +11,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
-from ms_highway.metareasoning.compiled import CompiledDecision, Observation
+from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
 from ms_highway.metareasoning.switching import Switching, decide, first_memory
 from ms_highway.planning.human_models import MODELS, ladder
 from ms_highway.runtime.compilation import in_one_kernel, jit_quickly, known_options
@@ -23,9 +23,9 @@ low_latency()
 import jax, numpy as np
 from ms_highway.envs.stay_back import STAY_BACK
 from ms_highway.game.scenario import build_game, draw_starts
-from ms_highway.metareasoning.compiled import CompiledDecision, Observation
+from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
 from ms_highway.metareasoning.switching import Switching, first_memory
-from ms_highway.planning.compiled import CompiledPlans
+from ms_highway.planning.compiled_plans import CompiledPlans
 from ms_highway.planning.human_models import MODELS, ladder
 game = build_game(STAY_BACK)
 state = draw_starts(STAY_BACK, np.random.default_rng(0)).astype(np.float32)

@@ -12,7 +12,7 @@ from ms_highway.game.game import constant_velocity, swap_players, total_reward
 from ms_highway.game.reward import PAPER_FEATURES
 from ms_highway.optimization.second_derivatives import response
 from ms_highway.optimization.solvers import Planner, projected_ascent
-from ms_highway.planning.compiled import plan_function
+from ms_highway.planning.compiled_plans import plan_function
 from ms_highway.planning.human_models import MODELS, JointPlan, TheoryOfMind, Turn, _plan_against, cold_start, ladder
 from ms_highway.runtime.packing import pack
 

@@ -13,9 +13,9 @@ from ms_highway.control.fixed import FixedModel
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.envs.base import Cone
 from ms_highway.game.dynamics import step
+from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import driving_game
 from ms_highway.metareasoning.switching import Switching
-from ms_highway.optimization.gradient_steps import PlanningSettings
 from ms_highway.planning.human_models import MODELS, ladder
 from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.vehicle.road_view import look

@@ -16,7 +16,8 @@ from ms_highway.irl.learning import SIMULATED
 from ms_highway.irl.prediction import constant_velocity, cut_cases, idm
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
 from ms_highway.irl.recovery import recover
-from ms_highway.visualization.irl.prediction import counts_figure, errors_figure, examples, paths_figure
+from ms_highway.irl.regimes import examples
+from ms_highway.visualization.irl.prediction import counts_figure, errors_figure, paths_figure
 from ms_highway.visualization.irl.recovery import likelihood_figure, weights_figure
 from ms_highway.visualization.irl.tables import evaluation_table, recovery_table
 

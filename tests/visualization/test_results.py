@@ -10,7 +10,7 @@ import pytest
 from comparisons import COMPARE, failure
 
 from ms_highway.cli.main import main
-from ms_highway.envs.drivers import controller_config
+from ms_highway.envs.controllers import controller_config
 from ms_highway.experiments.results import read_results
 from ms_highway.experiments.selection import telling_pair
 

@@ -41,10 +41,10 @@ SHIPPED_NAMES = ("demonstrations", "us101")
 """Keys of `ms_highway.game.learned_reward.SHIPPED`, for help texts."""
 
 DENSITY_NAMES = ("sparse", "medium", "dense")
-"""Keys of `ms_highway.envs.routes.DENSITIES`, for help texts."""
+"""Keys of `ms_highway.envs.routes.DENSITIES`; told here so that help needs no JAX."""
 
 OTHERS = ("recorded", "coasting")
-"""The values of `ms_highway.irl.prediction.Others`, for help texts."""
+"""The values of `ms_highway.irl.prediction.Others`; told here so that help needs no JAX."""
 
 SIMULATED_WEIGHTS = ("speed", "lane_alignment", "collision_risk")
 """Weights that `ms_highway.irl.learning.SIMULATED` learns, for help texts."""

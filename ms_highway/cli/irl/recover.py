@@ -63,7 +63,7 @@ def _recover(options: argparse.Namespace) -> None:
     names = [name.removeprefix(MINARI) for name in data]
     for name in names:
         if known_weights(name) is None:
-            raise ValueError(f"nobody knows what the person drove for who recorded {name}; choose another data set")
+            raise ValueError(f"the true weights of {name} are unknown: a person recorded it; choose another data set")
     sets = {name: load(name) for name in names}
     tables = []
     for name, recordings in sets.items():

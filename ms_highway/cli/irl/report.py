@@ -36,7 +36,8 @@ def _report(options: argparse.Namespace) -> None:
 
     from ms_highway.irl.evaluation import load_evaluation
     from ms_highway.irl.prediction import cut_cases, predictions
-    from ms_highway.visualization.irl.prediction import counts_figure, errors_figure, examples, paths_figure
+    from ms_highway.irl.regimes import examples
+    from ms_highway.visualization.irl.prediction import counts_figure, errors_figure, paths_figure
     from ms_highway.visualization.irl.tables import evaluation_table, regimes_table
 
     check_directory(options.out)

@@ -34,7 +34,7 @@ PROVENANCE = "ms_highway"  # key in the data set's metadata
 DATASET_ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
 ROOM = 2_000_000  # bytes, for the files of an episode
 DATA_FILE, METADATA_FILE = "main_data.hdf5", "metadata.json"
-AGAIN = "delete it and record it again with `ms-highway irl record`"
+REMEDY = "delete it and record it again with `ms-highway irl record`"
 
 
 def load(dataset: str) -> list[Recording]:
@@ -66,12 +66,12 @@ def _open(dataset: str) -> tuple[Any, dict[str, Any]]:
         stored = minari.MinariDataset(data)
         provenance = stored.storage.metadata.get(PROVENANCE)
     except (OSError, ValueError, KeyError, AssertionError) as error:
-        raise ValueError(f"data set {dataset} cannot be read ({error!r}); {AGAIN}") from error
+        raise ValueError(f"data set {dataset} cannot be read ({error!r}); {REMEDY}") from error
     if not isinstance(provenance, dict):
         raise ValueError(f"data set {dataset} was not recorded by this package; choose another or record one")
     for key, name, expected in (("format", "version", FORMAT), ("time_step", "a time step of", TIME_STEP)):
         if provenance.get(key) != expected:
-            raise ValueError(f"data set {dataset} has {name} {provenance.get(key)}, not {expected}; {AGAIN}")
+            raise ValueError(f"data set {dataset} has {name} {provenance.get(key)}, not {expected}; {REMEDY}")
     return stored, provenance
 
 
@@ -80,16 +80,16 @@ def _recording(name: str, episodes: Iterator[Any], stored: Any) -> Recording:
     try:
         tracks = np.asarray(next(episodes).observations, dtype=float)
     except (OSError, ValueError, KeyError, AssertionError) as error:
-        raise ValueError(f"{name} cannot be read ({error!r}); {AGAIN}") from error
+        raise ValueError(f"{name} cannot be read ({error!r}); {REMEDY}") from error
     expected = stored.observation_space.shape
     if tracks.ndim != 3 or len(tracks) < 2 or tracks.shape[1:] != expected:
-        raise ValueError(f"{name} has observations of shape {tracks.shape}, not {('times > 1', *expected)}; {AGAIN}")
+        raise ValueError(f"{name} has observations of shape {tracks.shape}, not {('times > 1', *expected)}; {REMEDY}")
     if not np.isfinite(tracks).all():
         step, car = np.argwhere(~np.isfinite(tracks))[0][:2]
-        raise ValueError(f"{name} is not finite at step {step}, car {car}: {tracks[step, car]}; {AGAIN}")
+        raise ValueError(f"{name} is not finite at step {step}, car {car}: {tracks[step, car]}; {REMEDY}")
     present, states = tracks[..., 0] == 1, tracks[..., 1:]
     if not present[:, 0].all():
-        raise ValueError(f"{name} lacks its driver at step {present[:, 0].argmin()}; {AGAIN}")
+        raise ValueError(f"{name} lacks its driver at step {present[:, 0].argmin()}; {REMEDY}")
     game = demonstration_game()
     return Recording(
         name=name,
@@ -165,7 +165,7 @@ def count_recorded(dataset: str, data: Path, provenance: dict[str, Any]) -> int:
         with h5py.File(data / DATA_FILE, "r") as file:
             steps = [int(file[name].attrs["total_steps"]) for name in file]
     except (OSError, ValueError, KeyError) as error:
-        raise ValueError(f"data set {dataset} cannot be read ({error!r}); {AGAIN}") from error
+        raise ValueError(f"data set {dataset} cannot be read ({error!r}); {REMEDY}") from error
     theirs = known.get(PROVENANCE)
     if theirs != provenance:
         differences = (

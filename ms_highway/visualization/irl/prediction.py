@@ -11,10 +11,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
 from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.irl.prediction import HORIZONS, MISS, STEPS, Cases, constant_velocity
+from ms_highway.irl.prediction import HORIZONS, MISS, Cases
 from ms_highway.visualization.road import car_outline, draw_road
 
-__all__ = ["PREDICTORS", "counts_figure", "errors_figure", "examples", "paths_figure"]
+__all__ = ["PREDICTORS", "counts_figure", "errors_figure", "paths_figure"]
 
 PREDICTORS = {
     "model": ("learned reward", "#1f5fbf", "o"),
@@ -25,35 +25,6 @@ PREDICTORS = {
 
 RECORDED = "#111318"
 BEFORE, AFTER = 15.0, 25.0  # m of road drawn behind and ahead of where cars drive
-
-
-def examples(cases: Cases) -> dict[str, int]:
-    """Choose example cases, by what is special about them; each was recorded for the whole 5 s.
-
-    The typical case has the median error of constant velocity. None is chosen by the model's error.
-
-    Raises:
-        ValueError: if no driver was recorded for 5 s.
-    """
-    recorded = np.asarray(cases.recorded)
-    whole = np.flatnonzero(np.isfinite(recorded).all(axis=(1, 2)))
-    if not len(whole):
-        raise ValueError(f"no driver was recorded for {STEPS / 10:g} s on end; there is no example to be drawn")
-    tracks = recorded[whole]
-    end = np.linalg.norm(constant_velocity(cases)[whole, -1] - tracks[:, -1, :2], axis=-1)
-    faster = tracks[:, -1, 3] - tracks[:, 0, 3]
-    kinds = {
-        "a typical case": np.abs(end - np.median(end)),
-        "the strongest braking": faster,
-        "the strongest acceleration": -faster,
-        "the largest lateral motion": -np.abs(tracks[:, -1, 1] - tracks[:, 0, 1]),
-    }
-    chosen: dict[str, int] = {}
-    for kind, order in kinds.items():
-        rest = [int(whole[place]) for place in np.argsort(order) if int(whole[place]) not in chosen.values()]
-        if rest:
-            chosen[kind] = rest[0]
-    return chosen
 
 
 def paths_figure(cases: Cases, paths: Mapping[str, Float[np.ndarray, "n 50 2"]], titles: Sequence[str]) -> Figure:

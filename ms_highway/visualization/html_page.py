@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from ms_highway.experiments.safety import Safety, safety_cells, safety_sentences
 from ms_highway.experiments.selection import Selection
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import MODELS
+from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization import video
 from ms_highway.visualization.figures import CAPTIONS, figures
 from ms_highway.visualization.overview import overview
@@ -79,9 +80,9 @@ def draw(
     several: Sequence[Results],
     selections: Mapping[str, Selection],
     videos: bool = True,
-    progress: Callable[[str], None] = lambda message: None,
+    progress: Progress = silent,
 ) -> list[Section]:
-    """Draw everything that takes time, and return a section per scenario.
+    """Draw figures and films; return a section per scenario.
 
     A section draws the first of the comparisons that has its scenario; the tables have all beside each other.
 

@@ -65,7 +65,8 @@ class CompiledPlans:
 def plan(game: Game, state: Float[np.ndarray, "cars 4"], model: HumanModel | str = "tom") -> JointPlan:
     """Plan in one situation: the robot's controls, and the human's that it counts on, [steps, 2] each.
 
-    Controls are in the units of the game's dynamics; compiled once for all games of the same shapes.
+    Controls are in the units of the game's dynamics, other than those of a start that a plan improves; compiled once
+    for all games of the same shapes.
 
     Args:
         game: what is played, see `ms_highway.game.scenario`.
@@ -75,6 +76,7 @@ def plan(game: Game, state: Float[np.ndarray, "cars 4"], model: HumanModel | str
     Raises:
         ValueError: for an unknown model, or a state that is not a finite array [cars, 4] of two cars or more.
     """
+    refuse_after_fork()
     known = ladder([model])[0] if isinstance(model, str) else model
     planned, _ = CompiledPlans(game).plan(known, checked_state(state))
     scale = np.asarray(game.planner.control_scale, dtype=float)

@@ -1,4 +1,4 @@
-"""What the robot's plan under each human model counts on, and what the human then really does.
+"""Compare what each plan predicts of the human with what the human does.
 
 A plan rests on a prediction of the human. Here the robot executes all of a plan, without looking up, among humans who
 drive as they do in the environments: they see every step, and replan. What they do is compared with what the plan
@@ -16,16 +16,16 @@ from ms_highway.control.fixed import FixedModel
 from ms_highway.game.dynamics import Dynamics, keep_velocity, step
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_roles
-from ms_highway.planning.compiled import checked_state
+from ms_highway.planning.compiled_plans import checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
 
-__all__ = ["Foresight", "foresee"]
+__all__ = ["PlanOutcome", "follow_plan"]
 
 _rewards = jax.jit(reward)
 
 
 @dataclass(frozen=True)
-class Foresight:
+class PlanOutcome:
     """A plan of K steps under one human model, as it was meant and as it turns out.
 
     Attributes:
@@ -66,7 +66,7 @@ class Foresight:
         return float(np.linalg.norm(self.expected[-1, 1, :2] - self.actual[-1, 1, :2]))
 
 
-def foresee(game: Game, ladder: Sequence[HumanModel], states: Float[np.ndarray, "cars 4"]) -> list[Foresight]:
+def follow_plan(game: Game, ladder: Sequence[HumanModel], states: Float[np.ndarray, "cars 4"]) -> list[PlanOutcome]:
     """Compute what comes of the robot's plan under every model, in the same situation.
 
     Args:
@@ -81,7 +81,7 @@ def foresee(game: Game, ladder: Sequence[HumanModel], states: Float[np.ndarray, 
     return [_foresee(game, model, np.asarray(states, dtype=float)) for model in ladder]
 
 
-def _foresee(game: Game, model: HumanModel, states: Float[np.ndarray, "cars 4"]) -> Foresight:
+def _foresee(game: Game, model: HumanModel, states: Float[np.ndarray, "cars 4"]) -> PlanOutcome:
     planned = FixedModel(game, model).step(states)
     human = FixedModel(swap_roles(game), Naive())
     plans, world = (jax.tree.map(float, dynamics) for dynamics in (game.dynamics, game.world))
@@ -92,7 +92,7 @@ def _foresee(game: Game, model: HumanModel, states: Float[np.ndarray, "cars 4"])
         expected.append(_moved(plans, expected[-1], robot, predicted))
         actual.append(_moved(world, now, robot, drives))
     earned = (_earned(game, cars) for cars in (expected, actual))
-    return Foresight(model.name, world.time_step, np.array(expected), np.array(actual), *earned)
+    return PlanOutcome(model.name, world.time_step, np.array(expected), np.array(actual), *earned)
 
 
 def _moved(

@@ -13,19 +13,19 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 from ms_highway.envs.graphics import CONE, MODEL_MEANINGS
-from ms_highway.experiments.foresight import Foresight
+from ms_highway.experiments.plan_outcomes import PlanOutcome
 from ms_highway.game.scene import Scene
 from ms_highway.visualization.colors import color_of, paint
 from ms_highway.visualization.road import car_outline, draw_road
 
-__all__ = ["foresight_figure", "foresight_table"]
+__all__ = ["plan_outcome_figure", "plan_outcome_table"]
 
 HUMAN, OTHERS = "#111318", "#8a93a5"
 BEFORE = 2.0  # m of road that are drawn behind the last and before the first car
 WIDTH = 13.0  # inches
 
 
-def foresight_figure(foresights: Sequence[Foresight], scene: Scene) -> Figure:
+def plan_outcome_figure(foresights: Sequence[PlanOutcome], scene: Scene) -> Figure:
     """Plans, what they count on and what comes of them, a panel per model, on the road seen from above.
 
     The picture moves along at the speed that the human drives at now: a car that keeps this speed stands still in it,
@@ -33,7 +33,7 @@ def foresight_figure(foresights: Sequence[Foresight], scene: Scene) -> Figure:
     where they are now; y points to the right, so that the left is up.
 
     Args:
-        foresights: of one situation, see `ms_highway.experiments.foresight.foresee`.
+        foresights: of one situation, see `ms_highway.experiments.plan_outcomes.follow_plan`.
         scene: where.
     """
     lanes, width = np.unique(np.asarray(scene.lanes, dtype=float)), float(scene.lane_width)
@@ -57,7 +57,7 @@ def foresight_figure(foresights: Sequence[Foresight], scene: Scene) -> Figure:
     return figure
 
 
-def foresight_table(foresights: Sequence[Foresight]) -> Table:
+def plan_outcome_table(foresights: Sequence[PlanOutcome]) -> Table:
     """Tabulate what the plan under each model counts on, and what comes of it."""
     title = f"{foresights[0].seconds:g} s ahead"
     grid = Table(title=title, box=SIMPLE, title_justify="left", title_style="bold")
@@ -85,14 +85,14 @@ def foresight_table(foresights: Sequence[Foresight]) -> Table:
     return grid
 
 
-def _alongside(one: Foresight, states: Float[np.ndarray, "times cars 4"]) -> Float[np.ndarray, "times cars 4"]:
+def _alongside(one: PlanOutcome, states: Float[np.ndarray, "times cars 4"]) -> Float[np.ndarray, "times cars 4"]:
     """States in a frame that moves at the human's first speed, and starts where the human does."""
     x, _, _, speed = one.actual[0, 1]
     moved = x + speed * one.time_step * np.arange(len(states))
     return states - moved[:, None, None] * [1.0, 0.0, 0.0, 0.0]
 
 
-def _draw(axes: Axes, one: Foresight, scene: Scene) -> None:
+def _draw(axes: Axes, one: PlanOutcome, scene: Scene) -> None:
     """One model's panel."""
     color, size = color_of(one.model), np.asarray(scene.car_size, dtype=float)
     expected, actual = _alongside(one, one.expected), _alongside(one, one.actual)

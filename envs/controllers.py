@@ -1,8 +1,9 @@
-"""Who drives the robot, as configurations and short names say it."""
+"""Parse and check the configurations and short names of controllers."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from math import nan
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,34 +11,44 @@ import numpy as np
 from ms_highway.envs.checks import LARGEST, is_number, is_one_of, refuse_unknown
 from ms_highway.planning.human_models import MODELS
 
-__all__ = ["Driver", "FixedDriver", "RandomDriver", "ScheduledDriver", "SwitchingDriver", "controller_config", "driver"]
+__all__ = [
+    "ControllerSettings",
+    "FixedSettings",
+    "RandomSettings",
+    "ScheduledSettings",
+    "SwitchingSettings",
+    "controller_config",
+    "controller_settings",
+    "named_controller",
+]
 
 PLACE = "config['controller']"
 ROUNDING = 1e-6  # how far a sum of shares may be from 1
 MOST_DIGITS = 5  # of a number of steps
 
 
-class Driver(ABC):
+class ControllerSettings(ABC):
     """What a controller's configuration says. Impossible values raise a ValueError."""
 
     type: ClassVar[str]
+    price: float = nan  # lambda, where Algorithm 1 decides
 
     @abstractmethod
     def names(self) -> tuple[str, ...]:
         """The names of its human models; empty where Algorithm 1 chooses from the ladder."""
 
     def draw(self, steps: int, random: np.random.Generator) -> list[str]:
-        """The name of every step's human model, the last of which goes on; empty where Algorithm 1 chooses.
+        """The name of every step's human model, the last one is kept; empty where Algorithm 1 chooses.
 
         Args:
-            steps: how many are drawn, where the driver is a random one.
-            random: what they are drawn from; other drivers leave it alone.
+            steps: how many are drawn, for random controllers.
+            random: what they are drawn from; other controllers do not use it.
         """
         return list(self.names())
 
 
 @dataclass(frozen=True)
-class FixedDriver(Driver):
+class FixedSettings(ControllerSettings):
     """Plans every step with the same human model."""
 
     model: str
@@ -48,13 +59,13 @@ class FixedDriver(Driver):
             raise ValueError(f"{PLACE}['model'] is {self.model!r}; the human models are {', '.join(MODELS)}")
 
     def names(self) -> tuple[str, ...]:
-        """See `Driver.names`."""
+        """See `ControllerSettings.names`."""
         return (self.model,)
 
 
 @dataclass(frozen=True)
-class ScheduledDriver(Driver):
-    """Plans each step with the human model of a list, the last of which goes on."""
+class ScheduledSettings(ControllerSettings):
+    """Plans each step with the human model of a list, the last one is kept."""
 
     models: tuple[str, ...]
     type: ClassVar[str] = "schedule"
@@ -65,12 +76,12 @@ class ScheduledDriver(Driver):
             raise ValueError(f"{PLACE}['models'] is {names!r}; give a list of human models, of {', '.join(MODELS)}")
 
     def names(self) -> tuple[str, ...]:
-        """See `Driver.names`."""
+        """See `ControllerSettings.names`."""
         return tuple(self.models)
 
 
 @dataclass(frozen=True)
-class RandomDriver(Driver):
+class RandomSettings(ControllerSettings):
     """Draws the human model of each step, with the given shares by name, when the episode starts."""
 
     shares: Mapping[str, float]
@@ -90,17 +101,17 @@ class RandomDriver(Driver):
             raise ValueError(f"{place} sum to {sum(shares.values()):g}; change one, so that they sum to 1")
 
     def names(self) -> tuple[str, ...]:
-        """See `Driver.names`."""
+        """See `ControllerSettings.names`."""
         return tuple(name for name, share in self.shares.items() if share > 0)
 
     def draw(self, steps: int, random: np.random.Generator) -> list[str]:
-        """See `Driver.draw`."""
+        """See `ControllerSettings.draw`."""
         shares = np.array([self.shares[name] for name in self.names()], dtype=float)
         return random.choice(self.names(), size=steps, p=shares / shares.sum()).tolist()
 
 
 @dataclass(frozen=True)
-class SwitchingDriver(Driver):
+class SwitchingSettings(ControllerSettings):
     """Algorithm 1 chooses the human model of each step from the ladder, at a price per second of planning."""
 
     price: float
@@ -110,17 +121,17 @@ class SwitchingDriver(Driver):
         check_price(PLACE, self.price)
 
     def names(self) -> tuple[str, ...]:
-        """See `Driver.names`."""
+        """See `ControllerSettings.names`."""
         return ()
 
 
 KINDS: dict[str, type[Any]] = {
-    kind.type: kind for kind in (SwitchingDriver, FixedDriver, ScheduledDriver, RandomDriver)
+    kind.type: kind for kind in (SwitchingSettings, FixedSettings, ScheduledSettings, RandomSettings)
 }
 
 
 def check_price(place: str, price: Any) -> None:
-    """Refuse a lambda that is none.
+    """Check a lambda.
 
     Raises:
         ValueError: naming the place.
@@ -131,8 +142,8 @@ def check_price(place: str, price: Any) -> None:
         raise ValueError(f"{place}['lambda'] is {price!r}; it must be a number from 0 to {LARGEST:.2g}")
 
 
-def driver(config: Any) -> Driver:
-    """The driver of a controller's configuration.
+def controller_settings(config: Any) -> ControllerSettings:
+    """Return the settings of a controller's configuration.
 
     Raises:
         ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
@@ -140,11 +151,20 @@ def driver(config: Any) -> Driver:
     if not isinstance(config, Mapping) or not is_one_of(config.get("type"), KINDS):
         raise ValueError(f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(KINDS)}")
     kind = KINDS[config["type"]]
-    if kind is SwitchingDriver and "model" in config:
+    if kind is SwitchingSettings and "model" in config:
         raise ValueError(f"{PLACE} has a 'model' but is of type 'switching'; say 'type': 'fixed' to always use a model")
     keys = {field.name: "lambda" if field.name == "price" else field.name for field in fields(kind)}
     refuse_unknown(PLACE, config, {"type", *keys.values()})
     return kind(**{name: config.get(key) for name, key in keys.items()})
+
+
+def named_controller(text: str) -> ControllerSettings:
+    """Return the settings that a controller's short name stands for, see `controller_config`.
+
+    Raises:
+        ValueError: if it stands for none.
+    """
+    return controller_settings(controller_config(text))
 
 
 def controller_config(text: str) -> dict[str, Any]:
@@ -175,7 +195,7 @@ def controller_config(text: str) -> dict[str, Any]:
         known = f"{', '.join(MODELS)}, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL and random:MODEL=SHARE,..."
         raise ValueError(f"unknown controller {text!r}; the controllers are {known}")
     try:
-        driver(config)
+        controller_settings(config)
     except ValueError as error:
         raise ValueError(f"controller {text!r}: {error}") from None
     return config
@@ -185,7 +205,7 @@ def _schedule(text: str, parts: str) -> list[str]:
     """The models of a schedule's short name, one per step; the last one stands once and goes on."""
     *first, last = parts.split(",")
     if "=" in last:
-        raise ValueError(f"controller {text!r}: the last model goes on, so name it without steps, like naive")
+        raise ValueError(f"controller {text!r}: the last model takes no number of steps; write schedule:tom=6,naive")
     models: list[str] = []
     for part in first:
         name, _, steps = part.partition("=")

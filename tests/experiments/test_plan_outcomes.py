@@ -9,10 +9,10 @@ from matplotlib.image import imread
 from rich.console import Console
 
 from ms_highway.control.fixed import FixedModel
-from ms_highway.experiments.foresight import foresee
+from ms_highway.experiments.plan_outcomes import follow_plan
 from ms_highway.planning.human_models import ladder
 from ms_highway.vehicle import RobotVehicle
-from ms_highway.visualization.foresight import foresight_figure, foresight_table
+from ms_highway.visualization.plan_outcomes import plan_outcome_figure, plan_outcome_table
 
 MODELS = ladder(["naive", "turn"])
 HARD = 50.0  # m/s^2, end of the actions' range
@@ -31,7 +31,7 @@ def situation(identity="ms-highway/merger-v0", steps=3):
 def test_what_comes_of_a_plan_is_what_comes_of_it_in_the_environment(identity):
     """An agent that executes the plan meets the same human and earns the same."""
     before = situation(identity)
-    for model, one in zip(MODELS, foresee(before.game, MODELS, before.car_states), strict=True):
+    for model, one in zip(MODELS, follow_plan(before.game, MODELS, before.car_states), strict=True):
         plan = FixedModel(before.game, model).step(before.car_states).plan
         env = gym.make(identity, config={"action": ACTION}).unwrapped
         env.reset(options={"initial_states": before.car_states})
@@ -43,7 +43,7 @@ def test_what_comes_of_a_plan_is_what_comes_of_it_in_the_environment(identity):
 
 def test_the_human_is_expected_as_the_model_says_and_does_something_else():
     env = situation()
-    naive, turn = foresee(env.game, MODELS, env.car_states)
+    naive, turn = follow_plan(env.game, MODELS, env.car_states)
     assert naive.expected_acceleration == pytest.approx(0, abs=1e-6)
     assert turn.expected_acceleration < -1  # it yields
     for one in (naive, turn):
@@ -56,14 +56,14 @@ def test_the_human_is_expected_as_the_model_says_and_does_something_else():
 def test_in_released_semantics_plans_do_not_count_on_the_drag_of_the_world():
     env = gym.make("ms-highway/merger-v0", config={"semantics": "released"}).unwrapped
     env.reset(seed=0)
-    (naive,) = foresee(env.game, MODELS[:1], env.car_states)
+    (naive,) = follow_plan(env.game, MODELS[:1], env.car_states)
     assert naive.actual[-1, 0, 3] < naive.expected[-1, 0, 3]
 
 
 def test_the_figure_shows_every_model_in_a_picture_that_moves_with_the_human(tmp_path):
     env = situation()
-    foresights = foresee(env.game, MODELS, env.car_states)
-    figure = foresight_figure(foresights, env.game.scene)
+    foresights = follow_plan(env.game, MODELS, env.car_states)
+    figure = plan_outcome_figure(foresights, env.game.scene)
     for axes, one in zip(figure.axes, foresights, strict=True):
         assert axes.get_title("left").startswith(one.model)
         robot, actual, expected = (line.get_xydata() for line in axes.lines if len(line.get_xydata()) == 6)
@@ -78,9 +78,9 @@ def test_the_figure_shows_every_model_in_a_picture_that_moves_with_the_human(tmp
 
 def test_the_table_tells_what_each_plan_counts_on():
     env = situation()
-    foresights = foresee(env.game, MODELS, env.car_states)
+    foresights = follow_plan(env.game, MODELS, env.car_states)
     console = Console(file=io.StringIO(), width=200)
-    console.print(foresight_table(foresights))
+    console.print(plan_outcome_table(foresights))
     rows = [line.split() for line in console.file.getvalue().splitlines() if line.split()[:1] in (["naive"], ["turn"])]
     for row, one in zip(rows, foresights, strict=True):
         assert row[2:5] == [
@@ -94,4 +94,4 @@ def test_an_impossible_situation_is_refused():
     states = env.car_states
     states[1, 3] = np.nan
     with pytest.raises(ValueError, match="the state of car 1 is not finite: speed is nan"):
-        foresee(env.game, MODELS, states)
+        follow_plan(env.game, MODELS, states)
