@@ -19,7 +19,7 @@ from ms_highway.control.switching import ModelSwitching
 from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.controllers import FixedSettings, SwitchingSettings, controller_settings
 from ms_highway.envs.graphics import InteractionViewer
-from ms_highway.envs.observations import CarStates
+from ms_highway.envs.observations import CarStates, finite
 from ms_highway.envs.settings import Settings, merged
 from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game.game import swap_roles
@@ -46,14 +46,6 @@ class Timing:
     planning_seconds: float = field(compare=False)
     decision_seconds: float = field(compare=False)
     compile_seconds: float = field(compare=False)
-
-
-def _finite(space: spaces.Space) -> spaces.Space:
-    """The space with its infinite bounds, which some of highway-env's observations have, at the ends of its type."""
-    if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.floating):
-        return space
-    end = np.finfo(space.dtype).max
-    return spaces.Box(np.maximum(space.low, -end), np.minimum(space.high, end), dtype=space.dtype.type)
 
 
 class Cone(Obstacle):
@@ -168,7 +160,7 @@ class InteractionEnv(StageEnv):
             self.observation_type = CarStates(self, cars=len(self.scenario.cars))
         else:
             self.observation_type = observation_factory(self, observation)
-        self.observation_space = _finite(self.observation_type.space())
+        self.observation_space = finite(self.observation_type.space())
 
     def _action_type(self, config: dict[str, Any]) -> ActionType:
         if config["type"] == "Autopilot":

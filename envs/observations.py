@@ -7,7 +7,7 @@ from gymnasium import spaces
 from highway_env.envs.common.observation import ObservationType
 from jaxtyping import Float
 
-__all__ = ["CarStates", "CarTracks"]
+__all__ = ["CarStates", "CarTracks", "finite"]
 
 FEATURES = ("x", "y", "vx", "vy", "cos_h", "sin_h")
 SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
@@ -62,3 +62,11 @@ class CarTracks(ObservationType):
         present = self.env.present
         tracks = np.concatenate([present[:, None], self.env.car_states], axis=-1) * present[:, None]
         return tracks.clip(-self.BOUND, self.BOUND).astype(np.float32)
+
+
+def finite(space: spaces.Space) -> spaces.Space:
+    """Replace infinite bounds of a space, which some of highway-env's observations have, by the ends of its type."""
+    if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.floating):
+        return space
+    end = np.finfo(space.dtype).max
+    return spaces.Box(np.maximum(space.low, -end), np.minimum(space.high, end), dtype=space.dtype.type)
