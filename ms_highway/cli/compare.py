@@ -86,10 +86,10 @@ def comparison(options: argparse.Namespace) -> "Comparison":
 
 def _compare(options: argparse.Namespace) -> None:
     from ms_highway.cli.results_directory import own_results
+    from ms_highway.experiments.analysis.selection import select
+    from ms_highway.experiments.analysis.summary import summary
     from ms_highway.experiments.results import read_results
     from ms_highway.experiments.runner import read, run
-    from ms_highway.experiments.selection import select
-    from ms_highway.experiments.summary import summary
     from ms_highway.runtime.files import replacing
     from ms_highway.visualization.comparison import table
     from ms_highway.visualization.figures import CAPTIONS, figures

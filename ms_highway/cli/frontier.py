@@ -142,8 +142,8 @@ def _search(every: Sequence["Outcomes"], options: argparse.Namespace, tell: Call
     """Search in one scenario after the other, and write its results once it is done; return the regrets in all."""
     import pandas as pd
 
+    from ms_highway.experiments.analysis.regret import best, regrets
     from ms_highway.experiments.frontier import search
-    from ms_highway.experiments.regret import best, regrets
     from ms_highway.runtime.files import replacing
     from ms_highway.visualization.frontier import figure
 

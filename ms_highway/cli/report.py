@@ -49,9 +49,9 @@ def add_report(commands: Any) -> None:
 
 
 def _report(options: argparse.Namespace) -> None:
+    from ms_highway.experiments.analysis.selection import select_of_several
     from ms_highway.experiments.results import read_results
     from ms_highway.experiments.safety import SAFETY_FILE, read_safety, safety_cells
-    from ms_highway.experiments.selection import select_of_several
     from ms_highway.runtime.files import replacing
     from ms_highway.visualization.html_page import draw, render
     from ms_highway.visualization.overview import markdown, overview

@@ -8,13 +8,13 @@ from typing import Any
 import pandas as pd
 
 from ms_highway.envs import SCENARIOS
+from ms_highway.experiments.analysis.published import PUBLISHED, PUBLISHED_WITH, Published
+from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.comparison import episode_steps
 from ms_highway.experiments.provenance import read_runs
-from ms_highway.experiments.published import PUBLISHED, PUBLISHED_WITH, Published
 from ms_highway.experiments.records import check_columns, whole_steps
 from ms_highway.experiments.runner import STEPS_FILE
 from ms_highway.experiments.settings import EXTENDED, SETTINGS_FILE, read_settings
-from ms_highway.experiments.summary import summary
 from ms_highway.planning.human_models import MODELS
 
 __all__ = ["Results", "read_results"]
@@ -30,7 +30,7 @@ class Results:
     Attributes:
         directory: where it lies.
         records: a row per step.
-        summaries: a row per scenario and controller, see `ms_highway.experiments.summary.summary`.
+        summaries: a row per scenario and controller, see `ms_highway.experiments.analysis.summary.summary`.
         settings: what the environments had in common, and T(M), see `ms_highway.experiments.settings.read_settings`.
         runs: what made it, see `ms_highway.experiments.provenance.this_run`; empty if that is not known.
     """

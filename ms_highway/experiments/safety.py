@@ -11,12 +11,12 @@ import pandas as pd
 from jax.sharding import Mesh
 from scipy import stats
 
+from ms_highway.experiments.analysis.findings import in_order, listed
+from ms_highway.experiments.analysis.summary import CONFIDENCE
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.findings import in_order, listed
 from ms_highway.experiments.provenance import read_runs
 from ms_highway.experiments.settings import SETTINGS_FILE, read_settings
 from ms_highway.experiments.simulated import make_batch, run_episodes, summarised
-from ms_highway.experiments.summary import CONFIDENCE
 from ms_highway.game.scenario import title
 from ms_highway.runtime.progress import Progress, silent
 

@@ -15,12 +15,12 @@ import pyarrow as pa
 from jax.sharding import Mesh
 from pyarrow import parquet
 
+from ms_highway.experiments.analysis.summary import earned
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import share_column
 from ms_highway.experiments.resuming import check_settings
 from ms_highway.experiments.settings import SETTINGS_FILE, write_settings
 from ms_highway.experiments.simulated import Batch, make_batch, run_episodes, summarised, tabulated
-from ms_highway.experiments.summary import earned
 from ms_highway.planning.human_models import MODELS
 from ms_highway.runtime.files import replacing
 
@@ -215,8 +215,8 @@ def read_sweep(sweep: Sweep, directory: Path) -> pd.DataFrame:
 
 
 def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
-    """One row per scenario and controller, with those columns of `ms_highway.experiments.summary.summary` that are not
-    measured.
+    """Return one row per scenario and controller: the columns of `ms_highway.experiments.analysis.summary` that are
+    not measured.
 
     Args:
         episodes: a row per episode, of `read_sweep`.

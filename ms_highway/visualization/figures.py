@@ -3,7 +3,7 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ms_highway.experiments.selection import Selection
+from ms_highway.experiments.analysis.selection import Selection
 from ms_highway.visualization.comparison import bars, timeline
 from ms_highway.visualization.decisions import decisions
 from ms_highway.visualization.tradeoff import curve
@@ -34,7 +34,7 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str, selec
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`.
-        summaries: of `ms_highway.experiments.summary.summary`.
+        summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
         selection: which controllers to draw in bars and timeline, and whose decisions.
     """

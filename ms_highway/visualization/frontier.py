@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
 
-from ms_highway.experiments.regret import best_controllers, frontier_curve
+from ms_highway.experiments.analysis.regret import best_controllers, frontier_curve
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import color_of
 
@@ -27,7 +27,7 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
     Switching is shown with the best lambda for the scenario, and with the best one that all scenarios have in common.
 
     Args:
-        behind: rows of `ms_highway.experiments.regret.regrets`, with columns ``scenario`` and ``price``.
+        behind: rows of `ms_highway.experiments.analysis.regret.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
     """
     return [_regret_table(rows, scenario, f"{price:g}") for price, rows in behind.groupby("price", sort=False)]
@@ -63,7 +63,7 @@ def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequ
 
     Args:
         table: of `ms_highway.experiments.frontier.Outcomes`.
-        behind: rows of `ms_highway.experiments.regret.regrets`, with columns ``scenario`` and ``price``.
+        behind: rows of `ms_highway.experiments.analysis.regret.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
         seeds: of the starts.
     """

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from ms_highway.envs.graphics import MODEL_MEANINGS
-from ms_highway.experiments.findings import answer, in_order
+from ms_highway.experiments.analysis.findings import answer, in_order
+from ms_highway.experiments.analysis.selection import Selection
 from ms_highway.experiments.records import share_column
 from ms_highway.experiments.results import Results
 from ms_highway.experiments.safety import Safety, safety_cells, safety_sentences
-from ms_highway.experiments.selection import Selection
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import MODELS
 from ms_highway.runtime.progress import Progress, silent
@@ -51,7 +51,7 @@ class Section:
 
     Attributes:
         scenario: its name.
-        answer: what was found, see `ms_highway.experiments.findings.answer`.
+        answer: what was found, see `ms_highway.experiments.analysis.findings.answer`.
         rows: texts of the `overview`, from the controller on, of few controllers.
         others: those of the other controllers.
         figures: by name.
@@ -88,7 +88,7 @@ def draw(
 
     Args:
         several: comparisons.
-        selections: what to show of each scenario, by its name, see `ms_highway.experiments.selection`.
+        selections: what to show of each scenario, by its name, see `ms_highway.experiments.analysis.selection`.
         videos: whether films are made.
         progress: called with a message before everything that takes time.
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from ms_highway.experiments.published import Published
+from ms_highway.experiments.analysis.published import Published
 from ms_highway.experiments.results import Results
 from ms_highway.visualization.comparison import cells
 

@@ -13,7 +13,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 from ms_highway.envs.graphics import CONE, MODEL_MEANINGS
-from ms_highway.experiments.plan_outcomes import PlanOutcome
+from ms_highway.experiments.analysis.plan_outcomes import PlanOutcome
 from ms_highway.game.scene import Scene
 from ms_highway.visualization.colors import color_of, paint
 from ms_highway.visualization.road import car_outline, draw_road
@@ -33,7 +33,7 @@ def plan_outcome_figure(foresights: Sequence[PlanOutcome], scene: Scene) -> Figu
     where they are now; y points to the right, so that the left is up.
 
     Args:
-        foresights: of one situation, see `ms_highway.experiments.plan_outcomes.follow_plan`.
+        foresights: of one situation, see `ms_highway.experiments.analysis.plan_outcomes.follow_plan`.
         scene: where.
     """
     lanes, width = np.unique(np.asarray(scene.lanes, dtype=float)), float(scene.lane_width)

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from ms_highway.experiments.tradeoff import best_schedules, reference
+from ms_highway.experiments.analysis.tradeoff import best_schedules, reference
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import color_of
 from ms_highway.visualization.comparison import episode_count

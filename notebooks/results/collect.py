@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from ms_highway.experiments.regret import BEST_PER_START, best_controllers
+from ms_highway.experiments.analysis.regret import BEST_PER_START, best_controllers
 from ms_highway.experiments.results import Results
 from ms_highway.experiments.safety import Safety, safety_cells
 from ms_highway.visualization.overview import markdown, overview

@@ -11,9 +11,9 @@ import pytest
 
 from ms_highway.cli.main import main
 from ms_highway.envs.controllers import controller_config
+from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.frontier import Outcomes, controller_name
-from ms_highway.experiments.regret import BEST_PER_START
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import make_batch
 

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from pages import README, RESULTS, ROOT
 
-from ms_highway.experiments.regret import BEST_PER_START
-from ms_highway.experiments.tradeoff import meta_rewards, shares
+from ms_highway.experiments.analysis.regret import BEST_PER_START
+from ms_highway.experiments.analysis.tradeoff import meta_rewards, shares
 
 KEPT = RESULTS.parent
 COLLECTED = SimpleNamespace(**runpy.run_path(str(KEPT / "collect.py")))

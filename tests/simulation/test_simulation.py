@@ -10,10 +10,10 @@ import pytest
 from ms_highway.benchmarks.throughput import throughput
 from ms_highway.control.fallback import STATUSES
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
+from ms_highway.experiments.analysis.summary import interval
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import columns_simulated, episodes_of, make_batch, run_episodes, simulated, start
-from ms_highway.experiments.summary import interval
 from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.simulation.devices import use_devices

@@ -11,8 +11,8 @@ from comparisons import COMPARE, failure
 
 from ms_highway.cli.main import main
 from ms_highway.envs.controllers import controller_config
+from ms_highway.experiments.analysis.selection import telling_pair
 from ms_highway.experiments.results import read_results
-from ms_highway.experiments.selection import telling_pair
 
 
 def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from ms_highway.envs.controllers import named_controller
-from ms_highway.experiments.summary import interval
+from ms_highway.experiments.analysis.summary import interval
 
 __all__ = [
     "BEST_PER_START",

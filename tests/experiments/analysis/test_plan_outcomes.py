@@ -9,7 +9,7 @@ from matplotlib.image import imread
 from rich.console import Console
 
 from ms_highway.control.fixed import FixedModel
-from ms_highway.experiments.plan_outcomes import follow_plan
+from ms_highway.experiments.analysis.plan_outcomes import follow_plan
 from ms_highway.planning.human_models import ladder
 from ms_highway.vehicle import RobotVehicle
 from ms_highway.visualization.plan_outcomes import plan_outcome_figure, plan_outcome_table

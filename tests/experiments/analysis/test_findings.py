@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.experiments.findings import answer
-from ms_highway.experiments.summary import summary
+from ms_highway.experiments.analysis.findings import answer
+from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.sweep import sweep_summary
 from ms_highway.visualization.comparison import cells
 

@@ -20,7 +20,7 @@ def shares(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """Return reward and computation as shares of the `reference`'s.
 
     Args:
-        summaries: of `ms_highway.experiments.summary.summary`.
+        summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
 
     Returns:
@@ -44,7 +44,7 @@ def coin(summaries: pd.DataFrame, scenario: str, controller: str) -> str:
     What decides well earns more than this with the same planning.
 
     Args:
-        summaries: of `ms_highway.experiments.summary.summary`.
+        summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
         controller: its short name.
 
@@ -68,7 +68,7 @@ def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "c
     beforehand.
 
     Args:
-        summaries: of `ms_highway.experiments.summary.summary`.
+        summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
         computation: the column that measures it.
     """
@@ -85,7 +85,7 @@ def meta_rewards(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """Compute the meta-MDP's reward per step, ``r_R - lambda T(M)``, at every lambda that switching was given.
 
     Args:
-        summaries: of `ms_highway.experiments.summary.summary`.
+        summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
 
     Returns:

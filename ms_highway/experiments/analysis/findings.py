@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 
 import pandas as pd
 
-from ms_highway.experiments.selection import telling_pair
-from ms_highway.experiments.summary import interval
+from ms_highway.experiments.analysis.selection import telling_pair
+from ms_highway.experiments.analysis.summary import interval
 
 __all__ = ["answer", "in_order", "listed"]
 
@@ -19,7 +19,7 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`.
-        summaries: of `ms_highway.experiments.summary.summary`.
+        summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
     """
     rows = summaries[summaries["scenario"] == scenario].set_index("controller")

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import pandas as pd
 
+from ms_highway.experiments.analysis.tradeoff import reference
 from ms_highway.experiments.comparison import paper_controllers
 from ms_highway.experiments.records import common_seeds, one_episode
 from ms_highway.experiments.results import Results
-from ms_highway.experiments.tradeoff import reference
 
 __all__ = ["Selection", "select", "select_of_several", "telling_pair"]
 
@@ -40,7 +40,7 @@ def select(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> Sel
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`.
-        summaries: of `ms_highway.experiments.summary.summary`.
+        summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
     """
     rows = summaries[summaries["scenario"] == scenario]

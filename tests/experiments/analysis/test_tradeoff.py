@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from ms_highway.envs.controllers import controller_config
-from ms_highway.experiments.tradeoff import best_schedules, coin, meta_rewards, reference, shares
+from ms_highway.experiments.analysis.tradeoff import best_schedules, coin, meta_rewards, reference, shares
 from ms_highway.visualization.comparison import episode_count
 from ms_highway.visualization.tradeoff import curve
 
