@@ -59,7 +59,7 @@ DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
 
 
 def environment_id(scenario: str) -> str:
-    """The Gymnasium id of a scenario; the module prefix lets spawned workers find it.
+    """Return the Gymnasium id of a scenario; the module prefix lets spawned workers find it.
 
     Raises:
         ValueError: for an unknown scenario.

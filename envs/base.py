@@ -226,7 +226,7 @@ class InteractionEnv(StageEnv):
         self.collision = False
 
     def draw_starts(self, random: np.random.Generator) -> Float[np.ndarray, "cars 4"]:
-        """A start of every car, robot first, then the human, in SI units; see `draw_starts`."""
+        """Draw a start of every car, robot first, then the human, in SI units; see `draw_starts`."""
         return draw_starts(self.scenario, random)
 
     @property
@@ -269,7 +269,7 @@ class InteractionEnv(StageEnv):
         return states_of(self.road.vehicles)
 
     def render(self) -> np.ndarray | None:
-        """The road from above and a panel with the model in use, its history, reward and planning time."""
+        """Draw the road from above and a panel with the model in use, its history, reward and planning time."""
         if self.viewer is None and self.render_mode is not None:
             self.viewer = InteractionViewer(self)
         return super().render()
@@ -283,7 +283,7 @@ class InteractionEnv(StageEnv):
         self.history.append(self._record())
 
     def _record(self) -> dict[str, Any]:
-        """What the panel shows of a step."""
+        """Return what the panel shows of a step."""
         step = self.robot.last_step
         return {
             "model": step.model if step else None,
@@ -298,7 +298,7 @@ class InteractionEnv(StageEnv):
         return bool(self.config["terminate_on_collision"] and self.collision)
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
-        """What happened in the last step; after a reset only the robot's speed and what collisions do."""
+        """Describe the last step; after a reset, only the robot's speed and what collisions do."""
         info: dict[str, Any] = {"speed": self.robot.speed, "collision_effect": "reward only"}
         if self.steps == 0:
             return info

@@ -45,7 +45,7 @@ REPLACED = ("human_reward",)  # mappings that are not merged: weights of two rew
 
 
 def changed(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The defaults of any environment with the changes made, as far as all environments share them, checked.
+    """Apply changes to the defaults of any environment, and check the keys that all environments share.
 
     A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
     replaces the default.
@@ -84,7 +84,7 @@ def _set_frequencies(config: dict[str, Any], changes: Mapping[str, Any]) -> None
 
 
 def _check_scalar(key: str, default: Any, value: Any) -> None:
-    """Where the default is a truth value or a number, the value must be one as well, and a number positive."""
+    """Check that a value has the type of a default that is a truth value or a number, and that numbers are positive."""
     if key in OPTIONAL:
         return
     if isinstance(default, bool) and not isinstance(value, (bool, np.bool_)):

@@ -38,7 +38,7 @@ class ControllerSettings(ABC):
         """The names of its human models; empty where Algorithm 1 chooses from the ladder."""
 
     def draw(self, steps: int, random: np.random.Generator) -> list[str]:
-        """The name of every step's human model, the last one is kept; empty where Algorithm 1 chooses.
+        """Return the name of every step's human model, the last one kept; empty where Algorithm 1 chooses.
 
         Args:
             steps: how many are drawn, for random controllers.
@@ -168,7 +168,7 @@ def named_controller(text: str) -> ControllerSettings:
 
 
 def controller_config(text: str) -> dict[str, Any]:
-    """The configuration that a controller's short name stands for.
+    """Return the configuration that a controller's short name stands for.
 
     These are the human models, such as ``tom``; ``switching:0.1`` with a lambda; ``schedule:tom=6,naive``, tom for six
     steps and then naive; and ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
@@ -202,7 +202,7 @@ def controller_config(text: str) -> dict[str, Any]:
 
 
 def _schedule(text: str, parts: str) -> list[str]:
-    """The models of a schedule's short name, one per step; the last one stands once and goes on."""
+    """Return the models of a schedule's short name, one per step; the last one stands once and is kept."""
     *first, last = parts.split(",")
     if "=" in last:
         raise ValueError(f"controller {text!r}: the last model takes no number of steps; write schedule:tom=6,naive")
@@ -220,7 +220,7 @@ def _schedule(text: str, parts: str) -> list[str]:
 
 
 def _shares(text: str, parts: str) -> dict[str, float]:
-    """The share of each model in a random controller's short name."""
+    """Return the share of each model in a random controller's short name."""
     shares: dict[str, float] = {}
     for part in parts.split(","):
         name, _, share = part.partition("=")

@@ -50,7 +50,7 @@ Without a key, the engine makes up for the friction at 20 m/s; with one, the car
 
 
 def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
-    """The game of whoever drives here, for these weights by name, on three lanes of the paper's scenes."""
+    """Build the game of the driver, for weights by name, on three lanes of the paper's scenes."""
     lanes = np.arange(LANES) * LANE_WIDTH * PAPER_UNIT
     scene = Scene(
         lanes=lanes,
@@ -196,7 +196,7 @@ class DemonstrationEnv(StageEnv):
         return states
 
     def action_for(self, control: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
-        """The action that executes a control ``(omega, acceleration)``, clipped to what actions reach."""
+        """Return the action that executes a control ``(omega, acceleration)``, clipped to what actions reach."""
         omega, acceleration = np.asarray(control, dtype=float).tolist()
         wanted = acceleration, atan(omega * BicycleVehicle.LENGTH)
         ranges = self.action_type.acceleration_range, self.action_type.steering_range
@@ -204,7 +204,7 @@ class DemonstrationEnv(StageEnv):
         return np.array(shares, dtype=np.float32)
 
     def render(self) -> np.ndarray | None:
-        """The road from above."""
+        """Draw the road from above."""
         if self.viewer is None and self.render_mode is not None:
             self.viewer = Viewer(self)
         return super().render()
@@ -213,7 +213,7 @@ class DemonstrationEnv(StageEnv):
         return False
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
-        """What happened in the last step; after a reset only the driver's speed and what collisions do."""
+        """Describe the last step; after a reset, only the driver's speed and what collisions do."""
         info: dict[str, Any] = {"speed": self.vehicle.speed, "collision_effect": "reward only"}
         if self.steps:
             info |= {"action": action, "rewards": self._rewards(action)}

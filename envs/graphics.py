@@ -53,7 +53,7 @@ WORST = -10.0  # reward below which the curve is cut: a collision would dwarf ev
 
 
 def model_color(name: str | None) -> Color:
-    """The colour of a human model; grey without a model. Those that were registered get theirs in their order."""
+    """Return the colour of a human model, grey without one; registered models have colours in their order."""
     if name in MODEL_COLORS:
         return MODEL_COLORS[name]
     registered = [known for known in MODELS if known not in MODEL_COLORS]
@@ -77,7 +77,7 @@ class InteractionViewer(Viewer):
     """Draws an `ms_highway.envs.base.InteractionEnv` on a surface of ``screen_width`` x ``screen_height``."""
 
     def window_position(self) -> Float[np.ndarray, "2"]:
-        """The view follows the robot along the road and keeps the road in place."""
+        """Return the centre of the view: it follows the robot along the road and keeps the road in place."""
         lanes = np.asarray(self.env.game.scene.lanes, dtype=float)
         return np.array([self.env.robot.position[0], (lanes.min() + lanes.max()) / 2])
 
@@ -113,7 +113,7 @@ class InteractionViewer(Viewer):
         pygame.draw.rect(surface, ASPHALT, (0, top, surface.get_width(), bottom - top))
 
     def _name(self, name: str, car: Any, side: int) -> None:
-        """The car's name at the roadside: -1 is the left, at the top."""
+        """Draw the car's name at the roadside: -1 is the left, at the top."""
         surface, scene = self.sim_surface, self.env.game.scene
         reach = float(np.ptp(scene.lanes) + scene.lane_width) / 2
         x, _ = surface.vec2pix(car.position)
@@ -130,7 +130,7 @@ class InteractionViewer(Viewer):
         pygame.draw.circle(surface, PAPER, (x, y), box.height // 4)
 
     def _plans(self) -> None:
-        """The robot's plan as a line, the human path that it counts on as dots, both in the model's colour."""
+        """Draw the robot's plan as a line and the predicted human path as dots, both in the model's colour."""
         robot, surface = self.env.robot, self.sim_surface
         if robot.last_step is None:
             return
@@ -166,7 +166,7 @@ class InteractionViewer(Viewer):
         self._curve(chart.move(0, 70))
 
     def _now(self, record: dict[str, Any], top: int) -> None:
-        """The left part: model, reward, seconds and, where the model is chosen here, gains of the last step."""
+        """Draw the left part: model, reward, seconds and, where the model is chosen here, gains of the last step."""
         model = record["model"]
         lines = [f"step {len(self.env.history)}    reward {record['reward']:+.2f}"]
         if record["collision"]:
@@ -187,7 +187,7 @@ class InteractionViewer(Viewer):
             self._text(line, MEDIUM, INK, (MARGIN, top + 48 + 26 * place))
 
     def _chart(self, box: pygame.Rect, heading: str, low: str, high: str) -> None:
-        """What charts have in common: a heading above, a line below, and what their ends stand for, on the left."""
+        """Draw the frame of a chart: a heading above, a line below, and the values of its ends on the left."""
         surface = self.sim_surface
         self._text(heading, SMALL, FAINT, (box.left, box.top - 20))
         pygame.draw.line(surface, FAINT, box.bottomleft, box.bottomright)
@@ -199,7 +199,7 @@ class InteractionViewer(Viewer):
         return box.width / max(self.env.episode_steps, len(self.env.history))
 
     def _bars(self, box: pygame.Rect) -> None:
-        """One bar a step: its height is the planning time, its colour the model."""
+        """Draw one bar per step: its height is the planning time, its colour the model."""
         width, history = self._step_width(box), self.env.history
         longest = max(record["planning_seconds"] for record in history) or 1.0
         for place, record in enumerate(history):
@@ -210,7 +210,7 @@ class InteractionViewer(Viewer):
         self._chart(box, "planning time of each step [ms], in the colour of its model", "0", f"{1e3 * longest:.1f}")
 
     def _curve(self, box: pygame.Rect) -> None:
-        """The reward of each step, cut at its `WORST`; the line at 0 is drawn where it lies within."""
+        """Draw the reward of each step, cut at its `WORST`; the line at 0 is drawn where it lies within."""
         width, rewards = self._step_width(box), [record["reward"] for record in self.env.history]
         low, high = max(min(rewards), WORST), max(*rewards, WORST + 1.0, min(rewards) + 1.0)
 
@@ -231,7 +231,7 @@ class InteractionViewer(Viewer):
 
 
 def _reason(record: dict[str, Any]) -> str:
-    """Why this model: what switching promised, net of the price of planning."""
+    """Say why this model plans: the gain that switching estimated, net of the price of planning."""
     gains, model = record["gains"], record["model"]
     if model in gains:
         return f"switched: estimated net gain {gains[model]:+.3f}"
@@ -257,7 +257,7 @@ def check_display() -> None:
 
 
 def words(text: str, size: int, color: Color) -> pygame.Surface:
-    """A line of text in a font of ``size`` px, kerned, on a surface that is as high for every text.
+    """Draw a line of text in a kerned font of ``size`` px, on a surface of the same height for every text.
 
     The font is Matplotlib's, so that pictures are the same on every machine. It is opened anew each time, since closing
     any of highway-env's viewers ends the font module.

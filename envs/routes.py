@@ -61,6 +61,6 @@ def _draw_route(
 
 
 def _clear(one: Float[np.ndarray, "*times 4"], other: Float[np.ndarray, "*times 4"]) -> Bool[np.ndarray, "*times"]:
-    """Whether two cars are apart, along the road or across it."""
+    """Return whether two cars are apart, along the road or across it."""
     apart = np.abs(one[..., :2] - other[..., :2])
     return (apart[..., 0] >= GAP) | (apart[..., 1] >= SIDE_GAP)

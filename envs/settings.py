@@ -70,7 +70,7 @@ class Settings:
 
     @classmethod
     def read(cls, config: Mapping[str, Any]) -> "Settings":
-        """The settings of a whole configuration, of which `ms_highway.envs.configuration.changed` has checked the rest.
+        """Read a whole configuration, of which `ms_highway.envs.configuration.changed` has checked the rest.
 
         Raises:
             ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
@@ -91,7 +91,7 @@ class Settings:
         )
 
     def game(self, scenario: Scenario) -> Game:
-        """The game of a scenario."""
+        """Build the game of a scenario."""
         return build_game(
             scenario,
             self.semantics,
@@ -104,14 +104,14 @@ class Settings:
         )
 
     def switching(self, costs: Float[np.ndarray, "rungs"], price: float) -> Switching:
-        """The numbers of Algorithm 1 on the ladder, with T(M) and lambda."""
+        """Return the numbers of Algorithm 1 on the ladder, with T(M) and lambda."""
         if self.semantics == "released":
             return Switching(costs, price, self.models, trust_tolerance=RELEASED_TRUST_TOLERANCE)
         return Switching(costs, price, self.models)
 
 
 def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The configuration of an `ms_highway.envs.base.InteractionEnv`: the defaults with the changes made, checked.
+    """Apply changes to the configuration of an `ms_highway.envs.base.InteractionEnv`, and check all of it.
 
     Raises:
         ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
@@ -204,7 +204,7 @@ def _planning(config: Mapping[str, Any]) -> PlanningSettings:
 
 
 def _human_weights(reward: Any, usual: str) -> Mapping[str, float]:
-    """What the human drives for, by name."""
+    """Return the weights of the human's reward, by name."""
     reward = usual if reward is None else reward
     if is_one_of(reward, ("learned",)):
         return shipped("demonstrations").weights

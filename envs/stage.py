@@ -23,13 +23,13 @@ ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
 
 @jax.jit
 def evaluate(scene: Scene, driver: Reward, states: Float[jax.Array, "cars 4"]) -> Float[jax.Array, "2 features"]:
-    """The features phi of car 0's state, and what each of them adds to its reward, in one transfer."""
+    """Compute the features phi of car 0's state and their terms in its reward, in one transfer."""
     phi = features(scene, driver, states)
     return jnp.stack([phi, phi * driver.weights])
 
 
 def straight_road(game: Game) -> RoadNetwork:
-    """The lanes of a game's scene as highway-env's road network, with the robot's speed limit."""
+    """Build highway-env's road network of a game's lanes, with the robot's speed limit."""
     scene = game.scene
     network, lanes = RoadNetwork(), np.asarray(scene.lanes, dtype=float)
     for place, y in enumerate(lanes):

@@ -29,7 +29,7 @@ State = list[Any]  # symbols of x, y, heading, speed
 def compiled_peer(
     game: Game, model: str, cars: int, directory: Path
 ) -> tuple[Callable[[Float[np.ndarray, "cars 4"]], Float[np.ndarray, "steps 2"]], Callable[[], None]]:
-    """The robot's scaled plan of a state, and a function that only repeats the last computation, to be timed.
+    """Return the function that plans in a state, scaled, and one that repeats its last computation, to be timed.
 
     Args:
         game: whose numbers are built in.

@@ -166,7 +166,7 @@ def _peer(
 
 
 def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: State) -> float:
-    """A decision that never goes up, so that it checks the rung below whenever the cooldown lets it."""
+    """Time a decision that never goes up, so that it checks the rung below whenever the cooldown allows."""
     switching = Switching(np.array([PUBLISHED_COSTS[model.name] for model in models]), 1e9, models)
     compiled, checking = CompiledDecision(switching, game), first_memory(switching, rung)
     waiting = checking._replace(last_check=np.zeros_like(checking.last_check))

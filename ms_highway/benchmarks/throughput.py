@@ -107,7 +107,7 @@ def _devices(count: int | None) -> str:
 
 
 def _batch(scenario: str, comparison: Comparison, devices: int | None) -> dict[str, float]:
-    """One batch, after one of a chunk on every device that it needs, which may compile."""
+    """Time one batch, after one of a chunk on every device that it needs, which may compile."""
     batch = make_batch(comparison, scenario)
     keys, mesh = batch.keys(), use_devices(devices)
     times = [_seconds(batch, keys[: batch.loop.chunk * mesh.size], mesh)]

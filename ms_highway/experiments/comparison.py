@@ -41,7 +41,7 @@ class Comparison:
     planning: Mapping[str, Any] = field(default_factory=dict)
 
     def episodes(self) -> Iterator[tuple[str, str, int]]:
-        """Every (scenario, controller, seed)."""
+        """Yield every (scenario, controller, seed)."""
         for scenario, controllers in self.controllers.items():
             for controller in controllers:
                 for seed in range(self.first_seed, self.first_seed + self.seeds):

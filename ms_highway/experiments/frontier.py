@@ -142,7 +142,7 @@ def search(
 
 
 def _first(steps: int, rungs: int) -> list[Order]:
-    """One rung up to some step, and another one from there on."""
+    """Return the orders of one rung up to some step and another one from there on."""
     ends = np.unique(np.round(np.geomspace(1, steps, SWITCHES)).astype(int)).tolist()
     return [(one,) * end + (other,) * (steps - end) for end in ends for one in range(rungs) for other in range(rungs)]
 

@@ -43,7 +43,7 @@ ARRAYS = ("states", "robot_controls", "human_controls", "rewards", "models", "la
 
 
 def validate(directory: Path) -> dict[str, Any]:
-    """Every reference file of a directory, checked: ``{"files": {NAME: ...}}``, see `validate_file`.
+    """Check every reference file of a directory: ``{"files": {NAME: ...}}``, see `validate_file`.
 
     Raises:
         FileNotFoundError: if there is no such directory or no ``*.npz`` in it.

@@ -166,7 +166,7 @@ def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | 
 
 
 def plan_within_limits(model: HumanModel, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-    """A model's plan as it may be executed: the robot's finite controls are cut down to the limits, see `bounded`.
+    """Plan as may be executed: limit the robot's finite controls, see `ms_highway.game.game.bounded`.
 
     The paper's models keep to the limits by themselves, and their plans are left as they are.
     """

@@ -22,7 +22,7 @@ NAME_WIDTH = 32  # characters
 
 
 def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
-    """Regrets per step in one scenario, a table for each price: what is fixed, what was found, and switching.
+    """Return regrets per step in one scenario, a table per price: what is fixed, what was found, and switching.
 
     Switching is shown with the best lambda for the scenario, and with the best one that all scenarios have in common.
 
@@ -34,7 +34,7 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
 
 
 def _regret_table(behind: pd.DataFrame, scenario: str, price: str) -> Table:
-    """Regrets at one price in one scenario, out of those in all scenarios."""
+    """Return regrets at one price in one scenario, out of those in all scenarios."""
     own = behind[behind["scenario"] == scenario].set_index("controller")
     remarks = dict.fromkeys(own.index[own["kind"] != "switching"], "")
     order, here, anywhere = best_controllers(behind, scenario)
@@ -56,7 +56,7 @@ def _regret_table(behind: pd.DataFrame, scenario: str, price: str) -> Table:
 
 
 def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequence[int]) -> Figure:
-    """Reward against counted computation: what was found, and the controllers that stay behind it.
+    """Draw reward against counted computation: what was found, and the controllers that stay behind it.
 
     The line joins the means of the best orders of each start from price to price; at prices that were not searched it
     is a lower bound all the same. Dots are orders that were tried from every start.

@@ -26,7 +26,7 @@ WIDTH = 13.0  # inches
 
 
 def plan_outcome_figure(foresights: Sequence[PlanOutcome], scene: Scene) -> Figure:
-    """Plans, what they count on and what comes of them, a panel per model, on the road seen from above.
+    """Draw plans, predictions and outcomes, a panel per model, on the road seen from above.
 
     The picture moves along at the speed that the human drives at now: a car that keeps this speed stands still in it,
     and one that brakes falls back. Cars are drawn where they are at the end of the plan, robot and human also, dotted,
@@ -93,7 +93,7 @@ def _alongside(one: PlanOutcome, states: Float[np.ndarray, "times cars 4"]) -> F
 
 
 def _draw(axes: Axes, one: PlanOutcome, scene: Scene) -> None:
-    """One model's panel."""
+    """Draw one model's panel."""
     color, size = color_of(one.model), np.asarray(scene.car_size, dtype=float)
     expected, actual = _alongside(one, one.expected), _alongside(one, one.actual)
     for place in np.asarray(scene.obstacles, dtype=float):

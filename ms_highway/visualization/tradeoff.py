@@ -17,7 +17,7 @@ LABEL = 0.08, 0.05  # width and height of a label, as shares of the axes
 
 
 def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
-    """Reward against computation of every controller; whiskers are the 90 % intervals, left out of schedules.
+    """Draw reward against computation of every controller; whiskers are the 90 % intervals, left out of schedules.
 
     On the left, planning is counted at the seconds T(M) that decisions count; on the right, where they were measured,
     planning and deciding are as on this machine. Switching is joined in the order of lambda; the dashed line joins

@@ -129,7 +129,7 @@ def _mp4(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
 
 
 def _gif(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
-    """One palette for all pictures, and no dithering: what stands still costs nothing."""
+    """Write a GIF with one palette and no dithering: what stands still costs nothing."""
     some = np.linspace(0, len(pictures) - 1, PALETTE_PICTURES).round().astype(int)
     sample = Image.fromarray(np.concatenate([pictures[place] for place in some]))
     palette = sample.quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)

@@ -16,7 +16,7 @@ CONFIDENCE = 0.9
 
 
 def summary(records: pd.DataFrame) -> pd.DataFrame:
-    """One row per scenario and controller, in the order of the records.
+    """Return one row per scenario and controller, in the order of the records.
 
     Columns: ``kind``, the type of the controller, and ``price``, its lambda; ``episodes``; ``reward`` per step with
     ``reward_low`` and ``reward_high``, the 90 % interval of the mean over episodes (Student's t), and ``reward_std``
