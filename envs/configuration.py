@@ -40,7 +40,7 @@ CHOICES = {
     "density": tuple(DENSITIES),
 }
 TIME_STEPS = 0.01, 1.0  # s, the shortest and the longest
-OPTIONAL = ("iterations", "step_size")  # numbers that may be None
+OWN_CHECK = ("horizon", "iterations", "step_size")  # in `ms_highway.envs.settings`
 REPLACED = ("human_reward",)  # mappings that are not merged: weights of two rewards do not belong together
 
 
@@ -53,7 +53,9 @@ def changed(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> d
     Raises:
         ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
     """
-    changes = changes or {}
+    changes = {} if changes is None else changes
+    if not isinstance(changes, Mapping):
+        raise ValueError(f"the configuration is {changes!r}; it must be a dictionary")
     refuse_unknown("config", changes, defaults)
     config = {
         key: changes[key] if key in changes and key in REPLACED else _merged_value(default, changes.get(key, default))
@@ -85,7 +87,7 @@ def _set_frequencies(config: dict[str, Any], changes: Mapping[str, Any]) -> None
 
 def _check_scalar(key: str, default: Any, value: Any) -> None:
     """Check that a value has the type of a default that is a truth value or a number, and that numbers are positive."""
-    if key in OPTIONAL:
+    if key in OWN_CHECK:
         return
     if isinstance(default, bool) and not isinstance(value, (bool, np.bool_)):
         raise ValueError(f"config[{key!r}] is {value!r}; it must be True or False")

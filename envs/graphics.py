@@ -1,6 +1,7 @@
 """What a person sees: the road from above, plans and predictions on it, and a panel with what the robot thinks."""
 
 import os
+import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -64,6 +65,9 @@ class Viewer(EnvViewer):
     """highway-env's viewer, which here draws also without a display, beside others of its kind."""
 
     def __init__(self, env: Any) -> None:
+        displays = {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()
+        if env.render_mode == "rgb_array" and sys.platform == "linux" and not displays:
+            os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # or else SDL complains that there is no screen
         super().__init__(env)
         self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
 

@@ -151,7 +151,7 @@ def _costs(costs: Any, names: Iterable[str]) -> Mapping[str, float] | None:
     refuse_unknown("config['costs']", costs, MODELS)
     for name in names:
         if not is_number(costs.get(name)) or costs[name] < 0:
-            raise ValueError(f"config['costs'] has {costs.get(name)!r} seconds for {name!r}; {remedy}")
+            raise ValueError(f"config['costs'] has {costs.get(name, 'no')!s} seconds for {name!r}; {remedy}")
     return costs
 
 

@@ -100,7 +100,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES, *_PACKAGES})
+    return sorted({*_HOMES, *_PACKAGES, *(name for name in globals() if name.startswith("__"))})
 
 
 for _name, _environment in _ENVIRONMENTS.items():  # by string, also for workers that are spawned

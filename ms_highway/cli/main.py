@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.metadata import version
 from typing import Any
 
 from ms_highway.cli.bench import add_bench
@@ -106,6 +107,7 @@ def build_parser() -> argparse.ArgumentParser:
         help="a Python module, also of the current directory, to be imported first: one that adds scenarios "
         "(ms_highway.add_scenario), human models (ms_highway.register) or features of rewards (ms_highway.add_feature)",
     )
+    parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")
     parser.set_defaults(simulates=False)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     everyday = add_compare, add_sweep, add_frontier, add_safety, add_video, add_report, add_bench, add_validate

@@ -129,9 +129,7 @@ def human_reward(text: str | None) -> str | dict[str, float] | None:
 
 def add_planning(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how robot and human plan, see `planning`, to a command."""
-    group = parser.add_argument_group(
-        "plans of robot and human", "see ms_highway.game.planning_settings.PlanningSettings"
-    )
+    group = parser.add_argument_group("plans of robot and human", "what is left out is chosen to suit the horizon")
     group.add_argument("--horizon", type=int, metavar="K", help="controls in a plan (default: 5)")
     group.add_argument("--time-step", type=float, metavar="SECONDS", help="of plans and world (default: 0.1)")
     group.add_argument("--iterations", type=int, help="gradient steps (default: as suits the horizon; paper: 20)")

@@ -29,6 +29,12 @@ class ModelSwitching(PlanningController):
 
     def __init__(self, game: Game, switching: Switching, warm_start: bool = False) -> None:
         check_costs(switching)
+        strange = [model for model in switching.ladder if not hasattr(model, "plan")]
+        if strange:
+            raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
+        if not (np.asarray(switching.price) >= 0).all() or (np.asarray(switching.costs) < 0).any():
+            told = f"the price is {switching.price} and the costs are {np.asarray(switching.costs).tolist()}"
+            raise ValueError(f"{told}; neither may be negative, nor the price NaN")
         self.switching = switching
         super().__init__(game, warm_start)
 

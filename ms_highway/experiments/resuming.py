@@ -39,7 +39,8 @@ def resumed_settings(directory: Path, settings: Mapping[str, Any]) -> dict[str, 
     known, wanted = read_settings(directory / SETTINGS_FILE), json.loads(json.dumps(settings))
     differing = [key for key in {**known, **wanted} if key not in EXTENDED and known.get(key) != wanted.get(key)]
     if differing:
-        pairs = ", ".join(f"{key} {known.get(key)!r} instead of {wanted.get(key)!r}" for key in differing)
+        before, now = ({key: repr(each.get(key, "the default")) for key in differing} for each in (known, wanted))
+        pairs = ", ".join(f"{key} {before[key]} instead of {now[key]}" for key in differing)
         raise ValueError(f"{directory} holds results with {pairs}; choose another directory with --out")
     return known
 

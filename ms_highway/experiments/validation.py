@@ -49,7 +49,9 @@ def validate(directory: Path) -> dict[str, Any]:
         FileNotFoundError: if there is no such directory or no ``*.npz`` in it.
         ValueError: for a file that is no reference file.
     """
-    files = sorted(directory.glob("*.npz")) if directory.is_dir() else []
+    if not directory.is_dir():
+        raise FileNotFoundError(f"there is no directory {directory}; name the one that holds the reference episodes")
+    files = sorted(directory.glob("*.npz"))
     if not files:
         raise FileNotFoundError(f"no reference episodes (*.npz) in {directory}; name the directory that holds them")
     return {"files": {file.name: validate_file(file) for file in files}}

@@ -10,6 +10,13 @@ from ms_highway.runtime.arrays import Array
 
 __all__ = ["Scene"]
 
+SHAPES: dict[str, tuple[str | int, ...]] = {
+    "lanes": ("n",),
+    "obstacles": ("n", 2),
+    "obstacle_size": (2,),
+    "car_size": (2,),
+}
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -17,11 +24,12 @@ class Scene:
     """A straight road along x with obstacles on it. All lengths are in metres, y points to the right.
 
     Attributes:
-        lanes: lateral position of each lane's centre.
+        lanes: lateral position of each lane's centre, array [lanes].
         lane_width: width of a lane; the road ends half of it beyond the outermost centres.
-        obstacles: centres (x, y) of the static obstacles, which are parallel to the axes.
-        obstacle_size: length and width of every obstacle.
-        car_size: length and width of every car.
+        obstacles: centres (x, y) of the static obstacles, which are parallel to the axes, array [n, 2]; for none,
+            ``np.zeros((0, 2))``.
+        obstacle_size: length and width of every obstacle, array [2].
+        car_size: length and width of every car, array [2].
         corner: position of the outermost body points of the collision feature, as a share of length and width (1/2 is
             the corner of the body).
         target_lane: lateral position of the lane that a merging car enters.
@@ -31,7 +39,7 @@ class Scene:
         leader: index of the car that the gap feature refers to, None without one (static).
 
     Raises:
-        ValueError: if cars have no size; arrays of JAX are not checked.
+        ValueError: for an impossible number or shape, naming the attribute; arrays of JAX are not checked.
     """
 
     lanes: Float[Array, "lanes"]
@@ -46,6 +54,18 @@ class Scene:
     leader: int | None = field(default=None, metadata={"static": True})
 
     def __post_init__(self) -> None:
-        size = self.car_size
+        for name, shape in SHAPES.items():
+            value = getattr(self, name)
+            if isinstance(value, (list, tuple)):
+                value = np.asarray(value, dtype=float)
+                object.__setattr__(self, name, value)
+            if not isinstance(value, np.ndarray):
+                continue  # an array of JAX
+            if value.ndim < len(shape) or shape[-1] not in ("n", value.shape[-1]) or np.isnan(value).any():
+                wanted = ", ".join(map(str, shape))
+                raise ValueError(f"Scene.{name} is {value.tolist()}; give an array [{wanted}] of numbers, in metres")
+        size, width = self.car_size, self.lane_width
         if isinstance(size, np.ndarray) and not ((size > 0) & (size < np.inf)).all():
             raise ValueError(f"Scene.car_size is {size.tolist()}; give length and width in metres, both positive")
+        if isinstance(width, (int, float, np.ndarray, np.number)) and not np.all(np.asarray(width) >= 0):
+            raise ValueError(f"Scene.lane_width is {width}; it must not be negative")

@@ -47,12 +47,13 @@ class Switching:
     """The numbers of Algorithm 1.
 
     Attributes:
-        costs: T(M), planning time of each rung [s]; NaN if unknown: then no gain is estimated, and the rung stays.
+        costs: array [rungs] of T(M), planning time of each rung [s]; NaN if unknown: then no gain is estimated, and the
+            rung stays.
         price: lambda, reward per second of planning.
         trust_radius: longest change of the scaled control for which the expansion is trusted.
         trust_tolerance: of the step's length, as a share of the radius: 0.001, in the released code 0.05.
         cooldown: least number of steps between two downward checks of the same rung.
-        ladder: human models, cheapest first (static).
+        ladder: tuple of human models, cheapest first, see `ms_highway.planning.human_models.ladder` (static).
     """
 
     costs: Float[Array, "rungs"]

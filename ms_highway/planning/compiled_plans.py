@@ -65,17 +65,20 @@ class CompiledPlans:
 def plan(game: Game, state: Float[np.ndarray, "cars 4"], model: HumanModel | str = "tom") -> JointPlan:
     """Plan in one situation: the robot's controls, and the human's that it counts on, [steps, 2] each.
 
-    Controls are in the units of the game's dynamics, other than those of a start that a plan improves; compiled once
-    for all games of the same shapes.
+    Controls are curvatures [1/m] and accelerations before friction [m/s^2]: with the paper's friction, 4 m/s^2 keep
+    20 m/s. Compiled once for all games of the same shapes.
 
     Args:
         game: what is played, see `ms_highway.game.scenario`.
-        state: x, y, heading, speed of all cars, the robot first, then its partner.
+        state: x, y [m], heading [rad], speed [m/s] of all cars, the robot first, then its partner.
         model: the human model, or its name.
 
     Raises:
+        TypeError: if the game is none.
         ValueError: for an unknown model, or a state that is not a finite array [cars, 4] of two cars or more.
     """
+    if not isinstance(game, Game):
+        raise TypeError(f"the game is {game!r}; make a ms_highway.Game with ms_highway.build_game or driving_game")
     refuse_after_fork()
     known = ladder([model])[0] if isinstance(model, str) else model
     planned, _ = CompiledPlans(game).plan(known, checked_state(state))

@@ -34,7 +34,11 @@ Controls = Float[jax.Array, "steps 2"]
 
 
 class JointPlan(NamedTuple):
-    """The robot's controls and the human controls that they expect, scaled."""
+    """The robot's controls and the human controls that they expect.
+
+    Scaled in models and starts: times ``game.planner.control_scale``, they are curvatures [1/m] and accelerations
+    before friction [m/s^2], as `ms_highway.planning.compiled_plans.plan` returns them.
+    """
 
     robot: Controls
     human: Controls
@@ -56,7 +60,7 @@ class HumanModel(Protocol):
     def __hash__(self) -> int: ...
 
     def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
-        """Predict the human's controls."""
+        """Predict the human's controls, scaled, see `JointPlan`."""
 
     def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
         """Plan against this model of the human, improving ``start``, by default zero controls.
@@ -166,15 +170,15 @@ def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | 
 
 
 def plan_within_limits(model: HumanModel, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-    """Plan as may be executed: limit the robot's finite controls, see `ms_highway.game.game.bounded`.
+    """Plan as may be executed: limit all finite controls, see `ms_highway.game.game.bounded`.
 
     The paper's models keep to the limits by themselves, and their plans are left as they are.
     """
     plan = JointPlan(*model.plan(game, state, start))
     if type(model) in (Naive, Turn, TheoryOfMind):
         return plan
-    held = bounded(game, state[0], plan.robot)
-    return plan._replace(robot=jnp.where(jnp.isfinite(plan.robot), held, plan.robot))
+    sides = zip(plan, state[:2], strict=True)
+    return JointPlan(*(jnp.where(jnp.isfinite(side), bounded(game, car, side), side) for side, car in sides))
 
 
 MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), Turn(), TheoryOfMind())}

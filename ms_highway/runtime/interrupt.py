@@ -24,7 +24,9 @@ __all__ = ["INTERRUPTED", "STOPPED", "end", "is_command", "watch"]
 INTERRUPTED = 128 + signal.SIGINT
 """Exit status of an interrupted command, by the convention of shells."""
 
-STOPPED = "ms-highway: stopped; if started again in the same way, compare, sweep, frontier and irl record resume"
+RESUMES = ("compare", "sweep", "frontier", "record")
+STOPPED = "ms-highway: stopped" + ("; started again in the same way, it resumes" if {*RESUMES} & {*sys.argv} else "")
+"""What an interrupted command says last."""
 
 FLUSHING = 1.0  # s, at most, as nobody may be reading the output
 SHOW_CURSOR = "\x1b[?25h"  # hidden by progress bars

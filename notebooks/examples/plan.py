@@ -1,7 +1,8 @@
 """Plan one situation under each human model and print the first controls, and what the human is expected to do.
 
 `ms_highway.plan` returns the robot's controls and the human's that it counts on: a row (curvature [1/m], acceleration
-[m/s^2]) for each of 5 steps of 0.1 s. Any `ms_highway.Game` will do, also one of `ms_highway.driving_game`. Run::
+before friction [m/s^2], of which 4 keep 20 m/s) for each of 5 steps of 0.1 s. Any `ms_highway.Game` will do, also one
+of `ms_highway.driving_game`. Run::
 
     python notebooks/examples/plan.py
 """

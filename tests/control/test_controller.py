@@ -197,3 +197,19 @@ def test_what_was_before_may_be_told_in_the_coordinates_of_now(played):
     expected = still.step(later).gains
     assert told.step(later + back, state + back).gains == pytest.approx(expected, rel=1e-2, abs=1e-3)
     assert untold.step(later + back).gains != pytest.approx(expected, rel=1e-2, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"price": np.nan}, "the price is nan"),
+        ({"price": -1.0}, "the price is -1"),
+        ({"costs": np.array([0.1, -0.1])}, "neither may be negative"),
+        ({"ladder": ("naive", "tom")}, "'naive', which is no human model; make one of names with `ladder`"),
+    ],
+)
+def test_switching_with_impossible_numbers_or_rungs_is_refused(played, changes, message):
+    game, _ = played("merger")
+    switching = Switching(np.array([0.09, 0.37]), 0.1, ladder(("naive", "tom")))
+    with pytest.raises(ValueError, match=message):
+        ModelSwitching(game, replace(switching, **changes))

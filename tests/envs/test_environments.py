@@ -270,7 +270,7 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"ladder": ["tom", "naive"]}, "cheapest first"),
         ({"ladder": []}, "impossible ladder"),
         ({"costs": "free"}, "'free'; say 'published'"),
-        ({"costs": {"naive": 0.1}}, "None seconds for 'turn'"),
+        ({"costs": {"naive": 0.1}}, "has no seconds for 'turn'"),
         ({"semantics": "real"}, "choose one of 'paper', 'released'"),
         ({"influence": "none"}, "'influence'"),
         (

@@ -108,5 +108,22 @@ def test_an_unknown_feature_is_refused_by_name():
 @pytest.mark.parametrize("size", [[0.0, 2.5], [5.0, np.nan], [-5.0, 2.5], [np.inf, 2.5]])
 def test_cars_without_a_size_are_refused(played, size):
     game, _ = played("merger")
-    with pytest.raises(ValueError, match=r"Scene.car_size is \[.*give length and width in metres, both positive"):
+    with pytest.raises(ValueError, match=r"Scene.car_size is \[.*; give .* in metres"):
         replace(game.scene, car_size=np.array(size))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"car_size": (0, 0)}, r"car_size is \[0.0, 0.0\]; give length and width"),
+        ({"car_size": np.array([5.0])}, r"car_size is \[5.0\]; give an array \[2\]"),
+        ({"lanes": [np.nan]}, r"lanes is \[nan\]; give an array \[n\]"),
+        ({"obstacles": np.array([1.0, 2.0])}, r"obstacles is \[1.0, 2.0\]; give an array \[n, 2\]"),
+        ({"lane_width": -1.0}, "lane_width is -1.0"),
+    ],
+)
+def test_a_scene_of_impossible_numbers_or_shapes_is_refused(played, changes, message):
+    game, _ = played("merger")
+    with pytest.raises(ValueError, match=message):
+        replace(game.scene, **changes)
+    assert isinstance(replace(game.scene, lanes=[0.0, 4.0]).lanes, np.ndarray)

@@ -81,9 +81,13 @@ def test_shares_of_reward_and_planning_are_those_of_the_summary_they_come_from(s
 def test_the_sentences_of_the_readme_are_those_of_the_summaries_they_come_from():
     text = " ".join(README.read_text().split())
     compared = COLLECTED.comparison("compare").summaries.query("scenario == 'merger'").set_index("controller")
-    kept = compared["reward"]["switching:0.1"] / compared["reward"]["tom"]
+    gains = compared["reward"] - compared["reward"]["naive"]
+    kept = gains["switching:0.1"] / gains["tom"]
     thinking = compared["share_tom"]["switching:0.1"]
-    assert f"{100 * kept:.0f} % of always-`tom`'s reward with theory of mind in {100 * thinking:.0f} % of" in text
+    assert (
+        f"{100 * kept:.0f} % of what always-`tom` gains over `naive`, with theory of mind in {100 * thinking:.0f} % of"
+        in text
+    )
     order = shares(COLLECTED.comparison("curve").summaries, "merger").loc["schedule:tom=7,naive"]
     told = (
         f"{100 * order['reward']:.0f} % of the reward in Merger for {100 * order['computation']:.0f} % of the planning"

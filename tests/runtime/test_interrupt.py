@@ -12,7 +12,7 @@ import pytest
 
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.simulated import make_batch, run_episodes
-from ms_highway.runtime.interrupt import INTERRUPTED, STOPPED
+from ms_highway.runtime.interrupt import INTERRUPTED
 
 SWEEP = ["sweep", "merger", "--episodes", "100000", "--part", "1024", "--devices", "1"]
 
@@ -49,7 +49,7 @@ def test_an_interrupt_while_a_command_imports_what_it_needs_ends_it_with_one_sen
     started(process)
     time.sleep(seconds)
     said, status, _ = interrupted(process)
-    assert (said[-1], status) == (STOPPED, INTERRUPTED)
+    assert (said[-1], status) == ("ms-highway: stopped; started again in the same way, it resumes", INTERRUPTED)
     assert not any("Traceback" in line for line in said)
 
 
@@ -60,7 +60,7 @@ def test_an_interrupt_while_a_batch_is_computed_ends_the_command_at_once(tmp_pat
         time.sleep(0.05)
     time.sleep(0.5)
     said, status, seconds = interrupted(process)
-    assert (said[-1], status) == (STOPPED, INTERRUPTED)
+    assert (said[-1], status) == ("ms-highway: stopped; started again in the same way, it resumes", INTERRUPTED)
     assert seconds < 5  # a part takes longer than that
     assert not list(tmp_path.rglob(".part.*"))
 
