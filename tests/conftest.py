@@ -16,6 +16,10 @@ from ms_highway.irl.recordings.commonroad import read_directory
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.jax_settings import keep_compilations
 
+XLA_DEFAULTS = "--xla_cpu_max_isa= --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
+"""What XLA does unless it is told otherwise: said, so that commands leave it as it is. XLA would not hear what they say
+after it has begun, but JAX would keep the same compiled function under another name for everything that was said."""
+
 
 @pytest.fixture(scope="session", autouse=True)
 def shared_compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -25,6 +29,7 @@ def shared_compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     settings = {"jax_compilation_cache_dir": cache, "jax_persistent_cache_min_compile_time_secs": 0.1}
     for name, value in settings.items():
         os.environ[name.upper()] = str(value)
+    os.environ.setdefault("XLA_FLAGS", XLA_DEFAULTS)
     keep_compilations(Path(cache))
 
 
