@@ -11,8 +11,6 @@ from ms_highway.cli.main import main
 from ms_highway.experiments.validation import ARRAYS, read_episodes, validate, validate_file
 
 DECISIONS = {"merger": 780, "give_way": 780, "stay_back": 680}
-
-
 ELSEWHERE = [pytest.param(name, marks=pytest.mark.slow) for name in ("give_way", "stay_back")]
 
 
