@@ -76,13 +76,13 @@ def test_a_sweep_is_opened_in_one_line_with_a_row_per_episode_and_per_step(swept
 
 
 @pytest.mark.slow
-def test_a_sweep_with_two_devices_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one_with_one_gives(
+def test_a_sweep_that_is_killed_three_times_goes_on_with_two_devices_to_what_an_uninterrupted_one_with_one_gives(
     swept, tmp_path
 ):
     arguments = [*SWEEP, "--steps", "--out", str(tmp_path / "out")]
     parts = tmp_path / "out" / "episodes"
     for wanted in (1, 2, 3):
-        process = begin(*arguments, devices=2)
+        process = begin(*arguments)
         while process.poll() is None and len(list(parts.glob("part-*"))) < wanted:
             time.sleep(0.002)
         process.send_signal(signal.SIGKILL)
