@@ -1,7 +1,7 @@
 """What the tests share: games, starts, reference episodes, and one compilation cache for all processes."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jax
@@ -16,16 +16,29 @@ from ms_highway.irl.recordings.commonroad import read_directory
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.jax_settings import keep_compilations
 
+XLA_DEFAULTS = "--xla_cpu_max_isa= --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
+"""XLA's own defaults, stated so that commands leave them unchanged. XLA reads its flags once, but JAX names a compiled
+function after the flags of the moment: after a test of a command, others would compile theirs again."""
+
 
 @pytest.fixture(scope="session", autouse=True)
-def shared_compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
+def shared_compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All workers of a run, and the processes that tests start, find what one of them has compiled already."""
     run = tmp_path_factory.getbasetemp()
     cache = str((run.parent if "PYTEST_XDIST_WORKER" in os.environ else run) / "compilation_cache")
     settings = {"jax_compilation_cache_dir": cache, "jax_persistent_cache_min_compile_time_secs": 0.1}
     for name, value in settings.items():
         os.environ[name.upper()] = str(value)
-    keep_compilations(Path(cache))
+    os.environ.setdefault("XLA_FLAGS", XLA_DEFAULTS)
+    return keep_compilations(Path(cache))
+
+
+@pytest.fixture(autouse=True)
+def still_shared(shared_compilation_cache: Path) -> Iterator[None]:
+    """Go back to that cache after tests of others, and of none."""
+    yield
+    if jax.config.jax_compilation_cache_dir != str(shared_compilation_cache):
+        keep_compilations(shared_compilation_cache)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -60,8 +60,8 @@ def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later
 
 @pytest.mark.parametrize("solver", ["gradient", "newton"])
 def test_plans_that_fail_fall_back_to_the_rest_of_the_last_one_and_then_brake(played, solver):
-    game, state = played("stay_back", solver=solver)
-    controller = FixedModel(game, MODELS["turn"])
+    game, state = played("merger", solver=solver)
+    controller = FixedModel(game, MODELS["naive"])
     first = controller.step(np.asarray(state))
     controller.game = replace(game, robot=replace(game.robot, weights=game.robot.weights * jnp.nan))
     steps = [controller.step(np.asarray(state)) for _ in range(6)]
@@ -94,7 +94,7 @@ def test_a_warm_start_goes_on_from_the_last_plan(played):
 
 
 def test_a_state_that_is_no_state_is_refused(played):
-    game, state = played("stay_back")
+    game, state = played("merger")
     controller = FixedModel(game, MODELS["naive"])
     with pytest.raises(ValueError, match=r"shape \[cars, 4\].*\(4,\)"):
         controller.step(np.asarray(state)[0])
@@ -106,7 +106,7 @@ def test_a_state_that_is_no_state_is_refused(played):
 
 def test_a_state_may_be_changed_in_place_between_steps(played):
     game, state = played("merger")
-    switching = Switching(np.array([0.09, 0.17, 0.37]), 0.0, ladder(("naive", "turn", "tom")))
+    switching = Switching(np.array([0.09, 0.17]), 0.0, ladder(("naive", "turn")))
     fresh, reusing = ModelSwitching(game, switching), ModelSwitching(game, switching)
     states = [np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count)) for count in range(4)]
     reused = states[0].copy()
@@ -124,7 +124,7 @@ def test_measured_costs_grow_up_the_ladder(played):
 
 
 def test_switching_without_a_known_cost_stays_on_its_rung_and_drives_on(played):
-    game, state = played("stay_back")
+    game, state = played("merger")
     controller = ModelSwitching(game, Switching(np.array([np.nan, 0.17]), 0.1, ladder(("naive", "turn"))))
     steps = [controller.step(np.asarray(state)) for _ in range(3)]
     assert [step.model for step in steps] == ["naive"] * 3
@@ -133,7 +133,7 @@ def test_switching_without_a_known_cost_stays_on_its_rung_and_drives_on(played):
 
 @pytest.mark.parametrize("costs", [[0.09], [0.09, 0.17, 0.37], 0.09])
 def test_switching_needs_a_cost_for_each_rung(played, costs):
-    game, _ = played("stay_back")
+    game, _ = played("merger")
     with pytest.raises(ValueError, match="give one for each of naive, turn"):
         ModelSwitching(game, Switching(np.array(costs), 0.1, ladder(("naive", "turn"))))
 

@@ -1,9 +1,9 @@
 """Limits hold for what is executed, whoever planned it: bounds of each control, and what tyres hold in all."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
-import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,6 +16,7 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import simulated
 from ms_highway.planning.human_models import MODELS, JointPlan, Naive, plan_within_limits, register
+from ms_highway.runtime.compilation import jit_quickly
 
 GRIP = 8.0  # m/s^2
 STATES = [f"{car}_{number}" for car in ("robot", "human") for number in ("x", "y", "heading", "speed")]
@@ -72,12 +73,10 @@ def test_a_users_plan_that_is_not_finite_fails_as_any_other_does(played):
         assert FixedModel(game, Reckless(excess=excess)).step(np.asarray(state)).status == "braking"
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", ["naive", "turn", pytest.param("tom", marks=pytest.mark.slow)])
 def test_plans_of_the_papers_models_are_left_as_they_are(played, name):
     game, state = played("merger", control_limit=(0.05, 6.0), grip=GRIP)
-    plans = [
-        jax.jit(plan)(game, state) for plan in (MODELS[name].plan, lambda *now: plan_within_limits(MODELS[name], *now))
-    ]
+    plans = [jit_quickly(plan)(game, state) for plan in (MODELS[name].plan, partial(plan_within_limits, MODELS[name]))]
     np.testing.assert_array_equal(*plans)
 
 

@@ -10,18 +10,11 @@ import pytest
 from ms_highway.cli.main import main
 from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PANEL_HEIGHT, PAPER, TEXT_WIDTH, words
 from ms_highway.experiments.runner import make_environment
-from ms_highway.runtime.jax_settings import low_latency
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.visualization.side_by_side import HEADING_HEIGHT, side_by_side
 from ms_highway.visualization.video import film, scaled, write
 
 ROAD = slice(HEADING_HEIGHT, HEADING_HEIGHT + 200)  # rows of a film's part of the picture that show no measured time
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled_as_by_the_command():
-    """So that the command finds here what is compiled."""
-    low_latency()
 
 
 @pytest.fixture(scope="module")

@@ -54,7 +54,7 @@ def begin(*arguments, devices=1):
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     directory = tmp_path_factory.mktemp("sweep") / "out"
-    assert begin(*SWEEP, "--steps", "--out", str(directory), devices=2).wait() == 0
+    assert begin(*SWEEP, "--steps", "--out", str(directory)).wait() == 0
     return directory
 
 
@@ -76,7 +76,7 @@ def test_a_sweep_is_opened_in_one_line_with_a_row_per_episode_and_per_step(swept
 
 
 @pytest.mark.slow
-def test_a_sweep_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one_with_two_devices_gives(
+def test_a_sweep_that_is_killed_three_times_goes_on_with_two_devices_to_what_an_uninterrupted_one_with_one_gives(
     swept, tmp_path
 ):
     arguments = [*SWEEP, "--steps", "--out", str(tmp_path / "out")]
@@ -89,12 +89,12 @@ def test_a_sweep_that_is_killed_three_times_goes_on_to_what_an_uninterrupted_one
         process.wait()
         assert len(list(parts.glob("part-*"))) >= wanted
     assert not (tmp_path / "out" / "summary.csv").exists()
-    assert begin(*arguments).wait() == 0
+    assert begin(*arguments, devices=2).wait() == 0
     assert contents(tmp_path / "out") == contents(swept)
 
 
 @pytest.mark.slow
-def test_two_processes_and_other_parts_give_the_episodes_of_one_with_two_devices(swept, tmp_path):
+def test_two_processes_and_other_parts_give_the_episodes_of_one(swept, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         coordinator = f"127.0.0.1:{free.getsockname()[1]}"

@@ -9,6 +9,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.collision_risk import collision_risk, plain_collision_risk
 from ms_highway.game.dynamics import Motion, observe
+from ms_highway.runtime.compilation import jit_quickly
 
 
 def close_together(played, scenario):
@@ -26,7 +27,7 @@ def apart(states):
     return Motion(*(field[0] for field in cars)), Motion(*(field[1:] for field in cars))
 
 
-@pytest.mark.parametrize("scenario", ["merger", "stay_back", "give_way"])
+@pytest.mark.parametrize("scenario", ["merger", "stay_back", pytest.param("give_way", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "derivative",
     [lambda f: f, jax.grad, jax.hessian, lambda f: jax.jacfwd(jax.jacfwd(f))],
@@ -35,8 +36,8 @@ def apart(states):
 def test_the_risk_and_its_first_two_derivatives_are_those_of_the_plain_formula(played, scenario, derivative):
     with jax.enable_x64(True):
         scene, states = jax.tree.map(partial(jnp.asarray, dtype=jnp.float64), close_together(played, scenario))
-        ours = jax.jit(jax.vmap(derivative(lambda cars: collision_risk(scene, *apart(cars))[0])))(states)
-        plain = jax.jit(jax.vmap(derivative(lambda cars: plain_collision_risk(scene, *apart(cars)))))(states)
+        ours = jit_quickly(jax.vmap(derivative(lambda cars: collision_risk(scene, *apart(cars))[0])))(states)
+        plain = jit_quickly(jax.vmap(derivative(lambda cars: plain_collision_risk(scene, *apart(cars)))))(states)
     plain = np.asarray(plain)
     assert abs(plain).max() > 0.1, "the cars should be close"
     np.testing.assert_allclose(ours, plain, rtol=1e-9, atol=1e-9 * abs(plain).max())

@@ -1,5 +1,6 @@
 """Motion: one step, many steps, and back."""
 
+import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
@@ -19,6 +20,7 @@ PAPER = Dynamics("curvature", "linear", 0.2, 0.1)
 RELEASED_PLAN = Dynamics("yaw_rate", "linear", 0.0, 0.1)
 RELEASED_WORLD = Dynamics("yaw_rate", "quadratic", 0.006, 0.1)
 ALL = pytest.mark.parametrize("dynamics", [PAPER, RELEASED_PLAN, RELEASED_WORLD])
+compiled = jax.jit(rollout)
 BATCHES = pytest.mark.parametrize("batch", [(), (3,), (2, 1)])
 
 
@@ -62,7 +64,7 @@ def test_a_rollout_is_as_many_steps(dynamics, batch):
     states = [state]
     for control in controls:
         states.append(step(dynamics, states[-1], control))
-    rolled = rollout(dynamics, jnp.asarray(state), jnp.moveaxis(jnp.asarray(controls), 0, -2))
+    rolled = compiled(dynamics, jnp.asarray(state), jnp.moveaxis(jnp.asarray(controls), 0, -2))
     for field, expected in zip(rolled, observe(np.stack(states[1:], axis=-2)), strict=True):
         assert field.shape == (*batch, 5)
         np.testing.assert_allclose(field, expected, rtol=1e-5, atol=1e-4)

@@ -27,6 +27,7 @@ from ms_highway.metareasoning.switching import _expand
 from ms_highway.optimization.second_derivatives import response
 from ms_highway.planning.compiled_plans import plan_function
 from ms_highway.planning.human_models import Naive, TheoryOfMind, cold_start
+from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.packing import pack
 
 STEP = 1e-2  # of scaled controls, for differences in single precision
@@ -71,15 +72,14 @@ def test_the_slope_of_a_plan_is_that_of_differences(played):
     game, state, controls = started(played, 5)
     assert game.robot.names == game.human.names == (*PAPER_FEATURES, "room")
 
-    @jax.jit
     def earned(both):
         return total_reward(game, state, *both)
 
     room = replace(game.robot, weights=jnp.zeros(11).at[-1].set(30.0))
     of_room = replace(game, robot=room)
-    alone = jax.jit(jax.grad(lambda both: total_reward(of_room, state, *both)))(controls)
+    alone = jit_quickly(jax.grad(lambda both: total_reward(of_room, state, *both)))(controls)
     assert np.abs(alone).max() > 0.1, "the feature should matter here"
-    close(jax.jit(jax.grad(earned))(controls), differences(earned, controls), 5e-3)
+    close(jit_quickly(jax.grad(earned))(controls), differences(jit_quickly(earned), controls), 5e-3)
 
 
 def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played):
@@ -87,13 +87,13 @@ def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played):
     game, state, controls = started(played, 1)
     robot, human = controls[:, 0]
 
-    @jax.jit
+    @jit_quickly
     def slopes(both):
         return jax.grad(lambda both: total_reward(game, state, both[:1], both[1:]))(both)
 
     both = controls[:, 0]
     slope, bend = slopes(both), differences(slopes, both)
-    expansion = jax.jit(_expand)(game, state, robot, human)
+    expansion = jit_quickly(_expand)(game, state, robot, human)
     close([expansion.robot, expansion.human], slope, 1e-3)
     close(expansion.robot_robot, bend[0, :, 0], 5e-3)
     close(expansion.robot_human, bend[0, :, 1], 5e-3)
@@ -105,9 +105,9 @@ def test_theory_of_mind_steps_along_differences_of_both_slopes(played):
     game, state, _ = started(played, 5)
     still = np.zeros((5, 2), np.float32)
     mirrored, mirrored_state = swap_players(game, state)
-    slope_robot, slope_human = jax.jit(jax.grad(total_reward, argnums=(2, 3)))(game, state, still, still)
+    slope_robot, slope_human = jit_quickly(jax.grad(total_reward, argnums=(2, 3)))(game, state, still, still)
 
-    @jax.jit
+    @jit_quickly
     def slope_of_human(robot, human):
         return jax.grad(total_reward, argnums=2)(mirrored, mirrored_state, human, robot)
 

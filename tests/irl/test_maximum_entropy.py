@@ -143,6 +143,7 @@ def test_recovery_tells_how_far_off_weights_are_and_what_that_costs(demonstratio
         recover(demonstrations, [30], held_out=8)
 
 
+@pytest.mark.slow
 def test_the_best_controls_of_a_window_earn_more_than_what_was_done(demonstrated):
     few = demonstrated.of(np.arange(len(demonstrated)) % 20 == 0)
     weights = {name: weight / TEMPERATURE for name, weight in DRIVER_WEIGHTS.items()}

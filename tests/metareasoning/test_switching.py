@@ -9,10 +9,18 @@ from ms_highway.game.game import swap_players, total_reward
 from ms_highway.metareasoning.switching import Switching, _expand, decide, first_memory
 from ms_highway.optimization.second_derivatives import response
 from ms_highway.planning.human_models import ladder
+from ms_highway.runtime.compilation import jit_quickly
+
+decide_quickly = jit_quickly(decide)
 
 
 @pytest.mark.parametrize(
-    ("scenario", "influence"), [("merger", "exact"), ("give_way", "damped"), ("stay_back", "damped")]
+    ("scenario", "influence"),
+    [
+        pytest.param("merger", "exact", marks=pytest.mark.slow),
+        pytest.param("give_way", "damped", marks=pytest.mark.slow),
+        ("stay_back", "damped"),
+    ],
 )
 def test_the_expansion_is_that_of_the_rewards_after_one_step(scenario, played, influence):
     """Against derivatives of the planners' own objective, taken with the controls of both as one argument."""
@@ -28,8 +36,8 @@ def test_the_expansion_is_that_of_the_rewards_after_one_step(scenario, played, i
     def derivatives(both):
         return jax.grad(robot_reward)(both), jax.hessian(robot_reward)(both), jax.hessian(human_reward)(both)
 
-    expansion = jax.jit(_expand)(game, state, *controls)
-    slope, bend, human = (np.asarray(array) for array in jax.jit(derivatives)(controls))
+    expansion = jit_quickly(_expand)(game, state, *controls)
+    slope, bend, human = (np.asarray(array) for array in jit_quickly(derivatives)(controls))
     scale = abs(bend).max()
     np.testing.assert_allclose([expansion.robot, expansion.human], slope, rtol=1e-3, atol=1e-4 * abs(slope).max())
     np.testing.assert_allclose(expansion.robot_robot, bend[0, :, 0], rtol=1e-3, atol=1e-4 * scale)
@@ -47,7 +55,7 @@ def decided(switching, played, memory=None, reward=1.5):
     game, state = played("merger")
     memory = first_memory(switching) if memory is None else memory
     control = jnp.array([0.1, 0.1])
-    return decide(switching, game, memory, state, control, control, jnp.float32(reward))
+    return decide_quickly(switching, game, memory, state, control, control, jnp.float32(reward))
 
 
 def test_a_higher_price_lowers_the_gain_by_the_extra_planning_time(played):
@@ -93,7 +101,7 @@ def test_a_decision_needs_a_cost_for_each_rung(played, costs):
 
 
 def test_a_ladder_of_one_rung_never_switches(played):
-    decision = decided(made(0.0, names=("tom",), costs=(0.37,)), played, reward=-100.0)
+    decision = decided(made(0.0, names=("naive",), costs=(0.09,)), played, reward=-100.0)
     assert decision.memory.rung == 0
     assert np.isnan(decision.gain_up)
     assert np.isnan(decision.gain_down)

@@ -14,15 +14,16 @@ from ms_highway.game.scenario import PHYSICAL_LIMIT
 from ms_highway.optimization.second_derivatives import second_order_expansion
 from ms_highway.optimization.solvers import Planner, optimize_controls
 from ms_highway.planning.human_models import MODELS
+from ms_highway.runtime.compilation import jit_quickly
 
 
-@pytest.mark.parametrize("scenario", ["merger", "stay_back"])
+@pytest.mark.parametrize("scenario", ["merger", pytest.param("stay_back", marks=pytest.mark.slow)])
 def test_the_chain_rule_gives_the_hessian_of_the_whole_plan(played, scenario):
     game, state = played(scenario, seed=1)
     controls = jnp.asarray(np.random.default_rng(0).normal(0, 0.2, (2, 5, 2)), dtype=jnp.float32)
     human = move(game, state[1], controls[1])
 
-    @jax.jit
+    @jit_quickly
     def both(robot):
         expansion = second_order_expansion(
             partial(move, game, state[0]), lambda robot: trajectory_reward(game, state, robot, human), robot

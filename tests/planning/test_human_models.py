@@ -14,6 +14,7 @@ from ms_highway.optimization.second_derivatives import response
 from ms_highway.optimization.solvers import Planner, projected_ascent
 from ms_highway.planning.compiled_plans import plan_function
 from ms_highway.planning.human_models import MODELS, JointPlan, TheoryOfMind, Turn, _plan_against, cold_start, ladder
+from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.packing import pack
 
 
@@ -64,7 +65,7 @@ def test_turn_expects_what_a_human_who_ignores_the_robot_would_plan(played):
     )
 
 
-slopes = jax.jit(jax.grad(total_reward, argnums=(2, 3)))
+slopes = jit_quickly(jax.grad(total_reward, argnums=(2, 3)))
 
 
 def after_one_step(game):
@@ -97,7 +98,7 @@ def test_theory_of_mind_steps_along_the_total_derivative(played, influence):
         return total_reward(mirrored, mirrored_state, human, robot)
 
     slope_robot, slope_human = slopes(game, state, still, still)
-    mixed, own = jax.jit(jax.jacfwd(jax.grad(human_reward, argnums=1), argnums=(0, 1)))(still, still)
+    mixed, own = jit_quickly(jax.jacfwd(jax.grad(human_reward, argnums=1), argnums=(0, 1)))(still, still)
     own = np.asarray(own, dtype=float).reshape(10, 10)
     if influence == "damped":
         values, vectors = np.linalg.eigh(own)

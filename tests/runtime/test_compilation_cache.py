@@ -12,14 +12,6 @@ from ms_highway.cli.main import main
 from ms_highway.runtime.jax_settings import keep_compilations
 
 
-@pytest.fixture(autouse=True)
-def as_before():
-    """The other tests' cache."""
-    before = jax.config.jax_compilation_cache_dir
-    yield
-    keep_compilations(Path(before))
-
-
 @pytest.fixture
 def kept(tmp_path):
     """A directory that keeps everything."""

@@ -107,6 +107,7 @@ def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
     assert human.last_step.status == "planned"
 
 
+@pytest.mark.slow
 def test_a_human_that_plans_a_second_ahead_brakes_in_time_for_a_slower_car():
     class FarsightedHuman(HumanVehicle):
         planning = PlanningSettings(horizon=10)

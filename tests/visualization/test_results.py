@@ -18,7 +18,7 @@ from ms_highway.experiments.results import read_results
 def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
     runs = json.loads((compared / "provenance.json").read_text())
     assert [run["command"][-1] for run in runs] == ["1", "2"]
-    assert runs[0]["time"] < runs[1]["time"]
+    assert runs[0]["time"] <= runs[1]["time"]  # to the second
     assert runs[0]["machine"]["cores"] >= 1
     assert runs[0]["versions"]["highway-env"] == version("highway-env")
     assert main([*COMPARE, str(compared), "--seeds", "2"]) == 0

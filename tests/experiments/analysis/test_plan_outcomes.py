@@ -27,7 +27,9 @@ def situation(identity="ms-highway/merger-v0", steps=3):
     return env
 
 
-@pytest.mark.parametrize("identity", ["ms-highway/merger-v0", "ms-highway/give-way-v0"])
+@pytest.mark.parametrize(
+    "identity", ["ms-highway/merger-v0", pytest.param("ms-highway/give-way-v0", marks=pytest.mark.slow)]
+)
 def test_what_comes_of_a_plan_is_what_comes_of_it_in_the_environment(identity):
     """An agent that executes the plan meets the same human and earns the same."""
     before = situation(identity)
