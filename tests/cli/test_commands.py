@@ -79,7 +79,7 @@ def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, 
         (["video", "roundabout", "--out", "film.mp4"], "unknown scenario 'roundabout'"),
         (["video", "merger", "--out", "film.mp4", "--against", "oracle"], "unknown controller 'oracle'"),
         (["video", "merger", "--out", "film.mp4", "--width", "2000"], "the width is 2000 px"),
-        (["validate", "nowhere"], "no reference episodes"),
+        (["validate", "nowhere"], "there is no directory nowhere"),
         (["bench", "roundabout"], "'roundabout'; the scenarios are"),
     ],
 )
