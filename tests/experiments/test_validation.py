@@ -73,8 +73,10 @@ def test_validate_prints_json_for_any_directory_of_such_files(reference, tmp_pat
 
 
 def test_files_that_are_no_reference_files_are_refused_by_name(tmp_path):
-    with pytest.raises(FileNotFoundError, match="no reference episodes"):
+    with pytest.raises(FileNotFoundError, match=r"there is no directory .*absent"):
         validate(tmp_path / "absent")
+    with pytest.raises(FileNotFoundError, match="no reference episodes"):
+        validate(tmp_path)
     (tmp_path / "merger__naive.npz").write_bytes(b"not an archive")
     with pytest.raises(ValueError, match=r"merger__naive\.npz is no reference file"):
         validate(tmp_path)
