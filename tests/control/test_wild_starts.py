@@ -15,7 +15,7 @@ from ms_highway.game.scenario import PHYSICAL_LIMIT
 from ms_highway.metareasoning.switching import PUBLISHED_COSTS, Switching
 from ms_highway.planning.human_models import MODELS, ladder
 
-STARTS = 1000
+STARTS = 100
 LIMIT = np.array(PHYSICAL_LIMIT)
 
 
