@@ -7,13 +7,20 @@ from math import nan
 from typing import Any, ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
 from ms_highway.envs.checks import LARGEST, is_number, is_one_of, refuse_unknown
-from ms_highway.planning.human_models import MODELS
+from ms_highway.game.scenario import Semantics
+from ms_highway.metareasoning.rule import Rule
+from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
+from ms_highway.metareasoning.values import load_values
+from ms_highway.planning.human_models import MODELS, HumanModel
 
 __all__ = [
+    "ChoosingSettings",
     "ControllerSettings",
     "FixedSettings",
+    "LearnedSettings",
     "RandomSettings",
     "ScheduledSettings",
     "SwitchingSettings",
@@ -111,11 +118,10 @@ class RandomSettings(ControllerSettings):
 
 
 @dataclass(frozen=True)
-class SwitchingSettings(ControllerSettings):
-    """Algorithm 1 chooses the human model of each step from the ladder, at a price per second of planning."""
+class ChoosingSettings(ControllerSettings):
+    """A rule chooses the human model of each step from the ladder, at a price per second of planning."""
 
     price: float
-    type: ClassVar[str] = "switching"
 
     def __post_init__(self) -> None:
         check_price(PLACE, self.price)
@@ -124,10 +130,50 @@ class SwitchingSettings(ControllerSettings):
         """See `ControllerSettings.names`."""
         return ()
 
+    @abstractmethod
+    def rule(self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics) -> Rule:
+        """Return the rule on a ladder with T(M) [s]."""
+
+
+@dataclass(frozen=True)
+class SwitchingSettings(ChoosingSettings):
+    """Algorithm 1 chooses."""
+
+    type: ClassVar[str] = "switching"
+
+    def rule(
+        self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics
+    ) -> Switching:
+        """See `ChoosingSettings.rule`."""
+        tolerance = {"trust_tolerance": RELEASED_TRUST_TOLERANCE} if semantics == "released" else {}
+        return Switching(costs, self.price, models, **tolerance)
+
+
+@dataclass(frozen=True)
+class LearnedSettings(ChoosingSettings):
+    """A learned value of computation chooses.
+
+    Attributes:
+        values: ``"shipped"`` or a file of `ms_highway.metareasoning.values`; ``""`` and None mean shipped.
+    """
+
+    values: str | None = None
+    type: ClassVar[str] = "learned"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        load_values(self.values or "shipped")
+
+    def rule(self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics) -> Rule:
+        """See `ChoosingSettings.rule`."""
+        return load_values(self.values or "shipped").rule(models, costs, self.price)
+
 
 KINDS: dict[str, type[Any]] = {
-    kind.type: kind for kind in (SwitchingSettings, FixedSettings, ScheduledSettings, RandomSettings)
+    kind.type: kind for kind in (SwitchingSettings, LearnedSettings, FixedSettings, ScheduledSettings, RandomSettings)
 }
+
+CHOOSING = [name for name, kind in KINDS.items() if issubclass(kind, ChoosingSettings)]
 
 
 def check_price(place: str, price: Any) -> None:
@@ -178,13 +224,16 @@ def controller_config(text: str) -> dict[str, Any]:
     """
     name, _, rest = text.partition(":")
     config: dict[str, Any]
-    if name == "switching":
+    if name in CHOOSING:
+        price, _, values = rest.partition(":")
         try:
-            if rest != rest.strip():
+            if price != price.strip():
                 raise ValueError  # the name would have spaces or line breaks, in files too
-            config = {"type": "switching", "lambda": float(rest)}
+            config = {"type": name, "lambda": float(price)}
         except ValueError:
-            raise ValueError(f"controller {text!r} needs its lambda as a number, such as switching:0.1") from None
+            raise ValueError(f"controller {text!r} needs its lambda as a number, such as {name}:0.1") from None
+        if values:
+            config["values"] = values
     elif name == "schedule":
         config = {"type": "schedule", "models": _schedule(text, rest)}
     elif name == "random":
