@@ -145,8 +145,9 @@ class SwitchingSettings(ChoosingSettings):
         self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics
     ) -> Switching:
         """See `ChoosingSettings.rule`."""
-        tolerance = {"trust_tolerance": RELEASED_TRUST_TOLERANCE} if semantics == "released" else {}
-        return Switching(costs, self.price, models, **tolerance)
+        if semantics == "released":
+            return Switching(costs, self.price, models, trust_tolerance=RELEASED_TRUST_TOLERANCE)
+        return Switching(costs, self.price, models)
 
 
 @dataclass(frozen=True)

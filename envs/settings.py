@@ -6,7 +6,6 @@ from typing import Any
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Float
 
 from ms_highway.envs.checks import LARGEST, is_number, is_one_of, is_whole, refuse_unknown
 from ms_highway.envs.configuration import changed

@@ -11,7 +11,6 @@ from ms_highway.game.game import Game
 from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
 from ms_highway.metareasoning.rule import Rule, check_costs, first_memory
 from ms_highway.planning.compiled_plans import checked_state
-from ms_highway.planning.human_models import JointPlan
 from ms_highway.runtime.forks import refuse_after_fork
 
 __all__ = ["ModelSwitching"]
@@ -87,10 +86,9 @@ class ModelSwitching(PlanningController):
         """Return the last step; before the first one, a step in which nothing happened, or None if nobody decides."""
         if self._last is None or self._before is None:
             return self._decision.nothing_happened(now) if self.rule.chooses_first else None
-        steps, plan = self.game.planner.horizon, JointPlan(self._last.plan, self._last.human)
-        rest = np.minimum(np.arange(steps), len(plan.robot) - 1)
+        rest = np.minimum(np.arange(self.game.planner.horizon), len(self._last.plan) - 1)
         before = self._before if before is None else checked_state(before)
-        return Observation(before, now, self._last.control, JointPlan(*(side[rest] for side in plan)))
+        return Observation(before, now, self._last.control, (self._last.plan[rest], self._last.human[rest]))
 
     def _warm_up(self, state: Float[np.ndarray, "cars 4"]) -> float:
         """Compile every rung and the decision before the first control of a game; return the seconds spent."""

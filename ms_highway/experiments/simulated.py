@@ -21,7 +21,7 @@ from ms_highway.envs.controllers import ChoosingSettings, ControllerSettings, Sw
 from ms_highway.envs.settings import Settings
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, MEASURED, STATE, columns, gain_column, share_column, state_columns
-from ms_highway.game.scenario import Scenario
+from ms_highway.game.scenario import Scenario, Semantics
 from ms_highway.planning.human_models import MODELS
 from ms_highway.simulation.devices import usual_chunk
 from ms_highway.simulation.loop import simulate
@@ -74,6 +74,11 @@ class Batch:
     environment: InteractionEnv
 
     @property
+    def semantics(self) -> Semantics:
+        """What drives."""
+        return self.environment.settings.semantics
+
+    @property
     def models(self) -> list[str]:
         """Names of the models, in the order of their numbers."""
         return [model.name for model in self.loop.models]
@@ -90,7 +95,7 @@ class Batch:
 
     def loop_with(self, chooses: ChoosingSettings) -> Loop:
         """Return the loop of episodes whose models a controller chooses."""
-        rule = chooses.rule(self.loop.rule.ladder, np.asarray(self.loop.rule.costs), self.comparison.semantics)
+        rule = chooses.rule(self.loop.rule.ladder, np.asarray(self.loop.rule.costs), self.semantics)
         return replace(self.loop, rule=rule)
 
     def keys(self, first: int = 0, last: int | None = None) -> list[Key]:
@@ -258,7 +263,8 @@ def _costs(batch: Batch) -> Float[np.ndarray, "models"]:
 def _gains(batch: Batch, records: Records) -> dict[str, Float[np.ndarray, "episodes steps"]]:
     """Estimated gain of switching to each model."""
     gains = {name: np.full(records.reward.shape, np.nan) for name in MODELS}
-    return gains | {model.name: records.gains[:, :, rung] for rung, model in enumerate(batch.loop.rule.ladder)}
+    estimated = np.moveaxis(np.asarray(records.gains), -1, 0)
+    return gains | {model.name: gain for model, gain in zip(batch.loop.rule.ladder, estimated, strict=True)}
 
 
 def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:

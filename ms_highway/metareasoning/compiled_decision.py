@@ -30,7 +30,7 @@ class Observation(NamedTuple):
     before: Float[np.ndarray, "cars 4"]
     after: Float[np.ndarray, "cars 4"]
     control: Float[np.ndarray, "2"]
-    plan: JointPlan
+    plan: tuple[Float[np.ndarray, "steps 2"], Float[np.ndarray, "steps 2"]]
 
 
 class CompiledDecision:
@@ -67,7 +67,7 @@ class CompiledDecision:
     def nothing_happened(self, state: Float[np.ndarray, "cars 4"]) -> Observation:
         """Return the step before the first one, in which no car moved."""
         still = np.zeros((self._steps, 2))
-        return Observation(state, state, still[0], JointPlan(still, still))
+        return Observation(state, state, still[0], (still, still))
 
     @property
     def function(self) -> jax.stages.Wrapped:

@@ -20,8 +20,10 @@ from ms_highway.runtime.arrays import Array
 
 __all__ = ["LearnedValue", "Network", "advantages", "network_inputs"]
 
-Network: TypeAlias = tuple[tuple[Float[Array, "inputs outputs"], Float[Array, "outputs"]], ...]
-"""Weights and biases of each layer; all but the last are followed by tanh."""
+Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
+"""Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
+
+CAUTION = 1.0
 
 
 @jax.tree_util.register_dataclass
@@ -48,18 +50,24 @@ class LearnedValue:
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
     chooses_first: ClassVar[bool] = True
 
-    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Array, "numbers"]:
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "numbers"]:
         """Describe the state after the last step."""
         return describe(game, outcome.after)
 
-    def choose(self, memory: Memory, seen: Float[Array, "numbers"]) -> Decision:
-        """Take the rung of the highest advantage; where an estimate is not finite, the top of the ladder."""
+    def choose(self, memory: Memory, seen: Float[jax.Array, "numbers"]) -> Decision:
+        """Take the rung of the highest advantage; where an estimate is not finite, the top of the ladder.
+
+        Another rung than the top counts by its mean advantage over the top less `CAUTION` standard deviations among the
+        networks: where they disagree, the dearest model plans.
+        """
         price, (least, largest) = jnp.asarray(self.price), jnp.asarray(self.prices)
         bounded, top = jnp.clip(price, least, largest), len(self.ladder) - 1
         inputs = (network_inputs(seen, bounded) - self.centre) / self.spread
-        estimates = advantages(self.network, inputs, bounded, jnp.asarray(self.costs))
-        failed = ~jnp.isfinite(estimates).all()
-        chosen = jnp.where(failed | (price < least), top, jnp.where(price > largest, 0, jnp.argmax(estimates)))
+        each = advantages(self.network, inputs, bounded, jnp.asarray(self.costs))
+        over_top = each - each[:, -1:]
+        cautious = jnp.mean(over_top, axis=0) - CAUTION * jnp.std(over_top, axis=0)
+        estimates, failed = jnp.mean(each, axis=0), ~jnp.isfinite(each).all()
+        chosen = jnp.where(failed | (price < least), top, jnp.where(price > largest, 0, jnp.argmax(cautious)))
         gains = jnp.where(failed, jnp.nan, estimates - estimates[memory.rung])
         return Decision(Memory(chosen.astype(jnp.int32), memory.step + 1, memory.last_check), gains, failed)
 
@@ -76,17 +84,18 @@ def advantages(
     inputs: Float[jax.Array, "inputs"],
     price: Float[jax.Array, ""],
     costs: Float[jax.Array, "rungs"],
-) -> Float[jax.Array, "rungs"]:
-    """Estimate the advantage of each rung over the cheapest one.
+) -> Float[jax.Array, "networks rungs"]:
+    """Estimate the advantage of each rung over the cheapest one, by each of the networks.
 
-    The network estimates what is earned more and what is planned later, in units of `scale`; this step's planning is
-    known: ``scale(lambda) (n_m - n_0) - lambda (T_m - T_0)``.
+    They estimate what is earned more and what is planned later, in units of `scale`; this step's planning is known:
+    ``scale(lambda) (n_m - n_0) - lambda (T_m - T_0)``.
     """
     *hidden, (weights, biases) = network
+    inputs = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
     for layer_weights, layer_biases in hidden:
-        inputs = jnp.tanh(inputs @ layer_weights + layer_biases)
-    estimates = inputs @ weights + biases
-    return scale(price, costs) * (estimates - estimates[0]) - price * (costs - costs[0])
+        inputs = jnp.tanh(jnp.einsum("ni,nio->no", inputs, layer_weights) + layer_biases)
+    estimates = jnp.einsum("ni,nio->no", inputs, weights) + biases
+    return scale(price, costs) * (estimates - estimates[:, :1]) - price * (costs - costs[0])
 
 
 def scale(price: Float[jax.Array, "*batch"], costs: Float[jax.Array, "rungs"]) -> Float[jax.Array, "*batch"]:

@@ -79,6 +79,7 @@ class Rule(Protocol):
     """
 
     chooses_first: ClassVar[bool]
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def ladder(self) -> tuple[HumanModel, ...]: ...
@@ -89,13 +90,13 @@ class Rule(Protocol):
     @property
     def price(self) -> float | Float[Array, ""]: ...
 
-    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Array, "numbers"]:
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "numbers"]:
         """Compute what the choice is based on.
 
         Before the first step, nothing has happened: the outcome is of a step in which no car moved.
         """
 
-    def choose(self, memory: Memory, seen: Float[Array, "numbers"]) -> Decision:
+    def choose(self, memory: Memory, seen: Float[jax.Array, "numbers"]) -> Decision:
         """Choose the rung of the coming step by what `look` computed."""
 
 

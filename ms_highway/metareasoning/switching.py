@@ -53,11 +53,11 @@ class Switching:
     chooses_first: ClassVar[bool] = False
     network: ClassVar[None] = None
 
-    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Array, "2"]:
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "2"]:
         """Estimate the gains of going up and down; NaN where none is needed."""
         return _gains(self, game, memory, outcome.before, outcome.robot, outcome.human, outcome.reward)
 
-    def choose(self, memory: Memory, seen: Float[Array, "2"]) -> Decision:
+    def choose(self, memory: Memory, seen: Float[jax.Array, "2"]) -> Decision:
         """Take a step that gains: to the top of the ladder, or one rung down."""
         up, down = seen
         rung, top = memory.rung, len(self.ladder) - 1

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -58,9 +59,9 @@ class Values:
         """
         if self.inputs != input_names():
             raise ValueError("the inputs of the network are those of another version")
-        sizes = [len(self.inputs), *(np.shape(biases)[0] for _, biases in self.network)]
-        shapes = [np.shape(weights) for weights, _ in self.network]
-        if shapes != list(zip(sizes[:-1], sizes[1:], strict=True)) or sizes[-1] != len(self.costs):
+        sizes = [len(self.inputs), *(np.shape(biases)[-1] for _, biases in self.network)]
+        shapes = [np.shape(weights)[1:] for weights, _ in self.network]
+        if shapes != list(pairwise(sizes)) or sizes[-1] != len(self.costs):
             raise ValueError(f"the layers of the network are of shapes {shapes}, for {len(self.costs)} models")
         numbers = [self.centre, self.spread, *(part for layer in self.network for part in layer)]
         if {np.shape(part) for part in numbers[:2]} != {(sizes[0],)} or not all(np.isfinite(n).all() for n in numbers):
@@ -80,11 +81,12 @@ class Values:
             raise ValueError(f"{told}, without {unknown[0]!r}; {REMEDY} --ladder {' '.join(names)}")
         learned = np.array([self.costs[name] for name in names])
         if not np.allclose(learned, costs, rtol=CLOSE, atol=0):
-            told = f"{told} at costs of {_listed(self.costs)} s, and are asked for {_listed(dict(zip(names, costs)))} s"
-            raise ValueError(f"{told}; say these costs, or {REMEDY} --costs ...")
+            now = ",".join(f"{name}={seconds:.3g}" for name, seconds in zip(names, costs, strict=True))
+            then = ",".join(f"{name}={self.costs[name]:.3g}" for name in names)
+            raise ValueError(f"{told} at costs of {then}, not {now}; use those costs, or {REMEDY} --costs {now}")
         *hidden, (weights, biases) = self.network
         places = [known.index(name) for name in names]
-        network = (*hidden, (weights[:, places], biases[places]))
+        network = (*hidden, (weights[..., places], biases[..., places]))
         return LearnedValue(
             learned.astype(np.float32), price, np.array(self.prices), network, self.centre, self.spread, models
         )
@@ -93,10 +95,6 @@ class Values:
 def input_names() -> tuple[str, ...]:
     """Return the names of a network's inputs."""
     return (*description_names(), "log10 lambda")
-
-
-def _listed(costs: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {seconds:.3g}" for name, seconds in costs.items())
 
 
 def save_values(values: Values, path: Path) -> None:
@@ -108,13 +106,11 @@ def save_values(values: Values, path: Path) -> None:
         "inputs": list(values.inputs),
         "provenance": dict(values.provenance),
     }
-    arrays = {"centre": values.centre, "spread": values.spread}
+    arrays: dict[str, Any] = {"about": np.array(json.dumps(about)), "centre": values.centre, "spread": values.spread}
     for number, (weights, biases) in enumerate(values.network):
-        arrays |= {f"weights_{number}": weights, f"biases_{number}": biases}
+        arrays |= {f"weights_{number}": np.asarray(weights), f"biases_{number}": np.asarray(biases)}
     with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez(
-            file, about=np.array(json.dumps(about)), **{name: np.asarray(a, np.float32) for name, a in arrays.items()}
-        )
+        np.savez(file, **arrays)
 
 
 def load_values(which: str | Path) -> Values:

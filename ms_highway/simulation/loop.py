@@ -197,7 +197,7 @@ def _choose(loop: Loop, before: _Now, own: _Own, decides: Bool[jax.Array, "chunk
     def one(before: _Now, own: _Own, moved: _Moved) -> _Now:
         rule = replace(loop.rule, price=own.price)
         memory, gains, _ = decide_by(rule, _game(loop.game, own), before.memory, moved.outcome)
-        return moved.now._replace(memory=memory, gains=gains)
+        return moved.now._replace(memory=memory, gains=jnp.asarray(gains))
 
     decided = jax.lax.cond(decides.any(), lambda: jax.vmap(one)(before, own, moved), lambda: moved.now)
     return jax.tree.map(

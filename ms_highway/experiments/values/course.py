@@ -12,9 +12,10 @@ from ms_highway.metareasoning.rule import Rule
 from ms_highway.simulation.loop import simulate
 from ms_highway.simulation.records import Episodes, Loop, Records
 
-__all__ = ["Course", "drive", "noisy_starts"]
+__all__ = ["SEGMENT", "Course", "drive", "noisy_starts"]
 
 MOST_NOISE = 4.0  # see `noisy_starts`
+SEGMENT = 20  # steps
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Course:
         draw: draws the start of every car.
         steps: length of an episode.
         rungs: places of the course's own ladder in the ladder that is learned.
+        share: of the states that a whole course is given.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Course:
     draw: Callable[[np.random.Generator], Float[np.ndarray, "cars 4"]]
     steps: int
     rungs: tuple[int, ...]
+    share: float = 1.0
 
 
 def noisy_starts(course: Course, random: np.random.Generator, count: int) -> Float[np.ndarray, "starts cars 4"]:
@@ -55,12 +58,18 @@ def drive(
     prices: Float[np.ndarray, "episodes"],
     mesh: Mesh,
 ) -> Records:
-    """Simulate a course from these starts, with models by schedule or by the rule, see `Episodes`."""
-    weights = (np.asarray(reward.weights, np.float32) for reward in (course.game.robot, course.game.human))
-    episodes = Episodes(
-        np.asarray(starts, np.float32),
-        np.asarray(prices, np.float32),
-        np.asarray(schedules, np.int32),
-        *(np.broadcast_to(row, (len(starts), len(row))) for row in weights),
-    )
-    return simulate(Loop(course.game, rule), episodes, mesh)
+    """Simulate a course from these starts, with models by schedule or by the rule, see `Episodes`.
+
+    Whatever their length, episodes are simulated `SEGMENT` steps at a time, so that a course is compiled once. Plans
+    start cold, and learned values look at the state alone: nothing else goes over from one segment to the next.
+    """
+    rewards = course.game.robot, course.game.human
+    weights = [np.broadcast_to(np.asarray(r.weights, np.float32), (len(starts), len(r.names))) for r in rewards]
+    steps, now, parts = schedules.shape[1], np.asarray(starts, np.float32), []
+    for first in range(0, steps, SEGMENT):
+        part = np.asarray(schedules[:, first : first + SEGMENT], np.int32)
+        part = np.pad(part, ((0, 0), (0, SEGMENT - part.shape[1])), mode="edge")
+        episodes = Episodes(now, np.asarray(prices, np.float32), part, *weights)
+        parts.append(simulate(Loop(course.game, rule), episodes, mesh))
+        now = np.asarray(parts[-1].states[:, -1])
+    return Records(*(np.concatenate(columns, axis=1)[:, :steps] for columns in zip(*parts, strict=True)))

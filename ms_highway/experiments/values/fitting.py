@@ -1,61 +1,109 @@
-"""Fit the network to rollouts."""
+"""Fit networks that estimate the value of computation to rollouts."""
 
 from functools import partial
+from itertools import pairwise
 
 import jax
 import numpy as np
 import optax
 from jax import numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ms_highway.experiments.values.rollouts import Rollouts, draw_prices
 from ms_highway.metareasoning.learned_value import Network, advantages, network_inputs, scale
 
 __all__ = ["fit", "new_network"]
 
-HIDDEN = (64, 64)
+NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
+HIDDEN = (32, 32)
+STEPS = 2000
 BATCH = 256
-RATE = 2e-3  # of learning at first; it falls to 0 by a cosine
-DECAY = 1e-4
+RATE = 3e-3  # of learning at first; it falls to 0 by a cosine
+DECAY = 0.5  # of weights, times the rate and per step
+LARGEST_TARGET = 3.0  # in units of the scale of advantages: what matters is which rung is best, not how bad a crash is
 
 
 def new_network(random: np.random.Generator, inputs: int, rungs: int) -> Network:
-    """Draw a network with the variance that keeps the size of tanh layers (LeCun 1998)."""
+    """Draw weights with the variance that keeps the size of what tanh layers pass on (LeCun et al. 1998)."""
     sizes = [inputs, *HIDDEN, rungs]
     return tuple(
-        ((random.normal(size=(one, other)) / np.sqrt(one)).astype(np.float32), np.zeros(other, np.float32))
-        for one, other in zip(sizes[:-1], sizes[1:], strict=True)
+        (
+            (random.normal(size=(NETWORKS, one, other)) / np.sqrt(one)).astype(np.float32),
+            np.zeros((NETWORKS, other), np.float32),
+        )
+        for one, other in pairwise(sizes)
     )
 
 
-def _loss(network, inputs, prices, targets, costs):
-    """Huber loss of advantages, in units of their scale; rungs without a target do not count."""
-    estimates = jax.vmap(advantages, in_axes=(None, 0, 0, None))(network, inputs, prices, costs)
-    size = scale(prices, costs)[:, None]
-    known = jnp.isfinite(targets)
-    errors = jnp.where(known, (estimates - jnp.where(known, targets, 0)) / size, 0)
-    return optax.losses.huber_loss(errors).sum(axis=-1).mean()
+def fit(
+    rollouts: Rollouts,
+    costs: Float[np.ndarray, "rungs"],
+    prices: tuple[float, float],
+    centre: Float[np.ndarray, "inputs"],
+    spread: Float[np.ndarray, "inputs"],
+    random: np.random.Generator,
+) -> Network:
+    """Fit advantages at prices drawn anew in every step, by AdamW and a Huber loss in units of their scale.
 
+    What a rollout earned and planned is known for each way to go on, so that its best way at any price is known, too.
 
-def fit(rollouts: Rollouts, costs, prices, centre, spread, random: np.random.Generator, steps: int) -> Network:
+    Args:
+        rollouts: from many states.
+        costs: T(M) of each rung [s].
+        prices: the least and the largest lambda.
+        centre: of the inputs, means by which they are standardised.
+        spread: of the inputs, standard deviations likewise.
+        random: draws first weights, rollouts and prices.
+    """
     network = new_network(random, len(centre), len(costs))
-    optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, steps), weight_decay=DECAY)
-    state = optimizer.init(network)
-    key = jax.random.key(int(random.integers(2**31)))
-    low, high = np.log(prices)
+    chosen = random.integers(len(rollouts.descriptions), size=(STEPS, NETWORKS, BATCH))
+    drawn = draw_prices(random, prices, chosen.size).reshape(chosen.shape)
+    numbers = (costs.astype(np.float32), centre, spread)
+    arrays = (np.asarray(part, np.float32) for part in rollouts)
+    return jax.tree.map(np.asarray, _fit(network, tuple(arrays), numbers, chosen, drawn))
 
-    def step(carry, key):
-        network, state = carry
-        one, two = jax.random.split(key)
-        chosen = jax.random.choice(one, len(rollouts.descriptions), (BATCH,))
-        price = jnp.exp(jax.random.uniform(two, (BATCH,), minval=low, maxval=high))
-        value = (rewards[chosen] - price[:, None, None] * seconds[chosen]).max(axis=-1)
-        targets = value - value[:, :1]
+
+@jax.jit
+def _fit(
+    network: Network,
+    rollouts: tuple[jax.Array, ...],
+    numbers: tuple[jax.Array, ...],
+    chosen: Int[jax.Array, "steps networks batch"],
+    drawn: Float[jax.Array, "steps networks batch"],
+) -> Network:
+    descriptions, rewards, seconds = rollouts
+    costs, centre, spread = numbers
+    optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY)
+
+    def loss(
+        network: Network, chosen: Int[jax.Array, "networks batch"], price: Float[jax.Array, "networks batch"]
+    ) -> Float[jax.Array, ""]:
+        earned = (rewards[chosen] - price[..., None, None] * seconds[chosen]).max(axis=-1)
+        size = scale(price, costs)[..., None]
+        targets = (earned - earned[..., :1]) / size
         inputs = (network_inputs(descriptions[chosen], price) - centre) / spread
-        gradient = jax.grad(_loss)(network, inputs, price, targets, costs)
-        updates, state = optimizer.update(gradient, state, network)
+        estimates = jax.vmap(partial(_one, costs))(network, inputs, price) / size
+        known = jnp.isfinite(targets)
+        targets = jnp.clip(jnp.where(known, targets, 0), -LARGEST_TARGET, LARGEST_TARGET)
+        return optax.losses.huber_loss(jnp.where(known, estimates - targets, 0)).sum(axis=-1).mean(axis=-1).sum()
+
+    def step(
+        carry: tuple[Network, optax.OptState], batch: tuple[jax.Array, jax.Array]
+    ) -> tuple[tuple[Network, optax.OptState], None]:
+        network, state = carry
+        updates, state = optimizer.update(jax.grad(loss)(network, *batch), state, network)
         return (optax.apply_updates(network, updates), state), None
 
-    descriptions, rewards, seconds = (jnp.asarray(part, jnp.float32) for part in rollouts)
-    (network, _), _ = jax.jit(lambda: jax.lax.scan(step, (network, state), jax.random.split(key, steps)))()
-    return jax.tree.map(np.asarray, network)
+    (network, _), _ = jax.lax.scan(step, (network, optimizer.init(network)), (chosen, drawn))
+    return network
+
+
+def _one(
+    costs: Float[jax.Array, "rungs"],
+    network: Network,
+    inputs: Float[jax.Array, "batch inputs"],
+    prices: Float[jax.Array, "batch"],
+) -> Float[jax.Array, "batch rungs"]:
+    """Estimate a batch by one of the networks."""
+    alone = jax.tree.map(lambda part: part[None], network)
+    return jax.vmap(lambda one, price: advantages(alone, one, price, costs)[0])(inputs, prices)

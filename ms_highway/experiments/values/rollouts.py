@@ -1,5 +1,7 @@
 """Roll out every model from visited situations: what the value of computation is learned from."""
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -7,16 +9,16 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Float, Int
 
-from ms_highway.experiments.values.course import Course, drive, noisy_starts
+from ms_highway.experiments.values.course import SEGMENT, Course, drive, noisy_starts
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.situation import describe
 from ms_highway.simulation.records import DECIDES
 
-__all__ = ["HORIZON", "Rollouts", "draw_prices", "roll_out", "visited"]
+__all__ = ["HORIZON", "Rollouts", "draw_prices", "joined", "roll_out", "visited"]
 
-HORIZON = 20  # steps of a rollout
+HORIZON = SEGMENT  # steps of a rollout
 STAYS = 0.8  # probability that a random order keeps its rung for another step
-DRAWN = 3  # prices that the rule is followed at from each state
+STRATA = 2  # of the prices that the rule is followed at, in their logarithm: one from each
 
 
 class Rollouts(NamedTuple):
@@ -39,20 +41,38 @@ class Rollouts(NamedTuple):
         return (self.rewards - prices[:, None, None] * self.seconds).max(axis=-1)
 
 
+def joined(parts: Sequence[Rollouts]) -> Rollouts:
+    """Return the rollouts of all parts."""
+    most = max(part.rewards.shape[-1] for part in parts)
+
+    def padded(array: Float[np.ndarray, "states rungs ways"], value: float) -> Float[np.ndarray, "states rungs ways"]:
+        return np.pad(array, ((0, 0), (0, 0), (0, most - array.shape[-1])), constant_values=value)
+
+    return Rollouts(
+        np.concatenate([part.descriptions for part in parts]),
+        np.concatenate([padded(part.rewards, -np.inf) for part in parts]),
+        np.concatenate([padded(part.seconds, 0.0) for part in parts]),
+    )
+
+
 def draw_prices(random: np.random.Generator, prices: tuple[float, float], count: int) -> Float[np.ndarray, "count"]:
     """Draw lambdas whose logarithms are uniform."""
-    return np.exp(random.uniform(*np.log(prices), count)).astype(np.float32)
+    return np.exp(random.uniform(np.log(prices[0]), np.log(prices[1]), count)).astype(np.float32)
 
 
 def visited(
     course: Course, rule: LearnedValue, random: np.random.Generator, count: int, learned: bool, mesh: Mesh
 ) -> Float[np.ndarray, "states cars 4"]:
-    """Draw states that episodes come through: half are planned by random orders, half by the rule if it is learned."""
+    """Draw states that episodes come through, planned by random orders.
+
+    Once the rule is learned, it takes over: at the first step in half of the episodes, later in the others.
+    """
     episodes = -(-count // 4)  # four states of each
     starts = noisy_starts(course, random, episodes)
     schedules = _random_orders(random, episodes, course.steps, len(rule.ladder))
     if learned:
-        schedules[::2] = DECIDES
+        takes_over = np.where(random.random(episodes) < 0.5, 0, random.integers(1, course.steps // 2, episodes))
+        schedules[np.arange(course.steps) >= takes_over[:, None]] = DECIDES
     prices = draw_prices(random, tuple(np.asarray(rule.prices)), episodes)
     after = drive(course, rule, starts, schedules, prices, mesh).states
     states = np.concatenate([starts[:, None], after[:, :-1]], axis=1)
@@ -83,15 +103,30 @@ def roll_out(
     random: np.random.Generator,
     learned: bool,
     rungs: int,
+    horizon: int,
     mesh: Mesh,
 ) -> Rollouts:
-    """Plan one step with each rung, and go on with each rung, or by the rule once it is learned, at several prices."""
+    """Plan one step with each rung; go on with each rung, or once the rule is learned, by the rule or with the top.
+
+    Args:
+        course: where.
+        rule: on the course's ladder.
+        states: to start from.
+        random: draws the prices that the rule is followed at.
+        learned: whether the rule is.
+        rungs: of the ladder that is learned, of which the course's may be a part.
+        horizon: number of steps that count.
+        mesh: devices.
+    """
     own = len(rule.ladder)
     ways: list[tuple[int, np.ndarray]] = []  # rung from the second step on, or DECIDES, and prices
     if not learned:
         ways = [(rung, np.ones(len(states), np.float32)) for rung in range(own)]
     else:
-        ways = [(DECIDES, draw_prices(random, tuple(np.asarray(rule.prices)), len(states))) for _ in range(DRAWN)]
+        least, largest = np.asarray(rule.prices, float)
+        edges = pairwise(np.geomspace(least, largest, STRATA + 1).tolist())
+        ways = [(DECIDES, draw_prices(random, pair, len(states))) for pair in edges]
+        ways.append((own - 1, np.ones(len(states), np.float32)))
     first = np.repeat(np.arange(own), len(ways))
     then = np.tile([rung for rung, _ in ways], own)
     schedules = np.where(np.arange(HORIZON) == 0, first[:, None], then[:, None])  # [own * ways, steps]
@@ -109,6 +144,6 @@ def roll_out(
     costs = np.asarray(rule.costs, float)
     rewards = np.full((len(states), rungs, len(ways)), -np.inf)
     seconds = np.zeros_like(rewards)
-    rewards[:, course.rungs] = np.sum(records.reward, axis=1, dtype=float).reshape(shape)
-    seconds[:, course.rungs] = np.sum(costs[records.model], axis=1).reshape(shape)
+    rewards[:, course.rungs] = np.sum(records.reward[:, :horizon], axis=1, dtype=float).reshape(shape)
+    seconds[:, course.rungs] = np.sum(costs[records.model[:, :horizon]], axis=1).reshape(shape)
     return Rollouts(np.asarray(_describe(course.game, states)), np.nan_to_num(rewards, nan=-np.inf), seconds)
