@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.options import (
+    MOST,
     SOLVERS,
     add_costs,
     add_devices,
@@ -56,6 +57,12 @@ def add_values(commands: Any) -> None:
     parser.add_argument(
         "--generated", type=int, default=0, metavar="N", help="learn on so many random scenes as well (default: 0)"
     )
+    parser.add_argument(
+        "--states",
+        type=int,
+        default=400,
+        help="that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400)",
+    )
     parser.add_argument("--rounds", type=int, default=5, help="of rollouts and fits (default: 5)")
     parser.add_argument("--horizon-steps", type=int, default=20, metavar="STEPS", help="of a rollout (default: 20)")
     parser.add_argument(
@@ -83,8 +90,8 @@ def _learn(options: argparse.Namespace) -> None:
     from ms_highway.metareasoning.values import save_values
     from ms_highway.simulation.devices import use_devices
 
-    check_least(options, rounds=1, horizon_steps=1, generated=0, seed=0, devices=1)
-    check_most(options, rounds=100, horizon_steps=20, generated=MOST_GENERATED)
+    check_least(options, states=1, rounds=1, horizon_steps=1, generated=0, seed=0, devices=1)
+    check_most(options, states=MOST, rounds=100, horizon_steps=20, generated=MOST_GENERATED)
     if options.out.is_dir() or not options.out.parent.is_dir():
         raise ValueError(f"--out is {options.out}; name a file in a directory that exists, such as values.npz")
     if options.out.suffix != ".npz":
@@ -145,6 +152,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     learning = Learning(
         {name: costs[name] for name in models},
         rounds=options.rounds,
+        states=(options.states, -(-options.states * 5 // 8)),
         horizon=options.horizon_steps,
         without=tuple(options.without),
         seed=options.seed,

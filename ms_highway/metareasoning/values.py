@@ -137,7 +137,7 @@ def _shipped() -> Values:
 def _read(path: Path, changed: int) -> Values:
     """Read a file, once for every time that it was ``changed``."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         about = json.loads(str(arrays["about"]))
         if about["version"] != VERSION:

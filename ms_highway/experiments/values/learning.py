@@ -156,7 +156,7 @@ def _rollouts(
     learning: Learning, course: Course, values: Values | None, number: int, place: int, mesh: Mesh
 ) -> Rollouts:
     random, rule = learning.stream(number, COURSE, place), learning.rule(course, values)
-    count = round(course.share * learning.states[0 if values is None else 1])
+    count = max(1, round(course.share * learning.states[0 if values is None else 1]))
     states = visited(course, rule, random, count, values is not None, mesh)
     return roll_out(course, rule, states, random, values is not None, len(learning.costs), learning.horizon, mesh)
 
@@ -204,7 +204,7 @@ def _keep(file: Path, done: Mapping[tuple[int, int], Rollouts], about: str) -> N
 
 def _read(file: Path, about: str) -> dict[tuple[int, int], Rollouts]:
     try:
-        with np.load(file, allow_pickle=False) as archive:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as archive:
             if str(archive["about"]) != about:
                 raise ValueError("it holds rollouts of other settings")
             names = [name.split("/") for name in archive.files if name != "about"]

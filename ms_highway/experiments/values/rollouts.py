@@ -18,6 +18,7 @@ __all__ = ["HORIZON", "Rollouts", "draw_prices", "joined", "roll_out", "visited"
 
 HORIZON = SEGMENT  # steps of a rollout
 STAYS = 0.8  # probability that a random order keeps its rung for another step
+WORST = 1e6  # of a rollout, where plans fail and cars leave the world
 STRATA = 2  # of the prices that the rule is followed at, in their logarithm: one from each
 
 
@@ -141,9 +142,10 @@ def roll_out(
         mesh,
     )
     shape = len(states), own, len(ways)
-    costs = np.asarray(rule.costs, float)
+    earned = np.sum(records.reward[:, :horizon], axis=1, dtype=float)
+    planned = np.sum(np.asarray(rule.costs, float)[records.model[:, :horizon]], axis=1)
     rewards = np.full((len(states), rungs, len(ways)), -np.inf)
     seconds = np.zeros_like(rewards)
-    rewards[:, course.rungs] = np.sum(records.reward[:, :horizon], axis=1, dtype=float).reshape(shape)
-    seconds[:, course.rungs] = np.sum(costs[records.model[:, :horizon]], axis=1).reshape(shape)
-    return Rollouts(np.asarray(_describe(course.game, states)), np.nan_to_num(rewards, nan=-np.inf), seconds)
+    rewards[:, course.rungs] = np.clip(np.nan_to_num(earned, nan=-WORST), -WORST, WORST).reshape(shape)
+    seconds[:, course.rungs] = planned.reshape(shape)
+    return Rollouts(np.asarray(_describe(course.game, states)), rewards, seconds)
