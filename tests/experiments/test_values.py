@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ms_highway.cli.main import main
-from ms_highway.envs import MERGER
+from ms_highway.envs.merger import MERGER
 from ms_highway.experiments.values.course import Course, noisy_starts
 from ms_highway.experiments.values.generator import draw_scenario
 from ms_highway.experiments.values.learning import Learning, learn
