@@ -76,7 +76,14 @@ def add_values(commands: Any) -> None:
     add_ladder(parser)
     add_semantics(parser)
     add_costs(parser, measured=False)
-    parser.add_argument("--solver", choices=SOLVERS, default="gradient", help="of plans (default: gradient)")
+    parser.add_argument(
+        "--solver",
+        dest="solvers",
+        nargs="+",
+        choices=SOLVERS,
+        default=["gradient"],
+        help="of the robot's plans; each scenario is learned with each of them (default: gradient)",
+    )
     add_planning(parser)
     add_devices(parser)
     parser.set_defaults(run=_learn, simulates=True)
@@ -118,6 +125,8 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     Raises:
         ValueError: naming what cannot be learned.
     """
+    from dataclasses import replace
+
     from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
     from ms_highway.envs.settings import Settings
     from ms_highway.experiments.provenance import this_run
@@ -132,23 +141,25 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         environment_id(name)
     ladders = {name: options.ladder or list(SCENARIOS[name].ladder) for name in names}
     models = options.ladder or [name for name in MODELS if any(name in ladder for ladder in ladders.values())]
-    comparison = asked_comparison(options, {name: ladder[:1] for name, ladder in ladders.items()}, 1)
-    comparison.check()
-    batches = {name: make_batch(comparison, name) for name in names}
-    costs = {name: seconds for batch in batches.values() for name, seconds in batch.costs.items() if name in models}
+    first = asked_comparison(options, {name: ladder[:1] for name, ladder in ladders.items()}, 1)
+    comparisons = [replace(first, solver=solver) for solver in dict.fromkeys(options.solvers)]
+    for comparison in comparisons:
+        comparison.check()
+    batches = [make_batch(comparison, name) for comparison in comparisons for name in names]
+    costs = {name: seconds for batch in batches for name, seconds in batch.costs.items() if name in models}
     if len(costs) < len(models):
         raise ValueError(f"--costs gives no seconds of {next(name for name in models if name not in costs)!r}")
     courses = [
         Course(
-            name,
+            batch.scenario.name if len(comparisons) == 1 else f"{batch.scenario.name} ({batch.comparison.solver})",
             batch.loop.game,
             batch.environment.draw_starts,
             batch.steps,
             tuple(models.index(model.name) for model in batch.environment.models),
         )
-        for name, batch in batches.items()
+        for batch in batches
     ]
-    told = {**comparison.common_config(), "scenarios": names, "generated": options.generated}
+    told = {**first.common_config(), "solver": options.solvers, "scenarios": names, "generated": options.generated}
     learning = Learning(
         {name: costs[name] for name in models},
         rounds=options.rounds,
@@ -159,7 +170,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         settings={**told, "seed": options.seed, "without": options.without, "versions": this_run("")["versions"]},
     )
     if options.generated:
-        settings = Settings.read(comparison.config(names[0], ladders[names[0]][0]))
+        settings = Settings.read(first.config(names[0], ladders[names[0]][0]))
         rungs, random = tuple(range(len(models))), learning.stream(0)
         share = min(1.0, 3 / options.generated) * 0.99
         courses += generated_courses(settings.game, rungs, options.generated, share, random)

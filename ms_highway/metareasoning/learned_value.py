@@ -23,7 +23,7 @@ __all__ = ["LearnedValue", "Network", "advantages", "network_inputs"]
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
 
-CAUTION = 1.0
+CAUTION = 0.5
 
 
 @jax.tree_util.register_dataclass

@@ -62,9 +62,7 @@ def test_another_seed_gives_other_values(progress):
 def test_rollouts_of_other_settings_are_not_gone_on_with(progress):
     kept, _ = progress
     other = Learning(LEARNING.costs, rounds=2, states=(9, 5), seed=3)
-    with pytest.raises(
-        ValueError, match=r"kept.npz cannot be resumed \(it holds rollouts of other settings\)"
-    ):
+    with pytest.raises(ValueError, match=r"kept.npz cannot be resumed \(it holds rollouts of other settings\)"):
         next(learn(other, [COURSE], kept, device_mesh()))
 
 
