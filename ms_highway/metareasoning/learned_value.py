@@ -18,12 +18,14 @@ from ms_highway.metareasoning.situation import describe
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["LearnedValue", "Network", "advantages", "network_inputs"]
+__all__ = ["LearnedValue", "Network", "advantages", "network_inputs", "scale"]
 
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
 
-CAUTION = 0.5
+CAUTION = 0.5  # standard deviations among the networks
+NOISE_CAUTION = 0.08  # standard deviations of outcomes
+LEAST_NOISE = 0.02  # in units of `scale`
 
 
 @jax.tree_util.register_dataclass
@@ -55,20 +57,20 @@ class LearnedValue:
         return describe(game, outcome.after)
 
     def choose(self, memory: Memory, seen: Float[jax.Array, "numbers"]) -> Decision:
-        """Take the rung of the highest advantage; where an estimate is not finite, the top of the ladder.
+        """Take the rung of the highest value; where an estimate is not finite, the top of the ladder.
 
-        Another rung than the top counts by its mean advantage over the top less `CAUTION` standard deviations among the
-        networks: where they disagree, the dearest model plans.
+        A rung counts by its mean advantage over the top less its uncertainty: `CAUTION` standard deviations among the
+        networks, and `NOISE_CAUTION` standard deviations of what they saw happen. In doubt, the top rung plans.
         """
         price, (least, largest) = jnp.asarray(self.price), jnp.asarray(self.prices)
         bounded, top = jnp.clip(price, least, largest), len(self.ladder) - 1
         inputs = (network_inputs(seen, bounded) - self.centre) / self.spread
-        each = advantages(self.network, inputs, bounded, jnp.asarray(self.costs))
-        over_top = each - each[:, -1:]
-        cautious = jnp.mean(over_top, axis=0) - CAUTION * jnp.std(over_top, axis=0)
-        estimates, failed = jnp.mean(each, axis=0), ~jnp.isfinite(each).all()
+        each, noise = advantages(self.network, inputs, bounded, jnp.asarray(self.costs))
+        means, apart = jnp.mean(each, axis=0), jnp.std(each, axis=0)
+        cautious = means - CAUTION * apart - NOISE_CAUTION * jnp.mean(noise, axis=0).at[top].set(0.0)
+        failed = ~jnp.isfinite(cautious).all()
         chosen = jnp.where(failed | (price < least), top, jnp.where(price > largest, 0, jnp.argmax(cautious)))
-        gains = jnp.where(failed, jnp.nan, estimates - estimates[memory.rung])
+        gains = jnp.where(failed, jnp.nan, means - means[memory.rung])
         return Decision(Memory(chosen.astype(jnp.int32), memory.step + 1, memory.last_check), gains, failed)
 
 
@@ -84,18 +86,20 @@ def advantages(
     inputs: Float[jax.Array, "inputs"],
     price: Float[jax.Array, ""],
     costs: Float[jax.Array, "rungs"],
-) -> Float[jax.Array, "networks rungs"]:
-    """Estimate the advantage of each rung over the cheapest one, by each of the networks.
+) -> tuple[Float[jax.Array, "networks rungs"], Float[jax.Array, "networks rungs"]]:
+    """Estimate the advantage of each rung over the top one, and its standard deviation, by each of the networks.
 
     They estimate what is earned more and what is planned later, in units of `scale`; this step's planning is known:
-    ``scale(lambda) (n_m - n_0) - lambda (T_m - T_0)``.
+    ``scale(lambda) (n_m - n_top) - lambda (T_m - T_top)``.
     """
     *hidden, (weights, biases) = network
     inputs = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
     for layer_weights, layer_biases in hidden:
         inputs = jnp.tanh(jnp.einsum("ni,nio->no", inputs, layer_weights) + layer_biases)
-    estimates = jnp.einsum("ni,nio->no", inputs, weights) + biases
-    return scale(price, costs) * (estimates - estimates[:, :1]) - price * (costs - costs[0])
+    estimates, spreads = jnp.split(jnp.einsum("ni,nio->no", inputs, weights) + biases, 2, axis=-1)
+    size = scale(price, costs)
+    over_top = size * (estimates - estimates[:, -1:]) - price * (costs - costs[-1])
+    return over_top, size * (LEAST_NOISE + jax.nn.softplus(spreads))
 
 
 def scale(price: Float[jax.Array, "*batch"], costs: Float[jax.Array, "rungs"]) -> Float[jax.Array, "*batch"]:

@@ -61,7 +61,7 @@ class Values:
             raise ValueError("the inputs of the network are those of another version")
         sizes = [len(self.inputs), *(np.shape(biases)[-1] for _, biases in self.network)]
         shapes = [np.shape(weights)[1:] for weights, _ in self.network]
-        if shapes != list(pairwise(sizes)) or sizes[-1] != len(self.costs):
+        if shapes != list(pairwise(sizes)) or sizes[-1] != 2 * len(self.costs):
             raise ValueError(f"the layers of the network are of shapes {shapes}, for {len(self.costs)} models")
         numbers = [self.centre, self.spread, *(part for layer in self.network for part in layer)]
         if {np.shape(part) for part in numbers[:2]} != {(sizes[0],)} or not all(np.isfinite(n).all() for n in numbers):
@@ -86,6 +86,7 @@ class Values:
             raise ValueError(f"{told} at costs of {then}, not {now}; use those costs, or {REMEDY} --costs {now}")
         *hidden, (weights, biases) = self.network
         places = [known.index(name) for name in names]
+        places += [len(known) + place for place in places]  # means, then standard deviations
         network = (*hidden, (weights[..., places], biases[..., places]))
         return LearnedValue(
             learned.astype(np.float32), price, np.array(self.prices), network, self.centre, self.spread, models
