@@ -63,8 +63,9 @@ class InteractionEnv(StageEnv):
       "lambda": 0.1}``: the agent chooses the human model; ``{"type": "ContinuousAction"}``: the agent drives, by
       accelerations of +-5 m/s^2 and front-wheel angles of +-0.1 rad unless ``acceleration_range`` and
       ``steering_range`` say otherwise (highway-env's own +-45 degrees spin a car of 20 m/s at the first step).
-    * ``controller``: ``{"type": "switching", "lambda": 0.1}``, ``{"type": "fixed", "model": "tom"}``, ``{"type":
-      "schedule", "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept, or ``{"type":
+    * ``controller``: ``{"type": "learned", "lambda": 1.0}``, a learned value of computation chooses the model of each
+      step, with ``"values"``, ``"shipped"`` (default) or a file of ``ms-highway values learn``; ``{"type": "switching",
+      "lambda": 0.1}``, the paper's Algorithm 1 does; ``{"type": "fixed", "model": "tom"}``, ``{"type": "schedule", "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept, or ``{"type":
       "random", "shares": {"naive": 0.7, "tom": 0.3}}``, a model per step that is drawn when the episode starts.
     * ``ladder``: names of the human models to choose from, cheapest first.
     * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model.

@@ -38,14 +38,14 @@ class ControllerSettings(ABC):
     """What a controller's configuration says. Impossible values raise a ValueError."""
 
     type: ClassVar[str]
-    price: float = nan  # lambda, where Algorithm 1 decides
+    price: float = nan  # lambda, where a rule chooses
 
     @abstractmethod
     def names(self) -> tuple[str, ...]:
-        """The names of its human models; empty where Algorithm 1 chooses from the ladder."""
+        """The names of its human models; empty where a rule chooses from the ladder."""
 
     def draw(self, steps: int, random: np.random.Generator) -> list[str]:
-        """Return the name of every step's human model, the last one kept; empty where Algorithm 1 chooses.
+        """Return the name of every step's human model, the last one kept; empty where a rule chooses.
 
         Args:
             steps: how many are drawn, for random controllers.
@@ -217,7 +217,8 @@ def named_controller(text: str) -> ControllerSettings:
 def controller_config(text: str) -> dict[str, Any]:
     """Return the configuration that a controller's short name stands for.
 
-    These are the human models, such as ``tom``; ``switching:0.1`` with a lambda; ``schedule:tom=6,naive``, tom for six
+    These are the human models, such as ``tom``; ``switching:0.1`` and ``learned:0.1`` with a lambda, and
+    ``learned:0.1:FILE`` with values of one's own; ``schedule:tom=6,naive``, tom for six
     steps and then naive; and ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
 
     Raises:
@@ -242,7 +243,7 @@ def controller_config(text: str) -> dict[str, Any]:
     elif name in MODELS and not rest:
         config = {"type": "fixed", "model": name}
     else:
-        known = f"{', '.join(MODELS)}, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL and random:MODEL=SHARE,..."
+        known = f"{', '.join(MODELS)}, learned:LAMBDA[:FILE], switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL and random:MODEL=SHARE,..."
         raise ValueError(f"unknown controller {text!r}; the controllers are {known}")
     try:
         controller_settings(config)

@@ -27,8 +27,9 @@ __all__ = ["add_compare", "comparison"]
 HELP = """\
 Run the same seeded episodes with several controllers and compare reward and computation.
 
-A controller is a human model that plans every step (naive, turn, tom); or switching:LAMBDA, which chooses the model at
-every step and pays LAMBDA reward for a second of planning; or schedule:MODEL=STEPS,...,MODEL, an order that is fixed
+A controller is a human model that plans every step (naive, turn, tom); or learned:LAMBDA, which chooses the model at
+every step by a learned value of computation, at a price of LAMBDA reward for a second of planning (learned:LAMBDA:FILE
+with values of `ms-highway values learn`); or switching:LAMBDA, which chooses by the paper's Algorithm 1; or schedule:MODEL=STEPS,...,MODEL, an order that is fixed
 beforehand, such as schedule:tom=6,naive; or random:MODEL=SHARE,..., a model drawn for every step, such as
 random:naive=0.7,tom=0.3: a choice that looks at nothing, which others have to beat. Without scenarios and controllers,
 the paper's comparison runs: its three scenarios, each with its ladder and the paper's two lambdas.
@@ -41,7 +42,7 @@ resumes; with more controllers or scenarios, it adds them. `ms-highway report` m
 EXAMPLES = """\
 examples:
   ms-highway compare
-  ms-highway compare merger --controllers naive tom switching:0.1 --seeds 10 --out results/merger
+  ms-highway compare merger --controllers naive tom learned:1 switching:0.1 --seeds 10 --out results/merger
   ms-highway compare merger --controllers tom switching:{0.01,0.1} schedule:tom={4,6,8},naive --out results/curve
   ms-highway compare merger --ladder naive tom --controllers switching:0.1 --out results/two_rungs
   ms-highway compare give_way --semantics released --costs measured --out results/measured

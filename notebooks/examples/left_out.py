@@ -1,0 +1,47 @@
+"""Add scenarios that no values of computation were learned on, to see what the shipped values are worth there.
+
+*Squeeze*: on three lanes, robot and human both want into the left one, between two scripted cars. *Works*: the human's
+lane is closed by cones, and the robot beside it is rewarded for letting it in. With Zipper, they are::
+
+    ms-highway --import notebooks.examples.left_out frontier zipper squeeze works --controllers learned --out results/left_out
+"""
+
+import notebooks.examples.zipper  # noqa: F401  adds Zipper
+from ms_highway import COMMON_WEIGHTS, InteractionEnv, Scenario, add_scenario
+
+
+class SqueezeEnv(InteractionEnv):
+    """Robot on the right, human in the middle: both want into the left lane, between two scripted cars."""
+
+    scenario = Scenario(
+        name="squeeze",
+        lanes=(-0.2, -0.1, 0.0),
+        cars=((0.0, 0.0), (-0.12, -0.1), (0.25, -0.2), (-0.35, -0.2)),
+        steps=40,
+        ladder=("naive", "turn", "tom"),
+        prices=(0.1, 0.02),
+        robot_weights={**COMMON_WEIGHTS, "target_lane": 150, "merged": 5},
+        human_weights={**COMMON_WEIGHTS, "target_lane": 300},
+        merging_car=0,
+    )
+
+
+class WorksEnv(InteractionEnv):
+    """The human's lane is closed by cones; the robot beside it is rewarded for letting it in."""
+
+    scenario = Scenario(
+        name="works",
+        lanes=(-0.1, 0.0),
+        cars=((-0.1, -0.1), (-0.06, 0.0)),
+        steps=40,
+        ladder=("naive", "turn", "tom"),
+        prices=(0.1, 0.02),
+        robot_weights={**COMMON_WEIGHTS, "target_lane": 500, "partner_target_lane": 250, "partner_merged": 5},
+        human_weights={**COMMON_WEIGHTS, "target_lane": 120},
+        cones=((0.6, 0.02), (0.67, 0.02), (0.74, 0.02), (0.81, 0.02)),
+        merging_car=1,
+    )
+
+
+for environment in (SqueezeEnv, WorksEnv):
+    add_scenario(environment)
