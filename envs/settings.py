@@ -13,7 +13,7 @@ from ms_highway.envs.configuration import changed
 from ms_highway.envs.controllers import ControllerSettings, controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
-from ms_highway.game.planning_settings import PlanningSettings, gradient_steps, longest_step
+from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, PHYSICAL_LIMIT, Scenario, Semantics, build_game
 from ms_highway.metareasoning.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
@@ -35,7 +35,6 @@ ACTION_DEFAULTS: dict[str, dict[str, Any]] = {
     "DiscreteAction": {"steering_range": STEERING_RANGE},
 }
 LONGEST_HORIZON = 100  # steps
-MOST_ITERATIONS = 5000  # of gradient steps: more take seconds per plan
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     used = {name for one in settings for name in one.controller.names()}
     others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
     seconds = np.array([costs[model.name] for model in rungs], np.float32)
-    loop = Loop(environment.game, settings[0].switching(seconds, 0.0), others, usual_chunk())
+    loop = Loop(environment.game, settings[0].switching(seconds, 0.0), others, settings[0].warm_start, usual_chunk())
     return Batch(comparison, environment.scenario, loop, dict(costs), environment)
 
 

@@ -5,7 +5,10 @@ from functools import cache
 
 import numpy as np
 
-__all__ = ["PAPER_PLANNING", "PlanningSettings", "gradient_steps", "longest_step"]
+__all__ = ["MOST_ITERATIONS", "PAPER_PLANNING", "PlanningSettings", "gradient_steps", "longest_step"]
+
+MOST_ITERATIONS = 5000
+"""Upper bound on the gradient steps of a plan; more take seconds."""
 
 PAPER_STEPS = 20, 0.03  # number and size
 SHARE = 0.6  # of the longest step, taken where that is shorter than the paper's
