@@ -3,7 +3,7 @@
 `ms_highway.experiments.runner` runs the same `Comparison` in the environments.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from ms_highway.envs.settings import Settings
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, MEASURED, STATE, columns, gain_column, share_column, state_columns
 from ms_highway.game.scenario import Scenario
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.human_models import human_model, known_models
 from ms_highway.simulation.devices import usual_chunk
 from ms_highway.simulation.loop import simulate
 from ms_highway.simulation.records import DECIDES, Episodes, Loop, Records
@@ -46,9 +46,9 @@ OVERRIDABLE = {"scenario", "default_config", "configure", "draw_starts", "define
 """Names that a scenario's environment may override; a simulation calls these and no others."""
 
 
-def columns_simulated() -> list[str]:
+def columns_simulated(rungs: Iterable[str] = ()) -> list[str]:
     """Return the columns of a simulated step, `ms_highway.experiments.records.columns` without the measured times."""
-    return [name for name in columns() if name not in MEASURED]
+    return [name for name in columns(rungs) if name not in MEASURED]
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 
     Raises:
         ValueError: for anything unknown or impossible; for costs that are to be measured, as nothing is timed here; and
-            for environments that start plans from the last ones, end early, or do something of their own in a step.
+            for environments that end early, or do something of their own in a step.
     """
     environment_id(scenario)
     controllers = comparison.controllers.get(scenario, [])
@@ -116,11 +116,8 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         remedy = "say 'published', or give seconds by model"
         raise ValueError(f"costs are {comparison.costs!r}, and a simulation cannot measure plans; {remedy}")
     config = configs[0]
-    if config["warm_start"] or config["terminate_on_collision"]:
-        reason = ", ".join(f"{key} {config[key]!r}" for key in ("warm_start", "terminate_on_collision"))
-        raise ValueError(
-            f"{scenario} is configured with {reason}; a simulation plans every step from scratch and runs all steps"
-        )
+    if config["terminate_on_collision"]:
+        raise ValueError(f"{scenario} is configured with terminate_on_collision True; a simulation runs all steps")
     kind = ENVIRONMENTS[scenario]
     classes = kind.__mro__[: kind.__mro__.index(InteractionEnv)]
     own = {name for one in classes for name in vars(one) if hasattr(InteractionEnv, name) and name[:2] != "__"}
@@ -133,10 +130,12 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         if not one.controller.names() and not isinstance(one.controller, SwitchingSettings):
             raise ValueError(f"a simulation does not know how {one.controller.type!r} chooses models; use `compare`")
     used = {name for one in settings for name in one.controller.names()}
-    others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
+    others = [name for name in known_models(used) if name in used - {model.name for model in rungs}]
     seconds = np.array([costs[model.name] for model in rungs], np.float32)
-    loop = Loop(environment.game, settings[0].switching(seconds, 0.0), others, settings[0].warm_start, usual_chunk())
-    return Batch(comparison, environment.scenario, loop, dict(costs), environment)
+    models = tuple(map(human_model, others))
+    loop = Loop(environment.game, settings[0].switching(seconds, 0.0), models, settings[0].warm_start, usual_chunk())
+    known = {name: each for one in settings for name, each in (one.costs or {}).items()}
+    return Batch(comparison, environment.scenario, loop, known, environment)
 
 
 def start(batch: Batch, seed: int) -> Float[np.ndarray, "cars 4"]:
@@ -224,7 +223,7 @@ def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFra
     for place, car in enumerate(CARS):
         states = np.asarray(records.states[:, :, place], float).reshape(-1, len(STATE))
         cells |= dict(zip(state_columns(car), states.T, strict=True))
-    return pd.DataFrame(cells, columns=columns_simulated())
+    return pd.DataFrame(cells, columns=columns_simulated(model.name for model in batch.loop.switching.ladder))
 
 
 def _costs(batch: Batch) -> Float[np.ndarray, "models"]:
@@ -234,8 +233,8 @@ def _costs(batch: Batch) -> Float[np.ndarray, "models"]:
 
 def _gains(batch: Batch, records: Records) -> dict[str, Float[np.ndarray, "episodes steps"]]:
     """Estimated gains of switching to each model: up, that is to the top rung, or down by one, from the rung before."""
-    gains = {name: np.full(records.reward.shape, np.nan) for name in MODELS}
     rungs = [model.name for model in batch.loop.switching.ladder]
+    gains = {name: np.full(records.reward.shape, np.nan) for name in known_models(rungs)}
     before = np.concatenate([records.model[:, :1], records.model[:, :-1]], axis=1)
     for rung, name in enumerate(rungs[:-1]):
         gains[name] = np.where(before == rung + 1, records.gain_down, np.nan)
