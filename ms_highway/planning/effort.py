@@ -13,8 +13,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.game import Game
-from ms_highway.game.planning_settings import MOST_ITERATIONS
-from ms_highway.optimization.solvers import Planner
+from ms_highway.game.planning_settings import MOST_ITERATIONS, SHARE, longest_step
 
 if TYPE_CHECKING:
     from ms_highway.planning.human_models import HumanModel, JointPlan
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["BEST", "BEST_LADDER", "Effort", "base_of", "parse", "seconds_of", "starts_warm"]
 
 NAME = re.compile(r"(?P<model>[^@+]+)(@(?P<steps>[1-9][0-9]{0,8}))?(?P<warm>\+warm)?")
-LONGEST = 10.0  # times the planner's step size
+LENGTH = 0.1  # of a step; at the paper's horizon, some plans overshoot and collide from 0.15 on
 
 BEST = "best"
 """Name of `BEST_LADDER` in configurations and commands."""
@@ -35,8 +34,10 @@ BEST_LADDER = ("naive@4+warm", "tom@4+warm", "tom@10+warm")
 class Effort:
     """A human model whose plans take another number of ascent steps than the planner's, or start from the last plan.
 
-    With a number, ascents are always by gradient steps, whatever the planner's solver, as theory of mind's are. Their
-    length is such that all steps together are as long as all of the planner's, but for `LONGEST`.
+    Steps that are counted are gradient steps, whatever the planner's solver and step size, and as long as is safe: 0.1,
+    or `ms_highway.game.planning_settings.SHARE` of the longest where that is shorter, as it is from K = 6 on at 0.1 s.
+    What a plan earns depends on the length of all its steps together: 6 of them earn what the paper's 20 of 0.03 earn,
+    and more of them earn more.
 
     Attributes:
         model: human model that plans.
@@ -69,13 +70,11 @@ class Effort:
         return self.model.plan(self._game(game), state, start)
 
     def _game(self, game: Game) -> Game:
-        return replace(game, planner=_in_steps(game.planner, self.steps)) if self.steps else game
-
-
-def _in_steps(planner: Planner, steps: int) -> Planner:
-    """Return a planner of so many gradient steps, with a length to match."""
-    longer = min(planner.iterations / steps, LONGEST)
-    return replace(planner, iterations=steps, step_size=jnp.asarray(planner.step_size) * longer, solver="gradient")
+        if self.steps is None:
+            return game
+        longest = longest_step(game.planner.horizon, time_step=1.0) / jnp.asarray(game.dynamics.time_step) ** 4
+        length = jnp.minimum(LENGTH, SHARE * longest)
+        return replace(game, planner=replace(game.planner, iterations=self.steps, step_size=length, solver="gradient"))
 
 
 def base_of(model: "HumanModel") -> "HumanModel":
