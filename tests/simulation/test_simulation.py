@@ -185,7 +185,7 @@ def test_a_scenario_whose_environment_ends_early_is_not_simulated(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("controller", "warm_start"), [("schedule:turn=5,naive@6+warm=4,turn@4", False), ("turn", True)]
+    ("controller", "warm_start"), [("schedule:naive=5,turn@4+warm=30,naive@6", False), ("turn", True)]
 )
 def test_warm_starts_and_efforts_agree_with_the_environment_step_by_step(controller, warm_start, monkeypatch):
     config = {**ENVIRONMENTS["merger"].default_config(), "warm_start": warm_start}
