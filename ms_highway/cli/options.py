@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CONTROLLERS",
+    "EFFORTS",
     "MOST",
     "MOST_LAMBDAS",
     "MOST_PROCESSES",
