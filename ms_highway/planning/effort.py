@@ -30,8 +30,8 @@ BEST_LADDER = ("naive@4+warm", "tom@6+warm", "tom@12+warm")
 """Ladder of the rungs that earn most for their time.
 
 Reward per step of each rung alone in Merger and Give Way, measured with 30 starts, the learned human and paper
-semantics: 4.67 and -0.04 at 5 % of tom's T, 6.40 and 5.27 at 30 %, 6.52 and 5.77 at 60 %; tom earns 6.25 and 5.02, turn
-1.51 and 0.09 at 46 %, naive 1.50 and 0.03 at 24 %. In Stay Back, where gradient steps are chaotic, the upper two are not
+semantics: 4.67 and -0.04 at 5 % of tom's T, 6.40 and 5.27 at 30 %, 6.52 and 5.77 at 60 %; tom earns 6.25 and 5.02,
+turn 1.51 and 0.09 at 46 %, naive 1.50 and 0.03 at 24 %. In Stay Back, where outcomes are chaotic, the upper two are not
 worth their time: 0.98, 0.14 and -2.99, where naive earns 0.60, turn 1.50, tom 1.65, and naive@10 most, 1.90.
 """
 
