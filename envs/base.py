@@ -27,7 +27,7 @@ from ms_highway.game.planning_settings import PAPER_PLANNING
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT, TIME_STEP, Scenario, draw_starts
 from ms_highway.planning.compiled_plans import measure_costs
-from ms_highway.planning.human_models import MODELS, HumanModel, Naive
+from ms_highway.planning.human_models import HumanModel, Naive, human_model
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
 __all__ = ["Cone", "InteractionEnv", "Timing"]
@@ -65,10 +65,13 @@ class InteractionEnv(StageEnv):
       ``steering_range`` say otherwise (highway-env's own +-45 degrees spin a car of 20 m/s at the first step).
     * ``controller``: ``{"type": "learned", "lambda": 1.0}``, a learned value of computation chooses the model of each
       step, with ``"values"``, ``"shipped"`` (default) or a file of ``ms-highway values learn``; ``{"type": "switching",
-      "lambda": 0.1}``, the paper's Algorithm 1 does; ``{"type": "fixed", "model": "tom"}``, ``{"type": "schedule", "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept, or ``{"type":
-      "random", "shares": {"naive": 0.7, "tom": 0.3}}``, a model per step that is drawn when the episode starts.
-    * ``ladder``: names of the human models to choose from, cheapest first.
-    * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model.
+      "lambda": 0.1}``, the paper's Algorithm 1 does; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule",
+      "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept; or ``{"type": "random", "shares":
+      {"naive": 0.7, "tom": 0.3}}``, a model per step that is drawn when the episode starts.
+    * ``ladder``: names of the human models to choose from, cheapest first, or ``"best"``; names such as ``tom@8+warm``
+      say how a model plans, see `ms_highway.planning.effort`.
+    * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model. Where
+      ``tom@8`` has none, its T is proportional to the steps.
     * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
@@ -82,7 +85,7 @@ class InteractionEnv(StageEnv):
       `ms_highway.game.scenario.GRIP`: plans are cut down to it and what is executed keeps to it, without reversing;
       None (default) sets no such limit, as in the paper. It does not apply where the agent drives.
     * ``solver``: how the robot improves its plans under naive and turn: ``"gradient"``, the paper's, or ``"newton"``.
-    * ``warm_start``: whether the robot's plans start from the rest of the last plan rather than from zero controls.
+    * ``warm_start``: whether all robot's plans start from the rest of the last plan rather than from zero controls.
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
       robot and human plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step
       size are None, what suits the horizon is chosen; steps that are longer than
@@ -244,9 +247,9 @@ class InteractionEnv(StageEnv):
             rule = controller.rule(self.models, costs, self.settings.semantics)
             return ModelSwitching(self.game, rule, warm_start)
         if isinstance(controller, FixedSettings):
-            return FixedModel(self.game, MODELS[controller.model], warm_start=warm_start)
+            return FixedModel(self.game, human_model(controller.model), warm_start=warm_start)
         names = controller.draw(self.episode_steps, self.np_random)
-        return ScheduledModels(self.game, [MODELS[name] for name in names], warm_start)
+        return ScheduledModels(self.game, [human_model(name) for name in names], warm_start)
 
     def costs(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "rungs"]:
         """T(M) of every model on the ladder [s]; where to be measured, once after each change of configuration."""

@@ -14,7 +14,7 @@ from ms_highway.game.scenario import Semantics
 from ms_highway.metareasoning.rule import Rule
 from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.metareasoning.values import load_values
-from ms_highway.planning.human_models import MODELS, HumanModel
+from ms_highway.planning.human_models import HumanModel, is_model, model_names
 
 __all__ = [
     "ChoosingSettings",
@@ -62,8 +62,8 @@ class FixedSettings(ControllerSettings):
     type: ClassVar[str] = "fixed"
 
     def __post_init__(self) -> None:
-        if not is_one_of(self.model, MODELS):
-            raise ValueError(f"{PLACE}['model'] is {self.model!r}; the human models are {', '.join(MODELS)}")
+        if not is_model(self.model):
+            raise ValueError(f"{PLACE}['model'] is {self.model!r}; the human models are {model_names()}")
 
     def names(self) -> tuple[str, ...]:
         """See `ControllerSettings.names`."""
@@ -79,8 +79,8 @@ class ScheduledSettings(ControllerSettings):
 
     def __post_init__(self) -> None:
         names = self.models
-        if not isinstance(names, (list, tuple)) or not names or not all(is_one_of(name, MODELS) for name in names):
-            raise ValueError(f"{PLACE}['models'] is {names!r}; give a list of human models, of {', '.join(MODELS)}")
+        if not isinstance(names, (list, tuple)) or not names or not all(map(is_model, names)):
+            raise ValueError(f"{PLACE}['models'] is {names!r}; give a list of human models, of {model_names()}")
 
     def names(self) -> tuple[str, ...]:
         """See `ControllerSettings.names`."""
@@ -100,8 +100,8 @@ class RandomSettings(ControllerSettings):
             example = "{'naive': 0.7, 'tom': 0.3}"
             raise ValueError(f"{place} is {shares!r}; give the share of each model, such as {example}")
         for name, share in shares.items():
-            if not is_one_of(name, MODELS):
-                raise ValueError(f"{place} names {name!r}; the human models are {', '.join(MODELS)}")
+            if not is_model(name):
+                raise ValueError(f"{place} names {name!r}; the human models are {model_names()}")
             if not is_number(share) or share < 0:
                 raise ValueError(f"{place}[{name!r}] is {share!r}; a share must be a number from 0 to 1")
         if abs(sum(shares.values()) - 1) > ROUNDING:
@@ -217,9 +217,9 @@ def named_controller(text: str) -> ControllerSettings:
 def controller_config(text: str) -> dict[str, Any]:
     """Return the configuration that a controller's short name stands for.
 
-    These are the human models, such as ``tom``; ``switching:0.1`` and ``learned:0.1`` with a lambda, and
-    ``learned:0.1:FILE`` with values of one's own; ``schedule:tom=6,naive``, tom for six
-    steps and then naive; and ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
+    These are the human models, such as ``tom`` or ``tom@8+warm``; ``switching:0.1`` and ``learned:0.1`` with a lambda,
+    and ``learned:0.1:FILE`` with values of one's own; ``schedule:tom=6,naive``, tom for six steps and then naive; and
+    ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
 
     Raises:
         ValueError: if it stands for none.
@@ -240,10 +240,11 @@ def controller_config(text: str) -> dict[str, Any]:
         config = {"type": "schedule", "models": _schedule(text, rest)}
     elif name == "random":
         config = {"type": "random", "shares": _shares(text, rest)}
-    elif name in MODELS and not rest:
+    elif is_model(name) and not rest:
         config = {"type": "fixed", "model": name}
     else:
-        known = f"{', '.join(MODELS)}, learned:LAMBDA[:FILE], switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL and random:MODEL=SHARE,..."
+        rules = "learned:LAMBDA[:FILE], switching:LAMBDA"
+        known = f"{model_names()}, {rules}, schedule:MODEL=STEPS,...,MODEL and random:MODEL=SHARE,..."
         raise ValueError(f"unknown controller {text!r}; the controllers are {known}")
     try:
         controller_settings(config)
@@ -260,8 +261,8 @@ def _schedule(text: str, parts: str) -> list[str]:
     models: list[str] = []
     for part in first:
         name, _, steps = part.partition("=")
-        if name not in MODELS:
-            raise ValueError(f"controller {text!r}: unknown human model {name!r}; the models are {', '.join(MODELS)}")
+        if not is_model(name):
+            raise ValueError(f"controller {text!r}: unknown human model {name!r}; the models are {model_names()}")
         if not steps.isdecimal():
             raise ValueError(f"controller {text!r} does not say for how many steps; say it like schedule:tom=6,naive")
         if len(steps) > MOST_DIGITS:

@@ -19,25 +19,28 @@ from jaxtyping import Float
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.game.dynamics import step
 from ms_highway.game.scenario import title
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.effort import Effort, base_of
+from ms_highway.planning.human_models import MODELS, human_model, is_model
 
 __all__ = [
     "INK",
     "MARGIN",
     "MODEL_COLORS",
-    "MODEL_MEANINGS",
     "PAPER",
     "Color",
     "InteractionViewer",
     "Viewer",
     "check_display",
     "model_color",
+    "model_meaning",
     "words",
 ]
 
 Color = tuple[int, int, int]
 
 MODEL_COLORS: dict[str, Color] = {"naive": (112, 178, 214), "turn": (240, 180, 50), "tom": (214, 68, 140)}
+PALEST, DARKER = 0.6, 0.8  # shares: of white in the shade of the fewest steps, and of light from the last plan
+FULL = 20  # steps, from which on a shade is the model's own colour
 OTHER_COLORS = ((120, 170, 90), (150, 110, 200), (160, 120, 90))
 MODEL_MEANINGS = {
     "naive": "the human keeps its velocity",
@@ -54,11 +57,26 @@ WORST = -10.0  # reward below which the curve is cut: a collision would dwarf ev
 
 
 def model_color(name: str | None) -> Color:
-    """Return the colour of a human model, grey without one; registered models have colours in their order."""
-    if name in MODEL_COLORS:
-        return MODEL_COLORS[name]
+    """Return the colour of a human model, grey without one; registered models have colours in their order.
+
+    A model with an effort has a shade of its own: the fewer steps, the lighter, and darker from the last plan.
+    """
+    if name is None or not is_model(name):
+        return FAINT
+    model = human_model(name)
+    base = base_of(model).name
     registered = [known for known in MODELS if known not in MODEL_COLORS]
-    return OTHER_COLORS[registered.index(name) % len(OTHER_COLORS)] if name in registered else FAINT
+    color = MODEL_COLORS[base] if base in MODEL_COLORS else OTHER_COLORS[registered.index(base) % len(OTHER_COLORS)]
+    if not isinstance(model, Effort):
+        return color
+    paler = PALEST * max(0.0, 1 - (model.steps or FULL) / FULL)
+    red, green, blue = (round((part + paler * (255 - part)) * (DARKER if model.warm else 1)) for part in color)
+    return red, green, blue
+
+
+def model_meaning(name: str) -> str:
+    """Return what a human model takes the human to do, in a few words; nothing for registered models."""
+    return MODEL_MEANINGS.get(base_of(human_model(name)).name, "") if is_model(name) else ""
 
 
 class Viewer(EnvViewer):
@@ -182,7 +200,7 @@ class InteractionViewer(Viewer):
             chip = pygame.Rect(MARGIN, top, name.get_width() + 2 * MARGIN, 36)
             pygame.draw.rect(self.sim_surface, model_color(model), chip, border_radius=8)
             self.sim_surface.blit(name, name.get_rect(center=chip.center))
-            self._text(MODEL_MEANINGS.get(model, ""), SMALL, INK, (chip.right + 10, top + 10))
+            self._text(model_meaning(model), SMALL, INK, (chip.right + 10, top + 10))
             lines.append(f"planning {1e3 * record['planning_seconds']:.1f} ms")
             if isinstance(self.env.robot.controller, ModelSwitching):
                 lines[-1] += f", deciding {1e3 * record['decision_seconds']:.1f} ms"

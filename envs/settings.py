@@ -1,6 +1,6 @@
 """The settings of the environments of human and robot: what their configuration says, checked once."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from warnings import warn
@@ -12,13 +12,14 @@ from ms_highway.envs.configuration import changed
 from ms_highway.envs.controllers import ControllerSettings, controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
-from ms_highway.game.planning_settings import PlanningSettings, gradient_steps, longest_step
+from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, PHYSICAL_LIMIT, Scenario, Semantics, build_game
 from ms_highway.metareasoning.rule import PUBLISHED_COSTS
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Solver
-from ms_highway.planning.human_models import MODELS, HumanModel, ladder
+from ms_highway.planning.effort import BEST, seconds_of
+from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
 
 __all__ = ["HUMAN_REWARDS", "PLANNING", "Settings", "merged"]
 
@@ -34,7 +35,6 @@ ACTION_DEFAULTS: dict[str, dict[str, Any]] = {
     "DiscreteAction": {"steering_range": STEERING_RANGE},
 }
 LONGEST_HORIZON = 100  # steps
-MOST_ITERATIONS = 5000  # of gradient steps: more take seconds per plan
 
 
 @dataclass(frozen=True)
@@ -75,16 +75,19 @@ class Settings:
             ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
         """
         paper = config["semantics"] == "paper"
+        models, planning = _ladder(config["ladder"]), _planning(config)
+        controller = controller_settings(config["controller"])
+        others = [human_model(name) for name in controller.names()]
         return cls(
             semantics=config["semantics"],
-            models=_ladder(config["ladder"]),
-            controller=controller_settings(config["controller"]),
-            costs=_costs(config["costs"], config["ladder"]),
+            models=models,
+            controller=controller,
+            costs=_costs(config["costs"], models, others, gradient_steps(planning)[0]),
             influence=config["influence"] or ("damped" if paper else "exact"),
             control_limit=_limit(config["control_limit"], PHYSICAL_LIMIT if paper else None),
             grip=_grip(config["grip"]),
             solver=config["solver"],
-            planning=_planning(config),
+            planning=planning,
             human_weights=_human_weights(config["human_reward"], HUMAN_REWARDS[config["semantics"]]),
             warm_start=bool(config["warm_start"]),
         )
@@ -111,7 +114,8 @@ def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> di
     """
     config = changed(defaults, changes)
     config["action"] = {**ACTION_DEFAULTS.get(config["action"]["type"], {}), **config["action"]}
-    planning = Settings.read(config).planning
+    settings = Settings.read(config)
+    config["ladder"], planning = [model.name for model in settings.models], settings.planning
     longest = longest_step(planning.horizon, planning.time_step)
     if planning.step_size is not None and planning.step_size > longest:
         steps = f"{planning.horizon} steps of {planning.time_step:g} s"
@@ -122,30 +126,34 @@ def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> di
 
 def _ladder(names: Any) -> tuple[HumanModel, ...]:
     try:
-        if isinstance(names, str):
-            raise ValueError(f"{names!r} is one name; give a list of names")
+        if isinstance(names, str) and names != BEST:
+            raise ValueError(f"{names!r} is one name; give a list of names, or say {BEST!r}")
         return ladder(names)
     except (ValueError, TypeError) as error:
         raise ValueError(f"config['ladder']: {error}") from None
 
 
-def _costs(costs: Any, names: Iterable[str]) -> Mapping[str, float] | None:
-    """T(M) by model; None where it is to be measured."""
+def _costs(
+    costs: Any, rungs: Sequence[HumanModel], others: Sequence[HumanModel], iterations: int
+) -> Mapping[str, float] | None:
+    """T(M) by model, also of others than the rungs as far as it is known; None where it is to be measured."""
     if is_one_of(costs, ("measured",)):
         return None
-    if is_one_of(costs, ("published",)):
-        for name in names:
-            if name not in PUBLISHED_COSTS:
-                raise ValueError(f"config['costs']: no seconds of {name!r} were published; say 'measured' or give them")
-        return PUBLISHED_COSTS
     remedy = "say 'published', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
-    if not isinstance(costs, Mapping):
+    given = PUBLISHED_COSTS if is_one_of(costs, ("published",)) else costs
+    if not isinstance(given, Mapping):
         raise ValueError(f"config['costs'] is {costs!r}; {remedy}")
-    refuse_unknown("config['costs']", costs, MODELS)
-    for name in names:
-        if not is_number(costs.get(name)) or costs[name] < 0:
-            raise ValueError(f"config['costs'] has {costs.get(name, 'no')!s} seconds for {name!r}; {remedy}")
-    return costs
+    refuse_unknown("config['costs']", given, {*MODELS, *filter(is_model, given)})
+    for name, seconds in given.items():
+        if not is_number(seconds) or seconds < 0:
+            raise ValueError(f"config['costs'] has {seconds!s} seconds for {name!r}; {remedy}")
+    known = {model.name: seconds_of(model, given, iterations) for model in (*others, *rungs)}
+    for name in [model.name for model in rungs]:
+        if known[name] is None and given is PUBLISHED_COSTS:
+            raise ValueError(f"config['costs']: no seconds of {name!r} were published; say 'measured' or give them")
+        if known[name] is None:
+            raise ValueError(f"config['costs'] has no seconds for {name!r}; {remedy}")
+    return {**given, **{name: seconds for name, seconds in known.items() if seconds is not None}}
 
 
 def _limit(limit: Any, usual: tuple[float, float] | None) -> tuple[float, float] | None:

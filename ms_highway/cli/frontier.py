@@ -117,6 +117,7 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
         ValueError: naming what cannot be searched.
     """
     from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
+    from ms_highway.planning.human_models import rung_names
 
     check_least(options, seeds=1, population=1, rounds=1, devices=1)
     check_most(options, seeds=MOST, population=MOST, rounds=MOST)
@@ -130,7 +131,10 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
     for name in options.scenarios:
         environment_id(name)
     controllers = {
-        name: [*(options.ladder or SCENARIOS[name].ladder), *(f"switching:{price:g}" for price in options.lambdas)]
+        name: [
+            *rung_names(options.ladder or SCENARIOS[name].ladder),
+            *(f"switching:{price:g}" for price in options.lambdas),
+        ]
         for name in options.scenarios or PAPER_SCENARIOS
     }
     comparison = asked_comparison(options, controllers, options.seeds)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CONTROLLERS",
+    "EFFORTS",
     "MOST",
     "MOST_LAMBDAS",
     "MOST_PROCESSES",
@@ -60,6 +61,9 @@ SEMANTICS = ("paper", "released")
 SOLVERS = ("gradient", "newton")
 """The values of `ms_highway.optimization.solvers.Solver`; told here so that help needs no JAX."""
 
+EFFORTS = "tom@8 plans in 8 ascent steps, tom@8+warm or tom+warm from the rest of the last plan"
+"""What a model's name may say of its effort, for help texts."""
+
 CONTROLLERS = (
     "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL, random:MODEL=SHARE,..."
 )
@@ -74,13 +78,19 @@ def add_scenarios(parser: argparse.ArgumentParser, default: str = "the paper's")
 
 def add_controllers(parser: argparse.ArgumentParser, default: str = "the paper's") -> None:
     """Add ``--controllers`` to a command."""
-    parser.add_argument("--controllers", nargs="+", metavar="CONTROLLER", help=f"{CONTROLLERS} (default: {default})")
+    parser.add_argument(
+        "--controllers", nargs="+", metavar="CONTROLLER", help=f"{CONTROLLERS}; {EFFORTS} (default: {default})"
+    )
 
 
 def add_ladder(parser: argparse.ArgumentParser) -> None:
     """Add ``--ladder`` to a command."""
     parser.add_argument(
-        "--ladder", nargs="+", metavar="MODEL", help="models to choose from, cheapest first (default: the scenario's)"
+        "--ladder",
+        nargs="+",
+        metavar="MODEL",
+        help="models to choose from, cheapest first, or best, the rungs that were found to serve best (default: the "
+        f"scenario's). {EFFORTS}",
     )
 
 

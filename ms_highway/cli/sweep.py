@@ -152,12 +152,13 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
         ValueError: naming what cannot be simulated.
     """
     from ms_highway.envs import SCENARIOS, environment_id
+    from ms_highway.planning.human_models import rung_names
 
     environment_id(options.scenario)
     scenario = SCENARIOS[options.scenario]
     prices = lambdas(options.lambdas) if options.lambdas is not None else [] if options.controllers else scenario.prices
     controllers = [
-        *(options.controllers or options.ladder or scenario.ladder),
+        *(options.controllers or rung_names(options.ladder or scenario.ladder)),
         *(f"switching:{price:g}" for price in prices),
     ]
     comparison = asked_comparison(options, {options.scenario: controllers}, options.episodes)

@@ -134,21 +134,18 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     from ms_highway.experiments.values.course import Course
     from ms_highway.experiments.values.generator import generated_courses
     from ms_highway.experiments.values.learning import Learning
-    from ms_highway.planning.human_models import MODELS
 
     names = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS))
     for name in names:
         environment_id(name)
-    ladders = {name: options.ladder or list(SCENARIOS[name].ladder) for name in names}
-    models = options.ladder or [name for name in MODELS if any(name in ladder for ladder in ladders.values())]
-    first = asked_comparison(options, {name: ladder[:1] for name, ladder in ladders.items()}, 1)
+    first = asked_comparison(options, {name: list(SCENARIOS[name].ladder[:1]) for name in names}, 1)
     comparisons = [replace(first, solver=solver) for solver in dict.fromkeys(options.solvers)]
     for comparison in comparisons:
         comparison.check()
     batches = [make_batch(comparison, name) for comparison in comparisons for name in names]
-    costs = {name: seconds for batch in batches for name, seconds in batch.costs.items() if name in models}
-    if len(costs) < len(models):
-        raise ValueError(f"--costs gives no seconds of {next(name for name in models if name not in costs)!r}")
+    ladders = [[model.name for model in batch.environment.models] for batch in batches]
+    models = list(dict.fromkeys(name for ladder in sorted(ladders, key=len, reverse=True) for name in ladder))
+    costs = {name: seconds for batch in batches for name, seconds in batch.costs.items()}
     courses = [
         Course(
             batch.scenario.name if len(comparisons) == 1 else f"{batch.scenario.name} ({batch.comparison.solver})",
@@ -170,7 +167,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         settings={**told, "seed": options.seed, "without": options.without, "versions": this_run("")["versions"]},
     )
     if options.generated:
-        settings = Settings.read(first.config(names[0], ladders[names[0]][0]))
+        settings = Settings.read(first.config(names[0], models[0]))
         rungs, random = tuple(range(len(models))), learning.stream(0)
         share = min(1.0, 3 / options.generated) * 0.99
         courses += generated_courses(settings.game, rungs, options.generated, share, random)

@@ -5,7 +5,15 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway.cli.console import add_command, draw_unseen
-from ms_highway.cli.options import CONTROLLERS, SCENARIO_NAMES, add_planning, add_semantics, human_reward, planning
+from ms_highway.cli.options import (
+    CONTROLLERS,
+    EFFORTS,
+    SCENARIO_NAMES,
+    add_planning,
+    add_semantics,
+    human_reward,
+    planning,
+)
 
 __all__ = ["add_video"]
 
@@ -31,7 +39,7 @@ def add_video(commands: Any) -> None:
     parser.add_argument(
         "--controller",
         metavar="CONTROLLER",
-        help=f"{CONTROLLERS} (default: switching with the paper's conservative lambda)",
+        help=f"{CONTROLLERS}; {EFFORTS} (default: switching with the paper's conservative lambda)",
     )
     parser.add_argument("--against", metavar="CONTROLLER", help="a second controller, filmed from the same start")
     parser.add_argument("--seed", type=int, default=0, help="seed of the episode (default: 0)")

@@ -15,6 +15,7 @@ from ms_highway.control.fallback import PLANNED, STATUSES, Status, brake, fallba
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
 from ms_highway.planning.compiled_plans import CompiledPlans
+from ms_highway.planning.effort import starts_warm
 from ms_highway.planning.human_models import HumanModel, JointPlan
 
 __all__ = ["ControlStep", "Controller", "PlanningController"]
@@ -80,7 +81,8 @@ class PlanningController:
 
     Args:
         game: of which car 0 is driven.
-        warm_start: whether plans start from the last one instead of from zero controls.
+        warm_start: whether all plans start from the last one instead of from zero controls; those of rungs such as
+            ``tom+warm`` always do.
     """
 
     def __init__(self, game: Game, warm_start: bool) -> None:
@@ -114,7 +116,8 @@ class PlanningController:
         self, model: HumanModel, state: Float[np.ndarray, "cars 4"], single: Float[np.ndarray, "cars 4"]
     ) -> ControlStep:
         """Plan with a model in a state, also given as `ms_highway.planning.compiled_plans.checked_state`."""
-        plan, seconds = self._plans.plan(model, single, self._warm_plan() if self.warm_start else None)
+        start = self._warm_plan() if self.warm_start or starts_warm(model) else None
+        plan, seconds = self._plans.plan(model, single, start)
         scale = np.asarray(self.game.planner.control_scale, dtype=float)
         robot, human = (np.asarray(side) * scale for side in plan)
         left = len(self._last.plan) if self._last is not None and self._last.status != "braking" else 0
@@ -127,8 +130,8 @@ class PlanningController:
         return ControlStep(robot[0], robot, human, model.name, seconds, status=STATUSES[status])
 
     def _warm_plan(self) -> JointPlan | None:
-        """Return the rest of the last plan, scaled, its last control repeated; None without a last plan."""
-        if self._last is None:
+        """Return the rest of the last finite plan, scaled, its last control repeated; None where nothing is left."""
+        if self._last is None or self._last.status == "braking":
             return None
         rest = np.minimum(np.arange(1, self.game.planner.horizon + 1), len(self._last.plan) - 1)
         scale = np.asarray(self.game.planner.control_scale)

@@ -1,6 +1,6 @@
 """What is compared: scenarios, controllers, seeds and the configuration that all environments have in common."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,6 +8,7 @@ from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
 from ms_highway.envs.controllers import controller_config
 from ms_highway.envs.settings import HUMAN_REWARDS, merged
 from ms_highway.optimization.solvers import Solver
+from ms_highway.planning.human_models import rung_names
 
 __all__ = ["Comparison", "episode_steps", "paper_controllers"]
 
@@ -25,7 +26,7 @@ class Comparison:
             `ms_highway.optimization.solvers.optimize_controls`.
         human_reward: what humans drive for: ``learned``, ``published``, weights by name, or None for what belongs to
             the semantics.
-        ladder: names of the human models that switching chooses from; without it, the scenario's own.
+        ladder: names of the human models that switching chooses from, or ``best``; without it, the scenario's own.
         first_seed: of the first episode, from which all others count on.
         planning: what differs from the scenarios' own of the keys `ms_highway.envs.settings.PLANNING`, by key.
     """
@@ -36,9 +37,14 @@ class Comparison:
     costs: Any = "published"
     solver: Solver = "gradient"
     human_reward: str | dict[str, float] | None = None
-    ladder: list[str] | None = None
+    ladder: Sequence[str] | None = None
     first_seed: int = 0
     planning: Mapping[str, Any] = field(default_factory=dict)
+
+    def rungs(self) -> list[str]:
+        """Return the names of the models on the ladders of all scenarios, in any order."""
+        ladders = [SCENARIOS[name].ladder for name in self.controllers] if self.ladder is None else [self.ladder]
+        return [name for names in ladders for name in rung_names(names)]
 
     def episodes(self) -> Iterator[tuple[str, str, int]]:
         """Yield every (scenario, controller, seed)."""
@@ -79,7 +85,7 @@ class Comparison:
         """Return the configuration that all environments have in common."""
         reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
         config = {"semantics": self.semantics, "solver": self.solver, "human_reward": reward}
-        return {**config, **self.planning} | ({} if self.ladder is None else {"ladder": list(self.ladder)})
+        return {**config, **self.planning} | ({} if self.ladder is None else {"ladder": rung_names(self.ladder)})
 
 
 def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
@@ -101,4 +107,4 @@ def paper_controllers(scenario: str) -> list[str]:
     """
     environment_id(scenario)
     choice = SCENARIOS[scenario]
-    return [*choice.ladder, *(f"switching:{price:g}" for price in choice.prices)]
+    return [*rung_names(choice.ladder), *(f"switching:{price:g}" for price in choice.prices)]

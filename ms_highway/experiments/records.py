@@ -1,11 +1,11 @@
 """Records of steps: their columns, and what is picked out of them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import pandas as pd
 
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.human_models import known_models
 
 __all__ = [
     "CARS",
@@ -16,6 +16,7 @@ __all__ = [
     "columns",
     "common_seeds",
     "gain_column",
+    "models_of",
     "one_episode",
     "share_column",
     "state_columns",
@@ -35,14 +36,17 @@ NEVER_EMPTY = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURE
 NUMBERS = ("seed", "step", "reward", COUNTED, *MEASURED[:2])
 
 
-def columns() -> list[str]:
+def columns(rungs: Iterable[str] = ()) -> list[str]:
     """Return the columns of a record of steps.
 
-    ``counted_seconds`` is T(M), what decisions count for the step's plan; a gain, of which every known human model has
-    one, is empty where none was estimated; states are in SI units after the step.
+    ``counted_seconds`` is T(M), what decisions count for the step's plan; a gain, of which every known human model and
+    every rung has one, is empty where none was estimated; states are in SI units after the step.
+
+    Args:
+        rungs: names of the models on ladders, which may have efforts.
     """
     planning, decision, compiling = MEASURED
-    gains = [gain_column(name) for name in MODELS]
+    gains = [gain_column(name) for name in known_models(rungs)]
     states = [name for car in CARS for name in state_columns(car)]
     steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
     return [*KEYS, *steps, *gains, *states]
@@ -61,6 +65,12 @@ def state_columns(car: str) -> list[str]:
 def share_column(model: str) -> str:
     """Return the column of the share of steps that were planned with a model, in tables that summarise records."""
     return f"share_{model}"
+
+
+def models_of(table: pd.DataFrame, column: Callable[[str], str]) -> list[str]:
+    """Return the known models that have such a column, `gain_column` or `share_column`, in a table, cheapest first."""
+    names = {str(name).removeprefix(column("")) for name in table if str(name).startswith(column(""))}
+    return [name for name in known_models(names) if name in names]
 
 
 def check_columns(records: pd.DataFrame) -> None:

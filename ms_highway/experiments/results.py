@@ -15,7 +15,7 @@ from ms_highway.experiments.provenance import read_runs
 from ms_highway.experiments.records import check_columns, whole_steps
 from ms_highway.experiments.runner import STEPS_FILE
 from ms_highway.experiments.settings import EXTENDED, SETTINGS_FILE, read_settings
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.human_models import is_model, model_names
 
 __all__ = ["Results", "read_results"]
 
@@ -109,10 +109,13 @@ def _read_records(file: Path, config: Mapping[str, Any]) -> pd.DataFrame:
         raise ValueError(f"{file} {error}; {REMEDY}") from error
     if records.empty:
         raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
-    for column, known in (("scenario", SCENARIOS), ("model", MODELS)):
+    for column, known, names in (
+        ("scenario", SCENARIOS.__contains__, ", ".join(SCENARIOS)),
+        ("model", is_model, model_names()),
+    ):
         for name in records[column].dropna().unique():
-            if name not in known:
-                raise ValueError(f"{file} holds {column} {name!r}, not one of {', '.join(known)}; {UNKNOWN}")
+            if not known(name):
+                raise ValueError(f"{file} holds {column} {name!r}, not one of {names}; {UNKNOWN}")
     lengths = whole_steps(records)
     wanted = {name: episode_steps(name, config) for name in records["scenario"].unique()}
     whole = [length == wanted[scenario] for (scenario, *_), length in lengths.items()]

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
@@ -14,7 +14,7 @@ import pandas as pd
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.controllers import controller_config
-from ms_highway.experiments.comparison import Comparison, episode_steps
+from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, KEYS, check_columns, columns, gain_column, state_columns, whole_steps
 from ms_highway.experiments.resuming import cannot_resume, missing, resumed_settings
 from ms_highway.experiments.settings import EXTENDED, SETTINGS_FILE, write_settings
@@ -47,7 +47,7 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
     env.reset(seed=seed)
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)
-    done, step, wanted = False, 0, columns()
+    done, step, wanted = False, 0, columns(model.name for model in inner.models)
     while not done:
         _, reward, terminated, truncated, info = env.step(0)
         done = terminated or truncated
@@ -79,7 +79,7 @@ def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
         env = make_environment(scenario, controller, costs=costs[scenario], **comparison.common_config())
         for _, _, seed in keys:
             text = io.StringIO()
-            writer = csv.DictWriter(text, columns(), lineterminator="\n")
+            writer = csv.DictWriter(text, columns(comparison.rungs()), lineterminator="\n")
             for record in episode(env, seed):
                 writer.writerow({"scenario": scenario, "controller": controller, "seed": seed, **record})
             append(directory / STEPS_FILE, text.getvalue())
@@ -100,7 +100,7 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     if steps.exists() or (directory / SETTINGS_FILE).exists():
         known = resumed_settings(directory, known)
     known |= {key: known.get(key, {}) for key in EXTENDED}
-    done = _whole_episodes(steps, comparison.common_config()) if steps.exists() else set()
+    done = _whole_episodes(steps, comparison) if steps.exists() else set()
     if comparison.costs == "measured":
         for scenario in comparison.controllers.keys() - known["measured"].keys():
             known["measured"][scenario] = _measured(scenario, comparison.common_config())
@@ -110,7 +110,7 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     write_settings(directory, known)
     if not steps.exists():
         with replacing(steps) as path:
-            path.write_text(",".join(columns()) + "\n")
+            path.write_text(",".join(columns(comparison.rungs())) + "\n")
     return done, {scenario: known["measured"].get(scenario, comparison.costs) for scenario in comparison.controllers}
 
 
@@ -122,7 +122,7 @@ def _measured(scenario: str, config: dict[str, Any]) -> dict[str, float]:
     return {model.name: float(cost) for model, cost in zip(env.models, seconds, strict=True)}
 
 
-def _whole_episodes(steps: Path, config: Mapping[str, Any]) -> set[tuple[str, str, int]]:
+def _whole_episodes(steps: Path, comparison: Comparison) -> set[tuple[str, str, int]]:
     """Return the episodes that a file of records holds whole; remove anything else, which a stopped run has left.
 
     Raises:
@@ -132,8 +132,9 @@ def _whole_episodes(steps: Path, config: Mapping[str, Any]) -> set[tuple[str, st
     whole_lines = text[: text.rfind("\n") + 1]
     try:
         records = pd.read_csv(io.StringIO(whole_lines))
-        if list(records) != columns():
-            raise ValueError(f"its columns are not {', '.join(columns())}")
+        wanted = columns(comparison.rungs())
+        if list(records) != wanted:
+            raise ValueError(f"its columns are not {', '.join(wanted)}")
         check_columns(records)
         unknown = set(records["scenario"]) - set(SCENARIOS)
         if unknown:
@@ -141,7 +142,7 @@ def _whole_episodes(steps: Path, config: Mapping[str, Any]) -> set[tuple[str, st
     except ValueError as error:
         remedy = "choose another directory, or --import the modules that its scenarios and models are from"
         raise cannot_resume(steps, error, remedy) from error
-    lengths = {name: episode_steps(name, config) for name in records["scenario"].unique()}
+    lengths = {name: comparison.steps(name) for name in records["scenario"].unique()}
     sizes = whole_steps(records)
     done = {key for key, length in sizes.items() if length == lengths[key[0]]}
     whole = [tuple(key) in done for key in records[KEYS].itertuples(index=False)]

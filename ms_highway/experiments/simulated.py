@@ -3,7 +3,7 @@
 `ms_highway.experiments.runner` runs the same `Comparison` in the environments.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from ms_highway.envs.settings import Settings
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, MEASURED, STATE, columns, gain_column, share_column, state_columns
 from ms_highway.game.scenario import Scenario, Semantics
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.human_models import human_model, known_models
 from ms_highway.simulation.devices import usual_chunk
 from ms_highway.simulation.loop import simulate
 from ms_highway.simulation.records import DECIDES, Episodes, Loop, Records
@@ -50,9 +50,9 @@ OVERRIDABLE = {"scenario", "default_config", "configure", "draw_starts", "define
 """Names that a scenario's environment may override; a simulation calls these and no others."""
 
 
-def columns_simulated() -> list[str]:
+def columns_simulated(rungs: Iterable[str] = ()) -> list[str]:
     """Return the columns of a simulated step, `ms_highway.experiments.records.columns` without the measured times."""
-    return [name for name in columns() if name not in MEASURED]
+    return [name for name in columns(rungs) if name not in MEASURED]
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 
     Raises:
         ValueError: for anything unknown or impossible; for costs that are to be measured, as nothing is timed here; and
-            for environments that start plans from the last ones, end early, or do something of their own in a step.
+            for environments that end early, or do something of their own in a step.
     """
     environment_id(scenario)
     controllers = comparison.controllers.get(scenario, [])
@@ -130,11 +130,8 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         remedy = "say 'published', or give seconds by model"
         raise ValueError(f"costs are {comparison.costs!r}, and a simulation cannot measure plans; {remedy}")
     config = configs[0]
-    if config["warm_start"] or config["terminate_on_collision"]:
-        reason = ", ".join(f"{key} {config[key]!r}" for key in ("warm_start", "terminate_on_collision"))
-        raise ValueError(
-            f"{scenario} is configured with {reason}; a simulation plans every step from scratch and runs all steps"
-        )
+    if config["terminate_on_collision"]:
+        raise ValueError(f"{scenario} is configured with terminate_on_collision True; a simulation runs all steps")
     kind = ENVIRONMENTS[scenario]
     classes = kind.__mro__[: kind.__mro__.index(InteractionEnv)]
     own = {name for one in classes for name in vars(one) if hasattr(InteractionEnv, name) and name[:2] != "__"}
@@ -144,17 +141,18 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     environment = kind(config)
     rungs = environment.models
     used = {name for one in settings for name in one.controller.names()}
-    others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
+    others = [name for name in known_models(used) if name in used - {model.name for model in rungs}]
     seconds = np.array([costs[model.name] for model in rungs], np.float32)
+    models = tuple(map(human_model, others))
     for one in settings:
         if isinstance(one.controller, ChoosingSettings):
             one.controller.rule(rungs, seconds, one.semantics)  # refuses values of other ladders or costs
         elif not one.controller.names():
             raise ValueError(f"a simulation does not know how {one.controller.type!r} chooses models; use `compare`")
-    loop = Loop(
-        environment.game, NOBODY.rule(environment.models, seconds, settings[0].semantics), others, usual_chunk()
-    )
-    return Batch(comparison, environment.scenario, loop, dict(costs), environment)
+    rule = NOBODY.rule(rungs, seconds, settings[0].semantics)
+    loop = Loop(environment.game, rule, models, settings[0].warm_start, usual_chunk())
+    known = {name: each for one in settings for name, each in (one.costs or {}).items()}
+    return Batch(comparison, environment.scenario, loop, known, environment)
 
 
 def start(batch: Batch, seed: int) -> Float[np.ndarray, "cars 4"]:
@@ -252,7 +250,7 @@ def tabulated(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFra
     for place, car in enumerate(CARS):
         states = np.asarray(records.states[:, :, place], float).reshape(-1, len(STATE))
         cells |= dict(zip(state_columns(car), states.T, strict=True))
-    return pd.DataFrame(cells, columns=columns_simulated())
+    return pd.DataFrame(cells, columns=columns_simulated(model.name for model in batch.loop.rule.ladder))
 
 
 def _costs(batch: Batch) -> Float[np.ndarray, "models"]:
@@ -262,9 +260,9 @@ def _costs(batch: Batch) -> Float[np.ndarray, "models"]:
 
 def _gains(batch: Batch, records: Records) -> dict[str, Float[np.ndarray, "episodes steps"]]:
     """Estimated gain of switching to each model."""
-    gains = {name: np.full(records.reward.shape, np.nan) for name in MODELS}
-    estimated = np.moveaxis(np.asarray(records.gains), -1, 0)
-    return gains | {model.name: gain for model, gain in zip(batch.loop.rule.ladder, estimated, strict=True)}
+    rungs = [model.name for model in batch.loop.rule.ladder]
+    gains = {name: np.full(records.reward.shape, np.nan) for name in known_models(rungs)}
+    return gains | dict(zip(rungs, np.moveaxis(np.asarray(records.gains), -1, 0), strict=True))
 
 
 def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:

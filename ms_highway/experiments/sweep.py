@@ -17,11 +17,10 @@ from pyarrow import parquet
 
 from ms_highway.experiments.analysis.summary import earned
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.records import share_column
+from ms_highway.experiments.records import models_of, share_column
 from ms_highway.experiments.resuming import check_settings
 from ms_highway.experiments.settings import SETTINGS_FILE, write_settings
 from ms_highway.experiments.simulated import Batch, make_batch, run_episodes, summarised, tabulated
-from ms_highway.planning.human_models import MODELS
 from ms_highway.runtime.files import replacing
 
 __all__ = [
@@ -221,7 +220,7 @@ def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
     Args:
         episodes: a row per episode, of `read_sweep`.
     """
-    rows, shares = [], set(map(share_column, MODELS))
+    rows, shares = [], list(map(share_column, models_of(episodes, share_column)))
     for (scenario, controller), some in episodes.groupby(["scenario", "controller"], sort=False):
         rows.append(
             {

@@ -5,10 +5,15 @@ from functools import cache
 
 import numpy as np
 
-__all__ = ["PAPER_PLANNING", "PlanningSettings", "gradient_steps", "longest_step"]
+__all__ = ["MOST_ITERATIONS", "PAPER_PLANNING", "SHARE", "PlanningSettings", "gradient_steps", "longest_step"]
+
+MOST_ITERATIONS = 5000
+"""Upper bound on the gradient steps of a plan; more take seconds."""
 
 PAPER_STEPS = 20, 0.03  # number and size
-SHARE = 0.6  # of the longest step, taken where that is shorter than the paper's
+SHARE = 0.6
+"""Share of the `longest_step` that is taken where it is shorter than the wanted one."""
+
 STEEPEST = 1000.0  # the largest weight on a squared lateral distance in the paper's scenes [1 / length unit^2]
 SPEED = 0.6  # the paper's speed limit [length units per second]
 

@@ -10,7 +10,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.game import Game
-from ms_highway.planning.human_models import HumanModel, JointPlan, ladder, plan_within_limits
+from ms_highway.planning.human_models import HumanModel, JointPlan, human_model, plan_within_limits
 from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.packing import Layout, pack
@@ -80,7 +80,7 @@ def plan(game: Game, state: Float[np.ndarray, "cars 4"], model: HumanModel | str
     if not isinstance(game, Game):
         raise TypeError(f"the game is {game!r}; make a ms_highway.Game with ms_highway.build_game or driving_game")
     refuse_after_fork()
-    known = ladder([model])[0] if isinstance(model, str) else model
+    known = human_model(model) if isinstance(model, str) else model
     planned, _ = CompiledPlans(game).plan(known, checked_state(state))
     scale = np.asarray(game.planner.control_scale, dtype=float)
     return JointPlan(*(np.asarray(side) * scale for side in planned))

@@ -3,8 +3,10 @@
 Anything with the attributes of `HumanModel` is a model. All controls are scaled, see `ms_highway.game.game`.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import inf
 from typing import ClassVar, NamedTuple, Protocol
 
 import jax
@@ -12,8 +14,10 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, swap_players, trajectory_reward
+from ms_highway.game.planning_settings import MOST_ITERATIONS
 from ms_highway.optimization.second_derivatives import response, second_order_expansion
 from ms_highway.optimization.solvers import optimize_controls, projected_ascent
+from ms_highway.planning.effort import BEST, BEST_LADDER, Effort, base_of, parse
 
 __all__ = [
     "MODELS",
@@ -24,9 +28,14 @@ __all__ = [
     "TheoryOfMind",
     "Turn",
     "cold_start",
+    "human_model",
+    "is_model",
+    "known_models",
     "ladder",
+    "model_names",
     "plan_within_limits",
     "register",
+    "rung_names",
 ]
 
 State = Float[jax.Array, "cars 4"]
@@ -54,8 +63,11 @@ class HumanModel(Protocol):
     Models are hashable: a plan is compiled once per model.
     """
 
-    name: ClassVar[str]
-    responds: ClassVar[bool]
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def responds(self) -> bool: ...
 
     def __hash__(self) -> int: ...
 
@@ -175,7 +187,7 @@ def plan_within_limits(model: HumanModel, game: Game, state: State, start: Joint
     The paper's models keep to the limits by themselves, and their plans are left as they are.
     """
     plan = JointPlan(*model.plan(game, state, start))
-    if type(model) in (Naive, Turn, TheoryOfMind):
+    if type(base_of(model)) in (Naive, Turn, TheoryOfMind):
         return plan
     sides = zip(plan, state[:2], strict=True)
     return JointPlan(*(jnp.where(jnp.isfinite(side), bounded(game, car, side), side) for side, car in sides))
@@ -206,9 +218,9 @@ def register(model: HumanModel, before: str | None = None) -> None:
         hash(model)
     except TypeError as error:
         raise ValueError(f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass") from None
-    if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in PAPER_MODELS:
+    if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in (*PAPER_MODELS, BEST):
         raise ValueError(
-            f"a model cannot be called {model.name!r}; choose one word other than {', '.join(PAPER_MODELS)}"
+            f"a model cannot be called {model.name!r}; choose one word other than {', '.join((*PAPER_MODELS, BEST))}"
         )
     others = {name: other for name, other in MODELS.items() if name != model.name}
     if before is not None and before not in others:
@@ -219,17 +231,58 @@ def register(model: HumanModel, before: str | None = None) -> None:
     MODELS.update([*known[:place], (model.name, model), *known[place:]])
 
 
-def ladder(names: tuple[str, ...] | list[str]) -> tuple[HumanModel, ...]:
-    """Return the models of these names.
+def human_model(name: str) -> HumanModel:
+    """Return the model of a name, with its effort if the name has one, such as ``tom@8+warm``.
+
+    Raises:
+        ValueError: if it is no model's name.
+    """
+    model = parse(name, MODELS)
+    if model is None:
+        raise ValueError(f"unknown human model {name!r}; the models are {model_names()}")
+    return model
+
+
+def is_model(name: object) -> bool:
+    """Return whether a value is the name of a human model, with or without an effort."""
+    return parse(name, MODELS) is not None
+
+
+def model_names() -> str:
+    """Return the names of all models, for messages."""
+    return f"{', '.join(MODELS)}, also in 1 to {MOST_ITERATIONS} steps (tom@8) or from the last plan (tom@8+warm)"
+
+
+def known_models(used: Iterable[str] = ()) -> list[str]:
+    """Return the names of all known models and of the models in use, whose names may have an effort, cheapest first."""
+    return sorted({*MODELS, *filter(is_model, used)}, key=lambda name: _rank(human_model(name)))
+
+
+def _rank(model: HumanModel) -> tuple[int, float, bool]:
+    """Return the place of a model among all: of its base, then of its number of steps, the planner's own last."""
+    base, steps, warm = base_of(model), inf, False
+    if isinstance(model, Effort):
+        steps, warm = model.steps or inf, model.warm
+    return list(MODELS).index(base.name), steps, warm
+
+
+def rung_names(names: Sequence[str]) -> list[str]:
+    """Return the names of a ladder's rungs, which ``best`` stands for as well."""
+    return list(BEST_LADDER if names == BEST or list(names) == [BEST] else names)
+
+
+def ladder(names: Sequence[str]) -> tuple[HumanModel, ...]:
+    """Return the models of these names, or of `ms_highway.planning.effort.BEST_LADDER` by its name, ``best``.
+
+    The order is that of the models, whatever their efforts, and of the numbers of steps of the same model, the
+    planner's own last: costs, which differ between machines, do not matter.
 
     Raises:
         ValueError: unless all are known, and each is named once, cheapest first; if there is none.
     """
-    for name in names:
-        if not isinstance(name, str) or name not in MODELS:
-            raise ValueError(f"unknown human model {name!r}; the models are {', '.join(MODELS)}")
-    order = list(MODELS)
-    ranks = [order.index(name) for name in names]
+    rungs = tuple(human_model(name) for name in rung_names(names))
+    ranks = [_rank(rung) for rung in rungs]
     if not ranks or ranks != sorted(set(ranks)):
-        raise ValueError(f"impossible ladder {list(names)}: name each model once, cheapest first, out of {order}")
-    return tuple(MODELS[name] for name in names)
+        order = f"out of {list(MODELS)}, and of the same model fewer steps first"
+        raise ValueError(f"impossible ladder {list(names)}: name each model once, cheapest first, {order}")
+    return rungs

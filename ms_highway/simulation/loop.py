@@ -18,7 +18,8 @@ from ms_highway.game.dynamics import keep_velocity, recover_control, step, withi
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, swap_players
 from ms_highway.metareasoning.rule import Memory, Outcome, decide_by, first_memory
-from ms_highway.planning.human_models import HumanModel, JointPlan, Naive, plan_within_limits
+from ms_highway.planning.effort import starts_warm
+from ms_highway.planning.human_models import HumanModel, JointPlan, Naive, cold_start, plan_within_limits
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.simulation.devices import device_mesh, share_among
 from ms_highway.simulation.records import DECIDES, Episodes, Loop, Records
@@ -57,7 +58,7 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
 class _Rest(NamedTuple):
     """What is left of a driver's last finite plan: its scaled controls, and their number; 0 after braking."""
 
-    controls: Float[jax.Array, "horizon 2"]
+    plan: JointPlan
     steps: Int[jax.Array, ""]
 
 
@@ -84,7 +85,7 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
     """Run the first ``count`` episodes; the records of the others mean nothing."""
     size = len(episodes)
     own = _Own(*map(jnp.asarray, (episodes.prices, episodes.robot_weights, episodes.human_weights)))
-    none = _Rest(jnp.zeros((loop.game.planner.horizon, 2)), jnp.int32(0))
+    none = _Rest(cold_start(loop.game), jnp.int32(0))
     unknown = jnp.full(len(loop.rule.ladder), jnp.nan)
     before = _Now(jnp.zeros(0), first_memory(loop.rule), unknown, none, none)
     first = jax.tree.map(lambda part: jnp.broadcast_to(part, (size, *part.shape)), before)
@@ -137,7 +138,8 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> JointPlan:
     """Plan every episode; compute only the models that some episode uses."""
 
     def planned(model: HumanModel) -> JointPlan:
-        return jax.vmap(lambda own, state: plan_within_limits(model, _game(loop.game, own), state))(own, now.state)
+        start = jax.vmap(_warm_plan)(now.robot) if loop.warm_start or starts_warm(model) else None
+        return jax.vmap(lambda own, *now: plan_within_limits(model, _game(loop.game, own), *now))(own, now.state, start)
 
     still = jnp.zeros((loop.chunk, loop.game.planner.horizon, 2))
     chosen = JointPlan(still, still)
@@ -154,9 +156,19 @@ def _follow(
     """Return the scaled control to execute, its status and the remaining plan, see `ms_highway.control.fallback`."""
     finite = jnp.isfinite(plan.robot).all() & jnp.isfinite(plan.human).all()
     status, left = fallback_status(finite, rest.steps, game.planner.horizon)
-    controls = jnp.where(finite, plan.robot, jnp.roll(rest.controls, -1, axis=0))
+    followed = jax.tree.map(lambda new, old: jnp.where(finite, new, jnp.roll(old, -1, axis=0)), plan, rest.plan)
     braking = braking_control(game, car) / game.planner.control_scale
-    return jnp.where(status == BRAKING, braking, controls[0]), status, _Rest(controls, left)
+    return jnp.where(status == BRAKING, braking, followed.robot[0]), status, _Rest(followed, left)
+
+
+def _warm_plan(rest: _Rest) -> JointPlan:
+    """Return what is left after the last step, its last control repeated; zero controls where nothing is left."""
+
+    def after(controls: Float[jax.Array, "horizon 2"]) -> Float[jax.Array, "horizon 2"]:
+        coming = jnp.minimum(jnp.arange(1, len(controls) + 1), jnp.maximum(rest.steps - 1, 0))
+        return jnp.where(rest.steps > 0, controls[coming], 0.0)
+
+    return jax.tree.map(after, rest.plan)
 
 
 class _Moved(NamedTuple):

@@ -27,6 +27,8 @@ class Loop:
         game: what is played.
         rule: chooses rungs of its ladder; its price is each episode's own.
         others: models that schedules may use beside the ladder; their numbers follow those of its rungs (static).
+        warm_start: whether all plans of robots start from the rest of the last one; those of models such as
+            ``tom+warm`` always do (static).
         chunk: number of episodes computed together (static). A human model is computed only for the chunks that use
             it: smaller chunks waste less computation, larger ones use wide hardware better. The last digits of results
             depend on it, and chaotic episodes (Stay Back) amplify them.
@@ -35,6 +37,7 @@ class Loop:
     game: Game
     rule: Rule
     others: tuple[HumanModel, ...] = field(default=(), metadata={"static": True})
+    warm_start: bool = field(default=False, metadata={"static": True})
     chunk: int = field(default=CHUNK, metadata={"static": True})
 
     @property

@@ -15,9 +15,9 @@ from rich.console import JustifyMethod
 from rich.table import Table
 
 from ms_highway.envs.controllers import named_controller
-from ms_highway.experiments.records import share_column
+from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.human_models import is_model, known_models
 from ms_highway.visualization.colors import color_of
 
 __all__ = ["bars", "cells", "episode_count", "table", "timeline"]
@@ -36,7 +36,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """
     chosen = summaries[summaries["scenario"] == scenario]
     failed = "fallbacks" in chosen and bool(chosen["fallbacks"].any())
-    models = [name for name in MODELS if share_column(name) in summaries]
+    models = models_of(summaries, share_column)
     rows = [
         {
             "controller": row["controller"],
@@ -141,7 +141,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
 
 
 def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
-    models = list(MODELS)
+    models = known_models(steps["model"].unique())
     grid = steps.pivot(index="seed", columns="step", values="model").map(
         lambda model: models.index(model) if model in models else np.nan
     )
@@ -167,4 +167,4 @@ def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
 def _colors(controllers: Sequence[str]) -> list[str]:
     """Return a model's own colour for a fixed model, greys for switching."""
     greys = iter(SWITCHING_COLORS * len(controllers))
-    return [color_of(name) if name in MODELS else next(greys) for name in controllers]
+    return [color_of(name) if is_model(name) else next(greys) for name in controllers]

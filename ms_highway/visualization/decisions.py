@@ -12,9 +12,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator, StrMethodFormatter
 
 from ms_highway.envs.graphics import PANEL_HEIGHT
-from ms_highway.experiments.records import gain_column, switches
+from ms_highway.experiments.records import gain_column, models_of, switches
 from ms_highway.game.scenario import title
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.human_models import known_models
 from ms_highway.visualization.colors import color_of
 
 __all__ = ["decisions", "storyboard"]
@@ -45,11 +45,13 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
     panels[1, 0].set_ylabel("reward per step")
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=color_of(name), marker="o", linewidth=0, label=f"gain of switching to {name}")
-        for name in MODELS
+        for name in known_models(name for episode in episodes for name in models_of(episode, gain_column))
         if any(_gains_of(episode, name).notna().any() for episode in episodes)
     ]
     used = set().union(*(episode["model"] for episode in episodes))
-    handles += [Patch(color=color_of(name), alpha=0.35, label=f"{name} in use") for name in MODELS if name in used]
+    handles += [
+        Patch(color=color_of(name), alpha=0.35, label=f"{name} in use") for name in known_models(used) if name in used
+    ]
     if reference is not None:
         label = f"reward of {reference['controller'].iloc[0]}"
         handles.append(Line2D([], [], color="black", linestyle=":", label=label))
@@ -68,7 +70,7 @@ def _gains(axes: Axes, episode: pd.DataFrame) -> None:
     axes.yaxis.set_minor_locator(NullLocator())
     axes.grid(axis="y", color="white", linewidth=0.8)
     axes.axhline(0, color="black", linewidth=0.8)
-    for name in MODELS:
+    for name in models_of(episode, gain_column):
         gains = _gains_of(episode, name)
         axes.plot(episode["step"], gains, "o", color=color_of(name), markersize=4)
         axes.plot(episode["step"], gains, color=color_of(name), linewidth=0.8, alpha=0.5)

@@ -11,14 +11,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 from PIL import Image
 
-from ms_highway.envs.graphics import MODEL_MEANINGS
+from ms_highway.envs.graphics import model_meaning
 from ms_highway.experiments.analysis.findings import answer, in_order
 from ms_highway.experiments.analysis.selection import Selection
-from ms_highway.experiments.records import share_column
+from ms_highway.experiments.records import models_of, share_column
 from ms_highway.experiments.results import Results
 from ms_highway.experiments.safety import Safety, safety_cells, safety_sentences
 from ms_highway.game.scenario import title
-from ms_highway.planning.human_models import MODELS
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization import video
 from ms_highway.visualization.figures import CAPTIONS, figures
@@ -117,7 +116,7 @@ def draw(
 def render(several: Sequence[Results], sections: list[Section], safeties: Sequence[Safety] = ()) -> str:
     """Return the page, as HTML, of what `draw` has drawn of the same comparisons, and of collision counts."""
     summaries = pd.concat([one.summaries for one in several])
-    used = [name for name in MODELS if (summaries.get(share_column(name), pd.Series(dtype=float)) > 0).any()]
+    used = [name for name in models_of(summaries, share_column) if (summaries[share_column(name)] > 0).any()]
     environment = Environment(
         loader=PackageLoader("ms_highway", "data"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
@@ -126,7 +125,7 @@ def render(several: Sequence[Results], sections: list[Section], safeties: Sequen
         headings=list(overview(several)),
         safeties=[_counted(safety, number) for number, safety in enumerate(safeties, 1)],
         episodes=sorted(set(summaries["episodes"])),
-        models={name: MODEL_MEANINGS.get(name, "a model that was added") for name in used},
+        models={name: model_meaning(name) or "a model that was added" for name in used},
         kinds=set(summaries["kind"]),
         semantics={
             name: SEMANTICS[name] for name in SEMANTICS if name in [one.settings["semantics"] for one in several]

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from rich.box import SIMPLE
 from rich.table import Table
 
-from ms_highway.envs.graphics import CONE, MODEL_MEANINGS
+from ms_highway.envs.graphics import CONE, model_meaning
 from ms_highway.experiments.analysis.plan_outcomes import PlanOutcome
 from ms_highway.game.scene import Scene
 from ms_highway.visualization.colors import color_of, paint
@@ -48,7 +48,7 @@ def plan_outcome_figure(foresights: Sequence[PlanOutcome], scene: Scene) -> Figu
     for axes, one in zip(panels, foresights, strict=True):
         draw_road(axes, lanes, width, stretch)
         _draw(axes, one, scene)
-        axes.set_title(f"{one.model}: {MODEL_MEANINGS.get(one.model, '')}", loc="left", fontsize="medium")
+        axes.set_title(f"{one.model}: {model_meaning(one.model)}", loc="left", fontsize="medium")
     panels[0].set_ylabel("to the right [m]")
     speed = foresights[0].actual[0, 1, 3]
     middle = panels[len(panels) // 2]

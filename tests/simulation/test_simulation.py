@@ -16,8 +16,9 @@ from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import columns_simulated, episodes_of, make_batch, run_episodes, simulated, start
 from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
+from ms_highway.planning.human_models import JointPlan
 from ms_highway.simulation.devices import use_devices
-from ms_highway.simulation.loop import simulate
+from ms_highway.simulation.loop import _Rest, _warm_plan, simulate
 
 KEYS = ["controller", "seed", "step"]
 COIN = "random:naive=0.25,turn=0.75"
@@ -180,3 +181,26 @@ def test_a_scenario_whose_environment_ends_early_is_not_simulated(monkeypatch):
     monkeypatch.setattr(ENVIRONMENTS["merger"], "default_config", classmethod(lambda cls: config))
     with pytest.raises(ValueError, match=r"terminate_on_collision True.*runs all steps"):
         make_batch(COMPARISON, "merger")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("controller", "warm_start"), [("schedule:naive=5,turn@4+warm=30,naive@6", False), ("turn", True)]
+)
+def test_warm_starts_and_efforts_agree_with_the_environment_step_by_step(controller, warm_start, monkeypatch):
+    config = {**ENVIRONMENTS["merger"].default_config(), "warm_start": warm_start}
+    monkeypatch.setattr(ENVIRONMENTS["merger"], "default_config", classmethod(lambda cls: config))
+    comparison = Comparison({"merger": [controller]}, seeds=3, ladder=["naive", "turn"])
+    expected, found = driven(comparison, "merger", controller), simulated(comparison).set_index(KEYS)
+    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
+    for name in ("model", "counted_seconds"):
+        assert (found[name] == expected[name]).all()
+
+
+def test_a_warm_start_goes_on_from_what_is_left_of_the_last_plan_and_from_zero_after_braking():
+    plan = JointPlan(np.arange(10.0).reshape(5, 2), -np.arange(10.0).reshape(5, 2))
+    for steps, coming in ((5, [1, 2, 3, 4, 4]), (3, [1, 2, 2, 2, 2]), (1, [0, 0, 0, 0, 0])):
+        start = _warm_plan(_Rest(plan, np.int32(steps)))
+        np.testing.assert_array_equal(start.robot, plan.robot[coming])
+        np.testing.assert_array_equal(start.human, plan.human[coming])
+    assert not np.any(_warm_plan(_Rest(plan, np.int32(0))))

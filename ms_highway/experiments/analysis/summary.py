@@ -8,7 +8,7 @@ from scipy import stats
 
 from ms_highway.envs.controllers import named_controller
 from ms_highway.experiments.records import share_column
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.human_models import known_models
 
 __all__ = ["CONFIDENCE", "earned", "interval", "summary"]
 
@@ -27,7 +27,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     Raises:
         ValueError: for an unknown controller.
     """
-    rows = []
+    rows, models = [], known_models(records["model"].unique())
     for (scenario, controller), steps in records.groupby(["scenario", "controller"], sort=False):
         rows.append(
             {
@@ -36,7 +36,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
                 "planning_ms": 1e3 * steps["planning_seconds"].mean(),
                 "counted_ms": 1e3 * steps["counted_seconds"].mean(skipna=False),
                 "decision_ms": 1e3 * steps["decision_seconds"].mean(),
-                **{share_column(model): (steps["model"] == model).mean() for model in MODELS},
+                **{share_column(model): (steps["model"] == model).mean() for model in models},
                 "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
                 "fallbacks": int((steps["status"] != "planned").sum()),
             }

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from ms_highway.experiments.records import share_column
+from ms_highway.experiments.records import models_of, share_column
 from ms_highway.planning.human_models import MODELS
 
 __all__ = ["best_schedules", "coin", "meta_rewards", "reference", "shares"]
@@ -54,7 +54,7 @@ def coin(summaries: pd.DataFrame, scenario: str, controller: str) -> str:
     rows = summaries[(summaries["scenario"] == scenario) & (summaries["controller"] == controller)]
     if rows.empty:
         raise ValueError(f"{controller!r} was not compared in {scenario!r}; add it to the controllers")
-    known = [name for name in MODELS if share_column(name) in rows]
+    known = models_of(rows, share_column)
     parts = {name: round(float(rows[share_column(name)].iloc[0]), DIGITS) for name in known}
     most = max(parts, key=lambda name: parts[name])
     parts[most] = round(1 - sum(part for name, part in parts.items() if name != most), DIGITS)

@@ -44,9 +44,10 @@ def fit(
     spread: Float[np.ndarray, "inputs"],
     random: np.random.Generator,
 ) -> Network:
-    """Fit advantages at prices drawn anew in every step, by AdamW and a Huber loss in units of their scale.
+    """Fit advantages and their spread at prices drawn anew in every step, by AdamW and the likelihood of normal errors.
 
     What a rollout earned and planned is known for each way to go on, so that its best way at any price is known, too.
+    Where small causes have large effects (Stay Back in 20 gradient steps), the spread is large, and errors weigh less.
 
     Args:
         rollouts: from many states.
@@ -82,14 +83,16 @@ def _fit(
         earned = (rewards[chosen] - price[..., None, None] * seconds[chosen]).max(axis=-1)
         size = scale(price, costs)[..., None]
         known = jnp.isfinite(earned)
-        own_top = jnp.take_along_axis(earned, (known.shape[-1] - 1 - jnp.argmax(known[..., ::-1], -1))[..., None], -1)
-        targets = jnp.clip(jnp.where(known, (earned - own_top) / size, 0), -LARGEST_TARGET, LARGEST_TARGET)
+        top = known.shape[-1] - 1 - jnp.argmax(known[..., ::-1], axis=-1)[..., None]  # of the course's own ladder
+        targets = (earned - jnp.take_along_axis(earned, top, axis=-1)) / size
+        targets = jnp.clip(jnp.where(known, targets, 0), -LARGEST_TARGET, LARGEST_TARGET)
         inputs = (network_inputs(descriptions[chosen], price) - centre) / spread
         over_top, noise = jax.vmap(partial(_one, costs))(network, inputs, price)
-        own = jnp.take_along_axis(over_top, (known.shape[-1] - 1 - jnp.argmax(known[..., ::-1], -1))[..., None], -1)
-        errors, noise = (over_top - own) / size - targets, noise / size
-        surprise = (errors**2 / (2 * noise**2) + jnp.log(noise)) * jax.lax.stop_gradient(noise) ** SOFTENING
-        return jnp.where(known & (targets != 0), surprise, 0).sum(axis=-1).mean(axis=-1).sum()
+        errors = (over_top - jnp.take_along_axis(over_top, top, axis=-1)) / size - targets
+        surprise = errors**2 / (2 * (noise / size) ** 2) + jnp.log(noise / size)
+        surprise *= jax.lax.stop_gradient(noise / size) ** SOFTENING
+        below_top = known & (jnp.arange(known.shape[-1]) < top)
+        return jnp.where(below_top, surprise, 0).sum(axis=-1).mean(axis=-1).sum()
 
     def step(
         carry: tuple[Network, optax.OptState], batch: tuple[jax.Array, jax.Array]
@@ -110,4 +113,9 @@ def _one(
 ) -> tuple[Float[jax.Array, "batch rungs"], Float[jax.Array, "batch rungs"]]:
     """Estimate a batch by one of the networks."""
     alone = jax.tree.map(lambda part: part[None], network)
-    return jax.vmap(lambda one, price: tuple(part[0] for part in advantages(alone, one, price, costs)))(inputs, prices)
+
+    def estimate(inputs: Float[jax.Array, "inputs"], price: Float[jax.Array, ""]) -> tuple[jax.Array, jax.Array]:
+        over_top, noise = advantages(alone, inputs, price, costs)
+        return over_top[0], noise[0]
+
+    return jax.vmap(estimate)(inputs, prices)

@@ -22,7 +22,7 @@ from ms_highway.experiments.values.fitting import fit, new_network
 from ms_highway.experiments.values.rollouts import HORIZON, Rollouts, joined, roll_out, visited
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.values import Values, input_names
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.human_models import human_model
 from ms_highway.runtime.files import replacing
 from ms_highway.simulation.records import DECIDES
 
@@ -65,7 +65,7 @@ class Learning:
     def rule(self, course: Course, values: Values | None) -> LearnedValue:
         """Return the rule on a course's ladder; before any values are learned, one that is not used."""
         names = list(self.costs)
-        models = tuple(MODELS[names[rung]] for rung in course.rungs)
+        models = tuple(human_model(names[rung]) for rung in course.rungs)
         costs = np.array([self.costs[model.name] for model in models])
         return (values or self.values([], 0)).rule(models, costs, self.prices[0])
 

@@ -1,0 +1,166 @@
+"""Efforts: models in fewer or more ascent steps, from the last plan, by name, and what they cost."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import ClassVar
+
+import jax
+import numpy as np
+import pytest
+
+from ms_highway.envs import MergerEnv
+from ms_highway.envs.controllers import named_controller
+from ms_highway.envs.graphics import model_color
+from ms_highway.envs.settings import Settings, merged
+from ms_highway.game.game import total_reward
+from ms_highway.optimization.solvers import project
+from ms_highway.planning.compiled_plans import measure_costs
+from ms_highway.planning.effort import BEST_LADDER, Effort, starts_warm
+from ms_highway.planning.human_models import (
+    MODELS,
+    Naive,
+    human_model,
+    is_model,
+    known_models,
+    ladder,
+    plan_within_limits,
+    register,
+)
+from ms_highway.runtime.compilation import jit_quickly
+
+STRANGE = ["tom@0", "tom@08", "tom@x", "tom@", "tom@5001", "tom+cold", "tom+warm@8", "tom@8+warm+warm", "@8", 8]
+
+
+def compiled(name):
+    """The plans of a model, compiled."""
+    return jit_quickly(partial(plan_within_limits, human_model(name)))
+
+
+@dataclass(frozen=True)
+class Lazy(Naive):
+    """Naive by another name."""
+
+    name: ClassVar[str] = "lazy"
+
+
+@pytest.fixture
+def lazy():
+    register(Lazy())
+    yield "lazy"
+    del MODELS["lazy"]
+
+
+@pytest.mark.parametrize("name", ["tom@8", "turn@5", "naive@10", "tom+warm", "tom@8+warm", "tom@5000"])
+def test_a_name_is_that_of_the_model_that_it_stands_for(name):
+    model = human_model(name)
+    assert model.name == name
+    assert model.responds == name.startswith("tom")
+    assert starts_warm(model) == name.endswith("+warm")
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_a_name_of_no_effort_is_refused_with_the_remedy(name):
+    assert not is_model(name)
+    with pytest.raises(ValueError, match=r"unknown human model .*naive, turn, tom, also in 1 to 5000 steps \(tom@8\)"):
+        ladder([name])
+
+
+@pytest.mark.parametrize(
+    "names", [["tom@8", "tom@4"], ["tom", "tom@40"], ["tom@8+warm", "tom@8"], ["tom@4", "naive"], ["tom@8", "tom@8"]]
+)
+def test_a_ladder_goes_from_model_to_model_and_in_each_from_fewer_steps_to_more(names):
+    with pytest.raises(ValueError, match=r"cheapest first.*of the same model fewer steps first"):
+        ladder(names)
+
+
+def test_the_ladder_that_serves_best_has_a_name_which_no_model_may_have():
+    for names in ("best", ["best"], BEST_LADDER):
+        assert tuple(model.name for model in ladder(names)) == BEST_LADDER
+    with pytest.raises(ValueError, match="'best'"):
+        register(type("Best", (Lazy,), {"name": "best"})())
+
+
+def test_registered_models_have_efforts_too(lazy, played):
+    game, state = played("merger")
+    np.testing.assert_array_equal(*(compiled(name)(game, state) for name in ("naive@3", "lazy@3")))
+    assert known_models(["lazy@3", "tom@8"]) == ["naive", "turn", "tom@8", "tom", "lazy@3", "lazy"]
+
+
+@pytest.mark.parametrize("solver", ["gradient", "newton"])
+def test_counted_steps_are_gradient_steps_of_their_own_length_under_any_solver(played, solver):
+    game, state = played("merger", solver=solver)
+    robot = compiled("naive@1")(game, state).robot
+    expected = Naive().predict(game, state)
+    slope = jax.grad(total_reward, argnums=2)(game, state, np.zeros((5, 2)), expected)
+    np.testing.assert_allclose(robot, project(game.planner, 0.1 * slope), atol=1e-5)
+
+
+def test_more_steps_climb_further_and_six_as_far_as_the_papers_twenty(played):
+    game, state = played("merger")
+
+    def earned(name):
+        robot, human = compiled(name)(game, state)
+        return float(total_reward(game, state, robot, human))
+
+    two, six, twelve, papers = map(earned, ("naive@2", "naive@6", "naive@12", "naive"))
+    assert two < six < twelve
+    assert six == pytest.approx(papers, abs=0.05 * (twelve - two))
+
+
+@pytest.mark.parametrize("horizon", [1, 2, 8])
+def test_steps_do_not_overshoot_at_other_horizons(played, horizon):
+    game, state = played("stay_back")
+    game = replace(game, planner=replace(game.planner, horizon=horizon))
+    rewards = []
+    for name in ("naive@1", "naive@30"):
+        robot, human = compiled(name)(game, state)
+        rewards.append(float(total_reward(game, state, robot, human)))
+    assert rewards[1] > rewards[0]
+
+
+def test_a_model_from_the_last_plan_plans_as_without_where_there_is_none(played):
+    game, state = played("merger")
+    np.testing.assert_array_equal(*(compiled(name)(game, state) for name in ("naive+warm", "naive")))
+
+
+def test_costs_are_those_given_or_proportional_to_the_steps():
+    def costs(given, *names, **config):
+        config = merged(MergerEnv.default_config(), {"ladder": list(names), "costs": given, **config})
+        return Settings.read(config).costs
+
+    published = costs("published", "naive", "tom@8", "tom@8+warm", "tom+warm")
+    assert published["tom@8"] == published["tom@8+warm"] == pytest.approx(0.37 * 8 / 20)
+    assert published["tom+warm"] == published["tom"] == 0.37
+    assert costs("published", "tom@8", iterations=40)["tom@8"] == pytest.approx(0.37 * 8 / 40)
+    given = costs({"naive": 0.1, "tom": 0.4, "tom@8": 0.3}, "naive", "tom@4", "tom@8+warm")
+    assert given["tom@4"] == pytest.approx(0.08)
+    assert given["tom@8+warm"] == 0.3
+    assert costs("published", "naive", controller={"type": "fixed", "model": "turn@5"})["turn@5"] == 0.17 / 4
+    assert costs("measured", "naive", "tom@8") is None
+    with pytest.raises(ValueError, match="no seconds for 'tom@8'"):
+        costs({"naive": 0.1}, "naive", "tom@8")
+    with pytest.raises(ValueError, match="unknown key 'tom@0'"):
+        costs({"naive": 0.1, "tom@0": 1}, "naive")
+
+
+def test_measured_costs_grow_with_the_steps(played):
+    game, state = played("merger")
+    few, many = measure_costs(game, ladder(["tom@2+warm", "tom@60"]), np.asarray(state), repeats=9)
+    assert few < many
+
+
+@pytest.mark.parametrize("text", ["tom@8", "schedule:tom@8=6,naive+warm", "random:naive=0.5,tom@8+warm=0.5"])
+def test_controllers_of_every_kind_take_efforts(text):
+    assert all(map(is_model, named_controller(text).names()))
+    with pytest.raises(ValueError, match="tom@8"):
+        named_controller(text.replace("tom@8", "tom@0"))
+
+
+def test_efforts_have_shades_of_their_models_colour():
+    names = ["tom@2", "tom@8", "tom@8+warm", "tom+warm", "tom"]
+    colors = [model_color(name) for name in names]
+    assert len(set(colors)) == len(names)
+    assert model_color("tom@20") == model_color("tom")
+    for red, green, blue in colors:
+        assert red > blue > green  # the order in the colour of tom
+    assert Effort(MODELS["tom"], None, False).name == "tom"
