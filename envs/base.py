@@ -64,8 +64,9 @@ class InteractionEnv(StageEnv):
       accelerations of +-5 m/s^2 and front-wheel angles of +-0.1 rad unless ``acceleration_range`` and
       ``steering_range`` say otherwise (highway-env's own +-45 degrees spin a car of 20 m/s at the first step).
     * ``controller``: ``{"type": "switching", "lambda": 0.1}``, ``{"type": "fixed", "model": "tom"}``, ``{"type":
-      "schedule", "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept, or ``{"type":
-      "random", "shares": {"naive": 0.7, "tom": 0.3}}``, a model per step that is drawn when the episode starts.
+      "schedule", "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept, ``{"type": "period",
+      "models": ["tom", "naive"]}``, the same repeated, or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``,
+      a model per step that is drawn when the episode starts.
     * ``ladder``: names of the human models to choose from, cheapest first.
     * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model.
     * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.

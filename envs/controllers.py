@@ -1,8 +1,9 @@
 """Parse and check the configurations and short names of controllers."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import cycle, islice
 from math import nan
 from typing import Any, ClassVar
 
@@ -12,14 +13,17 @@ from ms_highway.envs.checks import LARGEST, is_number, is_one_of, refuse_unknown
 from ms_highway.planning.human_models import MODELS
 
 __all__ = [
+    "FIXED_ORDERS",
     "ControllerSettings",
     "FixedSettings",
+    "PeriodSettings",
     "RandomSettings",
     "ScheduledSettings",
     "SwitchingSettings",
     "controller_config",
     "controller_settings",
     "named_controller",
+    "priced_kinds",
 ]
 
 PLACE = "config['controller']"
@@ -81,6 +85,17 @@ class ScheduledSettings(ControllerSettings):
 
 
 @dataclass(frozen=True)
+class PeriodSettings(ScheduledSettings):
+    """Plans each step with the human model of a list, which is repeated to the end of the episode."""
+
+    type: ClassVar[str] = "period"
+
+    def draw(self, steps: int, random: np.random.Generator) -> list[str]:
+        """See `ControllerSettings.draw`."""
+        return list(islice(cycle(self.models), steps))
+
+
+@dataclass(frozen=True)
 class RandomSettings(ControllerSettings):
     """Draws the human model of each step, with the given shares by name, when the episode starts."""
 
@@ -126,8 +141,16 @@ class SwitchingSettings(ControllerSettings):
 
 
 KINDS: dict[str, type[Any]] = {
-    kind.type: kind for kind in (SwitchingSettings, FixedSettings, ScheduledSettings, RandomSettings)
+    kind.type: kind for kind in (SwitchingSettings, FixedSettings, ScheduledSettings, PeriodSettings, RandomSettings)
 }
+
+FIXED_ORDERS = ("fixed", "schedule", "period")
+"""Types of the controllers whose models are the same in every episode, step by step."""
+
+
+def priced_kinds() -> list[str]:
+    """Return the types of the controllers that have a lambda."""
+    return [name for name, kind in KINDS.items() if "price" in {field.name for field in fields(kind)}]
 
 
 def check_price(place: str, price: Any) -> None:
@@ -171,7 +194,8 @@ def controller_config(text: str) -> dict[str, Any]:
     """Return the configuration that a controller's short name stands for.
 
     These are the human models, such as ``tom``; ``switching:0.1`` with a lambda; ``schedule:tom=6,naive``, tom for six
-    steps and then naive; and ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
+    steps and then naive; ``period:tom=1,naive=3``, tom in every fourth step and naive in between; and
+    ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
 
     Raises:
         ValueError: if it stands for none.
@@ -187,12 +211,15 @@ def controller_config(text: str) -> dict[str, Any]:
             raise ValueError(f"controller {text!r} needs its lambda as a number, such as switching:0.1") from None
     elif name == "schedule":
         config = {"type": "schedule", "models": _schedule(text, rest)}
+    elif name == "period":
+        config = {"type": "period", "models": _stretches(text, rest.split(","), "period:tom=1,naive=3")}
     elif name == "random":
         config = {"type": "random", "shares": _shares(text, rest)}
     elif name in MODELS and not rest:
         config = {"type": "fixed", "model": name}
     else:
-        known = f"{', '.join(MODELS)}, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL and random:MODEL=SHARE,..."
+        orders = "schedule:MODEL=STEPS,...,MODEL, period:MODEL=STEPS,... and random:MODEL=SHARE,..."
+        known = f"{', '.join(MODELS)}, switching:LAMBDA, {orders}"
         raise ValueError(f"unknown controller {text!r}; the controllers are {known}")
     try:
         controller_settings(config)
@@ -206,17 +233,22 @@ def _schedule(text: str, parts: str) -> list[str]:
     *first, last = parts.split(",")
     if "=" in last:
         raise ValueError(f"controller {text!r}: the last model takes no number of steps; write schedule:tom=6,naive")
+    return [*_stretches(text, first, "schedule:tom=6,naive"), last]
+
+
+def _stretches(text: str, parts: Sequence[str], example: str) -> list[str]:
+    """Return the models of the parts ``MODEL=STEPS`` of a controller's short name, one per step."""
     models: list[str] = []
-    for part in first:
+    for part in parts:
         name, _, steps = part.partition("=")
         if name not in MODELS:
             raise ValueError(f"controller {text!r}: unknown human model {name!r}; the models are {', '.join(MODELS)}")
         if not steps.isdecimal():
-            raise ValueError(f"controller {text!r} does not say for how many steps; say it like schedule:tom=6,naive")
+            raise ValueError(f"controller {text!r} does not say for how many steps; say it like {example}")
         if len(steps) > MOST_DIGITS:
             raise ValueError(f"controller {text!r}: no episode has {steps} steps; leave out what comes later")
         models += [name] * int(steps)
-    return [*models, last]
+    return models
 
 
 def _shares(text: str, parts: str) -> dict[str, float]:

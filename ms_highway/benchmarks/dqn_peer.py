@@ -32,7 +32,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "target_update_interval": 50,
     },
 }
-"""Hyperparameters by name: those that stable-baselines3 documents as default, and those of highway-env's quick start."""
+"""Hyperparameters by name: the defaults of stable-baselines3's documentation, those of highway-env's quick start."""
 
 BEYOND = 2**64  # larger than every numbered seed
 WARM_UP, TIMED = 400, 1600  # steps
