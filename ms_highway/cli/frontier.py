@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
     from ms_highway.experiments.frontier import Outcomes
 
-__all__ = ["add_frontier", "comparison"]
+__all__ = ["LAMBDAS", "add_frontier", "drivers"]
 
 HELP = """\
 Search, for each start separately, for the order of human models with the highest meta-reward: the reward less
@@ -111,7 +111,7 @@ def _frontier(options: argparse.Namespace) -> None:
     from ms_highway.simulation.devices import use_devices
     from ms_highway.visualization.frontier import regret_tables
 
-    asked = comparison(options)
+    asked = _comparison(options)
     mesh = use_devices(options.devices)
     batches = {name: make_batch(asked, name) for name in asked.controllers}
     with own_results(options, {**asked.common_config(), "costs": asked.costs}) as record:
@@ -124,14 +124,13 @@ def _frontier(options: argparse.Namespace) -> None:
     print(f"results are in {options.out}")
 
 
-def comparison(options: argparse.Namespace) -> "Comparison":
+def _comparison(options: argparse.Namespace) -> "Comparison":
     """Return the fixed models and controllers that are driven in any case, checked.
 
     Raises:
         ValueError: naming what cannot be searched.
     """
     from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
-    from ms_highway.envs.controllers import priced_kinds
 
     check_least(options, seeds=1, population=1, rounds=1, devices=1)
     check_most(options, seeds=MOST, population=MOST, rounds=MOST)
@@ -144,18 +143,31 @@ def comparison(options: argparse.Namespace) -> "Comparison":
             raise ValueError(f"--prices has {price:g}; a price must be a number that is not negative, such as 0.1")
     for name in options.scenarios:
         environment_id(name)
-    kinds = {kind: options.lambdas if kind in ESTIMATES else options.prices for kind in priced_kinds()}
-    driven = [
-        driver
-        for name in [*options.controllers, "switching"]
-        for driver in ([f"{name}:{price:g}" for price in kinds[name]] if name in kinds else [name])
-    ]
+    driven = drivers([*options.controllers, "switching"], options.prices, options.lambdas)
     controllers = {
         name: [*(options.ladder or SCENARIOS[name].ladder), *driven] for name in options.scenarios or PAPER_SCENARIOS
     }
     asked = asked_comparison(options, controllers, options.seeds)
     asked.check()
     return asked
+
+
+def drivers(names: Sequence[str], prices: Sequence[float], lambdas: Sequence[float]) -> list[str]:
+    """Return short names of controllers; the name of a kind that has a lambda stands for one at each of several.
+
+    Args:
+        names: of controllers, or of kinds that have a lambda.
+        prices: lambdas of kinds that are told the price.
+        lambdas: of the paper's estimates.
+    """
+    from ms_highway.envs.controllers import priced_kinds
+
+    kinds = {kind: lambdas if kind in ESTIMATES else prices for kind in priced_kinds()}
+    return [
+        driver
+        for name in names
+        for driver in ([f"{name}:{price:g}" for price in kinds[name]] if name in kinds else [name])
+    ]
 
 
 def _search(every: Sequence["Outcomes"], options: argparse.Namespace, tell: Callable[[str], None]) -> "pd.DataFrame":

@@ -84,6 +84,11 @@ def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, 
         (["video", "merger", "--out", "film.mp4", "--width", "2000"], "the width is 2000 px"),
         (["validate", "nowhere"], "there is no directory nowhere"),
         (["bench", "roundabout"], "'roundabout'; the scenarios are"),
+        (["learners", "merger", "--price", "-1"], "--price is -1; it must be"),
+        (["learners", "merger", "--times", "0"], "--times is 0; it must be"),
+        (["learners", "merger", "--steps", "0"], "--steps is 0; it must be 1 or more"),
+        (["learners", "merger", "--controllers", "oracle"], "unknown controller 'oracle'"),
+        (["learners", "merger", "--training-seed", "-1"], "--training-seed is -1; it must be"),
     ],
 )
 def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):

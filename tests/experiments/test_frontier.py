@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.cli.frontier import comparison
-from ms_highway.cli.main import build_parser, main
+from ms_highway.cli.frontier import drivers
+from ms_highway.cli.main import main
 from ms_highway.envs.controllers import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START, best
 from ms_highway.experiments.comparison import Comparison
@@ -98,9 +98,12 @@ def test_the_best_orders_earn_in_the_environment_what_the_search_says(searched):
 
 
 def test_a_kind_with_a_lambda_stands_for_a_controller_at_each_lambda():
-    options = build_parser().parse_args([*SEARCH, "switching"])
-    drivers = [f"switching:{name}" for name in LAMBDAS[1:]]
-    assert comparison(options).controllers == {"merger": [*LADDER, *OTHERS, *drivers]}
+    assert drivers(["tom", "switching", "switching:3"], [1], [0.01, 0.2]) == [
+        "tom",
+        "switching:0.01",
+        "switching:0.2",
+        "switching:3",
+    ]
 
 
 def test_a_search_at_many_prices_tries_little_more_than_one_at_three():
