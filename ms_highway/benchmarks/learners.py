@@ -65,7 +65,7 @@ def train_all(
         ValueError: if a kept file cannot be read.
     """
     for training in trainings:
-        rate: float | None = None
+        once = float(budget.steps or 0)
         for times in budget.times:
             name = f"DQN, {training.settings}, {budget.name(times)}"
             yield name, None
@@ -73,10 +73,8 @@ def train_all(
             file = file.with_name(f"{file.name}.json")
             agent = _read(file) if file.exists() else None
             if agent is None or not set(seeds) <= agent.orders.keys():
-                if budget.steps is None and rate is None:
-                    rate = process.submit(steps_per_second, training).result()
-                steps = round(times * (budget.steps or budget.seconds * (rate or 0.0)))
-                agent = process.submit(trained, training, steps, seeds).result()
+                once = once or budget.seconds * process.submit(steps_per_second, training).result()
+                agent = process.submit(trained, training, round(times * once), seeds).result()
                 with replacing(file) as path:
                     path.write_text(json.dumps(asdict(training) | asdict(agent)) + "\n")
             yield name, agent
@@ -127,9 +125,9 @@ def standings(
     orders = {
         name: {seed: controller_name(models, agent.orders[seed]) for seed in seeds} for name, agent in agents.items()
     }
-    chosen = [(order, seed) for own in orders.values() for seed, order in own.items()]
-    outcomes.of([*chosen, *((name, seed) for name in said.keys() - agents.keys() for seed in seeds)])
     known = [name for name in said if name not in agents]
+    outcomes.of([(name, seed) for name in known for seed in seeds])
+    outcomes.of([(order, seed) for own in orders.values() for seed, order in own.items()])
     common = best_for_all(outcomes.table, seeds, price)
     said[common] = ", ".join(filter(None, (said.get(common), "best for all starts")))
     rows = regrets(outcomes.table, known, seeds, price, orders)
