@@ -17,7 +17,7 @@ from ms_highway.control.controller import Controller
 from ms_highway.control.fixed import FixedModel, ScheduledModels
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.envs.actions import Autopilot, HumanModelAction
-from ms_highway.envs.controllers import FixedSettings, SwitchingSettings, controller_settings
+from ms_highway.envs.controllers import ChoosingSettings, FixedSettings, controller_settings
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates, finite
 from ms_highway.envs.settings import Settings, merged
@@ -240,8 +240,9 @@ class InteractionEnv(StageEnv):
         costs = self.costs(states)  # to be measured now, if at all, and not within a step
         if isinstance(self.action_type, HumanModelAction):
             return FixedModel(self.game, self.models[0], self.models, warm_start)
-        if isinstance(controller, SwitchingSettings):
-            return ModelSwitching(self.game, self.settings.switching(costs, controller.price), warm_start)
+        if isinstance(controller, ChoosingSettings):
+            rule = controller.rule(self.models, costs, self.settings.semantics)
+            return ModelSwitching(self.game, rule, warm_start)
         if isinstance(controller, FixedSettings):
             return FixedModel(self.game, MODELS[controller.model], warm_start=warm_start)
         names = controller.draw(self.episode_steps, self.np_random)
@@ -312,6 +313,7 @@ class InteractionEnv(StageEnv):
                 "model": step.model,
                 "status": step.status,
                 "gains": dict(step.gains),
+                "choice_failed": step.choice_failed,
                 "timing": Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds),
             }
             if self._costs and step.model in self._costs:

@@ -8,14 +8,22 @@ from math import nan
 from typing import Any, ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
 from ms_highway.envs.checks import LARGEST, is_number, is_one_of, refuse_unknown
-from ms_highway.planning.human_models import MODELS
+from ms_highway.game.scenario import Semantics
+from ms_highway.metareasoning.rule import Rule
+from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
+from ms_highway.metareasoning.values import load_values
+from ms_highway.planning.human_models import MODELS, HumanModel
 
 __all__ = [
+    "CHOOSING",
     "FIXED_ORDERS",
+    "ChoosingSettings",
     "ControllerSettings",
     "FixedSettings",
+    "LearnedSettings",
     "PeriodSettings",
     "RandomSettings",
     "ScheduledSettings",
@@ -23,7 +31,6 @@ __all__ = [
     "controller_config",
     "controller_settings",
     "named_controller",
-    "priced_kinds",
 ]
 
 PLACE = "config['controller']"
@@ -126,11 +133,10 @@ class RandomSettings(ControllerSettings):
 
 
 @dataclass(frozen=True)
-class SwitchingSettings(ControllerSettings):
-    """Algorithm 1 chooses the human model of each step from the ladder, at a price per second of planning."""
+class ChoosingSettings(ControllerSettings):
+    """A rule chooses the human model of each step from the ladder, at a price per second of planning."""
 
     price: float
-    type: ClassVar[str] = "switching"
 
     def __post_init__(self) -> None:
         check_price(PLACE, self.price)
@@ -139,18 +145,54 @@ class SwitchingSettings(ControllerSettings):
         """See `ControllerSettings.names`."""
         return ()
 
+    @abstractmethod
+    def rule(self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics) -> Rule:
+        """Return the rule on a ladder with T(M) [s]."""
 
-KINDS: dict[str, type[Any]] = {
-    kind.type: kind for kind in (SwitchingSettings, FixedSettings, ScheduledSettings, PeriodSettings, RandomSettings)
-}
+
+@dataclass(frozen=True)
+class SwitchingSettings(ChoosingSettings):
+    """Algorithm 1 chooses."""
+
+    type: ClassVar[str] = "switching"
+
+    def rule(
+        self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics
+    ) -> Switching:
+        """See `ChoosingSettings.rule`."""
+        if semantics == "released":
+            return Switching(costs, self.price, models, trust_tolerance=RELEASED_TRUST_TOLERANCE)
+        return Switching(costs, self.price, models)
+
+
+@dataclass(frozen=True)
+class LearnedSettings(ChoosingSettings):
+    """A learned value of computation chooses.
+
+    Attributes:
+        values: ``"shipped"`` or a file of `ms_highway.metareasoning.values`; ``""`` and None mean shipped.
+    """
+
+    values: str | None = None
+    type: ClassVar[str] = "learned"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        load_values(self.values or "shipped")
+
+    def rule(self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics) -> Rule:
+        """See `ChoosingSettings.rule`."""
+        return load_values(self.values or "shipped").rule(models, costs, self.price)
+
+
+CLASSES = SwitchingSettings, LearnedSettings, FixedSettings, ScheduledSettings, PeriodSettings, RandomSettings
+KINDS: dict[str, type[Any]] = {kind.type: kind for kind in CLASSES}
+
+CHOOSING = [name for name, kind in KINDS.items() if issubclass(kind, ChoosingSettings)]
+"""Types of the controllers that choose at a lambda."""
 
 FIXED_ORDERS = ("fixed", "schedule", "period")
 """Types of the controllers whose models are the same in every episode, step by step."""
-
-
-def priced_kinds() -> list[str]:
-    """Return the types of the controllers that have a lambda."""
-    return [name for name, kind in KINDS.items() if "price" in {field.name for field in fields(kind)}]
 
 
 def check_price(place: str, price: Any) -> None:
@@ -202,13 +244,16 @@ def controller_config(text: str) -> dict[str, Any]:
     """
     name, _, rest = text.partition(":")
     config: dict[str, Any]
-    if name == "switching":
+    if name in CHOOSING:
+        price, _, values = rest.partition(":")
         try:
-            if rest != rest.strip():
+            if price != price.strip():
                 raise ValueError  # the name would have spaces or line breaks, in files too
-            config = {"type": "switching", "lambda": float(rest)}
+            config = {"type": name, "lambda": float(price)}
         except ValueError:
-            raise ValueError(f"controller {text!r} needs its lambda as a number, such as switching:0.1") from None
+            raise ValueError(f"controller {text!r} needs its lambda as a number, such as {name}:0.1") from None
+        if values:
+            config["values"] = values
     elif name == "schedule":
         config = {"type": "schedule", "models": _schedule(text, rest)}
     elif name == "period":

@@ -6,7 +6,6 @@ from typing import Any
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Float
 
 from ms_highway.envs.checks import LARGEST, is_number, is_one_of, is_whole, refuse_unknown
 from ms_highway.envs.configuration import changed
@@ -16,7 +15,7 @@ from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, PHYSICAL_LIMIT, Scenario, Semantics, build_game
-from ms_highway.metareasoning.switching import PUBLISHED_COSTS, RELEASED_TRUST_TOLERANCE, Switching
+from ms_highway.metareasoning.rule import PUBLISHED_COSTS
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import MODELS, HumanModel, ladder
@@ -102,12 +101,6 @@ class Settings:
             human_driving=self.human_weights,
             planning=self.planning,
         )
-
-    def switching(self, costs: Float[np.ndarray, "rungs"], price: float) -> Switching:
-        """Return the numbers of Algorithm 1 on the ladder, with T(M) and lambda."""
-        if self.semantics == "released":
-            return Switching(costs, price, self.models, trust_tolerance=RELEASED_TRUST_TOLERANCE)
-        return Switching(costs, price, self.models)
 
 
 def merged(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from ms_highway.game.scenario import build_game as build_game
     from ms_highway.game.scenario import driving_game as driving_game
     from ms_highway.game.scene import Scene as Scene
-    from ms_highway.metareasoning.switching import PUBLISHED_COSTS as PUBLISHED_COSTS
+    from ms_highway.metareasoning.rule import PUBLISHED_COSTS as PUBLISHED_COSTS
     from ms_highway.metareasoning.switching import Switching as Switching
     from ms_highway.metareasoning.switching import decide as decide
     from ms_highway.planning.compiled_plans import plan as plan
@@ -71,7 +71,8 @@ _HOMES = {
         "game.reward": ["add_feature"],
         "planning.human_models": ["HumanModel", "Naive", "TheoryOfMind", "Turn", "ladder", "register"],
         "planning.compiled_plans": ["plan"],
-        "metareasoning.switching": ["PUBLISHED_COSTS", "Switching", "decide"],
+        "metareasoning.rule": ["PUBLISHED_COSTS"],
+        "metareasoning.switching": ["Switching", "decide"],
         "runtime.jax_settings": ["keep_compilations", "low_latency"],
     }.items()
     for name in names

@@ -18,8 +18,9 @@ from ms_highway.benchmarks.casadi_peer import compiled_peer
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiments.runner import make_environment
 from ms_highway.game.game import Game
-from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
-from ms_highway.metareasoning.switching import PUBLISHED_COSTS, Switching, first_memory
+from ms_highway.metareasoning.compiled_decision import CompiledDecision
+from ms_highway.metareasoning.rule import PUBLISHED_COSTS, first_memory
+from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.files import temporary_directory
@@ -170,7 +171,7 @@ def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: Stat
     switching = Switching(np.array([PUBLISHED_COSTS[model.name] for model in models]), 1e9, models)
     compiled, checking = CompiledDecision(switching, game), first_memory(switching, rung)
     waiting = checking._replace(last_check=np.zeros_like(checking.last_check))
-    observed = Observation(state, np.zeros(2), state)
+    observed = compiled.nothing_happened(state)
     memories = {"checking": checking, "waiting": waiting}
     times = _times(
         {

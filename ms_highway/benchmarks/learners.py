@@ -113,7 +113,7 @@ def standings(
     Returns:
         Rows as `ms_highway.experiments.analysis.regret.regrets`, with a column ``remark``.
     """
-    models = [model.name for model in outcomes.batch.loop.switching.ladder]
+    models = [model.name for model in outcomes.batch.loop.rule.ladder]
     period, switcher = (_best(outcomes, names, seeds, price) for names in (periods(models), switching))
     blind = _coin(outcomes, controllers[0] if controllers else switcher, seeds)
     said = dict.fromkeys([*models, *controllers], "") | {

@@ -160,9 +160,9 @@ def drivers(names: Sequence[str], prices: Sequence[float], lambdas: Sequence[flo
         prices: lambdas of kinds that are told the price.
         lambdas: of the paper's estimates.
     """
-    from ms_highway.envs.controllers import priced_kinds
+    from ms_highway.envs.controllers import CHOOSING
 
-    kinds = {kind: lambdas if kind in ESTIMATES else prices for kind in priced_kinds()}
+    kinds = {kind: lambdas if kind in ESTIMATES else prices for kind in CHOOSING}
     return [
         driver
         for name in names

@@ -21,6 +21,7 @@ from ms_highway.cli.report import add_report
 from ms_highway.cli.safety import add_safety
 from ms_highway.cli.sweep import add_sweep
 from ms_highway.cli.validate import add_validate
+from ms_highway.cli.values import add_values
 from ms_highway.cli.video import add_video
 from ms_highway.runtime.interrupt import INTERRUPTED, STOPPED
 
@@ -112,6 +113,6 @@ def build_parser() -> argparse.ArgumentParser:
     parser.set_defaults(simulates=False)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     everyday = add_compare, add_sweep, add_frontier, add_safety, add_video, add_report, add_bench, add_validate
-    for add in (*everyday, add_learners, add_irl):
+    for add in (*everyday, add_learners, add_irl, add_values):
         add(commands)
     return parser

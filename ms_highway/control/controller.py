@@ -33,6 +33,7 @@ class ControlStep:
         decision_seconds: wall time of choosing the model, without compilation; 0 without a choice.
         compile_seconds: wall time of compiling and warming up in this step.
         gains: estimated gain of switching to each model considered, by name.
+        choice_failed: whether the model could not be chosen, so that the top of the ladder planned.
         status: whether the control is planned, see `ms_highway.control.fallback.Status`.
     """
 
@@ -44,6 +45,7 @@ class ControlStep:
     decision_seconds: float = 0.0
     compile_seconds: float = 0.0
     gains: Mapping[str, float] = field(default_factory=dict)
+    choice_failed: bool = False
     status: Status = "planned"
 
 

@@ -1,6 +1,7 @@
-"""Drive with the human model that Algorithm 1 chooses."""
+"""Drive with the human model that a rule chooses, such as Algorithm 1."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -8,7 +9,7 @@ from jaxtyping import Float
 from ms_highway.control.controller import ControlStep, PlanningController
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
-from ms_highway.metareasoning.switching import Switching, check_costs, first_memory
+from ms_highway.metareasoning.rule import Rule, check_costs, first_memory
 from ms_highway.planning.compiled_plans import checked_state
 from ms_highway.runtime.forks import refuse_after_fork
 
@@ -16,31 +17,31 @@ __all__ = ["ModelSwitching"]
 
 
 class ModelSwitching(PlanningController):
-    """Plan every step with the human model that Algorithm 1 chooses.
+    """Plan every step with the human model that a rule chooses.
 
     Args:
         game: of which car 0 is driven.
-        switching: ladder, costs, lambda and the numbers of the algorithm.
+        rule: chooses the models, see `ms_highway.metareasoning.rule.Rule`.
         warm_start: whether plans start from the last one instead of from zero controls.
 
     Raises:
         ValueError: if there is not one cost for each rung of the ladder.
     """
 
-    def __init__(self, game: Game, switching: Switching, warm_start: bool = False) -> None:
-        check_costs(switching)
-        strange = [model for model in switching.ladder if not hasattr(model, "plan")]
+    def __init__(self, game: Game, rule: Rule, warm_start: bool = False) -> None:
+        check_costs(rule)
+        strange = [model for model in rule.ladder if not hasattr(model, "plan")]
         if strange:
             raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
-        if not (np.asarray(switching.price) >= 0).all() or (np.asarray(switching.costs) < 0).any():
-            told = f"the price is {switching.price} and the costs are {np.asarray(switching.costs).tolist()}"
+        if not (np.asarray(rule.price) >= 0).all() or (np.asarray(rule.costs) < 0).any():
+            told = f"the price is {rule.price} and the costs are {np.asarray(rule.costs).tolist()}"
             raise ValueError(f"{told}; neither may be negative, nor the price NaN")
-        self.switching = switching
+        self.rule = rule
         super().__init__(game, warm_start)
 
     def _prepare(self, game: Game) -> None:
         super()._prepare(game)
-        self._decision = CompiledDecision(self.switching, game)
+        self._decision = CompiledDecision(self.rule, game)
         self._warm = False
 
     def reset(self) -> None:
@@ -54,7 +55,7 @@ class ModelSwitching(PlanningController):
         self._start_again()
 
     def _start_again(self) -> None:
-        self._memory = first_memory(self.switching)
+        self._memory = first_memory(self.rule)
         self._before: Float[np.ndarray, "cars 4"] | None = None
 
     def step(
@@ -71,30 +72,39 @@ class ModelSwitching(PlanningController):
         """
         refuse_after_fork()
         now = checked_state(state)
-        compiling, deciding, gains = self._warm_up(now), 0.0, dict[str, float]()
-        if self._last is not None and self._before is not None:
-            before = self._before if before is None else checked_state(before)
-            deciding, gains = self._choose(before, self._last.control, now)
-        planned = self._plan(self.switching.ladder[int(self._memory.rung)], state, now)
+        compiling = self._warm_up(now)
+        happened = self._observed(now, before)
+        chosen = {} if happened is None else self._choose(happened)
+        planned = self._plan(self.rule.ladder[int(self._memory.rung)], state, now)
         self._before = now
-        self._last = replace(planned, decision_seconds=deciding, compile_seconds=compiling, gains=gains)
+        self._last = replace(planned, compile_seconds=compiling, **chosen)
         return self._last
+
+    def _observed(
+        self, now: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None
+    ) -> Observation | None:
+        """Return the last step; before the first one, a step in which nothing happened, or None if nobody decides."""
+        if self._last is None or self._before is None:
+            return self._decision.nothing_happened(now) if self.rule.chooses_first else None
+        rest = np.minimum(np.arange(self.game.planner.horizon), len(self._last.plan) - 1)
+        before = self._before if before is None else checked_state(before)
+        return Observation(before, now, self._last.control, (self._last.plan[rest], self._last.human[rest]))
 
     def _warm_up(self, state: Float[np.ndarray, "cars 4"]) -> float:
         """Compile every rung and the decision before the first control of a game; return the seconds spent."""
         if self._warm:
             return 0.0
         self._warm = True
-        return self._plans.warm_up(self.switching.ladder, state) + self._decision.warm_up(self._memory, state)
+        return self._plans.warm_up(self.rule.ladder, state) + self._decision.warm_up(self._memory, state)
 
-    def _choose(
-        self, before: Float[np.ndarray, "cars 4"], executed: Float[np.ndarray, "2"], now: Float[np.ndarray, "cars 4"]
-    ) -> tuple[float, dict[str, float]]:
-        """Decide; return the seconds spent and the estimated gains by name of the alternative."""
-        rung, ladder = int(self._memory.rung), self.switching.ladder
-        decision, seconds = self._decision.decide(self._memory, Observation(before, executed, now))
+    def _choose(self, happened: Observation) -> dict[str, Any]:
+        """Decide; return what the step's record says of it."""
+        rung, names = int(self._memory.rung), [model.name for model in self.rule.ladder]
+        decision, seconds = self._decision.decide(self._memory, happened)
         self._memory = decision.memory
-        estimates = {ladder[rung - 1].name: float(decision.gain_down)} if rung > 0 else {}
-        if rung < len(ladder) - 1:
-            estimates[ladder[-1].name] = float(decision.gain_up)
-        return seconds, {name: gain for name, gain in estimates.items() if np.isfinite(gain)}
+        gains = {
+            name: float(gain)
+            for place, (name, gain) in enumerate(zip(names, decision.gains, strict=True))
+            if place != rung and np.isfinite(gain)
+        }
+        return {"decision_seconds": seconds, "gains": gains, "choice_failed": bool(decision.failed)}

@@ -112,7 +112,7 @@ def search(
     Yields:
         The number of each round that is done, from 1; and one more, when starts have tried each other's best orders.
     """
-    random, models = np.random.default_rng(0), [model.name for model in outcomes.batch.loop.switching.ladder]
+    random, models = np.random.default_rng(0), [model.name for model in outcomes.batch.loop.rule.ladder]
     even = np.full((outcomes.batch.steps, len(models)), 1 / len(models))
     tables = {(seed, price): even for seed in seeds for price in prices}
     tried: dict[int, dict[Order, tuple[float, float]]] = {seed: {} for seed in seeds}  # reward, seconds per step

@@ -4,9 +4,10 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import jax
 import numpy as np
 import pandas as pd
 from gymnasium.utils import seeding
@@ -16,11 +17,11 @@ from jaxtyping import Float, Int
 from ms_highway.control.fallback import STATUSES
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.controllers import ControllerSettings, SwitchingSettings, named_controller
+from ms_highway.envs.controllers import ChoosingSettings, ControllerSettings, SwitchingSettings, named_controller
 from ms_highway.envs.settings import Settings
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, MEASURED, STATE, columns, gain_column, share_column, state_columns
-from ms_highway.game.scenario import Scenario
+from ms_highway.game.scenario import Scenario, Semantics
 from ms_highway.planning.human_models import MODELS
 from ms_highway.simulation.devices import usual_chunk
 from ms_highway.simulation.loop import simulate
@@ -41,6 +42,9 @@ __all__ = [
 
 Key = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
+
+NOBODY = SwitchingSettings(0.0)
+"""Stands in for a rule where models are scheduled."""
 
 OVERRIDABLE = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render"}
 """Names that a scenario's environment may override; a simulation calls these and no others."""
@@ -70,6 +74,11 @@ class Batch:
     environment: InteractionEnv
 
     @property
+    def semantics(self) -> Semantics:
+        """What drives."""
+        return self.environment.settings.semantics
+
+    @property
     def models(self) -> list[str]:
         """Names of the models, in the order of their numbers."""
         return [model.name for model in self.loop.models]
@@ -83,6 +92,11 @@ class Batch:
     def steps(self) -> int:
         """The length of an episode."""
         return self.environment.episode_steps
+
+    def loop_with(self, chooses: ChoosingSettings) -> Loop:
+        """Return the loop of episodes whose models a controller chooses."""
+        rule = chooses.rule(self.loop.rule.ladder, np.asarray(self.loop.rule.costs), self.semantics)
+        return replace(self.loop, rule=rule)
 
     def keys(self, first: int = 0, last: int | None = None) -> list[Key]:
         """Episodes from the first to before the last, seed by seed, so that all parts hold controllers alike."""
@@ -129,13 +143,17 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"{reason}; change its scenario, its game (in `configure`) or `draw_starts`, or use `compare`")
     environment = kind(config)
     rungs = environment.models
-    for one in settings:
-        if not one.controller.names() and not isinstance(one.controller, SwitchingSettings):
-            raise ValueError(f"a simulation does not know how {one.controller.type!r} chooses models; use `compare`")
     used = {name for one in settings for name in one.controller.names()}
     others = tuple(MODELS[name] for name in MODELS if name in used - {model.name for model in rungs})
     seconds = np.array([costs[model.name] for model in rungs], np.float32)
-    loop = Loop(environment.game, settings[0].switching(seconds, 0.0), others, usual_chunk())
+    for one in settings:
+        if isinstance(one.controller, ChoosingSettings):
+            one.controller.rule(rungs, seconds, one.semantics)  # refuses values of other ladders or costs
+        elif not one.controller.names():
+            raise ValueError(f"a simulation does not know how {one.controller.type!r} chooses models; use `compare`")
+    loop = Loop(
+        environment.game, NOBODY.rule(environment.models, seconds, settings[0].semantics), others, usual_chunk()
+    )
     return Batch(comparison, environment.scenario, loop, dict(costs), environment)
 
 
@@ -184,7 +202,17 @@ def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None) ->
     Raises:
         ValueError: without an episode, or for a negative seed.
     """
-    return simulate(batch.loop, episodes_of(batch, keys), mesh)
+    places: dict[ChoosingSettings, list[int]] = {}
+    for place, (name, _) in enumerate(keys):
+        settings = named_controller(name)
+        chooses = replace(settings, price=0.0) if isinstance(settings, ChoosingSettings) else NOBODY
+        places.setdefault(chooses, []).append(place)
+    parts = [
+        simulate(batch.loop_with(chooses), episodes_of(batch, [keys[place] for place in own]), mesh)
+        for chooses, own in (places or {NOBODY: []}).items()
+    ]
+    order = np.argsort(np.concatenate(list(places.values())))
+    return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 
 
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
@@ -233,14 +261,10 @@ def _costs(batch: Batch) -> Float[np.ndarray, "models"]:
 
 
 def _gains(batch: Batch, records: Records) -> dict[str, Float[np.ndarray, "episodes steps"]]:
-    """Estimated gains of switching to each model: up, that is to the top rung, or down by one, from the rung before."""
+    """Estimated gain of switching to each model."""
     gains = {name: np.full(records.reward.shape, np.nan) for name in MODELS}
-    rungs = [model.name for model in batch.loop.switching.ladder]
-    before = np.concatenate([records.model[:, :1], records.model[:, :-1]], axis=1)
-    for rung, name in enumerate(rungs[:-1]):
-        gains[name] = np.where(before == rung + 1, records.gain_down, np.nan)
-    gains[rungs[-1]] = np.where(before < len(rungs) - 1, records.gain_up, np.nan)
-    return gains
+    estimated = np.moveaxis(np.asarray(records.gains), -1, 0)
+    return gains | {model.name: gain for model, gain in zip(batch.loop.rule.ladder, estimated, strict=True)}
 
 
 def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFrame:

@@ -21,14 +21,8 @@ from ms_highway.envs import SCENARIOS
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.scenario import build_game
-from ms_highway.metareasoning.switching import (
-    PUBLISHED_COSTS,
-    RELEASED_TRUST_TOLERANCE,
-    Memory,
-    Switching,
-    decide,
-    first_memory,
-)
+from ms_highway.metareasoning.rule import PUBLISHED_COSTS, Memory, first_memory
+from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching, decide
 from ms_highway.planning.compiled_plans import CompiledPlans
 from ms_highway.planning.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, ladder
 from ms_highway.runtime.compilation import jit_quickly

@@ -6,36 +6,24 @@ estimates the robot's control under another rung and its reward. All controls ar
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
-import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_players
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
+from ms_highway.metareasoning.rule import Decision, Memory, Outcome, check_costs
 from ms_highway.optimization.second_derivatives import jacobian_and_hessian, response
 from ms_highway.optimization.trust_region import trust_region_step
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array
 
-__all__ = [
-    "PUBLISHED_COSTS",
-    "RELEASED_TRUST_TOLERANCE",
-    "Decision",
-    "Memory",
-    "Switching",
-    "check_costs",
-    "decide",
-    "first_memory",
-]
-
-PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
-"""Planning time of each model in the decisions of the paper's experiments."""
+__all__ = ["RELEASED_TRUST_TOLERANCE", "Switching", "decide"]
 
 RELEASED_TRUST_TOLERANCE = 0.05
 """Share of the trust radius within which the released code's solver stops."""
@@ -62,22 +50,23 @@ class Switching:
     trust_radius: float | Float[Array, ""] = 1.5
     trust_tolerance: float | Float[Array, ""] = 1e-3
     cooldown: int | Int[Array, ""] = 3
+    chooses_first: ClassVar[bool] = False
+    network: ClassVar[None] = None
 
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "2"]:
+        """Estimate the gains of going up and down; NaN where none is needed."""
+        return _gains(self, game, memory, outcome.before, outcome.robot, outcome.human, outcome.reward)
 
-class Memory(NamedTuple):
-    """State of the algorithm: the rung in use, the number of the step, and each rung's last downward check."""
-
-    rung: Int[Array, ""]
-    step: Int[Array, ""]
-    last_check: Int[Array, "rungs"]
-
-
-class Decision(NamedTuple):
-    """The new memory, and the estimated gains of going up and down, NaN if not estimated."""
-
-    memory: Memory
-    gain_up: Float[jax.Array, ""]
-    gain_down: Float[jax.Array, ""]
+    def choose(self, memory: Memory, seen: Float[jax.Array, "2"]) -> Decision:
+        """Take a step that gains: to the top of the ladder, or one rung down."""
+        up, down = seen
+        rung, top = memory.rung, len(self.ladder) - 1
+        goes_up, checks, now = up > 0, _checks(self, memory), memory.step + 1
+        chosen = jnp.where(goes_up, top, jnp.where(down > 0, rung - 1, rung))
+        last_check = jnp.where(checks & ~goes_up, jnp.asarray(memory.last_check).at[rung].set(now), memory.last_check)
+        rungs = jnp.arange(top + 1)
+        gains = jnp.where(rungs == rung - 1, down, jnp.where((rungs == top) & (rung < top), up, jnp.nan))
+        return Decision(Memory(chosen, now, last_check), gains, jnp.bool(False))
 
 
 class _Expansion(NamedTuple):
@@ -89,23 +78,6 @@ class _Expansion(NamedTuple):
     robot_human: Float[jax.Array, "2 2"]
     human_human: Float[jax.Array, "2 2"]
     influence: Float[jax.Array, "2 2"]  # J1 = d u_H / d u_R
-
-
-def check_costs(switching: Switching) -> None:
-    """Check that there is one cost per rung.
-
-    Raises:
-        ValueError: if there are fewer or more.
-    """
-    if np.shape(switching.costs) != (len(switching.ladder),):
-        names = ", ".join(model.name for model in switching.ladder)
-        raise ValueError(f"costs are of shape {np.shape(switching.costs)}; give one for each of {names}")
-
-
-def first_memory(switching: Switching, rung: int = 0) -> Memory:
-    """Return the memory before the first step; every rung may be checked at once."""
-    never = -np.ones(len(switching.ladder), np.int32) * switching.cooldown
-    return Memory(np.asarray(rung, np.int32), np.zeros((), np.int32), never)
 
 
 @jax.jit
@@ -136,11 +108,30 @@ def decide(
     Raises:
         ValueError: if there is not one cost for each rung of the ladder.
     """
+    return switching.choose(memory, _gains(switching, game, memory, state, robot, human, observed_reward))
+
+
+def _checks(switching: Switching, memory: Memory) -> Bool[Array, ""]:
+    """Return whether the rung below may be checked now."""
+    rung = memory.rung
+    return (rung > 0) & (memory.step + 1 - jnp.asarray(memory.last_check)[rung] >= switching.cooldown)
+
+
+@jax.jit
+def _gains(
+    switching: Switching,
+    game: Game,
+    memory: Memory,
+    state: Float[jax.Array, "cars 4"],
+    robot: Float[jax.Array, "2"],
+    human: Float[jax.Array, "2"],
+    observed_reward: Float[jax.Array, ""],
+) -> Float[jax.Array, "2"]:
+    """Estimate the gains of going up and down, for `decide`; NaN where none is needed."""
     check_costs(switching)
     ladder, costs = switching.ladder, jnp.asarray(switching.costs)
-    rung, top, now = memory.rung, len(ladder) - 1, memory.step + 1
-    climbs = rung < top
-    checks = (rung > 0) & (now - memory.last_check[rung] >= switching.cooldown)
+    rung, top = memory.rung, len(ladder) - 1
+    climbs, checks = rung < top, _checks(switching, memory)
     none, not_estimated = jnp.zeros((2, 2)), jnp.float32(jnp.nan)
 
     def estimate() -> tuple[Float[jax.Array, ""], Float[jax.Array, ""]]:
@@ -162,11 +153,7 @@ def decide(
         up = jax.lax.cond(climbs, lambda: gain(human, influence, top), lambda: not_estimated)
         return up, jax.lax.cond(checks & ~(up > 0), gain_down, lambda: not_estimated)
 
-    up, down = jax.lax.cond(climbs | checks, estimate, lambda: (not_estimated, not_estimated))
-    goes_up = up > 0
-    chosen = jnp.where(goes_up, top, jnp.where(down > 0, rung - 1, rung))
-    last_check = jnp.where(checks & ~goes_up, jnp.asarray(memory.last_check).at[rung].set(now), memory.last_check)
-    return Decision(Memory(chosen, now, last_check), up, down)
+    return jnp.stack(jax.lax.cond(climbs | checks, estimate, lambda: (not_estimated, not_estimated)))
 
 
 def _earned(

@@ -1,4 +1,4 @@
-"""Run the closed loop in pure JAX: human and robot plan, Algorithm 1 decides, the world moves; many episodes at once.
+"""Run the closed loop in pure JAX: human and robot plan, a rule decides, the world moves; many episodes at once.
 
 The pure functions are those that the environments call, so that both loops agree. Planning times are not measured:
 T(M) comes from a table.
@@ -17,7 +17,7 @@ from ms_highway.control.fallback import BRAKING, braking_control, fallback_statu
 from ms_highway.game.dynamics import keep_velocity, recover_control, step, within_grip
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, swap_players
-from ms_highway.metareasoning.switching import Memory, decide, first_memory
+from ms_highway.metareasoning.rule import Memory, Outcome, decide_by, first_memory
 from ms_highway.planning.human_models import HumanModel, JointPlan, Naive, plan_within_limits
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.simulation.devices import device_mesh, share_among
@@ -66,8 +66,7 @@ class _Now(NamedTuple):
 
     state: Float[jax.Array, "cars 4"]
     memory: Memory
-    gain_up: Float[jax.Array, ""]
-    gain_down: Float[jax.Array, ""]
+    gains: Float[jax.Array, "rungs"]
     robot: _Rest
     human: _Rest
 
@@ -86,16 +85,18 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
     size = len(episodes)
     own = _Own(*map(jnp.asarray, (episodes.prices, episodes.robot_weights, episodes.human_weights)))
     none = _Rest(jnp.zeros((loop.game.planner.horizon, 2)), jnp.int32(0))
-    unknown = jnp.float32(jnp.nan)
-    before = _Now(jnp.zeros(0), first_memory(loop.switching), unknown, unknown, none, none)
+    unknown = jnp.full(len(loop.rule.ladder), jnp.nan)
+    before = _Now(jnp.zeros(0), first_memory(loop.rule), unknown, none, none)
     first = jax.tree.map(lambda part: jnp.broadcast_to(part, (size, *part.shape)), before)
     first = first._replace(state=jnp.asarray(episodes.starts, jnp.float32))
+    schedules = jnp.asarray(episodes.schedules)
+    if loop.rule.chooses_first:
+        first = _choose(loop, first, own, schedules[:, 0] == DECIDES, jax.vmap(partial(_still, loop.game))(first))
     chunks = (count[0] + loop.chunk - 1) // loop.chunk
     last = 2 * len(loop.models)  # behind all models
 
-    def one_step(now: _Now, scheduled: Int[jax.Array, "episodes"]) -> tuple[_Now, Records]:
-        decides = scheduled == DECIDES
-        models = jnp.where(decides, now.memory.rung, scheduled)
+    def one_step(now: _Now, scheduled: Int[jax.Array, "2 episodes"]) -> tuple[_Now, Records]:
+        models, decides = jnp.where(scheduled[0] == DECIDES, now.memory.rung, scheduled[0]), scheduled[1] == DECIDES
         now = now._replace(memory=now.memory._replace(rung=models))
         order = jnp.argsort(jnp.where(jnp.arange(size) < count, 2 * models + decides, last), stable=True)
 
@@ -106,15 +107,16 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
 
         return jax.lax.fori_loop(0, chunks, one_chunk, (now, _no_records(now)))
 
-    _, records = jax.lax.scan(one_step, first, jnp.asarray(episodes.schedules).T)
+    following = jnp.concatenate([schedules[:, 1:], schedules[:, -1:]], axis=1)
+    _, records = jax.lax.scan(one_step, first, jnp.stack([schedules.T, following.T], axis=1))
     return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
 
 
 def _no_records(now: _Now) -> Records:
     """Return records of a step that are still to be filled in."""
-    zero = jnp.zeros_like(now.gain_up)
+    zero = jnp.zeros_like(now.state[:, 0, 0])
     number = zero.astype(jnp.int32)
-    return Records(number, number, zero, zero.astype(bool), zero, zero, jnp.zeros_like(now.state))
+    return Records(number, number, zero, zero.astype(bool), jnp.zeros_like(now.gains), jnp.zeros_like(now.state))
 
 
 def _step(loop: Loop, now: _Now, own: _Own, decides: Bool[jax.Array, "chunk"]) -> tuple[_Now, Records]:
@@ -161,9 +163,7 @@ class _Moved(NamedTuple):
     """Outcome of a step."""
 
     now: _Now  # before the choice of the next rung
-    robot: Float[jax.Array, "2"]  # scaled, as its controller gave it
-    human: Float[jax.Array, "2"]  # scaled, as observed
-    reward: Float[jax.Array, ""]
+    outcome: Outcome
 
 
 def _move(game: Game, now: _Now, own: _Own, plan: JointPlan) -> tuple[_Moved, Records]:
@@ -180,20 +180,24 @@ def _move(game: Game, now: _Now, own: _Own, plan: JointPlan) -> tuple[_Moved, Re
     phi = features(game.scene, game.robot, after)
     reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
     observed = recover_control(game.world, state[1], after[1]) / scale
-    records = Records(now.memory.rung, status, reward, collision, now.gain_up, now.gain_down, after)
-    unknown = jnp.float32(jnp.nan)
-    following = _Now(after, now.memory, unknown, unknown, robot_rest, human_rest)
-    return _Moved(following, robot, observed, reward), records
+    records = Records(now.memory.rung, status, reward, collision, now.gains, after)
+    following = _Now(after, now.memory, jnp.full_like(now.gains, jnp.nan), robot_rest, human_rest)
+    return _Moved(following, Outcome(state, after, robot, observed, reward, plan)), records
+
+
+def _still(game: Game, now: _Now) -> _Moved:
+    """Return the outcome of the step before the first one, in which no car moved."""
+    still = jnp.zeros((game.planner.horizon, 2))
+    return _Moved(now, Outcome(now.state, now.state, still[0], still[0], jnp.zeros(()), JointPlan(still, still)))
 
 
 def _choose(loop: Loop, before: _Now, own: _Own, decides: Bool[jax.Array, "chunk"], moved: _Moved) -> _Now:
-    """Choose the rungs of the next step, where Algorithm 1 decides."""
+    """Choose the rungs of the next step, where the rule decides."""
 
     def one(before: _Now, own: _Own, moved: _Moved) -> _Now:
-        switching = replace(loop.switching, price=own.price)
-        game = _game(loop.game, own)
-        memory, up, down = decide(switching, game, before.memory, before.state, moved.robot, moved.human, moved.reward)
-        return moved.now._replace(memory=memory, gain_up=up, gain_down=down)
+        rule = replace(loop.rule, price=own.price)
+        memory, gains, _ = decide_by(rule, _game(loop.game, own), before.memory, moved.outcome)
+        return moved.now._replace(memory=memory, gains=jnp.asarray(gains))
 
     decided = jax.lax.cond(decides.any(), lambda: jax.vmap(one)(before, own, moved), lambda: moved.now)
     return jax.tree.map(

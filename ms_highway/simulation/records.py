@@ -7,7 +7,7 @@ import jax
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.game import Game
-from ms_highway.metareasoning.switching import Switching
+from ms_highway.metareasoning.rule import Rule
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array
 from ms_highway.simulation.devices import CHUNK
@@ -15,7 +15,7 @@ from ms_highway.simulation.devices import CHUNK
 __all__ = ["DECIDES", "Episodes", "Loop", "Records"]
 
 DECIDES = -1
-"""In a schedule: Algorithm 1 chooses the rung of this step."""
+"""In a schedule: the rule chooses the rung of this step."""
 
 
 @jax.tree_util.register_dataclass
@@ -25,7 +25,7 @@ class Loop:
 
     Attributes:
         game: what is played.
-        switching: ladder, costs, and the numbers of Algorithm 1; its price is each episode's own.
+        rule: chooses rungs of its ladder; its price is each episode's own.
         others: models that schedules may use beside the ladder; their numbers follow those of its rungs (static).
         chunk: number of episodes computed together (static). A human model is computed only for the chunks that use
             it: smaller chunks waste less computation, larger ones use wide hardware better. The last digits of results
@@ -33,14 +33,14 @@ class Loop:
     """
 
     game: Game
-    switching: Switching
+    rule: Rule
     others: tuple[HumanModel, ...] = field(default=(), metadata={"static": True})
     chunk: int = field(default=CHUNK, metadata={"static": True})
 
     @property
     def models(self) -> tuple[HumanModel, ...]:
         """All models, in the order of their numbers in schedules and records."""
-        return (*self.switching.ladder, *self.others)
+        return (*self.rule.ladder, *self.others)
 
 
 @jax.tree_util.register_dataclass
@@ -50,7 +50,7 @@ class Episodes:
 
     Attributes:
         starts: all cars at the start, robot first, then the human.
-        prices: lambda, where Algorithm 1 decides.
+        prices: lambda, where the rule decides.
         schedules: number of the model that plans each step, or `DECIDES`.
         robot_weights, human_weights: of both rewards, in the order of their features.
     """
@@ -73,7 +73,7 @@ class Records(NamedTuple):
         status: of the robot's control, an index of `ms_highway.control.fallback.STATUSES`.
         reward: the robot's, after the step.
         collision: whether the robot collides in it.
-        gain_up, gain_down: estimated before the step, NaN where none was.
+        gains: of each rung over the one in use, estimated before the step; NaN where none was.
         states: all cars after the step.
     """
 
@@ -81,6 +81,5 @@ class Records(NamedTuple):
     status: Int[Array, "episodes steps"]
     reward: Float[Array, "episodes steps"]
     collision: Bool[Array, "episodes steps"]
-    gain_up: Float[Array, "episodes steps"]
-    gain_down: Float[Array, "episodes steps"]
+    gains: Float[Array, "episodes steps rungs"]
     states: Float[Array, "episodes steps cars 4"]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
 
-from ms_highway.envs.controllers import FIXED_ORDERS, named_controller, priced_kinds
+from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS, named_controller
 from ms_highway.experiments.analysis.regret import frontier_curve, remarks
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import color_of
@@ -83,7 +83,7 @@ def figure(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequ
     prices = ", ".join(f"{price:g}" for price in searched["price"])
     _points(axes, searched, "D", FRONTIER_COLOR, "best order of each start")
     own = rows.drop_duplicates("controller").set_index("controller")
-    priced = own[own["kind"].isin(priced_kinds())].sort_values("counted_seconds")
+    priced = own[own["kind"].isin(CHOOSING)].sort_values("counted_seconds")
     for color, (kind, group) in zip(cycle(PRICED_COLORS), priced.groupby("kind", sort=False), strict=False):
         _points(axes, group, "o", color, f"{kind}, by lambda")
     chance = own[own["kind"] == "random"]

@@ -31,9 +31,9 @@ def test_a_step_reports_what_was_planned_in_physical_units(played):
 
 def compilations(controller):
     """How often the plans of each rung, and the decision, have been compiled for games of this shape."""
-    game, layouts = controller.game, [pack(controller.game)[1], pack((controller.switching, controller.game))[1]]
+    game, layouts = controller.game, [pack(controller.game)[1], pack((controller.rule, controller.game))[1]]
     assert game.planner.horizon == 5
-    plans = [plan_function(model, layouts[0]) for model in controller.switching.ladder]
+    plans = [plan_function(model, layouts[0]) for model in controller.rule.ladder]
     return [function._cache_size() for function in (*plans, decide_function(layouts[1]))]
 
 
@@ -52,7 +52,7 @@ def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later
         assert step.compile_seconds == 0
         models.add(step.model)
     dearer = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
-    dearer_controller = ModelSwitching(dearer, replace(controller.switching, price=3.0))
+    dearer_controller = ModelSwitching(dearer, replace(controller.rule, price=3.0))
     dearer_controller.step(np.asarray(state))
     assert len(models) > 1
     assert compilations(dearer_controller) == sizes == [1, 1, 1, 1]

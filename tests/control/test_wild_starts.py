@@ -12,7 +12,8 @@ from ms_highway.control.switching import ModelSwitching
 from ms_highway.envs import SCENARIOS
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import PHYSICAL_LIMIT
-from ms_highway.metareasoning.switching import PUBLISHED_COSTS, Switching
+from ms_highway.metareasoning.rule import PUBLISHED_COSTS
+from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.human_models import MODELS, ladder
 
 STARTS = 100

@@ -6,7 +6,8 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.game.game import swap_players, total_reward
-from ms_highway.metareasoning.switching import Switching, _expand, decide, first_memory
+from ms_highway.metareasoning.rule import first_memory
+from ms_highway.metareasoning.switching import Switching, _expand, decide
 from ms_highway.optimization.second_derivatives import response
 from ms_highway.planning.human_models import ladder
 from ms_highway.runtime.compilation import jit_quickly
@@ -60,26 +61,26 @@ def decided(switching, played, memory=None, reward=1.5):
 
 def test_a_higher_price_lowers_the_gain_by_the_extra_planning_time(played):
     free, dear = (decided(made(price), played) for price in (0.0, 2.0))
-    assert free.gain_up - dear.gain_up == pytest.approx(2.0 * (0.37 - 0.09), rel=1e-3)
+    assert free.gains[2] - dear.gains[2] == pytest.approx(2.0 * (0.37 - 0.09), rel=1e-3)
 
 
 def test_a_positive_gain_goes_straight_to_the_top(played):
     decision = decided(made(0.0), played, reward=-100.0)
-    assert decision.gain_up > 0
+    assert decision.gains[2] > 0
     assert decision.memory.rung == 2
 
 
 def test_a_negative_gain_stays(played):
     decision = decided(made(1e6), played)
-    assert decision.gain_up < 0
+    assert decision.gains[2] < 0
     assert decision.memory.rung == 0
 
 
 def test_the_top_rung_goes_down_one_rung_at_a_time_and_never_up(played):
     switching = made(1e6)
     decision = decided(switching, played, first_memory(switching, rung=2))
-    assert np.isnan(decision.gain_up)
-    assert decision.gain_down > 0
+    assert np.isnan(decision.gains[2])
+    assert decision.gains[1] > 0
     assert decision.memory.rung == 1
 
 
@@ -88,7 +89,7 @@ def test_downward_checks_of_a_rung_wait_for_the_cooldown(played):
     memory, checked = first_memory(switching, rung=2), []
     for _ in range(8):
         decision = decided(switching, played, memory, reward=100.0)  # better than any alternative: stay
-        checked.append(bool(~np.isnan(decision.gain_down)))
+        checked.append(bool(~np.isnan(decision.gains[1])))
         memory = decision.memory
         assert memory.rung == 2
     assert checked == [True, False, False, True, False, False, True, False]
@@ -103,5 +104,4 @@ def test_a_decision_needs_a_cost_for_each_rung(played, costs):
 def test_a_ladder_of_one_rung_never_switches(played):
     decision = decided(made(0.0, names=("naive",), costs=(0.09,)), played, reward=-100.0)
     assert decision.memory.rung == 0
-    assert np.isnan(decision.gain_up)
-    assert np.isnan(decision.gain_down)
+    assert np.isnan(decision.gains).all()

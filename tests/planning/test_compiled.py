@@ -11,8 +11,9 @@ from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
-from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
-from ms_highway.metareasoning.switching import Switching, decide, first_memory
+from ms_highway.metareasoning.compiled_decision import CompiledDecision
+from ms_highway.metareasoning.rule import first_memory
+from ms_highway.metareasoning.switching import Switching, decide
 from ms_highway.planning.human_models import MODELS, ladder
 from ms_highway.runtime.compilation import in_one_kernel, jit_quickly, known_options
 
@@ -23,8 +24,9 @@ low_latency()
 import jax, numpy as np
 from ms_highway.envs.stay_back import STAY_BACK
 from ms_highway.game.scenario import build_game, draw_starts
-from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
-from ms_highway.metareasoning.switching import Switching, first_memory
+from ms_highway.metareasoning.compiled_decision import CompiledDecision
+from ms_highway.metareasoning.rule import first_memory
+from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_plans import CompiledPlans
 from ms_highway.planning.human_models import MODELS, ladder
 game = build_game(STAY_BACK)
@@ -34,7 +36,7 @@ plan = plans.function(MODELS["naive"]).lower(*plans.arguments(state)).compile()
 compiled = [plan]
 switching = Switching(np.array([0.09, 0.17]), 0.1, ladder(("naive", "turn")))
 decisions = CompiledDecision(switching, game)
-observed = decisions.arguments(first_memory(switching), Observation(state, np.zeros(2), state))
+observed = decisions.arguments(first_memory(switching), decisions.nothing_happened(state))
 if "decision" in sys.argv:
     compiled.append(decisions.function.lower(*observed).compile())
 print(os.environ["XLA_FLAGS"])
@@ -118,8 +120,8 @@ def test_a_compiled_decision_is_the_decision_about_what_was_observed(played):
     for rung in range(3):
         memory = first_memory(switching, rung)
         expected = decided(switching, game, memory, before, *scaled, earned)
-        decision, _ = compiled.decide(memory, Observation(state, scaled[0] * scale, after))
+        happened = compiled.nothing_happened(state)._replace(control=scaled[0] * scale, after=after)
+        decision, _ = compiled.decide(memory, happened)
         for found, wanted in zip(decision.memory, expected.memory, strict=True):
             np.testing.assert_array_equal(found, wanted)
-        gains = decision.gain_up, decision.gain_down
-        np.testing.assert_allclose(gains, [expected.gain_up, expected.gain_down], rtol=1e-2, atol=1e-3)
+        np.testing.assert_allclose(decision.gains, expected.gains, rtol=1e-2, atol=1e-3)

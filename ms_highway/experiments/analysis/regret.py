@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from ms_highway.envs.controllers import FIXED_ORDERS, named_controller, priced_kinds
+from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS, named_controller
 from ms_highway.experiments.analysis.summary import interval
 
 __all__ = [
@@ -144,7 +144,7 @@ def remarks(behind: pd.DataFrame, scenario: str, price: float) -> dict[str, str]
         price: at which they are judged.
     """
     kinds = behind[behind["scenario"] == scenario].set_index("controller")["kind"]
-    priced = [kind for kind in priced_kinds() if kind in set(kinds)]
+    priced = [kind for kind in CHOOSING if kind in set(kinds)]
     said: dict[str, list[str]] = {name: [] for name in kinds.index[~kinds.isin([*priced, "search"])]}
     said[best_controllers(behind, scenario).order].append("best for all starts")
     for kind in priced:

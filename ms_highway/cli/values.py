@@ -1,0 +1,194 @@
+"""The command ``ms-highway values``: learn values of computation, and show what a file of them holds."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ms_highway.cli.console import add_command, print_tables, telling
+from ms_highway.cli.options import (
+    MOST,
+    SOLVERS,
+    add_costs,
+    add_devices,
+    add_ladder,
+    add_planning,
+    add_scenarios,
+    add_semantics,
+    asked_comparison,
+    check_least,
+    check_most,
+)
+
+if TYPE_CHECKING:
+    from ms_highway.experiments.values.course import Course
+    from ms_highway.experiments.values.learning import Learning
+
+__all__ = ["add_values"]
+
+HELP = "Learn when it pays to think: the value of planning with a dearer model, for the controller learned:LAMBDA."
+
+LEARN = """\
+Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. From states that episodes
+come through, every model of the ladder plans a step, and the rule that was learned so far chooses from there on;
+networks are fitted to what was earned and planned, and so on for some rounds. One file serves all lambdas from 0.001
+to 100.
+
+After every round, the regret per step is shown: how far the rule stays behind the best of simple orders of models from
+starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts are drawn anew, not by the numbered seeds
+of environments: all of those are held out. The same --seed gives the same values. Rollouts are kept beside the file
+until it is written: a run that was stopped or killed goes on when it is started again."""
+
+LEARN_EXAMPLES = """\
+examples:
+  ms-highway values learn merger give_way --out values.npz
+  ms-highway compare merger --controllers tom learned:1:values.npz
+  ms-highway --import zipper values learn zipper --out zipper.npz"""
+
+MOST_GENERATED = 1000
+
+
+def add_values(commands: Any) -> None:
+    """Add the command ``values`` with its subcommands to a parser's subparsers."""
+    values = commands.add_parser("values", help="learn when it pays to think", description=HELP)
+    subcommands = values.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    parser = add_command(subcommands, "learn", "learn values of computation", LEARN, LEARN_EXAMPLES)
+    add_scenarios(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the values, such as values.npz")
+    parser.add_argument(
+        "--generated", type=int, default=0, metavar="N", help="learn on so many random scenes as well (default: 0)"
+    )
+    parser.add_argument(
+        "--states",
+        type=int,
+        default=400,
+        help="that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400)",
+    )
+    parser.add_argument("--rounds", type=int, default=5, help="of rollouts and fits (default: 5)")
+    parser.add_argument("--horizon-steps", type=int, default=20, metavar="STEPS", help="of a rollout (default: 20)")
+    parser.add_argument(
+        "--without",
+        nargs="+",
+        choices=("lambda", "gradients"),
+        default=[],
+        help="inputs that the networks do not get, to see what they are worth",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: 0)")
+    add_ladder(parser)
+    add_semantics(parser)
+    add_costs(parser, measured=False)
+    parser.add_argument(
+        "--solver",
+        dest="solvers",
+        nargs="+",
+        choices=SOLVERS,
+        default=["gradient"],
+        help="of the robot's plans; each scenario is learned with each of them (default: gradient)",
+    )
+    add_planning(parser)
+    add_devices(parser)
+    parser.set_defaults(run=_learn, simulates=True)
+    show = add_command(subcommands, "show", "show what a file of values holds", "Show what a file of values holds.")
+    show.add_argument("file", help="a file that `ms-highway values learn` wrote, or: shipped")
+    show.set_defaults(run=_show)
+
+
+def _learn(options: argparse.Namespace) -> None:
+    from ms_highway.experiments.values.learning import learn, rollouts_file
+    from ms_highway.metareasoning.values import save_values
+    from ms_highway.simulation.devices import use_devices
+
+    check_least(options, states=1, rounds=1, horizon_steps=1, generated=0, seed=0, devices=1)
+    check_most(options, states=MOST, rounds=100, horizon_steps=20, generated=MOST_GENERATED)
+    if options.out.is_dir() or not options.out.parent.is_dir():
+        raise ValueError(f"--out is {options.out}; name a file in a directory that exists, such as values.npz")
+    if options.out.suffix != ".npz":
+        raise ValueError(f"--out is {options.out}; give the file a name that ends in .npz")
+    learning, courses = _courses(options)
+    values, kept = None, rollouts_file(options.out)
+    with telling() as tell:
+        tell(f"{courses[0].name}: compiling")
+        for done in learn(learning, courses, kept, use_devices(options.devices)):
+            tell(f"round {done.round} of {options.rounds}: {done.course or 'fitted'}")
+            if done.values is not None:
+                values = done.values
+                told = ", ".join(f"{name} {regret:.3f}" for name, regret in done.regrets.items())
+                print(f"round {done.round}: held-out regret per step: {told or 'not measured'}", flush=True)
+    if values is not None:
+        save_values(values, options.out)
+    kept.unlink(missing_ok=True)
+    print(f"values are in {options.out}")
+
+
+def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
+    """Return what is to be learned, and where.
+
+    Raises:
+        ValueError: naming what cannot be learned.
+    """
+    from dataclasses import replace
+
+    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
+    from ms_highway.envs.settings import Settings
+    from ms_highway.experiments.provenance import this_run
+    from ms_highway.experiments.simulated import make_batch
+    from ms_highway.experiments.values.course import Course
+    from ms_highway.experiments.values.generator import generated_courses
+    from ms_highway.experiments.values.learning import Learning
+    from ms_highway.planning.human_models import MODELS
+
+    names = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS))
+    for name in names:
+        environment_id(name)
+    ladders = {name: options.ladder or list(SCENARIOS[name].ladder) for name in names}
+    models = options.ladder or [name for name in MODELS if any(name in ladder for ladder in ladders.values())]
+    first = asked_comparison(options, {name: ladder[:1] for name, ladder in ladders.items()}, 1)
+    comparisons = [replace(first, solver=solver) for solver in dict.fromkeys(options.solvers)]
+    for comparison in comparisons:
+        comparison.check()
+    batches = [make_batch(comparison, name) for comparison in comparisons for name in names]
+    costs = {name: seconds for batch in batches for name, seconds in batch.costs.items() if name in models}
+    if len(costs) < len(models):
+        raise ValueError(f"--costs gives no seconds of {next(name for name in models if name not in costs)!r}")
+    courses = [
+        Course(
+            batch.scenario.name if len(comparisons) == 1 else f"{batch.scenario.name} ({batch.comparison.solver})",
+            batch.loop.game,
+            batch.environment.draw_starts,
+            batch.steps,
+            tuple(models.index(model.name) for model in batch.environment.models),
+        )
+        for batch in batches
+    ]
+    told = {**first.common_config(), "solver": options.solvers, "scenarios": names, "generated": options.generated}
+    learning = Learning(
+        {name: costs[name] for name in models},
+        rounds=options.rounds,
+        states=(options.states, -(-options.states * 5 // 8)),
+        horizon=options.horizon_steps,
+        without=tuple(options.without),
+        seed=options.seed,
+        settings={**told, "seed": options.seed, "without": options.without, "versions": this_run("")["versions"]},
+    )
+    if options.generated:
+        settings = Settings.read(first.config(names[0], ladders[names[0]][0]))
+        rungs, random = tuple(range(len(models))), learning.stream(0)
+        share = min(1.0, 3 / options.generated) * 0.99
+        courses += generated_courses(settings.game, rungs, options.generated, share, random)
+    return learning, courses
+
+
+def _show(options: argparse.Namespace) -> None:
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    from ms_highway.metareasoning.values import load_values
+
+    values = load_values(options.file)
+    grid = Table(box=SIMPLE, title=f"values of computation: {options.file}", title_justify="left", title_style="bold")
+    grid.add_column("")
+    grid.add_column("", overflow="fold")
+    grid.add_row("ladder", ", ".join(f"{name} {seconds:g} s" for name, seconds in values.costs.items()))
+    grid.add_row("lambda", f"{values.prices[0]:g} to {values.prices[1]:g}")
+    for name, value in values.provenance.items():
+        grid.add_row(name, str(value))
+    print_tables(grid)

@@ -1,0 +1,113 @@
+"""Fit networks that estimate the value of computation to rollouts."""
+
+from functools import partial
+from itertools import pairwise
+
+import jax
+import numpy as np
+import optax
+from jax import numpy as jnp
+from jaxtyping import Float, Int
+
+from ms_highway.experiments.values.rollouts import Rollouts, draw_prices
+from ms_highway.metareasoning.learned_value import Network, advantages, network_inputs, scale
+
+__all__ = ["fit", "new_network"]
+
+NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
+HIDDEN = (32, 32)
+STEPS = 2000
+BATCH = 256
+RATE = 3e-3  # of learning at first; it falls to 0 by a cosine
+SOFTENING = 1.0  # power of the noise that an error weighs more with than its likelihood says (Seitzer et al. 2022)
+DECAY = 0.5  # of weights, times the rate and per step
+LARGEST_TARGET = 30.0  # in units of the scale of advantages: not even a crash counts more
+
+
+def new_network(random: np.random.Generator, inputs: int, rungs: int) -> Network:
+    """Draw weights with the variance that keeps the size of what tanh layers pass on (LeCun et al. 1998)."""
+    sizes = [inputs, *HIDDEN, 2 * rungs]
+    return tuple(
+        (
+            (random.normal(size=(NETWORKS, one, other)) / np.sqrt(one)).astype(np.float32),
+            np.zeros((NETWORKS, other), np.float32),
+        )
+        for one, other in pairwise(sizes)
+    )
+
+
+def fit(
+    rollouts: Rollouts,
+    costs: Float[np.ndarray, "rungs"],
+    prices: tuple[float, float],
+    centre: Float[np.ndarray, "inputs"],
+    spread: Float[np.ndarray, "inputs"],
+    random: np.random.Generator,
+) -> Network:
+    """Fit advantages at prices drawn anew in every step, by AdamW and a Huber loss in units of their scale.
+
+    What a rollout earned and planned is known for each way to go on, so that its best way at any price is known, too.
+
+    Args:
+        rollouts: from many states.
+        costs: T(M) of each rung [s].
+        prices: the least and the largest lambda.
+        centre: of the inputs, means by which they are standardised.
+        spread: of the inputs, standard deviations likewise.
+        random: draws first weights, rollouts and prices.
+    """
+    network = new_network(random, len(centre), len(costs))
+    chosen = random.integers(len(rollouts.descriptions), size=(STEPS, NETWORKS, BATCH))
+    drawn = draw_prices(random, prices, chosen.size).reshape(chosen.shape)
+    numbers = (costs.astype(np.float32), centre, spread)
+    arrays = (np.asarray(part, np.float32) for part in rollouts)
+    return jax.tree.map(np.asarray, _fit(network, tuple(arrays), numbers, chosen, drawn))
+
+
+@jax.jit
+def _fit(
+    network: Network,
+    rollouts: tuple[jax.Array, ...],
+    numbers: tuple[jax.Array, ...],
+    chosen: Int[jax.Array, "steps networks batch"],
+    drawn: Float[jax.Array, "steps networks batch"],
+) -> Network:
+    descriptions, rewards, seconds = rollouts
+    costs, centre, spread = numbers
+    optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY)
+
+    def loss(
+        network: Network, chosen: Int[jax.Array, "networks batch"], price: Float[jax.Array, "networks batch"]
+    ) -> Float[jax.Array, ""]:
+        earned = (rewards[chosen] - price[..., None, None] * seconds[chosen]).max(axis=-1)
+        size = scale(price, costs)[..., None]
+        known = jnp.isfinite(earned)
+        own_top = jnp.take_along_axis(earned, (known.shape[-1] - 1 - jnp.argmax(known[..., ::-1], -1))[..., None], -1)
+        targets = jnp.clip(jnp.where(known, (earned - own_top) / size, 0), -LARGEST_TARGET, LARGEST_TARGET)
+        inputs = (network_inputs(descriptions[chosen], price) - centre) / spread
+        over_top, noise = jax.vmap(partial(_one, costs))(network, inputs, price)
+        own = jnp.take_along_axis(over_top, (known.shape[-1] - 1 - jnp.argmax(known[..., ::-1], -1))[..., None], -1)
+        errors, noise = (over_top - own) / size - targets, noise / size
+        surprise = (errors**2 / (2 * noise**2) + jnp.log(noise)) * jax.lax.stop_gradient(noise) ** SOFTENING
+        return jnp.where(known & (targets != 0), surprise, 0).sum(axis=-1).mean(axis=-1).sum()
+
+    def step(
+        carry: tuple[Network, optax.OptState], batch: tuple[jax.Array, jax.Array]
+    ) -> tuple[tuple[Network, optax.OptState], None]:
+        network, state = carry
+        updates, state = optimizer.update(jax.grad(loss)(network, *batch), state, network)
+        return (optax.apply_updates(network, updates), state), None
+
+    (network, _), _ = jax.lax.scan(step, (network, optimizer.init(network)), (chosen, drawn))
+    return network
+
+
+def _one(
+    costs: Float[jax.Array, "rungs"],
+    network: Network,
+    inputs: Float[jax.Array, "batch inputs"],
+    prices: Float[jax.Array, "batch"],
+) -> tuple[Float[jax.Array, "batch rungs"], Float[jax.Array, "batch rungs"]]:
+    """Estimate a batch by one of the networks."""
+    alone = jax.tree.map(lambda part: part[None], network)
+    return jax.vmap(lambda one, price: tuple(part[0] for part in advantages(alone, one, price, costs)))(inputs, prices)

@@ -1,0 +1,116 @@
+"""Draw scenes to learn values on, so that these serve scenes that nobody has learned on.
+
+All scenes have three lanes, eight cones and two scripted cars, of which some stand on each other or far away: one
+program serves them all.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from ms_highway.experiments.values.course import Course
+from ms_highway.game.game import Game
+from ms_highway.game.scenario import COMMON_WEIGHTS, Scenario, draw_starts
+
+__all__ = ["draw_scenario", "generated_courses"]
+
+LANE = 0.1  # paper units, between the lanes' centres
+FAR = 300.0  # paper units, 10 km
+SHORTEST_GAP = 0.19  # paper units between the centres of cars in one lane
+STEPS = 40
+
+
+def draw_scenario(random: np.random.Generator) -> Scenario:
+    """Draw lanes, cars, cones, and what both drivers are after."""
+    while True:
+        count = int(random.choice([1, 2, 3], p=[0.1, 0.6, 0.3]))
+        lanes = [-LANE * lane for lane in range(count)]
+        robot, human = int(random.integers(count)), int(random.integers(count))
+        if count > 1 and robot == human and random.random() < 0.7:
+            human = (robot + 1) % count
+        cars = [(0.0, lanes[robot]), (random.uniform(-0.3, 0.25), lanes[human])]
+        leads, follows = random.random() < 0.6, random.random() < 0.3
+        ahead = max(x for x, _ in cars) + random.uniform(0.15, 0.4), lanes[random.choice([human, count - 1])]
+        behind = min(x for x, _ in cars) - random.uniform(0.2, 0.45), lanes[random.choice([human, robot])]
+        cars += [ahead if leads else (FAR, lanes[0]), behind if follows else (-FAR, lanes[0])]
+        gaps = [abs(one[0] - two[0]) for k, one in enumerate(cars) for two in cars[:k] if one[1] == two[1]]
+        if min(gaps, default=1.0) > SHORTEST_GAP:
+            break
+    cones = [(FAR, 0.0)] * 8
+    if random.random() < 0.4:
+        closed, first, last = lanes[random.choice([robot, human])], random.uniform(0.3, 0.9), int(random.integers(3, 9))
+        side = random.uniform(-0.03, 0.03)
+        cones[:last] = [(first + 0.07 * place, closed + side) for place in range(last)]
+    return Scenario(
+        name="generated",
+        lanes=tuple((lanes * 3)[:3]),
+        cars=tuple(cars),
+        steps=STEPS,
+        ladder=("naive", "turn", "tom"),
+        prices=(0.1, 0.1),
+        robot_weights=_robot_weights(random, leads),
+        human_weights=_human_weights(random, leads),
+        robot_gap=random.uniform(0.2, 0.4),
+        human_gap=random.uniform(0.2, 0.4),
+        cones=tuple(cones),
+        merging_car=int(random.integers(2)),
+    )
+
+
+def _robot_weights(random: np.random.Generator, leads: bool) -> dict[str, float]:
+    weights = _driving(random)
+    if random.random() < 0.75:
+        weights |= {"target_lane": _between(random, 60, 1000), "merged": random.choice([0.0, 5.0])}
+    if leads and random.random() < 0.3:
+        weights["gap"] = _between(random, 5, 70)
+    if random.random() < 0.3:
+        weights |= {"partner_target_lane": _between(random, 100, 500), "partner_merged": random.choice([0.0, 5.0])}
+    return weights
+
+
+def _human_weights(random: np.random.Generator, leads: bool) -> dict[str, float]:
+    weights: dict[str, float] = {}
+    if random.random() < 0.75:
+        weights["target_lane"] = _between(random, 60, 1000)
+    if leads and random.random() < 0.4:
+        weights["gap"] = _between(random, 10, 90)
+    return weights
+
+
+def _driving(random: np.random.Generator) -> dict[str, float]:
+    """Return the common weights, each within a third of its own; collisions cost what they do."""
+    return {
+        name: weight if name == "collision" else weight * _between(random, 0.75, 1.33)
+        for name, weight in COMMON_WEIGHTS.items()
+    }
+
+
+def _between(random: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+
+def generated_courses(
+    build: Callable[[Scenario], Game], rungs: tuple[int, ...], count: int, share: float, random: np.random.Generator
+) -> list[Course]:
+    """Draw courses.
+
+    Args:
+        build: builds a scenario's game.
+        rungs: places of the models of every course in the ladder that is learned.
+        count: number of courses.
+        share: of the states of a whole course that each of them is given.
+        random: draws them.
+    """
+    scenarios = [draw_scenario(random) for _ in range(count)]
+    return [
+        Course(
+            f"generated {place}",
+            build(scenario),
+            partial(draw_starts, scenario),
+            STEPS,
+            rungs,
+            share,
+        )
+        for place, scenario in enumerate(scenarios)
+    ]

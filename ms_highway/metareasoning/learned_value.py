@@ -1,0 +1,107 @@
+"""Decide which human model is worth its time, by a learned value of computation.
+
+The value of planning this step with rung m, rather than with the cheapest rung, is what the robot earns more over the
+coming steps, less lambda for the seconds of planning: the advantage ``Q(x, m) - Q(x, 0)`` of the paper's meta-MDP. A
+network estimates it from the situation and lambda (Russell and Wefald 1991; Callaway et al. 2018).
+"""
+
+from dataclasses import dataclass, field
+from typing import ClassVar, TypeAlias
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.game import Game
+from ms_highway.metareasoning.rule import Decision, Memory, Outcome
+from ms_highway.metareasoning.situation import describe
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.runtime.arrays import Array
+
+__all__ = ["LearnedValue", "Network", "advantages", "network_inputs", "scale"]
+
+Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
+"""Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
+
+CAUTION = 0.5  # standard deviations among the networks
+NOISE_CAUTION = 0.08  # standard deviations of outcomes
+LEAST_NOISE = 0.02  # in units of `scale`
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LearnedValue:
+    """Take the rung of the highest estimated advantage.
+
+    Attributes:
+        costs: array [rungs] of T(M), planning time of each rung [s].
+        price: lambda, reward per second of planning. Below all prices that were learned, 0 among them, the top of the
+            ladder plans; above them, the cheapest rung.
+        prices: the least and the largest price that were learned.
+        network: estimates the advantages from `network_inputs`.
+        centre, spread: of the inputs, by which they are standardised.
+        ladder: human models, cheapest first (static).
+    """
+
+    costs: Float[Array, "rungs"]
+    price: float | Float[Array, ""]
+    prices: Float[Array, "2"]
+    network: Network
+    centre: Float[Array, "inputs"]
+    spread: Float[Array, "inputs"]
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+    chooses_first: ClassVar[bool] = True
+
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "numbers"]:
+        """Describe the state after the last step."""
+        return describe(game, outcome.after)
+
+    def choose(self, memory: Memory, seen: Float[jax.Array, "numbers"]) -> Decision:
+        """Take the rung of the highest value; where an estimate is not finite, the top of the ladder.
+
+        A rung counts by its mean advantage over the top less its uncertainty: `CAUTION` standard deviations among the
+        networks, and `NOISE_CAUTION` standard deviations of what they saw happen. In doubt, the top rung plans.
+        """
+        price, (least, largest) = jnp.asarray(self.price), jnp.asarray(self.prices)
+        bounded, top = jnp.clip(price, least, largest), len(self.ladder) - 1
+        inputs = (network_inputs(seen, bounded) - self.centre) / self.spread
+        each, noise = advantages(self.network, inputs, bounded, jnp.asarray(self.costs))
+        means, apart = jnp.mean(each, axis=0), jnp.std(each, axis=0)
+        cautious = means - CAUTION * apart - NOISE_CAUTION * jnp.mean(noise, axis=0).at[top].set(0.0)
+        failed = ~jnp.isfinite(cautious).all()
+        chosen = jnp.where(failed | (price < least), top, jnp.where(price > largest, 0, jnp.argmax(cautious)))
+        gains = jnp.where(failed, jnp.nan, means - means[memory.rung])
+        return Decision(Memory(chosen.astype(jnp.int32), memory.step + 1, memory.last_check), gains, failed)
+
+
+def network_inputs(
+    description: Float[jax.Array, "*batch numbers"], price: Float[jax.Array, "*batch"]
+) -> Float[jax.Array, "*batch inputs"]:
+    """Append the decimal logarithm of lambda to `ms_highway.metareasoning.situation.describe`."""
+    return jnp.concatenate([description, jnp.log10(price)[..., None]], axis=-1)
+
+
+def advantages(
+    network: Network,
+    inputs: Float[jax.Array, "inputs"],
+    price: Float[jax.Array, ""],
+    costs: Float[jax.Array, "rungs"],
+) -> tuple[Float[jax.Array, "networks rungs"], Float[jax.Array, "networks rungs"]]:
+    """Estimate the advantage of each rung over the top one, and its standard deviation, by each of the networks.
+
+    They estimate what is earned more and what is planned later, in units of `scale`; this step's planning is known:
+    ``scale(lambda) (n_m - n_top) - lambda (T_m - T_top)``.
+    """
+    *hidden, (weights, biases) = network
+    inputs = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
+    for layer_weights, layer_biases in hidden:
+        inputs = jnp.tanh(jnp.einsum("ni,nio->no", inputs, layer_weights) + layer_biases)
+    estimates, spreads = jnp.split(jnp.einsum("ni,nio->no", inputs, weights) + biases, 2, axis=-1)
+    size = scale(price, costs)
+    over_top = size * (estimates - estimates[:, -1:]) - price * (costs - costs[-1])
+    return over_top, size * (LEAST_NOISE + jax.nn.softplus(spreads))
+
+
+def scale(price: Float[jax.Array, "*batch"], costs: Float[jax.Array, "rungs"]) -> Float[jax.Array, "*batch"]:
+    """Return the size of advantages at a price, ``1 + lambda (T_top - T_0)``, in which errors are measured."""
+    return 1 + price * (costs[-1] - costs[0])

@@ -1,0 +1,158 @@
+"""Learned values of computation and their file: the network, and what it was learned on."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.metareasoning.learned_value import LearnedValue, Network
+from ms_highway.metareasoning.situation import description_names
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.runtime.files import replacing
+
+__all__ = ["SHIPPED_VALUES", "Values", "load_values", "save_values"]
+
+SHIPPED_VALUES = "shipped"
+"""Stands for the values that come with the package."""
+
+VERSION = 1
+REMEDY = "learn values with `ms-highway values learn`"
+CLOSE = 1e-6  # relative difference of costs that are the same
+
+
+@dataclass(frozen=True)
+class Values:
+    """Result of ``ms-highway values learn``.
+
+    Attributes:
+        network: see `ms_highway.metareasoning.learned_value.LearnedValue`.
+        centre, spread: of its inputs.
+        costs: T(M) by model, cheapest first [s]: the ladder that the values were learned on.
+        prices: the least and the largest lambda that was learned.
+        inputs: names of the network's inputs.
+        provenance: scenarios, settings and versions of the software.
+        place: where they were read from.
+    """
+
+    network: Network
+    centre: Float[np.ndarray, "inputs"]
+    spread: Float[np.ndarray, "inputs"]
+    costs: Mapping[str, float]
+    prices: tuple[float, float]
+    inputs: tuple[str, ...]
+    provenance: Mapping[str, Any]
+    place: str = "learned values"
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: naming the problem.
+        """
+        if self.inputs != input_names():
+            raise ValueError("the inputs of the network are those of another version")
+        sizes = [len(self.inputs), *(np.shape(biases)[-1] for _, biases in self.network)]
+        shapes = [np.shape(weights)[1:] for weights, _ in self.network]
+        if shapes != list(pairwise(sizes)) or sizes[-1] != 2 * len(self.costs):
+            raise ValueError(f"the layers of the network are of shapes {shapes}, for {len(self.costs)} models")
+        numbers = [self.centre, self.spread, *(part for layer in self.network for part in layer)]
+        if {np.shape(part) for part in numbers[:2]} != {(sizes[0],)} or not all(np.isfinite(n).all() for n in numbers):
+            raise ValueError("the numbers of the network are not finite, or not as many as its inputs")
+        if not (self.spread > 0).all() or not 0 < self.prices[0] <= self.prices[1] < np.inf:
+            raise ValueError(f"spreads and prices must be positive; the prices are {self.prices}")
+
+    def rule(self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], price: float) -> LearnedValue:
+        """Return the rule on a ladder of some of the models that were learned.
+
+        Raises:
+            ValueError: if a model was not learned, or with another T(M).
+        """
+        names, known = [model.name for model in models], list(self.costs)
+        told = f"{self.place}: values were learned on the ladder {' '.join(known)}"
+        if unknown := [name for name in names if name not in known]:
+            raise ValueError(f"{told}, without {unknown[0]!r}; {REMEDY} --ladder {' '.join(names)}")
+        learned = np.array([self.costs[name] for name in names])
+        if not np.allclose(learned, costs, rtol=CLOSE, atol=0):
+            now = ",".join(f"{name}={seconds:.3g}" for name, seconds in zip(names, costs, strict=True))
+            then = ",".join(f"{name}={self.costs[name]:.3g}" for name in names)
+            raise ValueError(f"{told} at costs of {then}, not {now}; use those costs, or {REMEDY} --costs {now}")
+        *hidden, (weights, biases) = self.network
+        places = [known.index(name) for name in names]
+        places += [len(known) + place for place in places]  # means, then standard deviations
+        network = (*hidden, (weights[..., places], biases[..., places]))
+        return LearnedValue(
+            learned.astype(np.float32), price, np.array(self.prices), network, self.centre, self.spread, models
+        )
+
+
+def input_names() -> tuple[str, ...]:
+    """Return the names of a network's inputs."""
+    return (*description_names(), "log10 lambda")
+
+
+def save_values(values: Values, path: Path) -> None:
+    """Write learned values as a NumPy archive, atomically."""
+    about = {
+        "version": VERSION,
+        "costs": dict(values.costs),
+        "prices": list(values.prices),
+        "inputs": list(values.inputs),
+        "provenance": dict(values.provenance),
+    }
+    arrays: dict[str, Any] = {"about": np.array(json.dumps(about)), "centre": values.centre, "spread": values.spread}
+    for number, (weights, biases) in enumerate(values.network):
+        arrays |= {f"weights_{number}": np.asarray(weights), f"biases_{number}": np.asarray(biases)}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def load_values(which: str | Path) -> Values:
+    """Read learned values: those that come with the package (`SHIPPED_VALUES`), or a file that `save_values` wrote.
+
+    Raises:
+        ValueError: if the file cannot be read, is damaged, or is of another version.
+    """
+    if which == SHIPPED_VALUES:
+        return _shipped()
+    try:
+        return _read(Path(which), Path(which).stat().st_mtime_ns)
+    except OSError as error:
+        raise ValueError(f"{which} cannot be read as learned values: {error}; {REMEDY} --out {which}") from error
+
+
+@cache
+def _shipped() -> Values:
+    with resources.as_file(resources.files("ms_highway") / "data" / "values.npz") as path:
+        return _read(path, 0)
+
+
+@cache
+def _read(path: Path, changed: int) -> Values:
+    """Read a file, once for every time that it was ``changed``."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        about = json.loads(str(arrays["about"]))
+        if about["version"] != VERSION:
+            raise ValueError(f"it is of version {about['version']}, not {VERSION}")
+        layers = range((len(arrays) - 3) // 2)
+        return Values(
+            tuple((arrays[f"weights_{number}"], arrays[f"biases_{number}"]) for number in layers),
+            arrays["centre"],
+            arrays["spread"],
+            about["costs"],
+            tuple(about["prices"]),
+            tuple(about["inputs"]),
+            about["provenance"],
+            str(path),
+        )
+    except (AttributeError, BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged or no file of learned values: {error}; {REMEDY} --out {path}") from error

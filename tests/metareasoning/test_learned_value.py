@@ -1,0 +1,136 @@
+"""The learned value of computation: what it looks at, what it chooses, and its file."""
+
+import json
+from dataclasses import replace
+
+import gymnasium as gym
+import jax
+import numpy as np
+import pytest
+
+from ms_highway.control.switching import ModelSwitching
+from ms_highway.envs import SCENARIOS
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.experiments.simulated import simulated
+from ms_highway.game.scenario import PAPER_UNIT, build_game, draw_starts
+from ms_highway.metareasoning.rule import PUBLISHED_COSTS
+from ms_highway.metareasoning.situation import describe, description_names
+from ms_highway.metareasoning.values import load_values, save_values
+from ms_highway.planning.human_models import ladder
+
+describe_quickly = jax.jit(describe)
+SHIPPED = load_values("shipped")
+LADDER = ladder(("naive", "turn", "tom"))
+COSTS = np.array([PUBLISHED_COSTS[model.name] for model in LADDER])
+
+
+def learned(price, **changes):
+    return {"type": "learned", "lambda": price, **changes}
+
+
+def models_of(config, scenario="merger", seed=0):
+    env = make_environment(scenario, "naive")
+    env.reset(seed=seed, options={"config": {"controller": config}})
+    models, done = [], False
+    while not done:
+        *_, terminated, truncated, info = env.step(0)
+        models.append(info["model"])
+        done = terminated or truncated
+    return models
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_description_does_not_know_units_or_places(name):
+    scenario = SCENARIOS[name]
+    start = draw_starts(scenario, np.random.default_rng(1), unit=1.0)
+    start[:, 2] += 0.02
+    described = describe_quickly(build_game(scenario, unit=1.0), start)
+    assert described.shape == (len(description_names()),)
+    assert np.isfinite(described).all()
+    metres = start * [PAPER_UNIT, PAPER_UNIT, 1, PAPER_UNIT]
+    np.testing.assert_allclose(describe_quickly(build_game(scenario), metres), described, rtol=1e-3, atol=2e-3)
+    game = build_game(scenario)
+    moved = replace(game, scene=replace(game.scene, obstacles=game.scene.obstacles + np.array([50.0, 0.0])))
+    further = describe_quickly(moved, metres + np.array([50.0, 0, 0, 0]))
+    np.testing.assert_allclose(further, described, rtol=1e-2, atol=2e-2)  # float32 loses digits further out
+
+
+def test_lambda_0_plans_with_the_top_rung_and_a_very_large_one_with_the_cheapest():
+    assert set(models_of(learned(0.0))) == {"tom"}
+    assert set(models_of(learned(1e5))) == {"naive"}
+
+
+def test_it_chooses_from_the_first_step_on_and_thinks_where_it_pays():
+    models = models_of(learned(1.0))
+    assert models[0] == "tom"  # where Algorithm 1 starts with naive
+    assert models[-1] == "naive"
+    assert 2 <= models.count("tom") <= 20
+
+
+def test_environment_and_batch_choose_alike():
+    comparison = Comparison({"merger": ["learned:0.3", "learned:3", "switching:0.1", "naive"]}, seeds=3)
+    records = simulated(comparison)
+    for controller in ("learned:0.3", "learned:3"):
+        env = make_environment("merger", controller)
+        for seed in range(3):
+            expected = [record["model"] for record in episode(env, seed)]
+            own = records[(records["controller"] == controller) & (records["seed"] == seed)]
+            assert own["model"].tolist() == expected
+
+
+def test_values_that_are_not_finite_are_not_chosen_by_and_info_says_so():
+    env = make_environment("merger", "learned:1")
+    env.reset(seed=0)
+    robot = env.unwrapped.robot
+    rule = robot.controller.rule
+    robot.controller = ModelSwitching(robot.controller.game, replace(rule, spread=np.full_like(rule.spread, np.nan)))
+    *_, info = env.step(0)
+    assert info["choice_failed"]
+    assert info["model"] == "tom"
+    assert info["gains"] == {}
+    env.reset(seed=0)
+    *_, info = env.step(0)
+    assert not info["choice_failed"]
+    assert set(info["gains"]) == {"turn", "tom"}  # over naive, the rung to begin with
+
+
+def test_a_file_is_read_as_it_was_written(tmp_path):
+    file = tmp_path / "values.npz"
+    save_values(SHIPPED, file)
+    read = load_values(file)
+    for one, other in zip(jax.tree.leaves(read.network), jax.tree.leaves(SHIPPED.network), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert read.costs == SHIPPED.costs
+    assert models_of(learned(1.0, values=str(file))) == models_of(learned(1.0))
+
+
+def test_values_of_another_ladder_or_other_costs_are_refused_with_the_remedy():
+    with pytest.raises(ValueError, match=r"costs of naive=0.09,turn=0.17,tom=0.37, not naive=0.1.*values learn"):
+        SHIPPED.rule(LADDER, np.array([0.1, 0.2, 0.4]), 1.0)
+    with pytest.raises(ValueError, match="costs of"):
+        gym.make("ms-highway/merger-v0", config={"controller": learned(1.0), "costs": "measured"}).reset(seed=0)
+    part = SHIPPED.rule(LADDER[::2], COSTS[::2], 1.0)
+    assert [model.name for model in part.ladder] == ["naive", "tom"]
+
+
+@pytest.mark.parametrize("damage", ["missing", "empty", "text", "cut", "version", "inputs", "nan"])
+def test_a_file_that_cannot_be_used_is_refused_by_name(tmp_path, damage):
+    file = tmp_path / "values.npz"
+    save_values(SHIPPED, file)
+    content = file.read_bytes()
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    about = json.loads(str(arrays["about"]))
+    if damage == "missing":
+        file.unlink()
+    elif damage in ("empty", "text", "cut"):
+        file.write_bytes({"empty": b"", "text": b"values", "cut": content[: len(content) // 2]}[damage])
+    else:
+        changes = {"version": {"version": 99}, "inputs": {"inputs": ["speed"]}, "nan": {}}[damage]
+        arrays["about"] = np.array(json.dumps(about | changes))
+        if damage == "nan":
+            arrays["centre"] = arrays["centre"] * np.nan
+        np.savez(file, **arrays)
+    with pytest.raises(ValueError, match=r"values\.npz.*`ms-highway values learn` --out"):
+        make_environment("merger", f"learned:1:{file}")
