@@ -66,8 +66,9 @@ class InteractionEnv(StageEnv):
     * ``controller``: ``{"type": "learned", "lambda": 1.0}``, a learned value of computation chooses the model of each
       step, with ``"values"``, ``"shipped"`` (default) or a file of ``ms-highway values learn``; ``{"type": "switching",
       "lambda": 0.1}``, the paper's Algorithm 1 does; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule",
-      "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept; or ``{"type": "random", "shares":
-      {"naive": 0.7, "tom": 0.3}}``, a model per step that is drawn when the episode starts.
+      "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom",
+      "naive"]}``, the same repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, a model per step
+      that is drawn when the episode starts.
     * ``ladder``: names of the human models to choose from, cheapest first, or ``"best"``; names such as ``tom@8+warm``
       say how a model plans, see `ms_highway.planning.effort`.
     * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model. Where

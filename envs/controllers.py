@@ -1,8 +1,9 @@
 """Parse and check the configurations and short names of controllers."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import cycle, islice
 from math import nan
 from typing import Any, ClassVar
 
@@ -17,10 +18,13 @@ from ms_highway.metareasoning.values import load_values
 from ms_highway.planning.human_models import HumanModel, is_model, model_names
 
 __all__ = [
+    "CHOOSING",
+    "FIXED_ORDERS",
     "ChoosingSettings",
     "ControllerSettings",
     "FixedSettings",
     "LearnedSettings",
+    "PeriodSettings",
     "RandomSettings",
     "ScheduledSettings",
     "SwitchingSettings",
@@ -85,6 +89,17 @@ class ScheduledSettings(ControllerSettings):
     def names(self) -> tuple[str, ...]:
         """See `ControllerSettings.names`."""
         return tuple(self.models)
+
+
+@dataclass(frozen=True)
+class PeriodSettings(ScheduledSettings):
+    """Plans each step with the human model of a list, which is repeated to the end of the episode."""
+
+    type: ClassVar[str] = "period"
+
+    def draw(self, steps: int, random: np.random.Generator) -> list[str]:
+        """See `ControllerSettings.draw`."""
+        return list(islice(cycle(self.models), steps))
 
 
 @dataclass(frozen=True)
@@ -170,11 +185,14 @@ class LearnedSettings(ChoosingSettings):
         return load_values(self.values or "shipped").rule(models, costs, self.price)
 
 
-KINDS: dict[str, type[Any]] = {
-    kind.type: kind for kind in (SwitchingSettings, LearnedSettings, FixedSettings, ScheduledSettings, RandomSettings)
-}
+CLASSES = SwitchingSettings, LearnedSettings, FixedSettings, ScheduledSettings, PeriodSettings, RandomSettings
+KINDS: dict[str, type[Any]] = {kind.type: kind for kind in CLASSES}
 
 CHOOSING = [name for name, kind in KINDS.items() if issubclass(kind, ChoosingSettings)]
+"""Types of the controllers that choose at a lambda."""
+
+FIXED_ORDERS = ("fixed", "schedule", "period")
+"""Types of the controllers whose models are the same in every episode, step by step."""
 
 
 def check_price(place: str, price: Any) -> None:
@@ -218,7 +236,8 @@ def controller_config(text: str) -> dict[str, Any]:
     """Return the configuration that a controller's short name stands for.
 
     These are the human models, such as ``tom`` or ``tom@8+warm``; ``switching:0.1`` and ``learned:0.1`` with a lambda,
-    and ``learned:0.1:FILE`` with values of one's own; ``schedule:tom=6,naive``, tom for six steps and then naive; and
+    and ``learned:0.1:FILE`` with values of one's own; ``schedule:tom=6,naive``, tom for six steps and then naive;
+    ``period:tom=1,naive=3``, tom in every fourth step and naive in between; and
     ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
 
     Raises:
@@ -238,13 +257,16 @@ def controller_config(text: str) -> dict[str, Any]:
             config["values"] = values
     elif name == "schedule":
         config = {"type": "schedule", "models": _schedule(text, rest)}
+    elif name == "period":
+        config = {"type": "period", "models": _stretches(text, rest.split(","), "period:tom=1,naive=3")}
     elif name == "random":
         config = {"type": "random", "shares": _shares(text, rest)}
     elif is_model(name) and not rest:
         config = {"type": "fixed", "model": name}
     else:
-        rules = "learned:LAMBDA[:FILE], switching:LAMBDA"
-        known = f"{model_names()}, {rules}, schedule:MODEL=STEPS,...,MODEL and random:MODEL=SHARE,..."
+        rules = ", ".join(f"{kind}:LAMBDA" + "[:FILE]" * (kind == "learned") for kind in CHOOSING)
+        orders = "schedule:MODEL=STEPS,...,MODEL, period:MODEL=STEPS,... and random:MODEL=SHARE,..."
+        known = f"{model_names()}, {rules}, {orders}"
         raise ValueError(f"unknown controller {text!r}; the controllers are {known}")
     try:
         controller_settings(config)
@@ -258,17 +280,22 @@ def _schedule(text: str, parts: str) -> list[str]:
     *first, last = parts.split(",")
     if "=" in last:
         raise ValueError(f"controller {text!r}: the last model takes no number of steps; write schedule:tom=6,naive")
+    return [*_stretches(text, first, "schedule:tom=6,naive"), last]
+
+
+def _stretches(text: str, parts: Sequence[str], example: str) -> list[str]:
+    """Return the models of the parts ``MODEL=STEPS`` of a controller's short name, one per step."""
     models: list[str] = []
-    for part in first:
+    for part in parts:
         name, _, steps = part.partition("=")
         if not is_model(name):
             raise ValueError(f"controller {text!r}: unknown human model {name!r}; the models are {model_names()}")
         if not steps.isdecimal():
-            raise ValueError(f"controller {text!r} does not say for how many steps; say it like schedule:tom=6,naive")
+            raise ValueError(f"controller {text!r} does not say for how many steps; say it like {example}")
         if len(steps) > MOST_DIGITS:
             raise ValueError(f"controller {text!r}: no episode has {steps} steps; leave out what comes later")
         models += [name] * int(steps)
-    return [*models, last]
+    return models
 
 
 def _shares(text: str, parts: str) -> dict[str, float]:

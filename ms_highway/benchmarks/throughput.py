@@ -1,25 +1,21 @@
 """How many steps of the closed loop the environments take in a second, and the simulation of many episodes at once."""
 
 import resource
-import signal
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
 from time import perf_counter
 from typing import Any
 
-import jax
 from jax.sharding import Mesh
 
 from ms_highway.benchmarks.latency import one_core
+from ms_highway.benchmarks.processes import own_process
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import Batch, Key, make_batch, run_episodes
-from ms_highway.runtime.jax_settings import high_throughput, keep_compilations
+from ms_highway.runtime.jax_settings import high_throughput
 from ms_highway.simulation.devices import use_devices
 
 __all__ = ["throughput"]
@@ -65,8 +61,7 @@ def throughput(
     every = [Comparison({scenario: [controller]}, planning=planning or {}) for controller in controllers]
     for comparison in every:
         comparison.check()
-    cache = jax.config.values["jax_compilation_cache_dir"]
-    with ProcessPoolExecutor(1, get_context("spawn"), _prepare, (cache, modules)) as process:
+    with own_process(high_throughput, modules) as process:
         used = process.submit(_devices, devices).result()
         for controller, comparison in zip(controllers, every, strict=True):
             result: dict[str, Any] = {"environment": _environment(scenario, comparison), "devices": used}
@@ -90,15 +85,6 @@ def _environment(scenario: str, comparison: Comparison) -> float:
         seconds = perf_counter() - start
     env.close()
     return steps / seconds
-
-
-def _prepare(cache: str | None, modules: Sequence[str]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command reports interrupts
-    high_throughput()
-    if cache is not None:
-        keep_compilations(Path(cache))
-    for module in modules:
-        import_module(module)
 
 
 def _devices(count: int | None) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.options import (
+    CONTROLLERS,
     MOST,
     add_costs,
     add_devices,
@@ -26,18 +27,20 @@ if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
     from ms_highway.experiments.frontier import Outcomes
 
-__all__ = ["add_frontier"]
+__all__ = ["LAMBDAS", "add_frontier", "drivers"]
 
 HELP = """\
 Search, for each start separately, for the order of human models with the highest meta-reward: the reward less
 PRICE times the seconds T(M) of planning. The best possible choice of models earns at least that; the difference between
 it and what a controller earns is the controller's regret. The models that switching chose in an episode are one of the
-orders that are tried.
+orders that are tried, and so are those of any other of --controllers.
 
-The tables show the fixed models; the best of the orders that were tried from every start; and switching, with the best
-of --lambdas for each scenario and with the best one for all scenarios together. --prices are the lambdas of the
-meta-reward, which judges; --lambdas are those that switching decides with. Whatever is best is chosen on the same
-starts that it is judged by. Everything is simulated, and nothing timed.
+The tables show the fixed models; the best of the orders that were tried from every start; other --controllers; and
+switching, with the lambda that is the price, with the best of --lambdas for each scenario and with the best one for all
+scenarios together; likewise other controllers that have a lambda. --prices are the lambdas of the meta-reward, which
+judges; --lambdas are those that switching decides with. Whatever is best is chosen on the same starts that it is judged
+by. Everything is simulated, and nothing timed. More than three prices take turns in the rounds of the search, so that
+they cost little more.
 
 Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
 start), both of the last run; the figure SCENARIO_frontier.png (reward against computation); SCENARIO_episodes.csv (all
@@ -48,8 +51,11 @@ rounds it uses what is there. Results are the same on any number of devices."""
 EXAMPLES = """\
 examples:
   ms-highway frontier
-  ms-highway frontier merger --seeds 10 --prices 0.3 3 --out results/merger_frontier"""
+  ms-highway frontier merger --seeds 10 --prices 0.3 3 --out results/merger_frontier
+  ms-highway frontier --prices 0.001 0.003 0.01 0.03 0.1 0.3 1 3 10 --rounds 16 --out results/wide
+  ms-highway frontier merger --controllers period:tom=1,naive=3 random:naive=0.7,tom=0.3 --out results/blind"""
 
+ESTIMATES = "switching", "horizon"  # of the paper; they may decide best with another lambda than the price
 LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
 
 
@@ -76,6 +82,14 @@ def add_frontier(commands: Any) -> None:
         metavar="LAMBDA",
         help="lambda that switching decides with, which need not be the price (default: 16 from 0 to 10)",
     )
+    parser.add_argument(
+        "--controllers",
+        nargs="+",
+        default=[],
+        metavar="CONTROLLER",
+        help=f"controllers beside the ladder's models and switching: {CONTROLLERS}; a kind that has a lambda, without "
+        "it, stands for one controller at each of --prices, or for the paper's estimates at each of --lambdas",
+    )
     parser.add_argument("--seeds", type=int, default=30, help="starts, seeded 0, 1, ... (default: 30)")
     parser.add_argument("--population", type=int, default=32, help="orders per start, price and round (default: 32)")
     parser.add_argument(
@@ -97,21 +111,21 @@ def _frontier(options: argparse.Namespace) -> None:
     from ms_highway.simulation.devices import use_devices
     from ms_highway.visualization.frontier import regret_tables
 
-    comparison = _comparison(options)
+    asked = _comparison(options)
     mesh = use_devices(options.devices)
-    batches = {name: make_batch(comparison, name) for name in comparison.controllers}
-    with own_results(options, {**comparison.common_config(), "costs": comparison.costs}) as record:
+    batches = {name: make_batch(asked, name) for name in asked.controllers}
+    with own_results(options, {**asked.common_config(), "costs": asked.costs}) as record:
         every = [Outcomes(batch, options.out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()]
         record()
         with telling() as tell:
             regrets = _search(every, options, tell)
-    for scenario in comparison.controllers:
+    for scenario in asked.controllers:
         print_tables(*regret_tables(regrets, scenario))
     print(f"results are in {options.out}")
 
 
 def _comparison(options: argparse.Namespace) -> "Comparison":
-    """Return the fixed models and switching controllers that are driven in any case, checked.
+    """Return the fixed models and controllers that are driven in any case, checked.
 
     Raises:
         ValueError: naming what cannot be searched.
@@ -130,16 +144,32 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
             raise ValueError(f"--prices has {price:g}; a price must be a number that is not negative, such as 0.1")
     for name in options.scenarios:
         environment_id(name)
+    driven = drivers([*options.controllers, "switching"], options.prices, options.lambdas)
     controllers = {
-        name: [
-            *rung_names(options.ladder or SCENARIOS[name].ladder),
-            *(f"switching:{price:g}" for price in options.lambdas),
-        ]
+        name: [*rung_names(options.ladder or SCENARIOS[name].ladder), *driven]
         for name in options.scenarios or PAPER_SCENARIOS
     }
-    comparison = asked_comparison(options, controllers, options.seeds)
-    comparison.check()
-    return comparison
+    asked = asked_comparison(options, controllers, options.seeds)
+    asked.check()
+    return asked
+
+
+def drivers(names: Sequence[str], prices: Sequence[float], lambdas: Sequence[float]) -> list[str]:
+    """Return short names of controllers; the name of a kind that has a lambda stands for one at each of several.
+
+    Args:
+        names: of controllers, or of kinds that have a lambda.
+        prices: lambdas of kinds that are told the price.
+        lambdas: of the paper's estimates.
+    """
+    from ms_highway.envs.controllers import CHOOSING
+
+    kinds = {kind: lambdas if kind in ESTIMATES else prices for kind in CHOOSING}
+    return [
+        driver
+        for name in names
+        for driver in ([f"{name}:{price:g}" for price in kinds[name]] if name in kinds else [name])
+    ]
 
 
 def _search(every: Sequence["Outcomes"], options: argparse.Namespace, tell: Callable[[str], None]) -> "pd.DataFrame":
@@ -156,7 +186,7 @@ def _search(every: Sequence["Outcomes"], options: argparse.Namespace, tell: Call
         batch = outcomes.batch
         scenario, seeds = batch.scenario.name, range(options.seeds)
         controllers = batch.comparison.controllers[scenario]
-        tell(f"{scenario}: compiling, and driving fixed models and switching")
+        tell(f"{scenario}: compiling, and driving fixed models and controllers")
         outcomes.of(batch.keys())
         for number in search(outcomes, seeds, options.prices, options.population, options.rounds):
             tell(f"{scenario}: round {number} of {options.rounds + 1} done, {len(outcomes.table)} episodes")

@@ -16,6 +16,7 @@ from ms_highway.cli.compare import add_compare
 from ms_highway.cli.console import printing
 from ms_highway.cli.frontier import add_frontier
 from ms_highway.cli.irl import add_irl
+from ms_highway.cli.learners import add_learners
 from ms_highway.cli.report import add_report
 from ms_highway.cli.safety import add_safety
 from ms_highway.cli.sweep import add_sweep
@@ -112,6 +113,6 @@ def build_parser() -> argparse.ArgumentParser:
     parser.set_defaults(simulates=False)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     everyday = add_compare, add_sweep, add_frontier, add_safety, add_video, add_report, add_bench, add_validate
-    for add in (*everyday, add_irl, add_values):
+    for add in (*everyday, add_learners, add_irl, add_values):
         add(commands)
     return parser

@@ -6,6 +6,7 @@ more than the best order of models for that very start. What a search finds is a
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from math import ceil
 from pathlib import Path
 from typing import TypeAlias
 
@@ -29,6 +30,7 @@ FLOOR = 0.02  # probability of every rung at every step at least, so that none i
 MUTANTS = 0.5  # of the population: the best order so far but for a stretch of steps
 STRETCH = 4  # steps, mean of their number in such a stretch
 SWITCHES = 12  # steps at which the first orders go over from one rung to another
+PRICES_AT_ONCE = 3  # that a round searches; of more, they take turns
 INDEX = ["controller", "seed"]
 KEPT_COLUMNS = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
 
@@ -95,7 +97,8 @@ def search(
     f of rungs among the best orders so far, ``p <- SMOOTHING p + (1 - SMOOTHING) f``. The other half is the best order
     so far with some rung in a short stretch of steps: it refines, where the first half keeps looking elsewhere. Round 1
     tries one rung up to some step and another one from there on, the same for every start. What was tried for one price
-    counts for all. After the last round, every start tries what is best for the others.
+    counts for all. Later rounds search for three prices at most: more take turns, every third price or so in one round,
+    so that they cost little more. After the last round, every start tries what is best for the others.
 
     The same arguments give the same orders, on any number of devices, and when an interrupted search is resumed.
 
@@ -103,7 +106,7 @@ def search(
         outcomes: the scenario, and where its episodes are kept.
         seeds: of the starts.
         prices: lambdas [reward per second].
-        population: orders per start, price and round.
+        population: orders per start, searched price and round.
         rounds: how often orders are drawn, the first ones included.
 
     Yields:
@@ -114,10 +117,14 @@ def search(
     tables = {(seed, price): even for seed in seeds for price in prices}
     tried: dict[int, dict[Order, tuple[float, float]]] = {seed: {} for seed in seeds}  # reward, seconds per step
     leaders: dict[tuple[int, float], list[Order]] = {}
+    ascending = sorted(set(prices))
+    turns = max(1, ceil(len(ascending) / PRICES_AT_ONCE))
     for number in range(1, rounds + 1):
+        searched = ascending[number % turns :: turns]
         drawn = [
             (order, seed)
             for seed, price in tables
+            if price in searched
             for order in (
                 _candidates(random, tables[seed, price], leaders[seed, price][0], population)
                 if leaders

@@ -53,8 +53,8 @@ def _share_axes(axes: Axes, summaries: pd.DataFrame, scenario: str) -> None:
 
 def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) -> None:
     """Draw all controllers over one measure of computation."""
-    schedules, switching = (rows[rows["kind"] == kind] for kind in ("schedule", "switching"))
-    switching = switching.sort_values("price")
+    schedules = rows[rows["kind"].isin(("schedule", "period"))]
+    switching = rows[rows["kind"] == "switching"].sort_values("price")
     if len(schedules):
         axes.plot(schedules[computation], schedules["reward"], ".", color=SCHEDULE_COLOR, markersize=5)
         axes.plot(best[computation], best["reward"], "--", color=SCHEDULE_COLOR, label="best fixed schedules")

@@ -18,7 +18,7 @@ from ms_highway.irl.prediction import Others
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import PAPER_MODELS
 
-COMMANDS = ["compare", "sweep", "frontier", "safety", "video", "report", "bench", "validate", "irl"]
+COMMANDS = ["compare", "sweep", "frontier", "safety", "video", "report", "bench", "validate", "learners", "irl"]
 IRL_COMMANDS = [["irl", name] for name in ("record", "fit", "evaluate", "recover", "report")]
 
 

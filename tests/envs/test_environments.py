@@ -255,6 +255,7 @@ def test_frame_rates_do_not_leak_between_environments():
         ({"controller": {"type": "fixed"}}, "'model'"),
         ({"controller": {"type": "schedule", "models": []}}, r"\['models'\] is \[\]; give a list of human models"),
         ({"controller": {"type": "schedule", "models": ["tom", "oracle"]}}, "'oracle'.*of naive, turn, tom"),
+        ({"controller": {"type": "period"}}, r"\['models'\] is None; give a list of human models"),
         ({"controller": {"type": "random"}}, r"\['shares'\] is None; give the share of each model, such as"),
         (
             {"controller": {"type": "random", "shares": {"oracle": 1.0}}},

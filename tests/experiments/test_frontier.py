@@ -9,18 +9,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from ms_highway.cli.frontier import drivers
 from ms_highway.cli.main import main
 from ms_highway.envs.controllers import controller_config
-from ms_highway.experiments.analysis.regret import BEST_PER_START
+from ms_highway.experiments.analysis.regret import BEST_PER_START, best
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.frontier import Outcomes, controller_name
+from ms_highway.experiments.frontier import Outcomes, controller_name, search
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import make_batch
 
 LADDER = ["naive", "turn"]
 SEEDS, STEPS, PRICES = 3, 40, (0.03, 0.1)
 LAMBDAS = ["--lambdas", "0.001", "0.1"]
+OTHERS = ["period:turn=1,naive=3", "random:naive=0.75,turn=0.25"]
 SEARCH = ["frontier", "merger", "--ladder", *LADDER, "--seeds", "3", "--prices", "0.03", "0.1", *LAMBDAS]
+SEARCH += ["--controllers", *OTHERS]
 SMALL = ["--population", "16", "--rounds", "6", "--out"]
 
 
@@ -54,7 +57,7 @@ def test_nothing_that_was_tried_from_a_start_is_better_than_its_best_order(searc
     behind = pd.read_csv(searched / "regrets.csv").query("price == @price").set_index("controller")
     assert behind.loc[BEST_PER_START, "regret"] == 0
     assert behind.loc[BEST_PER_START, "meta_reward"] == pytest.approx(found.mean())
-    own = tried.groupby("controller")[str(price)].mean()[["naive", "turn", "switching:0.001", "switching:0.1"]]
+    own = tried.groupby("controller")[str(price)].mean()[["naive", "turn", *OTHERS, "switching:0.001", "switching:0.1"]]
     np.testing.assert_allclose(behind.loc[own.index, "regret"], found.mean() - own)
     assert (behind["regret"] >= 0).all()
     assert (behind.loc[own.index, "regret_low"] < behind.loc[own.index, "regret"]).all()
@@ -64,10 +67,10 @@ def test_nothing_that_was_tried_from_a_start_is_better_than_its_best_order(searc
 @pytest.mark.parametrize("price", PRICES)
 def test_the_best_order_for_all_starts_is_the_best_that_was_tried_from_every_one(searched, tried, price):
     behind = pd.read_csv(searched / "regrets.csv").query("price == @price")
-    orders = tried[~tried["controller"].str.startswith("switching")].groupby("controller")[str(price)]
+    orders = tried[~tried["controller"].str.startswith(("switching", "random"))].groupby("controller")[str(price)]
     everywhere = orders.mean()[orders.size() == SEEDS]
     assert 20 < len(everywhere) < len(orders)
-    told = behind[behind["kind"].isin(["fixed", "schedule"])].set_index("controller")["meta_reward"]
+    told = behind[behind["kind"].isin(["fixed", "schedule", "period"])].set_index("controller")["meta_reward"]
     assert told.idxmax() == everywhere.idxmax()
     assert told.max() == pytest.approx(everywhere.max())
 
@@ -94,6 +97,29 @@ def test_the_best_orders_earn_in_the_environment_what_the_search_says(searched):
         assert steps["counted_seconds"].mean() == pytest.approx(row["counted_seconds"])
 
 
+def test_a_kind_with_a_lambda_stands_for_a_controller_at_each_lambda():
+    assert drivers(["tom", "switching", "switching:3"], [1], [0.01, 0.2]) == [
+        "tom",
+        "switching:0.01",
+        "switching:0.2",
+        "switching:3",
+    ]
+
+
+def test_a_search_at_many_prices_tries_little_more_than_one_at_three():
+    batch = make_batch(Comparison({"merger": LADDER}, ladder=LADDER), "merger")
+    few, many = [0.01, 0.1, 1.0], [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0]
+    tried = {}
+    for prices in (few, many):
+        outcomes = Outcomes(batch)
+        assert list(search(outcomes, range(SEEDS), prices, 16, 6)) == list(range(1, 8))
+        tried[len(prices)] = outcomes.table
+    assert len(tried[7]) < 1.3 * len(tried[3])
+    for price in few:
+        found = {count: best(table, range(SEEDS), price)["meta_reward"].mean() for count, table in tried.items()}
+        assert found[7] > found[3] - 0.02
+
+
 def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path, capsys):
     directory, file = tmp_path / "out", "merger_episodes.csv"
     directory.mkdir()
@@ -106,8 +132,9 @@ def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path
     assert len(json.loads((directory / "provenance.json").read_text())) == 1
     assert imageio.imread(directory / "merger_frontier.png").std() > 5
     printed = capsys.readouterr().out
-    for price, word in product(PRICES, ("best lambda", "best for all starts", BEST_PER_START)):
+    for price, word in product(PRICES, ("best lambda", "best for all starts", BEST_PER_START, *OTHERS)):
         assert word in printed.partition(f"a second of planning costs {price:g}")[2]
+    assert printed.count("lambda = price") == 1  # switching:0.1 at a price of 0.1
 
 
 def test_the_name_of_an_order_stands_for_its_models_step_by_step():

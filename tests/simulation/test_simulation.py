@@ -22,7 +22,8 @@ from ms_highway.simulation.loop import _Rest, _warm_plan, simulate
 
 KEYS = ["controller", "seed", "step"]
 COIN = "random:naive=0.25,turn=0.75"
-CONTROLLERS = ["naive", "turn", "schedule:turn=5,naive=3,turn", COIN, "tom", "switching:0.1"]
+PERIOD = "period:turn=1,naive=2"
+CONTROLLERS = ["naive", "turn", "schedule:turn=5,naive=3,turn", PERIOD, COIN, "tom", "switching:0.1"]
 STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
 COMPARISON = Comparison({"merger": CONTROLLERS}, seeds=6)
 
@@ -47,7 +48,7 @@ def test_records_are_those_of_an_experiment_without_measured_times(records):
     assert set(records["status"]) == {"planned"}
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS[:4])
+@pytest.mark.parametrize("controller", CONTROLLERS[:5])
 def test_whole_episodes_agree_with_the_environment_step_by_step(records, controller):
     expected = driven(COMPARISON, "merger", controller)
     found = records.set_index(KEYS).loc[expected.index]
@@ -55,6 +56,12 @@ def test_whole_episodes_agree_with_the_environment_step_by_step(records, control
     np.testing.assert_allclose(found["reward"], expected["reward"], atol=1e-3)
     for name in ("model", "status", "counted_seconds"):
         assert (found[name] == expected[name]).all()
+
+
+def test_a_period_is_repeated_to_the_end_of_every_episode(records):
+    models = records.query(f"controller == '{PERIOD}'").pivot(index="seed", columns="step", values="model")
+    for _, used in models.iterrows():
+        assert used.tolist() == (["turn", "naive", "naive"] * 14)[:40]
 
 
 def test_a_random_controller_draws_the_models_of_each_seed_anew_with_its_shares_from_the_same_starts(records):
@@ -66,7 +73,7 @@ def test_a_random_controller_draws_the_models_of_each_seed_anew_with_its_shares_
     np.testing.assert_array_equal(*(episodes_of(batch, [(name, 5)]).starts for name in (COIN, "naive")))
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS[4:])
+@pytest.mark.parametrize("controller", CONTROLLERS[5:])
 def test_means_of_theory_of_mind_and_switching_lie_in_the_intervals_of_the_environment(records, controller):
     expected = driven(COMPARISON, "merger", controller)
     found = records.set_index(KEYS).loc[expected.index]

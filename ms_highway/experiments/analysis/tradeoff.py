@@ -2,6 +2,7 @@
 
 import pandas as pd
 
+from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.planning.human_models import MODELS
 
@@ -62,7 +63,7 @@ def coin(summaries: pd.DataFrame, scenario: str, controller: str) -> str:
 
 
 def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "counted_ms") -> pd.DataFrame:
-    """Return the rows of those fixed models and schedules that no other one beats with the same or less computation.
+    """Return the rows of the fixed models, schedules and periods that no other beats with the same or less computation.
 
     They are a yardstick for controllers that decide online: what could be had with an order of models that was fixed
     beforehand.
@@ -74,7 +75,7 @@ def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "c
     """
     rows = summaries[summaries["scenario"] == scenario]
     known = (
-        rows[rows["kind"].isin(["fixed", "schedule"])]
+        rows[rows["kind"].isin(FIXED_ORDERS)]
         .dropna(subset=[computation])
         .sort_values([computation, "reward"], ascending=[True, False])
     )
@@ -90,11 +91,11 @@ def meta_rewards(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
     Returns:
         By lambda, ascending: ``switching`` with that lambda; every fixed model by its name; and ``best schedule``, the
-        most that any fixed model or schedule has at that lambda.
+        most that any fixed model, schedule or period has at that lambda.
     """
     rows = summaries[summaries["scenario"] == scenario].dropna(subset="counted_ms")
     switching = rows[rows["kind"] == "switching"].set_index("price").sort_index()
-    ordered = rows[rows["kind"].isin(["fixed", "schedule"])].set_index("controller")
+    ordered = rows[rows["kind"].isin(FIXED_ORDERS)].set_index("controller")
     seconds = ordered["counted_ms"] / 1e3
     table = pd.DataFrame({"switching": switching["reward"] - switching.index * switching["counted_ms"] / 1e3})
     every = pd.DataFrame({price: ordered["reward"] - price * seconds for price in table.index}).T
