@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from ms_highway.envs.checks import LARGEST, is_number, is_one_of, refuse_unknown
 from ms_highway.game.scenario import Semantics
+from ms_highway.metareasoning.horizon import WholeHorizon
 from ms_highway.metareasoning.rule import Rule
 from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.metareasoning.values import load_values
@@ -20,6 +21,7 @@ __all__ = [
     "ChoosingSettings",
     "ControllerSettings",
     "FixedSettings",
+    "HorizonSettings",
     "LearnedSettings",
     "RandomSettings",
     "ScheduledSettings",
@@ -145,8 +147,25 @@ class SwitchingSettings(ChoosingSettings):
         self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics
     ) -> Switching:
         """See `ChoosingSettings.rule`."""
-        tolerance = {"trust_tolerance": RELEASED_TRUST_TOLERANCE} if semantics == "released" else {}
-        return Switching(costs, self.price, models, **tolerance)
+        return Switching(costs, self.price, models, **_tolerance(semantics))
+
+
+@dataclass(frozen=True)
+class HorizonSettings(ChoosingSettings):
+    """Algorithm 1 chooses with gains that are estimated over the whole horizon."""
+
+    type: ClassVar[str] = "horizon"
+
+    def rule(
+        self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics
+    ) -> WholeHorizon:
+        """See `ChoosingSettings.rule`."""
+        return WholeHorizon(costs, self.price, models, **_tolerance(semantics))
+
+
+def _tolerance(semantics: Semantics) -> dict[str, float]:
+    """Return the tolerance of trust regions where it is not the usual one."""
+    return {"trust_tolerance": RELEASED_TRUST_TOLERANCE} if semantics == "released" else {}
 
 
 @dataclass(frozen=True)
@@ -170,7 +189,15 @@ class LearnedSettings(ChoosingSettings):
 
 
 KINDS: dict[str, type[Any]] = {
-    kind.type: kind for kind in (SwitchingSettings, LearnedSettings, FixedSettings, ScheduledSettings, RandomSettings)
+    kind.type: kind
+    for kind in (
+        SwitchingSettings,
+        HorizonSettings,
+        LearnedSettings,
+        FixedSettings,
+        ScheduledSettings,
+        RandomSettings,
+    )
 }
 
 CHOOSING = [name for name, kind in KINDS.items() if issubclass(kind, ChoosingSettings)]
@@ -216,8 +243,9 @@ def named_controller(text: str) -> ControllerSettings:
 def controller_config(text: str) -> dict[str, Any]:
     """Return the configuration that a controller's short name stands for.
 
-    These are the human models, such as ``tom``; ``switching:0.1`` with a lambda; ``schedule:tom=6,naive``, tom for six
-    steps and then naive; and ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
+    These are the human models, such as ``tom``; ``switching:0.1`` with a lambda, and likewise ``horizon:0.1``;
+    ``schedule:tom=6,naive``, tom for six steps and then naive; and ``random:naive=0.7,tom=0.3``, for every step a model
+    that is drawn with these shares.
 
     Raises:
         ValueError: if it stands for none.
@@ -241,7 +269,8 @@ def controller_config(text: str) -> dict[str, Any]:
     elif name in MODELS and not rest:
         config = {"type": "fixed", "model": name}
     else:
-        known = f"{', '.join(MODELS)}, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL and random:MODEL=SHARE,..."
+        choosing = ", ".join(f"{name}:LAMBDA" for name in CHOOSING)
+        known = f"{', '.join(MODELS)}, {choosing}, schedule:MODEL=STEPS,...,MODEL and random:MODEL=SHARE,..."
         raise ValueError(f"unknown controller {text!r}; the controllers are {known}")
     try:
         controller_settings(config)

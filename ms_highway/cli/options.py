@@ -60,7 +60,9 @@ SEMANTICS = ("paper", "released")
 SOLVERS = ("gradient", "newton")
 """The values of `ms_highway.optimization.solvers.Solver`; told here so that help needs no JAX."""
 
-CONTROLLERS = "naive, turn, tom, switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL, random:MODEL=SHARE,..."
+CONTROLLERS = (
+    "naive, turn, tom, switching:LAMBDA, horizon:LAMBDA, schedule:MODEL=STEPS,...,MODEL, random:MODEL=SHARE,..."
+)
 """What controllers are called on the command line, for help texts."""
 
 
