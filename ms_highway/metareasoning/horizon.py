@@ -43,7 +43,7 @@ class WholeHorizon(QuadraticRule):
 
     def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Array, "2"]:
         """See `QuadraticRule.look`."""
-        state, plan = outcome.before, outcome.plan
+        state, plan = jnp.asarray(outcome.before), outcome.plan
         robot = jnp.asarray(plan.robot).at[0].set(outcome.robot)
         human = jnp.asarray(plan.human).at[0].set(outcome.human)
         expected = step_rewards(game, state, move(game, state[0], robot), move(game, state[1], human))
