@@ -12,6 +12,8 @@ from jaxtyping import Float
 
 from ms_highway.envs.checks import LARGEST, is_number, is_one_of, refuse_unknown
 from ms_highway.game.scenario import Semantics
+from ms_highway.metareasoning.horizon import WholeHorizon
+from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE
 from ms_highway.metareasoning.rule import Rule
 from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.metareasoning.values import load_values
@@ -23,6 +25,7 @@ __all__ = [
     "ChoosingSettings",
     "ControllerSettings",
     "FixedSettings",
+    "HorizonSettings",
     "LearnedSettings",
     "PeriodSettings",
     "RandomSettings",
@@ -160,9 +163,25 @@ class SwitchingSettings(ChoosingSettings):
         self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics
     ) -> Switching:
         """See `ChoosingSettings.rule`."""
-        if semantics == "released":
-            return Switching(costs, self.price, models, trust_tolerance=RELEASED_TRUST_TOLERANCE)
-        return Switching(costs, self.price, models)
+        return Switching(costs, self.price, models, trust_tolerance=_tolerance(semantics))
+
+
+@dataclass(frozen=True)
+class HorizonSettings(ChoosingSettings):
+    """Algorithm 1 chooses with gains that are estimated over the whole horizon."""
+
+    type: ClassVar[str] = "horizon"
+
+    def rule(
+        self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics
+    ) -> WholeHorizon:
+        """See `ChoosingSettings.rule`."""
+        return WholeHorizon(costs, self.price, models, trust_tolerance=_tolerance(semantics))
+
+
+def _tolerance(semantics: Semantics) -> float:
+    """Return the tolerance of trust regions."""
+    return RELEASED_TRUST_TOLERANCE if semantics == "released" else TRUST_TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -185,7 +204,15 @@ class LearnedSettings(ChoosingSettings):
         return load_values(self.values or "shipped").rule(models, costs, self.price)
 
 
-CLASSES = SwitchingSettings, LearnedSettings, FixedSettings, ScheduledSettings, PeriodSettings, RandomSettings
+CLASSES = (
+    SwitchingSettings,
+    HorizonSettings,
+    LearnedSettings,
+    FixedSettings,
+    ScheduledSettings,
+    PeriodSettings,
+    RandomSettings,
+)
 KINDS: dict[str, type[Any]] = {kind.type: kind for kind in CLASSES}
 
 CHOOSING = [name for name, kind in KINDS.items() if issubclass(kind, ChoosingSettings)]
@@ -235,9 +262,9 @@ def named_controller(text: str) -> ControllerSettings:
 def controller_config(text: str) -> dict[str, Any]:
     """Return the configuration that a controller's short name stands for.
 
-    These are the human models, such as ``tom`` or ``tom@8+warm``; ``switching:0.1`` and ``learned:0.1`` with a lambda,
-    and ``learned:0.1:FILE`` with values of one's own; ``schedule:tom=6,naive``, tom for six steps and then naive;
-    ``period:tom=1,naive=3``, tom in every fourth step and naive in between; and
+    These are the human models, such as ``tom`` or ``tom@8+warm``; ``switching:0.1``, ``horizon:0.1`` and
+    ``learned:0.1`` with a lambda, and ``learned:0.1:FILE`` with values of one's own; ``schedule:tom=6,naive``, tom for
+    six steps and then naive; ``period:tom=1,naive=3``, tom in every fourth step and naive in between; and
     ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
 
     Raises:

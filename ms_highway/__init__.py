@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from ms_highway.game.scenario import build_game as build_game
     from ms_highway.game.scenario import driving_game as driving_game
     from ms_highway.game.scene import Scene as Scene
+    from ms_highway.metareasoning.horizon import WholeHorizon as WholeHorizon
     from ms_highway.metareasoning.rule import PUBLISHED_COSTS as PUBLISHED_COSTS
     from ms_highway.metareasoning.switching import Switching as Switching
     from ms_highway.metareasoning.switching import decide as decide
@@ -72,6 +73,7 @@ _HOMES = {
         "planning.human_models": ["HumanModel", "Naive", "TheoryOfMind", "Turn", "ladder", "register"],
         "planning.compiled_plans": ["plan"],
         "metareasoning.rule": ["PUBLISHED_COSTS"],
+        "metareasoning.horizon": ["WholeHorizon"],
         "metareasoning.switching": ["Switching", "decide"],
         "runtime.jax_settings": ["keep_compilations", "low_latency"],
     }.items()

@@ -29,12 +29,12 @@ Run the same seeded episodes with several controllers and compare reward and com
 
 A controller is a human model that plans every step (naive, turn, tom); or learned:LAMBDA, which chooses the model at
 every step by a learned value of computation, at a price of LAMBDA reward for a second of planning (learned:LAMBDA:FILE
-with values of `ms-highway values learn`); or switching:LAMBDA, which chooses by the paper's Algorithm 1; or
-schedule:MODEL=STEPS,...,MODEL, an order that is fixed beforehand, such as schedule:tom=6,naive; or
-period:MODEL=STEPS,..., an order that is repeated, such as period:tom=1,naive=3; or random:MODEL=SHARE,..., a model
-drawn for every step, such as random:naive=0.7,tom=0.3: a choice that looks at nothing, which others have to beat.
-Without scenarios and controllers, the paper's comparison runs: its three scenarios, each with its ladder and the
-paper's two lambdas.
+with values of `ms-highway values learn`); or switching:LAMBDA, which chooses by the paper's Algorithm 1, or
+horizon:LAMBDA, by gains that are estimated over the whole plan instead of one step; or schedule:MODEL=STEPS,...,MODEL,
+an order that is fixed beforehand, such as schedule:tom=6,naive; or period:MODEL=STEPS,..., an order that is repeated,
+such as period:tom=1,naive=3; or random:MODEL=SHARE,..., a model drawn for every step, such as random:naive=0.7,tom=0.3:
+a choice that looks at nothing, which others have to beat. Without scenarios and controllers, the paper's comparison
+runs: its three scenarios, each with its ladder and the paper's two lambdas.
 
 Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
 SCENARIO_bars.png (of three lambdas or more _curve.png, reward against computation), _timeline.png and _decisions.png;

@@ -65,7 +65,7 @@ EFFORTS = "tom@8 plans in 8 ascent steps, tom@8+warm or tom+warm from the rest o
 """What a model's name may say of its effort, for help texts."""
 
 CONTROLLERS = (
-    "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, schedule:MODEL=STEPS,...,MODEL, "
+    "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA, schedule:MODEL=STEPS,...,MODEL, "
     "period:MODEL=STEPS,..., random:MODEL=SHARE,..."
 )
 """What controllers are called on the command line, for help texts."""

@@ -25,6 +25,7 @@ __all__ = [
     "discomfort",
     "move",
     "rollout_reward",
+    "step_rewards",
     "swap_players",
     "swap_roles",
     "total_reward",
@@ -115,9 +116,16 @@ def trajectory_reward(
         robot: trajectory of car 0.
         human: trajectory of car 1.
     """
+    return unrolled_sum(step_rewards(game, state, robot, human))
+
+
+def step_rewards(
+    game: Game, state: Float[jax.Array, "cars 4"], robot: Trajectory, human: Trajectory
+) -> Float[jax.Array, "steps"]:
+    """Compute the robot's reward after each step of both players' trajectories, see `trajectory_reward`."""
     rest = coast(game.dynamics, state[2:], robot.shape[-1])
     others = Motion(*(jnp.concatenate([first[None], more]) for first, more in zip(human, rest, strict=True)))
-    return unrolled_sum(motion_reward(game.scene, game.robot, Motion(*robot), others))
+    return motion_reward(game.scene, game.robot, Motion(*robot), others)
 
 
 def rollout_reward(

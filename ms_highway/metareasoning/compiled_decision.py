@@ -46,7 +46,7 @@ class CompiledDecision:
         self._numbers, self._layout = pack((small, game))
         leaves, self._network = jax.tree.flatten(rule.network)
         self._leaves = [jnp.asarray(leaf) for leaf in leaves]
-        self._steps, self._rungs = game.planner.horizon, len(rule.ladder)
+        self._steps, self._rungs, self._fuses = game.planner.horizon, len(rule.ladder), rule.in_one_kernel
 
     def decide(self, memory: Memory, observed: Observation) -> tuple[Decision, float]:
         """Return the decision, in NumPy numbers, and the seconds that it took.
@@ -72,7 +72,7 @@ class CompiledDecision:
     @property
     def function(self) -> jax.stages.Wrapped:
         """Compiled function, which takes `arguments`; see `decide_function`."""
-        return decide_function(self._layout, self._network)
+        return decide_function(self._layout, self._network, self._fuses)
 
     def arguments(self, memory: Memory, observed: Observation) -> tuple[np.ndarray | jax.Array, ...]:
         """Return the arguments of a `decide_function`."""
@@ -82,12 +82,12 @@ class CompiledDecision:
 
 
 @cache
-def decide_function(layout: Layout, network: jax.tree_util.PyTreeDef = EMPTY) -> jax.stages.Wrapped:
+def decide_function(layout: Layout, network: jax.tree_util.PyTreeDef = EMPTY, fuses: bool = True) -> jax.stages.Wrapped:
     """Compile a rule's decisions once for all of a layout.
 
     The compiled function takes memory and `Observation` in one array, the packed (rule, game) and the leaves of the
     rule's network. It returns the `Decision` in one array. Where there is a network, it stays outside of the kernel,
-    which would copy it.
+    which would copy it. Without ``fuses``, there is no kernel, see `Rule.in_one_kernel`.
     """
 
     def look(observed: Float[jax.Array, "m"], numbers: Float[jax.Array, "n"]) -> Float[jax.Array, "k"]:
@@ -106,14 +106,14 @@ def decide_function(layout: Layout, network: jax.tree_util.PyTreeDef = EMPTY) ->
     ) -> Float[jax.Array, "k"]:
         rule, _ = layout.unpack(numbers)
         memory, _ = _memory(rule, observed)
-        seen = (in_one_kernel(look) if leaves else look)(observed, numbers)
+        seen = (in_one_kernel(look) if leaves and fuses else look)(observed, numbers)
         rule = replace(rule, network=jax.tree.unflatten(network, leaves)) if leaves else rule
         (rung, step, checks), gains, failed = rule.choose(memory, seen)
         return jnp.concatenate([jnp.stack([rung, step]), checks, gains, failed[None]])
 
-    small = network == EMPTY
+    whole = fuses and network == EMPTY
     return jax.jit(
-        in_one_kernel(look_and_choose) if small else look_and_choose, compiler_options=known_options(QUICKLY)
+        in_one_kernel(look_and_choose) if whole else look_and_choose, compiler_options=known_options(QUICKLY)
     )
 
 

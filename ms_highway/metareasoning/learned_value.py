@@ -51,6 +51,7 @@ class LearnedValue:
     spread: Float[Array, "inputs"]
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
     chooses_first: ClassVar[bool] = True
+    in_one_kernel: ClassVar[bool] = True
 
     def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "numbers"]:
         """Describe the state after the last step."""

@@ -76,10 +76,12 @@ class Rule(Protocol):
         price: lambda, reward per second of planning.
         network: arrays that `choose` needs and `look` does not; None without any.
         chooses_first: whether the rule chooses the rung of the first step, too; where not, that is the cheapest one.
+        in_one_kernel: whether `look` may be compiled into one kernel, of which calls of LAPACK cannot be part.
     """
 
     chooses_first: ClassVar[bool]
     __dataclass_fields__: ClassVar[dict[str, Any]]
+    in_one_kernel: ClassVar[bool]
 
     @property
     def ladder(self) -> tuple[HumanModel, ...]: ...

@@ -1,4 +1,4 @@
-"""Maximise a quadratic within a trust region."""
+"""Maximise a quadratic within a trust region, in any number of dimensions."""
 
 from typing import NamedTuple
 

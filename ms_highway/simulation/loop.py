@@ -194,7 +194,7 @@ def _move(game: Game, now: _Now, own: _Own, plan: JointPlan) -> tuple[_Moved, Re
     observed = recover_control(game.world, state[1], after[1]) / scale
     records = Records(now.memory.rung, status, reward, collision, now.gains, after)
     following = _Now(after, now.memory, jnp.full_like(now.gains, jnp.nan), robot_rest, human_rest)
-    return _Moved(following, Outcome(state, after, robot, observed, reward, plan)), records
+    return _Moved(following, Outcome(state, after, robot, observed, reward, robot_rest.plan)), records
 
 
 def _still(game: Game, now: _Now) -> _Moved:

@@ -1,0 +1,122 @@
+"""Gains over the whole horizon."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.experiments.simulated import simulated
+from ms_highway.game.dynamics import keep_velocity, step
+from ms_highway.game.features import reward
+from ms_highway.game.game import swap_players, total_reward
+from ms_highway.metareasoning.horizon import WholeHorizon
+from ms_highway.metareasoning.rule import Outcome, decide_by, first_memory
+from ms_highway.metareasoning.switching import Switching
+from ms_highway.optimization.second_derivatives import response
+from ms_highway.planning.human_models import JointPlan, ladder
+from ms_highway.runtime.compilation import jit_quickly
+
+decide_quickly = jit_quickly(decide_by)
+
+
+def made(kind, price=0.1, **numbers):
+    rungs = ladder(("naive", "turn", "tom"))
+    return jax.tree.map(jnp.asarray, kind(np.array([0.09, 0.17, 0.37]), price, rungs, **numbers))
+
+
+def outcome(game, state, plan):
+    """Of a step in which both follow a plan."""
+    controls = jnp.stack([plan.robot[0], plan.human[0]]) * game.planner.control_scale
+    after = step(game.world, state, jnp.concatenate([controls, keep_velocity(game.world, state[2:])]))
+    return Outcome(state, after, plan.robot[0], plan.human[0], reward(game.scene, game.robot, after), plan)
+
+
+def any_plan(steps, seed=0):
+    drawn = np.random.default_rng(seed).normal(0, 0.2, (2, steps, 2))
+    return JointPlan(*jnp.asarray(drawn, dtype=jnp.float32))
+
+
+def shortened(game):
+    return replace(game, planner=replace(game.planner, horizon=1))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "influence"), [("merger", "damped"), pytest.param("give_way", "exact", marks=pytest.mark.slow)]
+)
+def test_the_expansion_is_that_of_the_rewards_of_the_whole_plan(played, scenario, influence):
+    game, state = played(scenario, seed=2, influence=influence)
+    robot, human = any_plan(5)
+    both = jnp.concatenate([robot.ravel(), human.ravel()])
+
+    def robot_reward(both):
+        return total_reward(game, state, both[:10].reshape(5, 2), both[10:].reshape(5, 2))
+
+    def human_reward(both):
+        mirrored = both[10:].reshape(5, 2), both[:10].reshape(5, 2)
+        return total_reward(*swap_players(game, state), *mirrored)
+
+    def derivatives(both):
+        return jax.grad(robot_reward)(both), jax.hessian(robot_reward)(both), jax.hessian(human_reward)(both)
+
+    expansion = jit_quickly(made(WholeHorizon).expand)(game, state, both[:10], both[10:])
+    slope, bend, humans = (np.asarray(array) for array in jit_quickly(derivatives)(both))
+    scale = 1e-4 * abs(bend).max()
+    found = np.concatenate([expansion.robot, expansion.human])
+    np.testing.assert_allclose(found, slope, rtol=1e-3, atol=1e-4 * abs(slope).max())
+    np.testing.assert_allclose(expansion.robot_robot, bend[:10, :10], rtol=1e-3, atol=scale)
+    np.testing.assert_allclose(expansion.robot_human, bend[:10, 10:], rtol=1e-3, atol=scale)
+    np.testing.assert_allclose(expansion.human_human, bend[10:, 10:], rtol=1e-3, atol=scale)
+    human_bend = humans[10:, 10:] - np.diag(np.tile(np.asarray(game.human.comfort), 5))
+    expected = response(influence, jnp.asarray(human_bend), jnp.asarray(humans[10:, :10]))
+    np.testing.assert_allclose(expansion.influence, expected, rtol=1e-2, atol=1e-3 * abs(expected).max())
+
+
+@pytest.mark.parametrize("rung", [0, 1, 2])
+def test_over_a_horizon_of_one_step_the_gains_are_those_of_algorithm_1(played, rung):
+    game, state = played("merger", seed=3)
+    near, whole = made(Switching), made(WholeHorizon)
+    for seed in range(5):
+        seen = outcome(game, state, any_plan(1, seed))
+        expected = decide_quickly(near, shortened(game), first_memory(near, rung), seen)
+        found = decide_quickly(whole, shortened(game), first_memory(whole, rung), seen)
+        assert np.isfinite(np.asarray(expected.gains)).any()
+        np.testing.assert_allclose(found.gains, expected.gains, rtol=1e-3, atol=1e-3)
+        jax.tree.map(np.testing.assert_array_equal, found.memory, expected.memory)
+
+
+def test_a_gain_pays_for_a_plan_at_every_step_of_the_horizon(played):
+    game, state = played("merger")
+    seen = outcome(game, state, any_plan(5))
+    free, dear = (
+        decide_quickly(made(WholeHorizon, price), game, first_memory(made(WholeHorizon)), seen) for price in (0.0, 2.0)
+    )
+    assert free.gains[2] - dear.gains[2] == pytest.approx(5 * 2.0 * (0.37 - 0.09), rel=1e-3)
+
+
+def test_without_trust_nothing_changes_and_the_gain_is_what_computation_costs(played):
+    game, state = played("merger")
+    rule = made(WholeHorizon, 1.0, trust_radius=1e-6)
+    decision = decide_quickly(rule, game, first_memory(rule), outcome(game, state, any_plan(5)))
+    assert decision.gains[2] == pytest.approx(-5 * (0.37 - 0.09), abs=1e-3)
+
+
+def test_a_wider_trust_region_gains_more_where_the_expansion_is_good(played):
+    game, state = played("merger")
+    rules = [made(WholeHorizon, 0.0, trust_radius=radius) for radius in (0.01, 0.02, 0.04)]
+    seen = outcome(game, state, any_plan(5))
+    gains = [float(decide_quickly(rule, game, first_memory(rule), seen).gains[2]) for rule in rules]
+    assert 0 < gains[0] < gains[1] < gains[2]
+
+
+def test_it_chooses_the_same_in_the_environment_and_in_batches():
+    comparison = Comparison({"merger": ["horizon:0.1"]}, seeds=2)
+    batched = simulated(comparison)
+    env = make_environment("merger", "horizon:0.1", costs=comparison.costs, **comparison.common_config())
+    for seed in range(2):
+        live = [record["model"] for record in episode(env, seed)]
+        assert batched.query("seed == @seed")["model"].tolist() == live
+    assert batched["model"].nunique() > 1
