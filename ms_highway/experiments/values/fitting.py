@@ -16,7 +16,7 @@ __all__ = ["fit", "new_network"]
 
 NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
 HIDDEN = (32, 32)
-STEPS = 2000
+STEPS = 6000
 BATCH = 256
 RATE = 3e-3  # of learning at first; it falls to 0 by a cosine
 SOFTENING = 1.0  # power of the noise that an error weighs more with than its likelihood says (Seitzer et al. 2022)
