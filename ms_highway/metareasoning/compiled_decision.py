@@ -87,7 +87,7 @@ def decide_function(layout: Layout, network: jax.tree_util.PyTreeDef = EMPTY, fu
 
     The compiled function takes memory and `Observation` in one array, the packed (rule, game) and the leaves of the
     rule's network. It returns the `Decision` in one array. Where there is a network, it stays outside of the kernel,
-    which would copy it. Without ``fuses``, there is no kernel, see `Rule.in_one_kernel`.
+    which would copy it. Without ``fuses``, there is no kernel, see `ms_highway.metareasoning.rule.Rule`.
     """
 
     def look(observed: Float[jax.Array, "m"], numbers: Float[jax.Array, "n"]) -> Float[jax.Array, "k"]:
