@@ -80,17 +80,24 @@ class Rule(Protocol):
     """
 
     chooses_first: ClassVar[bool]
-    __dataclass_fields__: ClassVar[dict[str, Any]]
     in_one_kernel: ClassVar[bool]
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
-    def ladder(self) -> tuple[HumanModel, ...]: ...
+    def ladder(self) -> tuple[HumanModel, ...]:
+        """Human models, cheapest first."""
+
     @property
-    def costs(self) -> Float[Array, "rungs"]: ...
+    def costs(self) -> Float[Array, "rungs"]:
+        """Planning time of each rung [s]."""
+
     @property
-    def network(self) -> Any: ...
+    def price(self) -> float | Float[Array, ""]:
+        """Reward per second of planning."""
+
     @property
-    def price(self) -> float | Float[Array, ""]: ...
+    def network(self) -> Any:
+        """Arrays that only `choose` needs."""
 
     def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "numbers"]:
         """Compute what the choice is based on.
