@@ -17,6 +17,7 @@ from ms_highway.metareasoning.values import load_values
 from ms_highway.planning.human_models import MODELS, HumanModel
 
 __all__ = [
+    "CHOOSING",
     "ChoosingSettings",
     "ControllerSettings",
     "FixedSettings",
@@ -175,6 +176,7 @@ KINDS: dict[str, type[Any]] = {
 }
 
 CHOOSING = [name for name, kind in KINDS.items() if issubclass(kind, ChoosingSettings)]
+"""Types of the controllers that choose models online, by a rule."""
 
 
 def check_price(place: str, price: Any) -> None:
