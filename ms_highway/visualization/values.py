@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import NullLocator, StrMethodFormatter
 
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiments.analysis.advantages import Advantages, Slice, along_episode, slice_of_starts
@@ -19,7 +19,7 @@ from ms_highway.visualization.colors import color_of
 
 __all__ = ["along", "draw_values", "seen", "where"]
 
-SMALLEST = 0.1  # reward: the least end of the scale of advantages
+SMALLEST = 0.1  # reward: the least end of a linear scale of advantages
 
 
 def draw_values(scenario: str, price: float, values: str = SHIPPED_VALUES, seed: int = 0) -> Figure:
@@ -35,7 +35,7 @@ def draw_values(scenario: str, price: float, values: str = SHIPPED_VALUES, seed:
         ValueError: for an unknown scenario, an impossible price, or values of another ladder.
     """
     learned = load_values(values)
-    env = make_environment(scenario, f"learned:{price:g}:{values}", costs=dict(learned.costs)).unwrapped
+    env = make_environment(scenario, f"learned:{price}:{values}", costs=dict(learned.costs)).unwrapped
     assert isinstance(env, InteractionEnv)
     env.reset(seed=seed)
     start = env.car_states
@@ -69,7 +69,8 @@ def along(
     """Draw what planning a step with each model is worth more than with the cheapest one, before every step.
 
     Lines are means over the networks; shades reach up by their standard deviation, since a dearer model plans where
-    there is doubt. Below, the reward after each step; the background is the model in use.
+    there is doubt. The scale is linear up to 0.1 and logarithmic beyond. Below, the reward after each step; the
+    background is the model in use.
     """
     steps = np.arange(len(models))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.8, 1])
@@ -78,6 +79,9 @@ def along(
         mean, doubt = advantages.mean[:, rung], advantages.deviation[:, rung]
         upper.plot(steps, mean, "o-", color=color_of(name), markersize=3, label=f"{name} rather than {cheapest}")
         upper.fill_between(steps, mean, mean + doubt, color=color_of(name), alpha=0.25, linewidth=0)
+    upper.set_yscale("symlog", linthresh=SMALLEST, linscale=0.7)
+    upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    upper.yaxis.set_minor_locator(NullLocator())
     upper.axhline(0, color="black", linewidth=0.8)
     upper.set_ylabel("worth more [reward],\nnet of its price")
     upper.set_title("along an episode", loc="left", fontsize="medium")
@@ -92,7 +96,8 @@ def along(
     ]
     figure.legend(
         handles=[*upper.lines[:-1], *used],
-        loc="outside right center",
+        loc="outside lower center",
+        ncols=5,
         frameon=False,
     )
 
@@ -100,8 +105,8 @@ def along(
 def where(figure: Figure, part: Slice) -> None:
     """Draw the model that is chosen, and the advantage of the dearest one over the cheapest, by where the human is.
 
-    The line is where the dearest model is worth its time, by the mean over the networks; the cross is the
-    start itself.
+    The line is where the dearest model is worth as much as the cheapest one, by the mean over the networks: where it is
+    chosen beyond that, the networks differ. The cross is the start itself.
     """
     left, right = figure.subplots(1, 2, sharey=True)
     advantages, edges = part.advantages, (*part.behind[[0, -1]], *part.faster[[0, -1]])
@@ -122,18 +127,15 @@ def where(figure: Figure, part: Slice) -> None:
     image = right.imshow(
         worth, cmap="PuOr_r", norm=TwoSlopeNorm(0, -end, end), extent=edges, origin="lower", aspect="auto"
     )
-    if worth.min() < 0 < worth.max():
-        right.contour(part.behind, part.faster, worth, levels=[0], colors="black", linewidths=1)
     right.set_title(f"worth of {names[-1]} rather than {names[0]}", loc="left", fontsize="medium")
     figure.colorbar(image, ax=right, label="reward, net of its price", extend="both")
     for axes in (left, right):
-        _mark(axes, part)
+        if worth.min() < 0 < worth.max():
+            axes.contour(part.behind, part.faster, worth, levels=[0], colors="black", linewidths=1.2)
+        axes.plot(*part.start, "x", color="black", markersize=8, markeredgewidth=2)
+        axes.set_xlabel("human's distance behind the robot [m]")
     left.set_ylabel("human's speed less robot's [m/s]")
     handles: list[Patch | Line2D] = [Patch(color=color_of(name), label=name) for name in names]
     handles.append(Line2D([], [], color="black", marker="x", linewidth=0, label="the episode's start"))
+    handles.append(Line2D([], [], color="black", linewidth=1.2, label=f"{names[-1]} worth as much as {names[0]}"))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-
-
-def _mark(axes: Axes, part: Slice) -> None:
-    axes.plot(*part.start, "x", color="black", markersize=8, markeredgewidth=2)
-    axes.set_xlabel("human's distance behind the robot [m]")

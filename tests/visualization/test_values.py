@@ -44,7 +44,7 @@ def drawn():
 
 
 def test_estimates_are_what_the_rule_compares_and_chooses(merger, rule):
-    states = np.stack([merger.car_states, merger.car_states + [30.0, 0.0, 0.0, 0.0]]).astype(np.float32)
+    states = np.stack([merger.car_states, merger.car_states + np.array([30.0, 0.0, 0.0, 0.0])]).astype(np.float32)
     seen = estimate(rule, merger.game, states)
     assert seen.models == ("naive", "turn", "tom")
     for state, mean, chosen in zip(states, seen.mean, seen.chosen, strict=True):

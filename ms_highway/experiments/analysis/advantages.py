@@ -14,8 +14,8 @@ from ms_highway.metareasoning.situation import describe
 
 __all__ = ["Advantages", "Slice", "along_episode", "estimate", "slice_of_starts"]
 
-BEHIND = (-5.0, 20.0)  # m
-FASTER = (-6.0, 6.0)  # m/s
+BEHIND = (-5.0, 15.0)  # m
+FASTER = (-4.0, 4.0)  # m/s
 CELLS = 61  # of a slice, in each direction
 
 

@@ -103,7 +103,8 @@ def several(summaries):
     """Learned values beside switching, also from a file of one's own."""
     names = ["learned:0.1", "learned:1", "learned:0.1:own.npz"]
     learned = summaries.iloc[:3].assign(controller=names, kind="learned", price=[0.1, 1.0, 0.1])
-    learned[["reward", "counted_ms"]] = [[5.9, 150.0], [5.0, 120.0], [5.5, 160.0]]
+    learned["reward"], learned["counted_ms"] = [5.9, 5.0, 5.5], [150.0, 120.0, 160.0]
+    learned["reward_low"], learned["reward_high"] = learned["reward"] - 0.1, learned["reward"] + 0.1
     return pd.concat([summaries, learned])  # with an index that repeats
 
 
