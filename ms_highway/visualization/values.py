@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 from matplotlib.colors import ListedColormap, TwoSlopeNorm
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator, StrMethodFormatter
@@ -53,15 +53,15 @@ def seen(
 ) -> Figure:
     """Draw advantages along an episode, `along`, above a slice of the states, `where`, under a heading."""
     figure = Figure(figsize=(10, 8.2), layout="constrained")
-    upper, lower = figure.subfigures(2, 1, height_ratios=[1.1, 1])
-    along(upper, advantages, models, rewards)
-    where(lower, part)
+    halves = figure.subfigures(2, 1, squeeze=False, height_ratios=[1.1, 1])
+    along(halves[0, 0], advantages, models, rewards)
+    where(halves[1, 0], part)
     figure.suptitle(f"{heading}, λ = {advantages.price:g}")
     return figure
 
 
 def along(
-    figure: Figure,
+    figure: Figure | SubFigure,
     advantages: Advantages,
     models: Sequence[str],
     rewards: Float[np.ndarray, "steps"],
@@ -102,7 +102,7 @@ def along(
     )
 
 
-def where(figure: Figure, part: Slice) -> None:
+def where(figure: Figure | SubFigure, part: Slice) -> None:
     """Draw the model that is chosen, and the advantage of the dearest one over the cheapest, by where the human is.
 
     The line is where the dearest model is worth as much as the cheapest one, by the mean over the networks: where it is

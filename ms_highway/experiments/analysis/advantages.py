@@ -11,6 +11,7 @@ from ms_highway.game.game import Game
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.rule import first_memory
 from ms_highway.metareasoning.situation import describe
+from ms_highway.runtime.arrays import Array
 
 __all__ = ["Advantages", "Slice", "along_episode", "estimate", "slice_of_starts"]
 
@@ -65,10 +66,10 @@ def estimate(rule: LearnedValue, game: Game, states: Float[np.ndarray, "states c
 @jax.jit
 def _estimate(
     rule: LearnedValue, game: Game, states: Float[jax.Array, "states cars 4"]
-) -> tuple[Float[jax.Array, "states rungs"], Float[jax.Array, "states rungs"], Int[jax.Array, "states"]]:
+) -> tuple[Float[Array, "states rungs"], Float[Array, "states rungs"], Int[Array, "states"]]:
     memory, alone = first_memory(rule), jax.tree.map(lambda part: part[:, None], rule.network)
 
-    def one(state: Float[jax.Array, "cars 4"]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def one(state: Float[jax.Array, "cars 4"]) -> tuple[Array, Array, Array]:
         seen = describe(game, state)
         decision = rule.choose(memory, seen)
         each = jax.vmap(lambda network: replace(rule, network=network).choose(memory, seen).gains)(alone)
