@@ -31,7 +31,7 @@ CAPTIONS = {
 def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str, selection: Selection) -> dict[str, Figure]:
     """Draw all figures of a scenario, by the names that `CAPTIONS` explains.
 
-    Reward and computation are a curve of all controllers where there are three lambdas, and else bars.
+    Reward and computation are a curve of all controllers where a kind has three lambdas, and else bars.
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`.
@@ -41,7 +41,7 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str, selec
     """
     rows = summaries[(summaries["scenario"] == scenario) & summaries["controller"].isin(selection.main)]
     driven = records[records["controller"].isin(selection.main)]
-    lambdas = summaries.loc[summaries["scenario"] == scenario, "price"].nunique()
+    lambdas = summaries[summaries["scenario"] == scenario].groupby("kind")["price"].nunique().max()
     drawn = {"curve": curve(summaries, scenario)} if lambdas >= FEWEST_LAMBDAS else {"bars": bars(rows, scenario)}
     drawn["timeline"] = timeline(driven, scenario)
     if selection.deciding:

@@ -13,6 +13,7 @@ from ms_highway.cli.main import main
 from ms_highway.envs.controllers import controller_config
 from ms_highway.experiments.analysis.selection import choosing_controllers, telling_pair
 from ms_highway.experiments.results import read_results
+from ms_highway.visualization.comparison import timeline
 
 
 def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
@@ -118,3 +119,15 @@ def test_learned_values_are_shown_rather_than_switching_where_both_were_compared
     assert telling_pair(summaries, "merger") == ["tom", "learned:0.1:own.npz"]  # at the paper's lambda
     assert telling_pair(summaries.drop(index=3), "merger") == ["tom", "learned:0.01"]
     assert choosing_controllers(summaries, "merger") == ["learned:0.1:own.npz", "switching:0.1"]
+
+
+def test_a_timeline_has_a_row_for_every_controller_that_chooses_online():
+    steps = [
+        {"controller": name, "step": step, "model": model}
+        for name in ("tom", "switching:0.1", "learned:0.1")
+        for step, model in enumerate(("tom", "naive"))
+    ]
+    records = pd.DataFrame(steps).assign(scenario="merger", seed=0, planning_seconds=1e-3, decision_seconds=1e-4)
+    above, *rows = timeline(records, "merger").axes
+    assert [row.get_title(loc="left") for row in rows] == ["switching:0.1", "learned:0.1"]
+    assert len({line.get_color() for line in above.lines}) == 3
