@@ -296,6 +296,7 @@ class InteractionEnv(StageEnv):
             "planning_seconds": step.planning_seconds if step else 0.0,
             "decision_seconds": step.decision_seconds if step else 0.0,
             "gains": step.gains if step else {},
+            "choice_failed": bool(step and step.choice_failed),
             "reward": sum(self._terms.values()),
             "collision": self.collision,
         }

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.game.dynamics import step
 from ms_highway.game.scenario import title
+from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.planning.effort import Effort, base_of
 from ms_highway.planning.human_models import MODELS, human_model, is_model
 
@@ -202,9 +203,10 @@ class InteractionViewer(Viewer):
             self.sim_surface.blit(name, name.get_rect(center=chip.center))
             self._text(model_meaning(model), SMALL, INK, (chip.right + 10, top + 10))
             lines.append(f"planning {1e3 * record['planning_seconds']:.1f} ms")
-            if isinstance(self.env.robot.controller, ModelSwitching):
+            controller = self.env.robot.controller
+            if isinstance(controller, ModelSwitching):
                 lines[-1] += f", deciding {1e3 * record['decision_seconds']:.1f} ms"
-                lines.append(_reason(record))
+                lines.append(_reason(record, isinstance(controller.rule, LearnedValue)))
         for place, line in enumerate(lines):
             self._text(line, MEDIUM, INK, (MARGIN, top + 48 + 26 * place))
 
@@ -252,13 +254,19 @@ class InteractionViewer(Viewer):
         self.sim_surface.blit(words(text, size, color), place)
 
 
-def _reason(record: dict[str, Any]) -> str:
-    """Say why this model plans: the gain that switching estimated, net of the price of planning."""
+def _reason(record: dict[str, Any], learned: bool) -> str:
+    """Say why this model plans: the gain that was estimated, net of the price of planning.
+
+    Algorithm 1 estimates what a step earns more, a learned value what all coming steps are worth more.
+    """
     gains, model = record["gains"], record["model"]
+    if record["choice_failed"]:
+        return f"choice failed: {model} to be safe"
     if model in gains:
-        return f"switched: estimated net gain {gains[model]:+.3f}"
+        return f"switched: {'worth' if learned else 'estimated net gain'} {gains[model]:+.3f}"
     if gains:
-        return "stays: net gain of " + ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
+        told = ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
+        return f"stays: {'worth' if learned else 'net gain'} of {told}"
     return "no switch considered"
 
 

@@ -42,7 +42,7 @@ def add_report(commands: Any) -> None:
         "--videos",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help='film the best fixed model beside switching (default); needs the extra "video"',
+        help='film the best fixed model beside one that is chosen online (default); needs the extra "video"',
     )
     parser.add_argument("--markdown", action="store_true", help="print a table in Markdown instead of writing a page")
     parser.set_defaults(run=_report)

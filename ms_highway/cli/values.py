@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.options import (
     MOST,
+    SCENARIO_NAMES,
     SOLVERS,
     add_costs,
     add_devices,
@@ -44,7 +45,17 @@ examples:
   ms-highway compare merger --controllers tom learned:1:values.npz
   ms-highway --import zipper values learn zipper --out zipper.npz"""
 
+SHOW = """\
+Show what a file of values holds. With --scenario, draw what the values see there: what each model is worth along an
+episode that they choose for, and by where the human starts."""
+
+SHOW_EXAMPLES = """\
+examples:
+  ms-highway values show shipped
+  ms-highway values show shipped --scenario merger --price 1 --out merger_values.png"""
+
 MOST_GENERATED = 1000
+DPI = 160
 
 
 def add_values(commands: Any) -> None:
@@ -87,8 +98,12 @@ def add_values(commands: Any) -> None:
     add_planning(parser)
     add_devices(parser)
     parser.set_defaults(run=_learn, simulates=True)
-    show = add_command(subcommands, "show", "show what a file of values holds", "Show what a file of values holds.")
+    show = add_command(subcommands, "show", "show what a file of values holds", SHOW, SHOW_EXAMPLES)
     show.add_argument("file", help="a file that `ms-highway values learn` wrote, or: shipped")
+    show.add_argument("--scenario", metavar="SCENARIO", help=f"to draw: {', '.join(SCENARIO_NAMES)}")
+    show.add_argument("--price", type=float, default=1.0, metavar="LAMBDA", help="of a second (default: 1)")
+    show.add_argument("--seed", type=int, default=0, help="of the episode that is drawn (default: 0)")
+    show.add_argument("--out", type=Path, metavar="FILE", help="a .png file to draw to")
     show.set_defaults(run=_show)
 
 
@@ -181,6 +196,11 @@ def _show(options: argparse.Namespace) -> None:
     from ms_highway.metareasoning.values import load_values
 
     values = load_values(options.file)
+    if (options.scenario is None) != (options.out is None):
+        raise ValueError("--scenario and --out go together: name a scenario, and the .png file to draw it to")
+    if options.out is not None:
+        _draw(options)
+        return
     grid = Table(box=SIMPLE, title=f"values of computation: {options.file}", title_justify="left", title_style="bold")
     grid.add_column("")
     grid.add_column("", overflow="fold")
@@ -189,3 +209,19 @@ def _show(options: argparse.Namespace) -> None:
     for name, value in values.provenance.items():
         grid.add_row(name, str(value))
     print_tables(grid)
+
+
+def _draw(options: argparse.Namespace) -> None:
+    """Draw what the values see in a scenario."""
+    from ms_highway.runtime.files import replacing
+    from ms_highway.visualization.values import draw_values
+
+    check_least(options, seed=0)
+    if options.out.suffix != ".png" or not options.out.parent.is_dir():
+        raise ValueError(f"--out is {options.out}; name a .png file in a directory that exists")
+    with telling() as tell:
+        tell(f"{options.scenario}: compiling, and driving an episode")
+        figure = draw_values(options.scenario, options.price, options.file, options.seed)
+    with replacing(options.out) as path:
+        figure.savefig(path, format="png", dpi=DPI)
+    print(f"{options.out}: {options.scenario} at a price of {options.price:g}")

@@ -53,7 +53,7 @@ def add_video(commands: Any) -> None:
 
 def _video(options: argparse.Namespace) -> None:
     from ms_highway.envs import ENVIRONMENTS, environment_id
-    from ms_highway.envs.controllers import controller_config
+    from ms_highway.envs.short_names import controller_config
     from ms_highway.experiments.comparison import paper_controllers
     from ms_highway.visualization import video
     from ms_highway.visualization.side_by_side import side_by_side

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
-from ms_highway.envs.controllers import controller_config
 from ms_highway.envs.settings import HUMAN_REWARDS, merged
+from ms_highway.envs.short_names import controller_config
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import rung_names
 

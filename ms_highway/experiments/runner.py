@@ -13,7 +13,7 @@ import pandas as pd
 
 from ms_highway.envs import SCENARIOS, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.controllers import controller_config
+from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, KEYS, check_columns, columns, gain_column, state_columns, whole_steps
 from ms_highway.experiments.resuming import cannot_resume, missing, resumed_settings

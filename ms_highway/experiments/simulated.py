@@ -17,8 +17,9 @@ from jaxtyping import Float, Int
 from ms_highway.control.fallback import STATUSES
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.controllers import ChoosingSettings, ControllerSettings, SwitchingSettings, named_controller
+from ms_highway.envs.controllers import ChoosingSettings, ControllerSettings, SwitchingSettings
 from ms_highway.envs.settings import Settings
+from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, MEASURED, STATE, columns, gain_column, share_column, state_columns
 from ms_highway.game.scenario import Scenario, Semantics

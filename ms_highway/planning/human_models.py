@@ -64,10 +64,12 @@ class HumanModel(Protocol):
     """
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name in configurations and reports."""
 
     @property
-    def responds(self) -> bool: ...
+    def responds(self) -> bool:
+        """Whether the human responds to the robot's plan."""
 
     def __hash__(self) -> int: ...
 

@@ -1,6 +1,7 @@
 """Tables and figures of a comparison, from its records of steps and their summary."""
 
 from collections.abc import Sequence
+from itertools import cycle
 from textwrap import wrap
 
 import numpy as np
@@ -14,18 +15,18 @@ from rich.box import SIMPLE
 from rich.console import JustifyMethod
 from rich.table import Table
 
-from ms_highway.envs.controllers import named_controller
+from ms_highway.envs.controllers import CHOOSING
+from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import is_model, known_models
-from ms_highway.visualization.colors import color_of
+from ms_highway.visualization.colors import choosing_shades, color_of
 
 __all__ = ["bars", "cells", "episode_count", "table", "timeline"]
 
 MEASURED = {"planning_ms": "plan ms", "decision_ms": "decide ms"}
 LEGEND_COLUMNS = 5
 HEADING_WIDTH = 11  # characters, after which headings of narrow columns are wrapped
-SWITCHING_COLORS = ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"]
 
 
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
@@ -111,19 +112,19 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
 def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     """Draw time per step along the episode, and the model in use, like Fig. 2 of the paper.
 
-    The upper axes show the mean over episodes of planning plus deciding; below, a row per episode of each switching
-    controller shows the model of every step.
+    The upper axes show the mean over episodes of planning plus deciding; below, a row per episode of each
+    controller that chooses online shows the model of every step.
     """
     rows = records[records["scenario"] == scenario]
     controllers = list(dict.fromkeys(rows["controller"]))
-    switching = [name for name in controllers if named_controller(name).type == "switching"]
-    figure = Figure(figsize=(10, 4 + 1.6 * len(switching)), layout="constrained")
-    heights = [2.5] + [1] * len(switching)
+    choosing = [name for name in controllers if named_controller(name).type in CHOOSING]
+    figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")
+    heights = [2.5] + [1] * len(choosing)
     axes = np.atleast_1d(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
     for name, color in zip(controllers, _colors(controllers), strict=True):
         steps = rows[rows["controller"] == name]
         seconds = (steps["planning_seconds"] + steps["decision_seconds"]).groupby(steps["step"]).mean()
-        style = "-" if name in switching else "--"
+        style = "-" if name in choosing else "--"
         axes[0].plot(seconds.index, 1e3 * seconds, style, color=color, label=name, linewidth=2)
     axes[0].set(
         title=f"{title(scenario)}: computation along the episode", ylabel="planning + deciding [ms]", yscale="log"
@@ -134,7 +135,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     axes[0].legend(
         ncols=min(len(controllers), LEGEND_COLUMNS), loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False
     )
-    for name, panel in zip(switching, axes[1:], strict=True):
+    for name, panel in zip(choosing, axes[1:], strict=True):
         _models_in_use(panel, rows[rows["controller"] == name], name)
     axes[-1].set_xlabel("step (0.1 s)")
     return figure
@@ -165,6 +166,8 @@ def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
 
 
 def _colors(controllers: Sequence[str]) -> list[str]:
-    """Return a model's own colour for a fixed model, greys for switching."""
-    greys = iter(SWITCHING_COLORS * len(controllers))
-    return [color_of(name) if is_model(name) else next(greys) for name in controllers]
+    """Return a model's own colour for a fixed model, shades of its kind's for one that chooses online, else greys."""
+    kinds = [kind if (kind := named_controller(name).type) in CHOOSING else "switching" for name in controllers]
+    shades = {kind: cycle(choosing_shades(kind)) for kind in kinds}
+    pairs = zip(controllers, kinds, strict=True)
+    return [color_of(name) if is_model(name) else next(shades[kind]) for name, kind in pairs]

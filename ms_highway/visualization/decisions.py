@@ -1,4 +1,4 @@
-"""One episode: what switching decided at every step, and what the road looked like when it changed its mind."""
+"""One episode: what was decided at every step, and what the road looked like when it changed its mind."""
 
 from collections.abc import Sequence
 
@@ -27,12 +27,13 @@ LINEAR = 0.01  # gain up to which the scale is linear
 def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None = None) -> Figure:
     """Draw what was decided in an episode, and what it was worth; a column per episode.
 
-    Above, the estimated net gains of switching to each model, on which Algorithm 1 decides: one above zero is taken.
-    They are drawn at the step that is planned next; the scale is linear up to 0.01 and logarithmic beyond. Below, the
+    Above, the estimated net gains of switching to each model, on which Algorithm 1 decides: one above zero is taken. A
+    learned value of computation counts all that follows; it takes the highest, with caution where it is in doubt. Gains
+    are drawn at the step that is planned next; the scale is linear up to 0.01 and logarithmic beyond. Below, the
     reward per step, on a strip of the models in use.
 
     Args:
-        episodes: of switching controllers, see `ms_highway.experiments.records.one_episode`.
+        episodes: of controllers that choose online, see `ms_highway.experiments.records.one_episode`.
         reference: an episode from the same start, whose reward is drawn beside.
     """
     figure = Figure(figsize=(10, 5), layout="constrained")

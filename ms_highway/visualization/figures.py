@@ -16,13 +16,14 @@ CAPTIONS = {
     "bars": "Reward and time per step of each controller. Whiskers are the 90 % intervals of the mean over episodes; "
     "hatched is the time of deciding about the model.",
     "timeline": "Computation along the episode, as the mean over episodes. Below, which model was in use at every step "
-    "of every episode of the controllers that switch.",
+    "of every episode of the controllers that choose it online.",
     "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
-    "and deciding as measured. Whiskers are the 90 % intervals. Switching is labelled by lambda. Where "
-    "schedules were compared, a dashed line joins the best of all that was fixed, chosen by these very episodes. "
+    "and deciding as measured. Whiskers are the 90 % intervals. Controllers that choose online are labelled by lambda. "
+    "Where schedules were compared, a dashed line joins the best of all that was fixed, chosen by these very episodes. "
     "Crosses draw their models at random.",
     "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model, before the "
-    "step that it is drawn at; one above zero is taken. Below, the reward. The background is the model in use.",
+    "step that it is drawn at; one above zero is taken. For learned values, it is what all that follows is worth more "
+    "than with the model in use. Below, the reward. The background is the model in use.",
 }
 """What the figures of `figures` show."""
 
@@ -30,7 +31,7 @@ CAPTIONS = {
 def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str, selection: Selection) -> dict[str, Figure]:
     """Draw all figures of a scenario, by the names that `CAPTIONS` explains.
 
-    Reward and computation are a curve of all controllers where there are three lambdas, and else bars.
+    Reward and computation are a curve of all controllers where a kind has three lambdas, and else bars.
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`.
@@ -40,7 +41,7 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str, selec
     """
     rows = summaries[(summaries["scenario"] == scenario) & summaries["controller"].isin(selection.main)]
     driven = records[records["controller"].isin(selection.main)]
-    lambdas = summaries.loc[summaries["scenario"] == scenario, "price"].nunique()
+    lambdas = summaries[summaries["scenario"] == scenario].groupby("kind")["price"].nunique().max()
     drawn = {"curve": curve(summaries, scenario)} if lambdas >= FEWEST_LAMBDAS else {"bars": bars(rows, scenario)}
     drawn["timeline"] = timeline(driven, scenario)
     if selection.deciding:

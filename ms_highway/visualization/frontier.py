@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
 
-from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS, named_controller
+from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS
+from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.analysis.regret import frontier_curve, remarks
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import color_of

@@ -1,18 +1,20 @@
 """The figure of reward against computation."""
 
+from collections.abc import Iterable
+
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from ms_highway.experiments.analysis.tradeoff import best_schedules, reference
+from ms_highway.experiments.analysis.tradeoff import best_schedules, choosing, reference
 from ms_highway.game.scenario import title
-from ms_highway.visualization.colors import color_of
+from ms_highway.visualization.colors import choosing_shades, color_of
 from ms_highway.visualization.comparison import episode_count
 
 __all__ = ["curve"]
 
-SWITCHING_COLOR, SCHEDULE_COLOR, RANDOM_COLOR = "#1b1f27", "#8a93a5", "#2e8b57"
+SCHEDULE_COLOR, RANDOM_COLOR = "#8a93a5", "#2e8b57"
 LABEL = 0.08, 0.05  # width and height of a label, as shares of the axes
 
 
@@ -20,8 +22,8 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     """Draw reward against computation of every controller; whiskers are the 90 % intervals, left out of schedules.
 
     On the left, planning is counted at the seconds T(M) that decisions count; on the right, where they were measured,
-    planning and deciding are as on this machine. Switching is joined in the order of lambda; the dashed line joins
-    `best_schedules`; crosses are random controllers.
+    planning and deciding are as on this machine. Controllers that choose online are joined in the order of lambda, a
+    line per kind; the dashed line joins `best_schedules`; crosses are random controllers.
     """
     rows = summaries[summaries["scenario"] == scenario]
     measured = {"planning_ms", "decision_ms"} <= set(rows)
@@ -53,17 +55,16 @@ def _share_axes(axes: Axes, summaries: pd.DataFrame, scenario: str) -> None:
 
 def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) -> None:
     """Draw all controllers over one measure of computation."""
-    schedules = rows[rows["kind"].isin(("schedule", "period"))]
-    switching = rows[rows["kind"] == "switching"].sort_values("price")
+    schedules, online = rows[rows["kind"].isin(("schedule", "period"))], choosing(rows)
     if len(schedules):
         axes.plot(schedules[computation], schedules["reward"], ".", color=SCHEDULE_COLOR, markersize=5)
         axes.plot(best[computation], best["reward"], "--", color=SCHEDULE_COLOR, label="best fixed schedules")
-    if len(switching):
-        _points(axes, switching, computation, "o-", SWITCHING_COLOR, "switching, by lambda")
+    for name, one in online.items():
+        _points(axes, one, computation, "o-", choosing_shades(one["kind"].iloc[0])[-1], f"{name}, by lambda")
     chance = rows[rows["kind"] == "random"]
     if len(chance):
         _points(axes, chance, computation, "x", RANDOM_COLOR, "random")
-    for price, place in _apart(switching, rows, computation):
+    for price, place in _apart(online.values(), rows, computation):
         axes.annotate(f"{price:.3g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
     for name, one in rows[rows["kind"] == "fixed"].groupby("controller", sort=False):
         _points(axes, one, computation, "s", color_of(str(name)), str(name))
@@ -73,12 +74,15 @@ def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) 
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _apart(switching: pd.DataFrame, rows: pd.DataFrame, computation: str) -> list[tuple[float, tuple[float, float]]]:
+def _apart(
+    online: Iterable[pd.DataFrame], rows: pd.DataFrame, computation: str
+) -> list[tuple[float, tuple[float, float]]]:
     """Those lambdas, with their points, whose labels would not cover each other."""
     width = rows[computation].max()
     height = rows["reward_high"].fillna(rows["reward"]).max() - rows["reward_low"].fillna(rows["reward"]).min()
     chosen: list[tuple[float, tuple[float, float]]] = []
-    for price, x, y in zip(switching["price"], switching[computation], switching["reward"], strict=True):
+    points = [point for one in online for point in one[["price", computation, "reward"]].to_numpy(float).tolist()]
+    for price, x, y in points:
         if all(abs(x - u) > LABEL[0] * width or abs(y - v) > LABEL[1] * height for _, (u, v) in chosen):
             chosen.append((price, (x, y)))
     return chosen

@@ -11,7 +11,7 @@ import pytest
 
 from ms_highway.cli.frontier import drivers
 from ms_highway.cli.main import main
-from ms_highway.envs.controllers import controller_config
+from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START, best
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.frontier import Outcomes, controller_name, search

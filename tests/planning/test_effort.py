@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ms_highway.envs import MergerEnv
-from ms_highway.envs.controllers import named_controller
 from ms_highway.envs.graphics import model_color
 from ms_highway.envs.settings import Settings, merged
+from ms_highway.envs.short_names import named_controller
 from ms_highway.game.game import total_reward
 from ms_highway.optimization.solvers import project
 from ms_highway.planning.compiled_plans import measure_costs

@@ -10,9 +10,10 @@ import pytest
 from comparisons import COMPARE, failure
 
 from ms_highway.cli.main import main
-from ms_highway.envs.controllers import controller_config
-from ms_highway.experiments.analysis.selection import telling_pair
+from ms_highway.envs.short_names import controller_config
+from ms_highway.experiments.analysis.selection import choosing_controllers, telling_pair
 from ms_highway.experiments.results import read_results
+from ms_highway.visualization.comparison import timeline
 
 
 def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
@@ -99,3 +100,34 @@ def test_the_best_fixed_model_is_shown_beside_switching_at_the_papers_conservati
     assert telling_pair(summaries[summaries["price"] != 0.1], "merger") == ["tom", "switching:0.001"]
     assert telling_pair(summaries[summaries["reward"] < 3], "merger") == ["naive", "turn"]
     assert telling_pair(summaries[summaries["reward"] == 5], "merger") == ["tom"]
+
+
+def test_learned_values_are_shown_rather_than_switching_where_both_were_compared():
+    rows = [
+        ("tom", 5.0),
+        ("switching:0.1", 4.0),
+        ("learned:10", 3.0),
+        ("learned:0.1:own.npz", 4.9),
+        ("learned:0.01", 5),
+    ]
+    configs = [controller_config(name) if "own" not in name else {"type": "learned", "lambda": 0.1} for name, _ in rows]
+    summaries = pd.DataFrame(rows, columns=["controller", "reward"]).assign(
+        scenario="merger",
+        kind=[config["type"] for config in configs],
+        price=[config.get("lambda") for config in configs],
+    )
+    assert telling_pair(summaries, "merger") == ["tom", "learned:0.1:own.npz"]  # at the paper's lambda
+    assert telling_pair(summaries.drop(index=3), "merger") == ["tom", "learned:0.01"]
+    assert choosing_controllers(summaries, "merger") == ["learned:0.1:own.npz", "switching:0.1"]
+
+
+def test_a_timeline_has_a_row_for_every_controller_that_chooses_online():
+    steps = [
+        {"controller": name, "step": step, "model": model}
+        for name in ("tom", "switching:0.1", "learned:0.1")
+        for step, model in enumerate(("tom", "naive"))
+    ]
+    records = pd.DataFrame(steps).assign(scenario="merger", seed=0, planning_seconds=1e-3, decision_seconds=1e-4)
+    above, *rows = timeline(records, "merger").axes
+    assert [row.get_title(loc="left") for row in rows] == ["switching:0.1", "learned:0.1"]
+    assert len({line.get_color() for line in above.lines}) == 3

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import pandas as pd
 
-from ms_highway.experiments.analysis.selection import telling_pair
+from ms_highway.experiments.analysis.selection import choosing_controllers, telling_pair
 from ms_highway.experiments.analysis.summary import interval
 
 __all__ = ["answer", "in_order", "listed"]
@@ -13,7 +13,7 @@ FIRST = "merger", "give_way"
 
 
 def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str:
-    """Say what the best fixed model gains over the cheapest, how much of it switching keeps, and who collides.
+    """Say what the best fixed model gains over the cheapest, how much of it choosing keeps, and who collides.
 
     A gain counts as more than chance by its 90 % interval over the starts that both drove from.
 
@@ -23,19 +23,20 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
         scenario: its name.
     """
     rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    fixed, seen = rows[rows["kind"] == "fixed"], telling_pair(summaries, scenario)
-    sentences = []
+    fixed, sentences = rows[rows["kind"] == "fixed"], []
     if len(fixed):
         best, cheapest = str(fixed["reward"].idxmax()), str(fixed["counted_ms"].fillna(float("inf")).idxmin())
         gains = _gains(records[records["scenario"] == scenario], best, cheapest)
         sentences.append(_fixed(fixed, best, cheapest, gains))
         sentences += [
-            _switching(rows, name, best, cheapest if interval(gains)[0] > 0 else None)
-            for name in seen
-            if rows["kind"][name] == "switching"
+            _choosing(rows, name, best, cheapest if interval(gains)[0] > 0 else None)
+            for name in choosing_controllers(summaries, scenario)
         ]
     else:
-        sentences += [f"{name} earns a reward of {rows['reward'][name]:.2f} per step." for name in seen]
+        sentences += [
+            f"{name} earns a reward of {rows['reward'][name]:.2f} per step."
+            for name in telling_pair(summaries, scenario)
+        ]
     return " ".join([*sentences, _collisions(rows)])
 
 
@@ -70,8 +71,8 @@ def _fixed(fixed: pd.DataFrame, best: str, cheapest: str, gains: pd.Series) -> s
     return text + f", but {len(gains)} episodes do not show that it is better ({difference})."
 
 
-def _switching(rows: pd.DataFrame, name: str, best: str, cheapest: str | None) -> str:
-    """Say what switching earns and counts beside the best fixed model, and over the cheapest one if that gains."""
+def _choosing(rows: pd.DataFrame, name: str, best: str, cheapest: str | None) -> str:
+    """Say what choosing earns and counts beside the best fixed model, and over the cheapest one if that gains."""
     text = f"{name} earns {rows['reward'][name]:.2f}"
     if cheapest is not None:
         gain, whole = (rows["reward"][one] - rows["reward"][cheapest] for one in (name, best))

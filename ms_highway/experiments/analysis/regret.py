@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS, named_controller
+from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS
+from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.analysis.summary import interval
 
 __all__ = [

@@ -5,15 +5,18 @@ from dataclasses import dataclass, replace
 
 import pandas as pd
 
+from ms_highway.envs.controllers import CHOOSING
+from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.analysis.tradeoff import reference
 from ms_highway.experiments.comparison import paper_controllers
 from ms_highway.experiments.records import common_seeds, one_episode
 from ms_highway.experiments.results import Results
 
-__all__ = ["Selection", "select", "select_of_several", "telling_pair"]
+__all__ = ["Selection", "choosing_controllers", "select", "select_of_several", "telling_pair"]
 
 MOST_CONTROLLERS = 8  # in bars and timelines
 MOST_DECIDING = 2  # whose decisions are drawn beside each other
+PREFERRED = "learned"  # among the kinds that choose online
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,8 @@ class Selection:
         main: in bars and timelines, and at the top of tables.
         filmed: the one or two that are filmed, see `telling_pair`.
         film_seed: of the episode that is filmed, the first that all of them have driven.
-        deciding: the episodes of switching controllers whose decisions are drawn, all from the same start.
+        deciding: the episodes of controllers that choose online whose decisions are drawn, all from the same start:
+            the first two, or where there are several kinds, one of each of two kinds.
         beside: the episode from that start of the dearest fixed model, for comparison; None without such a model.
     """
 
@@ -49,15 +53,17 @@ def select(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> Sel
     main = names if len(names) <= MOST_CONTROLLERS else paper or names[:MOST_CONTROLLERS]
     filmed = telling_pair(summaries, scenario)
     dearest = reference(summaries, scenario)
-    switching = list(rows.loc[(rows["kind"] == "switching") & rows["controller"].isin(main), "controller"])
-    driving = [*switching[:MOST_DECIDING], *([] if dearest is None else [dearest])]
-    seeds = common_seeds(records, scenario, driving) if switching else []
+    shown = rows[rows["kind"].isin(CHOOSING) & rows["controller"].isin(main)]
+    deciding = list(shown["controller"]) if shown["kind"].nunique() < 2 else choosing_controllers(shown, scenario)
+    deciding = deciding[:MOST_DECIDING]
+    driving = [*deciding, *([] if dearest is None else [dearest])]
+    seeds = common_seeds(records, scenario, driving) if deciding else []
     episodes = {name: one_episode(records, scenario, name, seeds[0]) for name in driving if seeds}
     return Selection(
         main,
         filmed,
         next(iter(common_seeds(records, scenario, filmed)), 0),
-        [episodes[name] for name in switching[:MOST_DECIDING] if name in episodes],
+        [episodes[name] for name in deciding if name in episodes],
         episodes.get(dearest) if dearest else None,
     )
 
@@ -84,12 +90,26 @@ def select_of_several(several: Sequence[Results]) -> dict[str, Selection]:
 def telling_pair(summaries: pd.DataFrame, scenario: str) -> list[str]:
     """Return the two controllers of a scenario that are most informative side by side.
 
-    These are the fixed model of the highest mean reward, and switching, at the paper's conservative lambda or else at
-    the smallest; where either is missing, the first two; the only one where there is one.
+    These are the fixed model of the highest mean reward, and the first of `choosing_controllers`; where either is
+    missing, the first two; the only one where there is one.
     """
     rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    fixed, switching = (rows[rows["kind"] == kind] for kind in ("fixed", "switching"))
-    if fixed.empty or switching.empty:
+    fixed, choosing = rows[rows["kind"] == "fixed"], choosing_controllers(summaries, scenario)
+    if fixed.empty or not choosing:
         return list(rows.index[:2])
-    usual = paper_controllers(scenario)[-1]
-    return [str(fixed["reward"].idxmax()), usual if usual in switching.index else str(switching["price"].idxmin())]
+    return [str(fixed["reward"].idxmax()), choosing[0]]
+
+
+def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
+    """Return a controller of each kind that chooses online, learned values first.
+
+    It is the one at the paper's conservative lambda or else at the smallest.
+    """
+    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
+    usual = named_controller(paper_controllers(scenario)[-1]).price
+    chosen = []
+    for kind in sorted(CHOOSING, key=lambda kind: kind != PREFERRED):
+        prices = rows.loc[rows["kind"] == kind, "price"].astype(float)
+        if len(prices):
+            chosen.append(str(prices.index[prices == usual][0] if (prices == usual).any() else prices.idxmin()))
+    return chosen

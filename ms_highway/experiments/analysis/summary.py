@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ms_highway.envs.controllers import named_controller
+from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.records import share_column
 from ms_highway.planning.human_models import known_models
 

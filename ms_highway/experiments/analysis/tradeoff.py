@@ -2,11 +2,11 @@
 
 import pandas as pd
 
-from ms_highway.envs.controllers import FIXED_ORDERS
+from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.planning.human_models import MODELS
 
-__all__ = ["best_schedules", "coin", "meta_rewards", "reference", "shares"]
+__all__ = ["best_schedules", "choosing", "coin", "meta_rewards", "reference", "shares"]
 
 DIGITS = 3  # of a share
 
@@ -82,22 +82,34 @@ def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "c
     return known[known["reward"] > known["reward"].cummax().shift(fill_value=float("-inf"))]
 
 
+def choosing(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return the rows of a summary that choose models online, in the order of lambda.
+
+    They are by what chooses: the kind, such as ``switching``, with the file of values where one is named.
+    """
+    online = rows[rows["kind"].isin(CHOOSING)]
+    names = online["controller"].str.replace(r"^(\w+):[^:]*", r"\1", regex=True)
+    return {str(name): own.sort_values("price") for name, own in online.groupby(names, sort=False)}
+
+
 def meta_rewards(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """Compute the meta-MDP's reward per step, ``r_R - lambda T(M)``, at every lambda that switching was given.
+    """Compute the meta-MDP's reward per step, ``r_R - lambda T(M)``, at every lambda that models were chosen with.
 
     Args:
         summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
 
     Returns:
-        By lambda, ascending: ``switching`` with that lambda; every fixed model by its name; and ``best schedule``, the
-        most that any fixed model, schedule or period has at that lambda.
+        By lambda, ascending: each of `choosing` with that lambda, such as ``switching``, NaN where it was not compared;
+        every fixed model by its name; and ``best schedule``, the most that any fixed model, schedule or period has.
     """
     rows = summaries[summaries["scenario"] == scenario].dropna(subset="counted_ms")
-    switching = rows[rows["kind"] == "switching"].set_index("price").sort_index()
+    online = {name: own.set_index("price") for name, own in choosing(rows).items()}
     ordered = rows[rows["kind"].isin(FIXED_ORDERS)].set_index("controller")
     seconds = ordered["counted_ms"] / 1e3
-    table = pd.DataFrame({"switching": switching["reward"] - switching.index * switching["counted_ms"] / 1e3})
+    table = pd.DataFrame(
+        {name: own["reward"] - own.index * own["counted_ms"] / 1e3 for name, own in online.items()}
+    ).sort_index()
     every = pd.DataFrame({price: ordered["reward"] - price * seconds for price in table.index}).T
     for name in ordered.index[ordered["kind"] == "fixed"]:
         table[name] = every[name]

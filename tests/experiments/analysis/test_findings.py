@@ -9,7 +9,7 @@ from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.sweep import sweep_summary
 from ms_highway.visualization.comparison import cells
 
-COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185}
+COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185, "learned:0.1": 0.111}
 
 
 def records(**rewards):
@@ -33,6 +33,12 @@ def test_a_gain_and_what_switching_keeps_of_it_are_told_in_shares():
         "Planning every step with tom earns a reward of 5.05 per step, with naive 1.05. switching:0.1 earns 4.05, 75 % "
         "of that gain, with 50 % of tom's planning. No controller collides."
     )
+
+
+def test_every_kind_that_chooses_online_is_told_learned_values_first():
+    told = said(records(naive=[1, 1.1], tom=[5, 5.1], switching_1=[4, 4.1], learned_1=[5, 5.1]))
+    learned, switching = told.index("learned:0.1 earns 5.05, 100 % of that gain, with 30 % of"), told.index("switching")
+    assert learned < switching
 
 
 def test_a_gain_that_may_be_chance_is_called_no_gain():

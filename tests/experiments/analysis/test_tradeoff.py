@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.envs.controllers import controller_config
+from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.analysis.tradeoff import best_schedules, coin, meta_rewards, reference, shares
 from ms_highway.visualization.comparison import episode_count
 from ms_highway.visualization.tradeoff import curve
@@ -96,3 +96,34 @@ def test_a_title_tells_that_controllers_have_several_numbers_of_episodes(summari
     assert episode_count(summaries) == "30 episodes per controller"
     summaries.loc[0, "episodes"] = 5
     assert episode_count(summaries) == "5 to 30 episodes per controller"
+
+
+@pytest.fixture
+def several(summaries):
+    """Learned values beside switching, also from a file of one's own."""
+    names = ["learned:0.1", "learned:1", "learned:0.1:own.npz"]
+    learned = summaries.iloc[:3].assign(controller=names, kind="learned", price=[0.1, 1.0, 0.1])
+    learned["reward"], learned["counted_ms"] = [5.9, 5.0, 5.5], [150.0, 120.0, 160.0]
+    learned["reward_low"], learned["reward_high"] = learned["reward"] - 0.1, learned["reward"] + 0.1
+    return pd.concat([summaries, learned])  # with an index that repeats
+
+
+def test_meta_rewards_of_every_kind_that_chooses_online_stand_in_a_column_of_its_own(several):
+    table = meta_rewards(several, "merger")
+    assert table.index.tolist() == [0.01, 0.1, 1.0]
+    assert table.loc[0.1, ["switching", "learned", "learned:own.npz"]].tolist() == pytest.approx(
+        [4.8 - 0.0185, 5.9 - 0.015, 5.5 - 0.016]
+    )
+    assert table["learned"].isna().tolist() == [True, False, False]
+    assert table.loc[1.0, "tom"] == pytest.approx(6.0 - 0.37)
+
+
+def test_the_curve_has_a_line_of_its_own_colour_and_label_for_every_kind_that_chooses_online(several):
+    counted, _ = (figure := curve(several, "merger")).axes
+    (legend,) = figure.legends
+    assert {"switching, by lambda", "learned, by lambda"} <= {text.get_text() for text in legend.get_texts()}
+    points = {tuple(line.get_xydata()[0]): line for line in counted.lines if len(line.get_xydata())}
+    learned, switching = points[150.0, 5.9], points[296.0, 5.4]
+    assert learned.get_xydata().tolist() == [[150.0, 5.9], [120.0, 5.0]]
+    assert learned.get_color() != switching.get_color()
+    assert {"0.1", "0.01", "1"} == {text.get_text() for text in counted.texts}
