@@ -12,14 +12,15 @@ from pathlib import Path
 
 import pandas as pd
 
-from ms_highway.experiments.analysis.regret import BEST_PER_START, best_controllers
+from ms_highway.envs.controllers import FIXED_ORDERS
+from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.experiments.safety import Safety, safety_cells
 from ms_highway.visualization.overview import markdown, overview
 
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
-RUNS = "compare", "released", "published", "curve", "frontier", "safety"  # directories in results/
+RUNS = "compare", "released", "published", "curve", "worth", "frontier", "safety"  # directories in results/
 TABLES = "summary", "regrets", "safety"  # what some of them hold, and what is kept with a column ``run``
 SHOWN = {  # in the project's README
     "stay_back": ["naive", "turn"],
@@ -79,27 +80,29 @@ def tables(kept: Path = KEPT) -> dict[str, str]:
         "shown": markdown(rows[few]),
         "semantics": markdown(overview([compare, comparison("released", kept)])),
         "human rewards": markdown(overview([compare, comparison("published", kept)])),
+        "worth": markdown(overview([comparison("worth", kept)])),
         "safety": markdown(safety_cells(safety(kept))),
-        "regrets": markdown(regret_cells(kept_table("regrets", "frontier", kept), 1)),
+        "regrets": markdown(regret_cells(kept_table("regrets", "frontier", kept))),
     }
 
 
-def regret_cells(behind: pd.DataFrame, price: float) -> pd.DataFrame:
-    """Texts, a row per scenario: what the best orders earn at a price, and how far others stay behind them."""
-    behind = behind[behind["price"] == price]
+def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:
+    """Texts, a row per scenario and price: what the best orders earn, and how far others stay behind them."""
     rows = []
-    for scenario, own in behind.groupby("scenario", sort=False):
+    for (scenario, price), own in behind.groupby(["scenario", "price"], sort=False):
         own = own.set_index("controller")
         regret = own["regret"].map("{:.2f}".format)
-        best = best_controllers(behind, str(scenario))
         rows.append(
-            {"scenario": scenario, "best found": f"{own.loc[BEST_PER_START, 'meta_reward']:.2f}"}
+            {"scenario": scenario, "price": f"{price:g}"}
+            | {"best found": f"{own.loc[BEST_PER_START, 'meta_reward']:.2f}"}
             | {model: regret.get(model, "") for model in ("naive", "turn", "tom")}
-            | {"best order for all starts": regret[best.order]}
+            | {"best order for all starts": regret[own.loc[own["kind"].isin(FIXED_ORDERS), "regret"].idxmin()]}
             | {
-                f"switching, {which} lambda": f"{regret[name]} ({name.removeprefix('switching:')})"
-                for which, name in (("best", best.switching), ("common", best.common))
+                f"{kind}, best lambda": f"{regret[best]} ({best.removeprefix(f'{kind}:')})"
+                for kind in ("switching", "horizon")
+                for best in [own.loc[own["kind"] == kind, "regret"].idxmin()]
             }
+            | {"learned": regret[f"learned:{price:g}"]}
         )
     return pd.DataFrame(rows)
 
