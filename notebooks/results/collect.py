@@ -66,7 +66,9 @@ def safety(kept: Path = KEPT) -> Safety:
 def kept_table(name: str, run: str, kept: Path = KEPT) -> pd.DataFrame:
     """A run's rows of a kept table."""
     table = pd.read_csv(kept / f"{name}.csv")
-    return table[table["run"] == run].drop(columns="run").reset_index(drop=True)
+    shares = [name for name in table if name.startswith("share_")]
+    own = table[table["run"] == run].drop(columns="run").reset_index(drop=True)
+    return own.drop(columns=[name for name in shares if own[name].isna().all()])  # models of other runs
 
 
 def tables(kept: Path = KEPT) -> dict[str, str]:
