@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from itertools import cycle, islice
 from math import nan
+from os import PathLike
+from types import NoneType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -189,11 +191,13 @@ class LearnedSettings(ChoosingSettings):
         values: ``"shipped"`` or a file of `ms_highway.metareasoning.values`; ``""`` and None mean shipped.
     """
 
-    values: str | None = None
+    values: str | PathLike[str] | None = None
     type: ClassVar[str] = "learned"
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not isinstance(self.values, (str, PathLike, NoneType)):
+            raise ValueError(f"{PLACE}['values'] is {self.values!r}; say 'shipped' or name a file of learned values")
         load_values(self.values or "shipped")
 
     def rule(self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics) -> Rule:

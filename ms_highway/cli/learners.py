@@ -115,8 +115,9 @@ def _learners(options: argparse.Namespace) -> None:
                 tell(f"{scenario}: searching for the best orders")
                 for number in search(outcomes, seeds, [options.price], options.population, options.rounds):
                     tell(f"{scenario}: round {number} of {options.rounds + 1} of the search done")
+                rungs = [model.name for model in batch.loop.rule.ladder]
                 switching = [f"switching:{price:g}" for price in LAMBDAS]
-                others = [name for name in asked.controllers[scenario] if name not in batch.models]
+                others = [name for name in asked.controllers[scenario] if name not in rungs]
                 rows = standings(outcomes, agents, others, switching, seeds, options.price)
                 table = pd.concat([table, rows.reset_index().assign(scenario=scenario)])
         with replacing(options.out / "learners.csv") as path:
@@ -134,6 +135,7 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
         ValueError: naming what cannot be compared.
     """
     from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
+    from ms_highway.planning.human_models import rung_names
 
     check_least(options, seeds=1, population=1, rounds=1, devices=1, steps=1)
     check_most(options, seeds=MOST, population=MOST, rounds=MOST)
@@ -147,7 +149,8 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
         environment_id(name)
     others = drivers(options.controllers, [options.price], [options.price])
     controllers = {
-        name: [*(options.ladder or SCENARIOS[name].ladder), *others] for name in options.scenarios or PAPER_SCENARIOS
+        name: [*rung_names(options.ladder or SCENARIOS[name].ladder), *others]
+        for name in options.scenarios or PAPER_SCENARIOS
     }
     asked = asked_comparison(options, controllers, options.seeds)
     asked.check()

@@ -301,7 +301,7 @@ def check_least(options: argparse.Namespace, **least: int) -> None:
     for name, bound in least.items():
         value = getattr(options, name)
         if value is not None and value < bound:
-            raise ValueError(f"--{name} is {value}; it must be {bound} or more")
+            raise ValueError(f"--{name.replace('_', '-')} is {value}; it must be {bound} or more")
 
 
 def check_most(options: argparse.Namespace, **most: int) -> None:

@@ -149,6 +149,8 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     from ms_highway.experiments.values.course import Course
     from ms_highway.experiments.values.generator import generated_courses
     from ms_highway.experiments.values.learning import Learning
+    from ms_highway.planning.effort import starts_warm
+    from ms_highway.planning.human_models import human_model, known_models
 
     names = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS))
     for name in names:
@@ -159,7 +161,11 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         comparison.check()
     batches = [make_batch(comparison, name) for comparison in comparisons for name in names]
     ladders = [[model.name for model in batch.environment.models] for batch in batches]
-    models = list(dict.fromkeys(name for ladder in sorted(ladders, key=len, reverse=True) for name in ladder))
+    models = known_models({name for ladder in ladders for name in ladder})
+    models = [name for name in models if any(name in ladder for ladder in ladders)]
+    if any(starts_warm(human_model(name)) for name in models):
+        why = f"the ladder {' '.join(models)} plans from the rest of the last plan"
+        raise ValueError(f"{why}, which rollouts do not have; leave +warm out of --ladder")
     costs = {name: seconds for batch in batches for name, seconds in batch.costs.items()}
     courses = [
         Course(

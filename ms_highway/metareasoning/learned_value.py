@@ -38,6 +38,8 @@ class LearnedValue:
         price: lambda, reward per second of planning. Below all prices that were learned, 0 among them, the top of the
             ladder plans; above them, the cheapest rung.
         prices: the least and the largest price that were learned.
+        span: T(M) of the top less that of the cheapest rung that were learned [s], see `scale`; the ladder may be
+            shorter.
         network: estimates the advantages from `network_inputs`.
         centre, spread: of the inputs, by which they are standardised.
         ladder: human models, cheapest first (static).
@@ -46,6 +48,7 @@ class LearnedValue:
     costs: Float[Array, "rungs"]
     price: float | Float[Array, ""]
     prices: Float[Array, "2"]
+    span: float | Float[Array, ""]
     network: Network
     centre: Float[Array, "inputs"]
     spread: Float[Array, "inputs"]
@@ -66,7 +69,7 @@ class LearnedValue:
         price, (least, largest) = jnp.asarray(self.price), jnp.asarray(self.prices)
         bounded, top = jnp.clip(price, least, largest), len(self.ladder) - 1
         inputs = (network_inputs(seen, bounded) - self.centre) / self.spread
-        each, noise = advantages(self.network, inputs, bounded, jnp.asarray(self.costs))
+        each, noise = advantages(self.network, inputs, bounded, jnp.asarray(self.costs), jnp.asarray(self.span))
         means, apart = jnp.mean(each, axis=0), jnp.std(each, axis=0)
         cautious = means - CAUTION * apart - NOISE_CAUTION * jnp.mean(noise, axis=0).at[top].set(0.0)
         failed = ~jnp.isfinite(cautious).all()
@@ -87,6 +90,7 @@ def advantages(
     inputs: Float[jax.Array, "inputs"],
     price: Float[jax.Array, ""],
     costs: Float[jax.Array, "rungs"],
+    span: Float[jax.Array, ""],
 ) -> tuple[Float[jax.Array, "networks rungs"], Float[jax.Array, "networks rungs"]]:
     """Estimate the advantage of each rung over the top one, and its standard deviation, by each of the networks.
 
@@ -98,11 +102,11 @@ def advantages(
     for layer_weights, layer_biases in hidden:
         inputs = jnp.tanh(jnp.einsum("ni,nio->no", inputs, layer_weights) + layer_biases)
     estimates, spreads = jnp.split(jnp.einsum("ni,nio->no", inputs, weights) + biases, 2, axis=-1)
-    size = scale(price, costs)
+    size = scale(price, span)
     over_top = size * (estimates - estimates[:, -1:]) - price * (costs - costs[-1])
     return over_top, size * (LEAST_NOISE + jax.nn.softplus(spreads))
 
 
-def scale(price: Float[jax.Array, "*batch"], costs: Float[jax.Array, "rungs"]) -> Float[jax.Array, "*batch"]:
+def scale(price: Float[jax.Array, "*batch"], span: Float[jax.Array, ""]) -> Float[jax.Array, "*batch"]:
     """Return the size of advantages at a price, ``1 + lambda (T_top - T_0)``, in which errors are measured."""
-    return 1 + price * (costs[-1] - costs[0])
+    return 1 + price * span

@@ -1,11 +1,13 @@
 """Learned values of computation and their file: the network, and what it was learned on."""
 
 import json
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -25,6 +27,7 @@ SHIPPED_VALUES = "shipped"
 
 VERSION = 1
 REMEDY = "learn values with `ms-highway values learn`"
+DAMAGES = AttributeError, BadZipFile, EOFError, LookupError, RecursionError, TypeError, ValueError, zlib.error
 CLOSE = 1e-6  # relative difference of costs that are the same
 
 
@@ -57,6 +60,8 @@ class Values:
         Raises:
             ValueError: naming the problem.
         """
+        if len(self.costs) < 2:
+            raise ValueError(f"the ladder has the models {list(self.costs)}; there must be two at least")
         if self.inputs != input_names():
             raise ValueError("the inputs of the network are those of another version")
         sizes = [len(self.inputs), *(np.shape(biases)[-1] for _, biases in self.network)]
@@ -81,15 +86,17 @@ class Values:
             raise ValueError(f"{told}, without {unknown[0]!r}; {REMEDY} --ladder {' '.join(names)}")
         learned = np.array([self.costs[name] for name in names])
         if not np.allclose(learned, costs, rtol=CLOSE, atol=0):
-            now = ",".join(f"{name}={seconds:.3g}" for name, seconds in zip(names, costs, strict=True))
-            then = ",".join(f"{name}={self.costs[name]:.3g}" for name in names)
+            now = ",".join(f"{name}={seconds:.9g}" for name, seconds in zip(names, costs, strict=True))
+            then = ",".join(f"{name}={self.costs[name]:.9g}" for name in names)
             raise ValueError(f"{told} at costs of {then}, not {now}; use those costs, or {REMEDY} --costs {now}")
         *hidden, (weights, biases) = self.network
         places = [known.index(name) for name in names]
         places += [len(known) + place for place in places]  # means, then standard deviations
         network = (*hidden, (weights[..., places], biases[..., places]))
+        cheapest, *_, top = self.costs.values()
+        span = float(top - cheapest)
         return LearnedValue(
-            learned.astype(np.float32), price, np.array(self.prices), network, self.centre, self.spread, models
+            learned.astype(np.float32), price, np.array(self.prices), span, network, self.centre, self.spread, models
         )
 
 
@@ -114,7 +121,7 @@ def save_values(values: Values, path: Path) -> None:
         np.savez(file, **arrays)
 
 
-def load_values(which: str | Path) -> Values:
+def load_values(which: str | PathLike[str]) -> Values:
     """Read learned values: those that come with the package (`SHIPPED_VALUES`), or a file that `save_values` wrote.
 
     Raises:
@@ -154,5 +161,5 @@ def _read(path: Path, changed: int) -> Values:
             about["provenance"],
             str(path),
         )
-    except (AttributeError, BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
+    except DAMAGES as error:
         raise ValueError(f"{path} is damaged or no file of learned values: {error}; {REMEDY} --out {path}") from error

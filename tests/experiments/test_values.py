@@ -1,5 +1,6 @@
 """Learning values of computation: `ms-highway values`."""
 
+from dataclasses import replace
 from itertools import islice
 
 import jax
@@ -64,6 +65,9 @@ def test_rollouts_of_other_settings_are_not_gone_on_with(progress):
     other = Learning(LEARNING.costs, rounds=2, states=(9, 5), seed=3)
     with pytest.raises(ValueError, match=r"kept.npz cannot be resumed \(it holds rollouts of other settings\)"):
         next(learn(other, [COURSE], kept, device_mesh()))
+    moved = replace(COURSE, game=replace(COURSE.game, robot=replace(COURSE.game.robot, speed_limit=np.float32(25.0))))
+    with pytest.raises(ValueError, match="it holds rollouts of other settings"):
+        next(learn(LEARNING, [moved], kept, device_mesh()))
 
 
 def test_the_best_way_to_go_on_depends_on_the_price():
@@ -113,6 +117,8 @@ def test_the_command_learns_values_that_drive_and_shows_them(tmp_path, capsys):
         (["merger", "--out", "values.txt"], "ends in .npz"),
         (["merger", "--out", "missing/values.npz"], "in a directory that exists"),
         (["murger", "--out", "values.npz"], "unknown scenario 'murger'"),
+        (["merger", "--ladder", "best", "--out", "values.npz"], "leave +warm out"),
+        (["merger", "--horizon-steps", "0", "--out", "values.npz"], "--horizon-steps is 0"),
         (["merger", "--rounds", "0", "--out", "values.npz"], "--rounds is 0"),
         (["merger", "--costs", "naive=0.1", "--out", "values.npz"], "turn"),
     ],

@@ -14,7 +14,7 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import simulated
 from ms_highway.game.scenario import PAPER_UNIT, build_game, draw_starts
-from ms_highway.metareasoning.rule import PUBLISHED_COSTS
+from ms_highway.metareasoning.rule import PUBLISHED_COSTS, first_memory
 from ms_highway.metareasoning.situation import describe, description_names
 from ms_highway.metareasoning.values import load_values, save_values
 from ms_highway.planning.human_models import ladder
@@ -112,6 +112,19 @@ def test_values_of_another_ladder_or_other_costs_are_refused_with_the_remedy():
         gym.make("ms-highway/merger-v0", config={"controller": learned(1.0), "costs": "measured"}).reset(seed=0)
     part = SHIPPED.rule(LADDER[::2], COSTS[::2], 1.0)
     assert [model.name for model in part.ladder] == ["naive", "tom"]
+
+
+def test_a_part_of_the_ladder_weighs_rewards_as_the_whole_ladder_does(played):
+    game, state = played("merger")
+    whole, part = (SHIPPED.rule(LADDER[:size], COSTS[:size], 10.0) for size in (3, 2))
+    seen = describe_quickly(game, state)
+    gains = [float(rule.choose(first_memory(rule), seen).gains[1]) for rule in (whole, part)]
+    assert gains[0] == pytest.approx(gains[1], rel=1e-4)  # of turn over naive
+
+
+def test_values_that_are_no_file_are_refused_by_the_key():
+    with pytest.raises(ValueError, match=r"config\['controller'\]\['values'\] is 5"):
+        gym.make("ms-highway/merger-v0", config={"controller": learned(1.0, values=5)})
 
 
 @pytest.mark.parametrize("damage", ["missing", "empty", "text", "cut", "version", "inputs", "nan"])

@@ -81,7 +81,7 @@ def _fit(
         network: Network, chosen: Int[jax.Array, "networks batch"], price: Float[jax.Array, "networks batch"]
     ) -> Float[jax.Array, ""]:
         earned = (rewards[chosen] - price[..., None, None] * seconds[chosen]).max(axis=-1)
-        size = scale(price, costs)[..., None]
+        size = scale(price, costs[-1] - costs[0])[..., None]
         known = jnp.isfinite(earned)
         top = known.shape[-1] - 1 - jnp.argmax(known[..., ::-1], axis=-1)[..., None]  # of the course's own ladder
         targets = (earned - jnp.take_along_axis(earned, top, axis=-1)) / size
@@ -115,7 +115,7 @@ def _one(
     alone = jax.tree.map(lambda part: part[None], network)
 
     def estimate(inputs: Float[jax.Array, "inputs"], price: Float[jax.Array, ""]) -> tuple[jax.Array, jax.Array]:
-        over_top, noise = advantages(alone, inputs, price, costs)
+        over_top, noise = advantages(alone, inputs, price, costs, costs[-1] - costs[0])
         return over_top[0], noise[0]
 
     return jax.vmap(estimate)(inputs, prices)

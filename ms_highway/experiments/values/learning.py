@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 from zipfile import BadZipFile
+from zlib import crc32
 
 import numpy as np
 from jax.sharding import Mesh
@@ -24,6 +25,7 @@ from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.values import Values, input_names
 from ms_highway.planning.human_models import human_model
 from ms_highway.runtime.files import replacing
+from ms_highway.runtime.packing import pack
 from ms_highway.simulation.records import DECIDES
 
 __all__ = ["BLIND", "Learning", "Progress", "learn", "rollouts_file"]
@@ -36,7 +38,7 @@ UNSEEN = 1e9  # spread of an input that is left out
 HELD_OUT_STARTS = 8
 HELD_OUT_PRICES = (0.1, 1.0, 10.0)
 SWITCHES = (2, 4, 6, 9, 13, 20)  # steps after which the orders that rules are compared with go over to another rung
-EVALUATION, COURSE = 0, 1  # streams of random numbers
+EVALUATION, COURSE, HELD_OUT = 0, 1, 2  # streams of random numbers
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class Learning:
         horizon: steps of a rollout that count.
         without: names of `BLIND`, for ablations.
         seed: of all random numbers, which have nothing to do with the numbered starts of environments.
+        settings: what the file of values tells beside this.
     """
 
     costs: Mapping[str, float]
@@ -86,7 +89,12 @@ class Learning:
                     spread[place] = UNSEEN
             costs = np.array(list(self.costs.values()))
             network = fit(rollouts, costs, self.prices, centre, spread, random)
-        provenance = {**self.settings, "states": sum(len(part.descriptions) for part in done), "rounds": number}
+        provenance = {
+            **self.settings,
+            "states": sum(len(part.descriptions) for part in done),
+            "rounds": number,
+            "horizon": self.horizon,
+        }
         return Values(network, centre, spread, dict(self.costs), self.prices, input_names(), provenance)
 
     def stream(self, *place: int) -> np.random.Generator:
@@ -126,7 +134,8 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path | None, mesh
     Raises:
         ValueError: if the file is there and holds something else.
     """
-    about = json.dumps([asdict(learning), [course.name for course in courses]])
+    places = [(course.name, course.steps, course.rungs, _digest(course)) for course in courses]
+    about = json.dumps([asdict(learning), places])
     done = {} if kept is None or not kept.exists() else _read(kept, about)
     yardsticks = {course.name: _yardstick(learning, course, mesh) for course in courses if course.share == 1}
     values: Values | None = None
@@ -145,6 +154,11 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path | None, mesh
             if course.name in yardsticks
         }
         yield Progress(number, "", values, regrets)
+
+
+def _digest(course: Course) -> int:
+    """Return a number that tells games apart."""
+    return crc32(pack(course.game).numbers.tobytes())
 
 
 def rollouts_file(out: Path) -> Path:
@@ -171,7 +185,7 @@ class _Yardstick(NamedTuple):
 
 def _yardstick(learning: Learning, course: Course, mesh: Mesh) -> _Yardstick:
     """Try one rung up to some step and another one from there on."""
-    random, rule = learning.stream(EVALUATION, EVALUATION), learning.rule(course, None)
+    random, rule = learning.stream(EVALUATION, HELD_OUT), learning.rule(course, None)
     starts, rungs = np.array([course.draw(random) for _ in range(HELD_OUT_STARTS)], np.float32), range(len(rule.ladder))
     steps = np.arange(course.steps)
     orders = [np.where(steps < end, one, other) for end in SWITCHES for one in rungs for other in rungs if one != other]
