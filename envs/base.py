@@ -69,9 +69,9 @@ class InteractionEnv(StageEnv):
       "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom",
       "naive"]}``, the same repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, a model per step
       that is drawn when the episode starts.
-    * ``ladder``: the human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
+    * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
       ``"best"``.
-    * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model (in proportion for ``tom@8``).
+    * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model (``tom@8`` in proportion).
     * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
