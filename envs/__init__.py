@@ -39,6 +39,7 @@ __all__ = [
     "observations",
     "routes",
     "settings",
+    "short_names",
     "stage",
     "stay_back",
 ]

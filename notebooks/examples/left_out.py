@@ -46,3 +46,6 @@ class WorksEnv(InteractionEnv):
 
 for environment in (SqueezeEnv, WorksEnv):
     add_scenario(environment)
+
+if __name__ == "__main__":
+    print("known now: zipper, squeeze and works")

@@ -10,7 +10,7 @@ from ms_highway.control.fallback import brake
 from ms_highway.control.fixed import FixedModel, ScheduledModels
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.game.dynamics import step as move
-from ms_highway.metareasoning.compiled_decision import decide_function
+from ms_highway.metareasoning.compiled_decision import EMPTY, decide_function
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_plans import measure_costs, plan_function
 from ms_highway.planning.human_models import MODELS, ladder
@@ -34,7 +34,7 @@ def compilations(controller):
     game, layouts = controller.game, [pack(controller.game)[1], pack((controller.rule, controller.game))[1]]
     assert game.planner.horizon == 5
     plans = [plan_function(model, layouts[0]) for model in controller.rule.ladder]
-    return [function._cache_size() for function in (*plans, decide_function(layouts[1]))]
+    return [function._cache_size() for function in (*plans, decide_function(layouts[1], EMPTY, True))]
 
 
 @pytest.mark.slow

@@ -62,7 +62,7 @@ def renamed(old, new):
         (lambda directory: (directory / "provenance.json").write_text("{}"), "provenance.json is no list of runs"),
         (without_column, "has no column model"),
         (with_a_broken_line, "holds an unfinished episode"),
-        (renamed("naive", "brief"), "holds model 'brief', not one of naive, turn, tom; if it is your own, --import"),
+        (renamed("naive", "brief"), "holds model 'brief', not one of naive, turn, tom"),
         (renamed("switching:0.4", "swerving"), "unknown controller 'swerving'"),
         (renamed("stay_back", "zipper"), "holds scenario 'zipper', not one of stay_back, merger, give_way"),
         (renamed("0.09", "cheap"), "has texts where numbers belong, in column counted_seconds"),
