@@ -172,9 +172,14 @@ def _random(seed: int) -> np.random.Generator:
     return seeding.np_random(seed)[0]
 
 
+def _controllers(keys: Sequence[Key]) -> dict[str, ControllerSettings]:
+    """Parse the short name of each controller once: values of computation are looked up in their file."""
+    return {name: named_controller(name) for name in dict.fromkeys(name for name, _ in keys)}
+
+
 def episodes_of(batch: Batch, keys: Sequence[Key]) -> Episodes:
     """Return what the simulation is given for these episodes, see `run_episodes`."""
-    controllers = {name: named_controller(name) for name, _ in keys}
+    controllers = _controllers(keys)
     drawn = [_drawn(batch, controllers[name], seed) for name, seed in keys]
     weights = (np.asarray(reward.weights) for reward in (batch.loop.game.robot, batch.loop.game.human))
     return Episodes(
@@ -201,9 +206,9 @@ def run_episodes(batch: Batch, keys: Sequence[Key], mesh: Mesh | None = None) ->
     Raises:
         ValueError: without an episode, or for a negative seed.
     """
-    places: dict[ChoosingSettings, list[int]] = {}
+    controllers, places = _controllers(keys), dict[ChoosingSettings, list[int]]()
     for place, (name, _) in enumerate(keys):
-        settings = named_controller(name)
+        settings = controllers[name]
         chooses = replace(settings, price=0.0) if isinstance(settings, ChoosingSettings) else NOBODY
         places.setdefault(chooses, []).append(place)
     parts = [
@@ -273,13 +278,14 @@ def summarised(batch: Batch, keys: Sequence[Key], records: Records) -> pd.DataFr
     ``reward`` and ``counted_seconds``, planning at T(M), as means over the steps; ``share_MODEL`` of the steps;
     ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed.
     """
+    controllers = _controllers(keys)
     shares = {share_column(name): np.mean(records.model == number, axis=1) for number, name in enumerate(batch.models)}
     return pd.DataFrame(
         {
             "scenario": batch.scenario.name,
             "controller": [name for name, _ in keys],
             "seed": [seed for _, seed in keys],
-            "price": [named_controller(name).price for name, _ in keys],
+            "price": [controllers[name].price for name, _ in keys],
             "reward": np.mean(records.reward, axis=1, dtype=float),
             "counted_seconds": np.mean(_costs(batch)[records.model], axis=1),
             **shares,

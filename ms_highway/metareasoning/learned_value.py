@@ -1,8 +1,8 @@
 """Decide which human model is worth its time, by a learned value of computation.
 
-The value of planning this step with rung m, rather than with the cheapest rung, is what the robot earns more over the
-coming steps, less lambda for the seconds of planning: the advantage ``Q(x, m) - Q(x, 0)`` of the paper's meta-MDP. A
-network estimates it from the situation and lambda (Russell and Wefald 1991; Callaway et al. 2018).
+The value of planning this step with rung m, rather than with the top rung, is what the robot earns more over the coming
+steps, less lambda for the seconds of planning: the advantage ``Q(x, m) - Q(x, top)`` of the paper's meta-MDP. Networks
+estimate it from the situation and lambda (Russell and Wefald 1991; Callaway et al. 2018).
 """
 
 from dataclasses import dataclass, field

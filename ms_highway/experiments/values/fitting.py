@@ -61,32 +61,32 @@ def fit(
     chosen = random.integers(len(rollouts.descriptions), size=(STEPS, NETWORKS, BATCH))
     drawn = draw_prices(random, prices, chosen.size).reshape(chosen.shape)
     numbers = (costs.astype(np.float32), centre, spread)
-    arrays = (np.asarray(part, np.float32) for part in rollouts)
-    return jax.tree.map(np.asarray, _fit(network, tuple(arrays), numbers, chosen, drawn))
+    single = Rollouts(*(np.asarray(part, np.float32) for part in rollouts))
+    return jax.tree.map(np.asarray, _fit(network, single, numbers, chosen, drawn))
 
 
 @jax.jit
 def _fit(
     network: Network,
-    rollouts: tuple[jax.Array, ...],
+    rollouts: Rollouts,
     numbers: tuple[jax.Array, ...],
     chosen: Int[jax.Array, "steps networks batch"],
     drawn: Float[jax.Array, "steps networks batch"],
 ) -> Network:
-    descriptions, rewards, seconds = rollouts
     costs, centre, spread = numbers
     optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY)
 
     def loss(
         network: Network, chosen: Int[jax.Array, "networks batch"], price: Float[jax.Array, "networks batch"]
     ) -> Float[jax.Array, ""]:
-        earned = (rewards[chosen] - price[..., None, None] * seconds[chosen]).max(axis=-1)
+        picked = Rollouts(*(part[chosen] for part in rollouts))
+        earned = jnp.asarray(picked.best(price))
         size = scale(price, costs[-1] - costs[0])[..., None]
         known = jnp.isfinite(earned)
         top = known.shape[-1] - 1 - jnp.argmax(known[..., ::-1], axis=-1)[..., None]  # of the course's own ladder
         targets = (earned - jnp.take_along_axis(earned, top, axis=-1)) / size
         targets = jnp.clip(jnp.where(known, targets, 0), -LARGEST_TARGET, LARGEST_TARGET)
-        inputs = (network_inputs(descriptions[chosen], price) - centre) / spread
+        inputs = (network_inputs(jnp.asarray(picked.descriptions), price) - centre) / spread
         over_top, noise = jax.vmap(partial(_one, costs))(network, inputs, price)
         errors = (over_top - jnp.take_along_axis(over_top, top, axis=-1)) / size - targets
         surprise = errors**2 / (2 * (noise / size) ** 2) + jnp.log(noise / size)

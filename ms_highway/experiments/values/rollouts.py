@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from ms_highway.experiments.values.course import SEGMENT, Course, drive, noisy_starts
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.situation import describe
+from ms_highway.runtime.arrays import Array
 from ms_highway.simulation.records import DECIDES
 
 __all__ = ["HORIZON", "Rollouts", "draw_prices", "joined", "roll_out", "visited"]
@@ -33,20 +34,20 @@ class Rollouts(NamedTuple):
         seconds: of planning at T(M), sums over the rollout.
     """
 
-    descriptions: Float[np.ndarray, "states numbers"]
-    rewards: Float[np.ndarray, "states rungs ways"]
-    seconds: Float[np.ndarray, "states rungs ways"]
+    descriptions: Float[Array, "*states numbers"]
+    rewards: Float[Array, "*states rungs ways"]
+    seconds: Float[Array, "*states rungs ways"]
 
-    def best(self, prices: Float[np.ndarray, "states"]) -> Float[np.ndarray, "states rungs"]:
+    def best(self, prices: Float[Array, "*states"]) -> Float[Array, "*states rungs"]:
         """Return the reward less lambda times the seconds of the best way to go on after each rung."""
-        return (self.rewards - prices[:, None, None] * self.seconds).max(axis=-1)
+        return (self.rewards - prices[..., None, None] * self.seconds).max(axis=-1)
 
 
 def joined(parts: Sequence[Rollouts]) -> Rollouts:
     """Return the rollouts of all parts."""
     most = max(part.rewards.shape[-1] for part in parts)
 
-    def padded(array: Float[np.ndarray, "states rungs ways"], value: float) -> Float[np.ndarray, "states rungs ways"]:
+    def padded(array: Float[Array, "states rungs ways"], value: float) -> Float[np.ndarray, "states rungs ways"]:
         return np.pad(array, ((0, 0), (0, 0), (0, most - array.shape[-1])), constant_values=value)
 
     return Rollouts(
