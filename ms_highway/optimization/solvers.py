@@ -8,6 +8,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
+from ms_highway.optimization.damped_newton import damped_newton_steps
 from ms_highway.optimization.newton import newton_steps
 from ms_highway.optimization.second_derivatives import Trajectory
 from ms_highway.runtime.arrays import Array
@@ -15,7 +16,7 @@ from ms_highway.runtime.arrays import Array
 __all__ = ["Planner", "Solver", "optimize_controls", "project", "projected_ascent"]
 
 Controls = TypeVar("Controls", bound=PyTree)
-Solver: TypeAlias = Literal["gradient", "newton"]
+Solver: TypeAlias = Literal["gradient", "newton", "damped_newton"]
 
 
 @jax.tree_util.register_dataclass
@@ -32,7 +33,7 @@ class Planner:
         step_size: length of a gradient step per unit of gradient.
         horizon: number of planned controls, K in the paper (static).
         iterations: number of gradient steps (static).
-        solver: ``gradient``, the paper's, or ``newton``, see `optimize_controls` (static).
+        solver: ``gradient``, the paper's, ``newton`` or ``damped_newton``, see `optimize_controls` (static).
     """
 
     control_scale: Float[Array, "2"]
@@ -90,6 +91,8 @@ def optimize_controls(
       computed every 8 steps. Such a step ascends also where the reward is not concave (the saddle-free Newton step of
       Dauphin et al. 2014). The line search takes the best of the step, its halves and no step, projected on the limits.
       Unlike the gradient, it sees jumps of the reward, such as the cost of a collision.
+    * ``damped_newton``: a few Newton steps with a Hessian each, damped until it can be factored: for horizons of
+      seconds, see `ms_highway.optimization.damped_newton`.
 
     Args:
         planner: solver and step size.
@@ -105,4 +108,5 @@ def optimize_controls(
 
     if planner.solver == "gradient":
         return projected_ascent(planner, jax.grad(earned), start, bounded)
-    return newton_steps(path, reward, cost, start, bounded)
+    steps = newton_steps if planner.solver == "newton" else damped_newton_steps
+    return steps(path, reward, cost, start, bounded)

@@ -1,0 +1,76 @@
+"""Climb by Newton steps that are damped until a Cholesky factorisation succeeds (Levenberg 1944; Nocedal and Wright).
+
+Where the reward is not concave, its negative Hessian plus a multiple of the identity is factored: no eigenvalues.
+"""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jax.scipy.linalg import cho_solve
+from jaxtyping import Bool, Float
+
+from ms_highway.optimization.second_derivatives import Trajectory, second_order_expansion
+
+__all__ = ["SHARES", "best_of", "damped_factor", "damped_newton_steps", "damped_solve"]
+
+STEPS = 6  # of a plan
+SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 10, 1 / 32, 0], dtype=np.float32)
+"""Shares of a step that a line search tries."""
+
+LEAST_DAMPING, GROWTH, MOST_DAMPING = 1.0, 6.0, 1e7  # reward per squared scaled control
+
+Controls: TypeAlias = Float[jax.Array, "steps 2"]
+
+
+def damped_factor(hessian: Float[jax.Array, "n n"]) -> Float[jax.Array, "n n"]:
+    """Return the lower Cholesky factor of ``d I - H``, with the first d of 1, 6, 36, ... for which there is one."""
+    symmetric, identity = (hessian + hessian.T) / 2, jnp.eye(len(hessian))
+
+    def factored(damping: Float[jax.Array, ""]) -> Float[jax.Array, "n n"]:
+        return jnp.linalg.cholesky(damping * identity - symmetric, symmetrize_input=False)
+
+    def fails(tried: tuple[Float[jax.Array, ""], Float[jax.Array, "n n"]]) -> Bool[jax.Array, ""]:
+        return ~jnp.isfinite(tried[1]).all() & (tried[0] < MOST_DAMPING)
+
+    def grow(
+        tried: tuple[Float[jax.Array, ""], Float[jax.Array, "n n"]],
+    ) -> tuple[Float[jax.Array, ""], Float[jax.Array, "n n"]]:
+        damping = GROWTH * tried[0]
+        return damping, factored(damping)
+
+    least = jnp.float32(LEAST_DAMPING)
+    return jax.lax.while_loop(fails, grow, (least, factored(least)))[1]
+
+
+def damped_solve(factor: Float[jax.Array, "n n"], vector: Float[jax.Array, "n"]) -> Float[jax.Array, "n"]:
+    """Return ``(d I - H)^-1 vector`` by the factor of `damped_factor`."""
+    return cho_solve((factor, True), vector)
+
+
+def best_of(candidates: Float[jax.Array, "n *shape"], earned: Float[jax.Array, "n"]) -> Float[jax.Array, "*shape"]:
+    """Return the candidate that earns most; what is not finite earns nothing."""
+    return candidates[jnp.argmax(jnp.where(jnp.isfinite(earned), earned, -jnp.inf))]
+
+
+def damped_newton_steps(
+    path: Callable[[Controls], Trajectory],
+    reward: Callable[[Trajectory], Float[jax.Array, ""]],
+    cost: Callable[[Controls], Float[jax.Array, ""]],
+    start: Controls,
+    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
+) -> Controls:
+    """Improve controls by 6 damped Newton steps; for the arguments see `ms_highway.optimization.solvers`.
+
+    The line search takes the best of six shares of each step, projected on the limits; the last share is no step.
+    """
+
+    def improve(_: int, controls: Controls) -> Controls:
+        expansion = second_order_expansion(path, reward, controls, cost)
+        step = damped_solve(damped_factor(expansion.hessian), expansion.gradient).reshape(controls.shape)
+        candidates = bounded(controls + SHARES[:, None, None] * step)
+        return best_of(candidates, jax.vmap(lambda tried: reward(path(tried)) - cost(tried))(candidates))
+
+    return jax.lax.fori_loop(0, STEPS, improve, bounded(start))
