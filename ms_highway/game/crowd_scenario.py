@@ -51,10 +51,10 @@ HUMANS = 2, 12
 """The fewest and the most humans of a crowd."""
 
 SPACING = 8.0, 14.0  # m from centre to centre, shortest and longest
-SHORTNESS = 5.0  # of Beta(1, SHORTNESS), the share of a spacing between the two: 9 m on average
+SHORTNESS = 20.0  # of Beta(1, SHORTNESS), the share of a spacing between the two: 8.3 m on average
 SPEED_NOISE = 0.3  # m/s, standard deviation of a human's speed
 CAUTION_SPREAD = 0.7  # standard deviation of the logarithm of what a human weighs collision_risk by
-CARELESS, CARELESS_FACTOR = 0.2, 0.15  # share of the humans that hardly yield, and what they weigh collision_risk by
+CARELESS, CARELESS_FACTOR = 0.2, 0.05  # share of the humans that hardly yield, and what they weigh collision_risk by
 
 
 @dataclass(frozen=True)
@@ -79,10 +79,12 @@ class CrowdScenario(Scenario):
     Attributes:
         streams: of the humans, who are dealt out evenly, the first streams get what remains.
         humans: their default number.
+        caution: factor on the humans' weight of ``collision_risk``: in dense traffic they accept short distances.
     """
 
     streams: tuple[Stream, ...] = ()
     humans: int = 8
+    caution: float = 0.3
 
 
 def _cones(first: float, lane: float) -> tuple[tuple[float, float], ...]:
@@ -99,7 +101,7 @@ DENSE_MERGE = CrowdScenario(
     prices=(1.0, 0.1),
     robot_weights=COMMON_WEIGHTS | {"target_lane": 150, "merged": 5},
     human_weights=COMMON_WEIGHTS,
-    cones=_cones(3.0, 0.0),
+    cones=_cones(1.5, 0.0),
     streams=(Stream(-0.1),),
 )
 """The robot's lane ends, and most gaps of the stream beside it are too short for a car unless somebody yields."""
@@ -113,7 +115,7 @@ CROSSING_CROWD = CrowdScenario(
     prices=(1.0, 0.1),
     robot_weights=COMMON_WEIGHTS | {"target_lane": 150, "merged": 5},
     human_weights=COMMON_WEIGHTS,
-    cones=(*_cones(3.0, 0.0), *_cones(4.5, -0.1)),
+    cones=(*_cones(1.5, 0.0), *_cones(3.0, -0.1)),
     streams=(Stream(-0.1, 0.95 * SPEED_LIMIT), Stream(-0.2, 1.05 * SPEED_LIMIT)),
 )
 """The robot crosses one stream of humans to join another, before its lane ends and then the next one.
@@ -149,6 +151,7 @@ def crowd_game(
         ValueError: if weights are given that are not an array [humans, features].
     """
     driving = shipped("demonstrations").weights if human_driving is None else human_driving
+    driving = {**driving, "collision_risk": scenario.caution * driving.get("collision_risk", 0.0)}
     game = build_game(
         scenario,
         control_limit=control_limit,
