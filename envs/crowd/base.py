@@ -16,19 +16,11 @@ from ms_highway.game.scenario import GRIP
 from ms_highway.metareasoning.crowd.rule import CrowdCosts
 from ms_highway.planning.compiled_crowd import measure_crowd_costs
 from ms_highway.planning.crowd import RUNGS
-from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RobotVehicle, states_of
+from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RobotVehicle
 
-__all__ = ["CrowdEnv", "CrowdHumanVehicle"]
+__all__ = ["CrowdEnv"]
 
 LEFT_OUT = ("ladder", "influence", "warm_start")  # keys of the configuration that only environments with one human have
-
-
-class CrowdHumanVehicle(HumanVehicle):
-    """A human of a crowd, who sees all cars in their order, the robot first."""
-
-    def observe(self) -> Float[np.ndarray, "cars 4"]:
-        """Return the states of all cars."""
-        return states_of(self.road.vehicles)
 
 
 class CrowdEnv(InteractionEnv):
@@ -103,7 +95,7 @@ class CrowdEnv(InteractionEnv):
         return 1 + self.settings.humans
 
     def _roles(self) -> list[type[BicycleVehicle]]:
-        return [RobotVehicle, *[CrowdHumanVehicle] * self.settings.humans]
+        return [RobotVehicle, *[HumanVehicle] * self.settings.humans]
 
     def draw_starts(self, random: np.random.Generator) -> Float[np.ndarray, "cars 4"]:
         """Draw a start of every car, robot first, in SI units, and what every human drives for; see `draw_crowd`."""

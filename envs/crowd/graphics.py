@@ -10,7 +10,8 @@ from ms_highway.planning.crowd import NAIVE, RUNGS
 __all__ = ["CrowdViewer"]
 
 LARGE, MEDIUM, SMALL = 22, 15, 13  # px, sizes of texts
-DOT = 3  # px, radius
+DOT = 2  # px, radius
+ROOF = 11  # px, radius of what a number is written on
 EVERY = 2  # step of a predicted path of which a dot is drawn
 BAR = pygame.Rect(MARGIN, 0, TEXT_WIDTH - 5 * MARGIN, 14)  # of the step's time
 ROOM = 1.25  # of the bar in budgets, or in the longest times without one
@@ -37,11 +38,13 @@ class CrowdViewer(InteractionViewer):
 
     def _names(self) -> None:
         """Draw the robot's name at the roadside, and every human's number on its roof."""
+        surface = self.sim_surface
         self._name("robot", self.env.robot, 1)
-        for number, human in enumerate(self.env.road.vehicles[1:], start=1):
+        for number, (human, rung) in enumerate(zip(self.env.road.vehicles[1:], self._rungs(), strict=True), start=1):
+            place = surface.vec2pix(human.position)
             label = words(str(number), MEDIUM, INK)
-            place = self.sim_surface.vec2pix(human.position)
-            self.sim_surface.blit(label, label.get_rect(center=place))
+            pygame.draw.circle(surface, model_color(rung), place, ROOF)
+            surface.blit(label, label.get_rect(center=place))
 
     def _plans(self) -> None:
         """Draw the predicted paths of humans as dots in the colours of their models, and the robot's plan as a line."""
@@ -50,9 +53,8 @@ class CrowdViewer(InteractionViewer):
             return
         for state, controls, rung in zip(robot.last_state[1:], robot.last_step.humans, self._rungs(), strict=True):
             for point in self._path(state, controls)[EVERY::EVERY]:
-                place = surface.vec2pix(point)
-                pygame.draw.circle(surface, INK, place, DOT + 1)
-                pygame.draw.circle(surface, model_color(rung), place, DOT)
+                pygame.draw.circle(surface, PAPER, surface.vec2pix(point), DOT + 1)
+                pygame.draw.circle(surface, model_color(rung), surface.vec2pix(point), DOT)
         self._line(self._path(robot.last_state[0], robot.last_step.plan), tuple(robot.color))
 
     def _now(self, record: dict[str, Any], top: int) -> None:

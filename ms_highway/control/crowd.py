@@ -66,6 +66,7 @@ class HumanDriver:
         pass
 
     def step(self, state: Any, before: Any = None) -> ControlStep:
+        state = np.insert(state[1:], 1 + self.human, state[0], axis=0)
         plan = _predict(self.crowd, np.asarray(state, np.float32), self.human)
         controls = np.asarray(plan, float) * np.asarray(self.game.planner.control_scale, float)
         return ControlStep(controls[0], controls, controls, RUNGS[0], 0.0)
