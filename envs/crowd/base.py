@@ -86,7 +86,7 @@ class CrowdEnv(InteractionEnv):
 
     def _read(self) -> None:
         self.settings = CrowdSettings.read(self.config)
-        self.game = self.settings.crowd(self.scenario).game
+        self.game = self.settings.game(self.scenario)
         self._costs = self.settings.costs
 
     @property

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from jaxtyping import Float
 
 from ms_highway.envs.checks import is_whole
@@ -12,11 +13,11 @@ from ms_highway.envs.crowd.controllers import CrowdControllerSettings, crowd_set
 from ms_highway.envs.settings import ACTION_DEFAULTS, read_costs, read_human_weights, read_limit, read_planning
 from ms_highway.game.crowd import Crowd
 from ms_highway.game.crowd_scenario import CROWD_LIMIT, HUMANS, CrowdScenario, crowd_game
+from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PlanningSettings, gradient_steps
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.crowd import RUNGS
 from ms_highway.planning.human_models import HumanModel, ladder
-from ms_highway.runtime.arrays import Array
 
 __all__ = ["BELIEFS", "CrowdSettings", "merged_crowd"]
 
@@ -80,7 +81,11 @@ class CrowdSettings:
         """The models that humans can be predicted by, cheapest first."""
         return ladder(RUNGS)
 
-    def crowd(self, scenario: CrowdScenario, weights: Float[Array, "humans features"] | None = None) -> Crowd:
+    def game(self, scenario: CrowdScenario) -> Game:
+        """Build the game of a scenario with any one of the humans."""
+        return self.crowd(scenario).game
+
+    def crowd(self, scenario: CrowdScenario, weights: Float[np.ndarray, "humans features"] | None = None) -> Crowd:
         """Build the game of a scenario; without weights, all humans have the reward that theirs are drawn around."""
         return crowd_game(
             scenario,
