@@ -1,0 +1,1 @@
+"""Play the games of a robot with several humans in highway-env."""
