@@ -1,6 +1,7 @@
 """The environment of a robot among several humans."""
 
 from collections.abc import Mapping
+from math import isnan, nan
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,11 +11,10 @@ from ms_highway.control.crowd import CrowdDriver, CrowdStep, HumanDriver
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.crowd.controllers import crowd_controller_config
 from ms_highway.envs.crowd.graphics import CrowdViewer
-from ms_highway.envs.crowd.settings import CrowdSettings, merged_crowd
+from ms_highway.envs.crowd.settings import CrowdEnvSettings, merged_crowd
 from ms_highway.game.crowd_scenario import CROWD_PLANNING, REACHED, CrowdScenario, draw_crowd
 from ms_highway.game.scenario import GRIP
-from ms_highway.metareasoning.crowd.rule import CrowdCosts
-from ms_highway.planning.compiled_crowd import measure_crowd_costs
+from ms_highway.planning.compiled_crowd import CrowdCosts, measure_crowd_costs
 from ms_highway.planning.crowd import RUNGS
 from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RobotVehicle
 
@@ -85,7 +85,7 @@ class CrowdEnv(InteractionEnv):
         return crowd_controller_config(text)
 
     def _read(self) -> None:
-        self.settings = CrowdSettings.read(self.config)
+        self.settings = CrowdEnvSettings.read(self.config)
         self.game = self.settings.game(self.scenario)
         self._costs = self.settings.costs
 
@@ -117,9 +117,8 @@ class CrowdEnv(InteractionEnv):
             cars[0].drive_with(self._controller(states), cars[1:])
 
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> CrowdDriver:
-        controller = self.settings.controller
-        costs = None
-        if self._costs is not None or controller.needs_costs:
+        controller, costs = self.settings.controller, CrowdCosts(nan, np.full(len(RUNGS), nan))
+        if self._costs is not None or controller.budget is not None or not isnan(controller.price):
             seconds = self.costs(states)  # to be measured now, if at all, and not within a step
             costs = CrowdCosts(float(seconds[0]), seconds - seconds[0])
         crowd = self.settings.crowd(self.scenario, self.weights if self.settings.beliefs == "true" else None)
@@ -127,7 +126,8 @@ class CrowdEnv(InteractionEnv):
         return CrowdDriver(crowd, controller.rule(costs), controller.budget, seed)
 
     def _measured_costs(self, states: Float[np.ndarray, "cars 4"]) -> list[float]:
-        costs = measure_crowd_costs(self.settings.crowd(self.scenario), states)
+        quantile = self.settings.controller.quantile
+        costs = measure_crowd_costs(self.settings.crowd(self.scenario), states, quantile=quantile)
         return [float(costs.base + each) for each in np.asarray(costs.each)]
 
     @property

@@ -17,9 +17,9 @@ from jaxtyping import Float, Int
 from ms_highway.control.fallback import STATUSES
 from ms_highway.envs import ENVIRONMENTS, two_player_scenario
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.controllers import ChoosingSettings, ControllerSettings, SwitchingSettings, controller_settings
+from ms_highway.envs.controllers import ChoosingSettings, ControllerSettings, SwitchingSettings
 from ms_highway.envs.settings import Settings
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, MEASURED, STATE, columns, gain_column, share_column, state_columns
 from ms_highway.game.scenario import Scenario, Semantics
@@ -174,7 +174,7 @@ def _random(seed: int) -> np.random.Generator:
 
 def _controllers(keys: Sequence[Key]) -> dict[str, ControllerSettings]:
     """Parse the short name of each controller once: values of computation are looked up in their file."""
-    return {name: controller_settings(controller_config(name)) for name in dict.fromkeys(name for name, _ in keys)}
+    return {name: named_controller(name) for name in dict.fromkeys(name for name, _ in keys)}
 
 
 def episodes_of(batch: Batch, keys: Sequence[Key]) -> Episodes:

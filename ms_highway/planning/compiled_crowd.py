@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -65,7 +65,7 @@ class CompiledCrowdPlans:
         robot, humans = (np.asarray(side, np.float32) for side in begin)
         function = crowd_plan_function(self._layout)
         plan, seconds = timed(function, self._numbers, state, np.asarray(rungs, np.int32), robot, humans)
-        return CrowdPlan(*map(np.asarray, plan)), seconds
+        return jax.tree.map(np.asarray, plan), seconds
 
     def predict(self, state: Float[np.ndarray, "cars 4"], human: int) -> tuple[Float[np.ndarray, "steps 2"], float]:
         """Return a human's scaled plan for its own reward, and the seconds that it took; humans drive by it."""
@@ -82,7 +82,8 @@ class CompiledCrowdPlans:
 
     def _human_arguments(self, state: Float[np.ndarray, "cars 4"], human: int) -> tuple[np.ndarray, ...]:
         """Return the arguments of a `human_plan_function`."""
-        return self._numbers, state, np.int32(human), first_crowd_plan(self.crowd, state).humans[human]
+        begin = np.asarray(first_crowd_plan(self.crowd, state).humans[human])
+        return self._numbers, state, np.asarray(human, np.int32), begin
 
 
 def _in_numpy(result: tuple[jax.Array, float]) -> tuple[np.ndarray, float]:
@@ -92,7 +93,7 @@ def _in_numpy(result: tuple[jax.Array, float]) -> tuple[np.ndarray, float]:
 def first_crowd_plan(crowd: Crowd, state: Float[np.ndarray, "cars 4"]) -> CrowdPlan:
     """Return the scaled plan that plans start from by default, see `plan_crowd`, in NumPy arrays."""
     planner, cars = crowd.game.planner, np.asarray(state, np.float32)[: 1 + crowd.humans]
-    controls = np.zeros((len(cars), planner.horizon, 2), np.float32)
+    controls: Any = np.zeros((len(cars), planner.horizon, 2), np.float32)
     if planner.solver != "gradient":
         controls += (keep_velocity(crowd.game.dynamics, cars) / np.asarray(planner.control_scale))[:, None]
     return CrowdPlan(controls[0], controls[1:])

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.crowd.controllers import any_controller
 from ms_highway.experiments.records import share_column
 from ms_highway.planning.human_models import known_models
 
@@ -59,7 +59,7 @@ def earned(controller: str, rewards: pd.Series) -> dict[str, Any]:
     Raises:
         ValueError: for an unknown controller.
     """
-    settings, (low, high) = named_controller(controller), interval(rewards)
+    settings, (low, high) = any_controller(controller), interval(rewards)
     return {
         "controller": controller,
         "kind": settings.type,
