@@ -14,7 +14,7 @@ from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.results import read_results
 from ms_highway.experiments.runner import STEPS_FILE, read, run
-from ms_highway.planning.crowd import predict_human
+from ms_highway.planning.compiled_crowd import CompiledCrowdPlans
 
 FIXED = {"type": "fixed", "model": "tom"}
 AGENT = {"type": "ContinuousAction"}
@@ -85,11 +85,12 @@ def test_every_human_drives_for_its_own_reward_and_believes_that_all_others_keep
     env = make(action=AGENT)
     env.reset(seed=3)
     inner = env.unwrapped
-    crowd, before = inner.settings.crowd(inner.scenario, inner.weights), inner.car_states.astype(np.float32)
+    plans = CompiledCrowdPlans(inner.settings.crowd(inner.scenario, inner.weights))
+    before = inner.car_states.astype(np.float32)
     env.step(keep_straight())
     scale = np.asarray(inner.game.planner.control_scale)
     for number, human in enumerate(inner.road.vehicles[1:]):
-        expected = np.asarray(predict_human(crowd, before, number))[0] * scale
+        expected = plans.predict(before, number)[0][0] * scale
         np.testing.assert_allclose(human.last_step.control, expected, atol=2e-3)
 
 
