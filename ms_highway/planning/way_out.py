@@ -21,7 +21,7 @@ from ms_highway.planning.manoeuvres import manoeuvres
 __all__ = ["ESCAPE_STEPS", "Escape", "keep_way_out"]
 
 ESCAPE_STEPS = 25  # steps of an escape: 2.5 s at 0.1 s, a full stop from 20 m/s
-MARGIN = 1.08  # of the bodies in these checks, relative to their sizes
+MARGIN = 1.25  # size of obstacles in these checks, relative to their own: cars stop short of them
 
 
 class Escape(NamedTuple):
@@ -68,6 +68,6 @@ def keep_way_out(game: Game, state: Float[jax.Array, "cars 4"], control: Float[j
 def _collides(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Bool[jax.Array, ""]:
     """Return whether a car on its way collides with others, or leaves the road."""
     scene = game.scene
-    wider = replace(scene, car_size=MARGIN * scene.car_size, obstacle_size=MARGIN * scene.obstacle_size)
+    wider = replace(scene, obstacle_size=MARGIN * jnp.asarray(scene.obstacle_size))
     _, collision = collision_risk(wider, observe(way), others)
     return (collision > 0).any()
