@@ -7,11 +7,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ms_highway.envs.checks import is_one_of, is_whole, refuse_unknown
-from ms_highway.envs.controllers import PLACE, RandomSettings
-from ms_highway.envs.short_names import shares_of
+from ms_highway.envs.checks import is_number, is_one_of, is_whole, refuse_unknown
+from ms_highway.envs.controllers import PLACE, RandomSettings, check_price
+from ms_highway.envs.short_names import number_of, shares_of
 from ms_highway.metareasoning.crowd.baselines import AllOfOne, Influence, Nearest, RandomRungs, TimeToCollision
+from ms_highway.metareasoning.crowd.budget import Budget
 from ms_highway.metareasoning.crowd.rule import CrowdRule
+from ms_highway.metareasoning.crowd.switching import OneStepGains, crowd_switching
 from ms_highway.planning.compiled_crowd import CrowdCosts
 from ms_highway.planning.crowd import RUNGS
 
@@ -109,9 +111,61 @@ class InfluenceSettings(_CountSettings):
     type, ranking = "influence", Influence
 
 
-CLASSES = (FixedSettings, RandomCrowdSettings, NearestSettings, TimeToCollisionSettings, InfluenceSettings)
+@dataclass(frozen=True)
+class SwitchingCrowdSettings(CrowdSettings):
+    """Algorithm 1 chooses for each human alone, at a price per second of planning."""
+
+    price: float
+    type: ClassVar[str] = "switching"
+
+    def __post_init__(self) -> None:
+        check_price(PLACE, self.price)
+
+    def rule(self, costs: CrowdCosts) -> CrowdRule:
+        """See `CrowdSettings.rule`."""
+        return crowd_switching(costs, self.price)
+
+
+@dataclass(frozen=True)
+class BudgetSettings(CrowdSettings):
+    """Gains most within the time of a cycle, with gains that Algorithm 1 estimates for each human alone.
+
+    Attributes:
+        milliseconds: of a cycle, decision and plan.
+    """
+
+    milliseconds: float
+    type: ClassVar[str] = "budget"
+    quantile: ClassVar[float] = 0.99
+
+    def __post_init__(self) -> None:
+        if not is_number(self.milliseconds) or self.milliseconds <= 0:
+            raise ValueError(
+                f"{PLACE}['milliseconds'] is {self.milliseconds!r}; a cycle takes more than 0 milliseconds"
+            )
+
+    @property
+    def budget(self) -> float:
+        """Time of a cycle [s]."""
+        return self.milliseconds * 1e-3
+
+    def rule(self, costs: CrowdCosts) -> CrowdRule:
+        """See `CrowdSettings.rule`."""
+        return Budget(OneStepGains(crowd_switching(costs, 0.0).switching), costs, self.budget)
+
+
+CLASSES = (
+    SwitchingCrowdSettings,
+    BudgetSettings,
+    FixedSettings,
+    RandomCrowdSettings,
+    NearestSettings,
+    TimeToCollisionSettings,
+    InfluenceSettings,
+)
 KINDS: dict[str, type[Any]] = {kind.type: kind for kind in CLASSES}
 COUNTS = tuple(name for name, kind in KINDS.items() if issubclass(kind, _CountSettings))
+NUMBERS = {"switching": ("lambda", "its lambda", "0.1"), "budget": ("milliseconds", "its milliseconds", "20")}
 
 
 def crowd_settings(config: Any) -> CrowdSettings:
@@ -131,7 +185,8 @@ def crowd_settings(config: Any) -> CrowdSettings:
 def crowd_controller_config(text: str) -> dict[str, Any]:
     """Return the configuration that the short name of a controller for several humans stands for.
 
-    These are ``naive``, ``turn`` and ``tom``, the same model for all humans; ``nearest:2``, ``ttc:2`` and
+    These are ``naive``, ``turn`` and ``tom``, the same model for all humans; ``switching:0.1`` with a lambda;
+    ``budget:20``, with the milliseconds of a cycle; ``nearest:2``, ``ttc:2`` and
     ``influence:2``, theory of mind about the two nearest humans, those with the shortest time to collision, or those
     that influence the plan most; and ``random:naive=0.7,tom=0.3``, for every human and step a model that is drawn with
     these shares.
@@ -143,6 +198,9 @@ def crowd_controller_config(text: str) -> dict[str, Any]:
     config: dict[str, Any]
     if name in RUNGS and name == text:
         config = {"type": "fixed", "model": name}
+    elif name in NUMBERS:
+        key, what, example = NUMBERS[name]
+        config = {"type": name, key: number_of(text, rest, f"{what} as a number, such as {name}:{example}")}
     elif name in COUNTS:
         if not rest.isdecimal():
             raise ValueError(f"controller {text!r} needs its number of humans, such as {name}:2")
@@ -150,8 +208,9 @@ def crowd_controller_config(text: str) -> dict[str, Any]:
     elif name == "random":
         config = {"type": "random", "shares": shares_of(text, rest)}
     else:
+        numbers = "switching:LAMBDA, budget:MILLISECONDS"
         counts = ", ".join(f"{kind}:HUMANS" for kind in COUNTS)
-        known = f"{', '.join(RUNGS)}, {counts} and random:MODEL=SHARE,..."
+        known = f"{', '.join(RUNGS)}, {numbers}, {counts} and random:MODEL=SHARE,..."
         raise ValueError(f"unknown controller {text!r}; the controllers of several humans are {known}")
     try:
         crowd_settings(config)

@@ -42,8 +42,9 @@ class Budget:
     def choose(self, crowd: Crowd, memory: CrowdMemory, outcome: CrowdOutcome) -> CrowdDecision:
         """See `ms_highway.metareasoning.crowd.rule.CrowdRule`; rungs without an estimate are not chosen."""
         decision = self.gains.choose(crowd, memory, outcome)
-        values = jnp.where(jnp.isnan(decision.gains), -jnp.inf, jnp.asarray(decision.gains))
-        values = values.at[:, 0].set(jnp.where(jnp.isnan(decision.gains[:, 0]), 0.0, values[:, 0]))
+        known = jnp.isfinite(decision.gains)
+        values = jnp.where(known, jnp.asarray(decision.gains), -jnp.inf)
+        values = values.at[:, 0].set(jnp.where(known[:, 0], values[:, 0], 0.0))
         capacity = self.share * self.seconds - self.deciding - self.costs.base
         rungs = best_rungs(values, self.costs.each, capacity)
         return decision._replace(memory=decision.memory._replace(rungs=rungs))
