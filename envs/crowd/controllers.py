@@ -3,13 +3,14 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from math import nan
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ms_highway.envs.checks import is_number, is_one_of, is_whole, refuse_unknown
-from ms_highway.envs.controllers import PLACE, RandomSettings, check_price
-from ms_highway.envs.short_names import number_of, shares_of
+from ms_highway.envs.controllers import PLACE, ControllerSettings, RandomSettings, check_price
+from ms_highway.envs.short_names import named_controller, number_of, shares_of
 from ms_highway.metareasoning.crowd.baselines import AllOfOne, Influence, Nearest, RandomRungs, TimeToCollision
 from ms_highway.metareasoning.crowd.budget import Budget
 from ms_highway.metareasoning.crowd.rule import CrowdRule
@@ -17,7 +18,7 @@ from ms_highway.metareasoning.crowd.switching import OneStepGains, crowd_switchi
 from ms_highway.planning.compiled_crowd import CrowdCosts
 from ms_highway.planning.crowd import RUNGS
 
-__all__ = ["CrowdSettings", "crowd_controller_config", "crowd_settings"]
+__all__ = ["CrowdSettings", "any_controller", "crowd_controller_config", "crowd_settings"]
 
 
 class CrowdSettings(ABC):
@@ -30,6 +31,7 @@ class CrowdSettings(ABC):
 
     type: ClassVar[str]
     quantile: ClassVar[float] = 0.5
+    price: float = nan  # lambda, where a rule chooses at one
 
     @property
     def budget(self) -> float | None:
@@ -217,3 +219,20 @@ def crowd_controller_config(text: str) -> dict[str, Any]:
     except ValueError as error:
         raise ValueError(f"controller {text!r}: {error}") from None
     return config
+
+
+def any_controller(text: str) -> ControllerSettings | CrowdSettings:
+    """Return the settings that a controller's short name stands for, with one human or else with several.
+
+    A name that both know is of the same type, at the same lambda.
+
+    Raises:
+        ValueError: if it stands for none.
+    """
+    try:
+        return named_controller(text)
+    except ValueError as error:
+        try:
+            return crowd_settings(crowd_controller_config(text))
+        except ValueError:
+            raise error from None

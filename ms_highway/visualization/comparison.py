@@ -16,7 +16,7 @@ from rich.console import JustifyMethod
 from rich.table import Table
 
 from ms_highway.envs.controllers import CHOOSING
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.crowd.controllers import any_controller
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import is_model, known_models
@@ -33,10 +33,11 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """Return the summary of one scenario as text: a row per controller, and texts under the columns' headings.
 
     Planning has two columns: as decisions count it, at T(M), and as it was measured, if it was. Steps driven by
-    fallback have a column if there are any.
+    fallback have a column if there are any, and success where there are several humans.
     """
     chosen = summaries[summaries["scenario"] == scenario]
     failed = "fallbacks" in chosen and bool(chosen["fallbacks"].any())
+    succeeded = "success" in chosen and bool(chosen["success"].notna().any())
     models = models_of(summaries, share_column)
     rows = [
         {
@@ -49,6 +50,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
             **{heading: f"{row[name]:.2f}" for name, heading in MEASURED.items() if name in row},
             f"{' / '.join(models)} %": " / ".join(f"{100 * row[share_column(name)]:.0f}" for name in models),
             "collisions": f"{row['collision_episodes']} of {row['episodes']}",
+            **({"success": f"{100 * row['success']:.0f} %"} if succeeded else {}),
             **({"fallback steps": f"{row['fallbacks']}"} if failed else {}),
         }
         for row in chosen.to_dict("records")
@@ -117,7 +119,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     """
     rows = records[records["scenario"] == scenario]
     controllers = list(dict.fromkeys(rows["controller"]))
-    choosing = [name for name in controllers if named_controller(name).type in CHOOSING]
+    choosing = [name for name in controllers if any_controller(name).type in CHOOSING]
     figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")
     heights = [2.5] + [1] * len(choosing)
     axes = np.atleast_1d(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
@@ -167,7 +169,7 @@ def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
 
 def _colors(controllers: Sequence[str]) -> list[str]:
     """Return a model's own colour for a fixed model, shades of its kind's for one that chooses online, else greys."""
-    kinds = [kind if (kind := named_controller(name).type) in CHOOSING else "switching" for name in controllers]
+    kinds = [kind if (kind := any_controller(name).type) in CHOOSING else "switching" for name in controllers]
     shades = {kind: cycle(choosing_shades(kind)) for kind in kinds}
     pairs = zip(controllers, kinds, strict=True)
     return [color_of(name) if is_model(name) else next(shades[kind]) for name, kind in pairs]
