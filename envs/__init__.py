@@ -1,7 +1,8 @@
-"""The environments: three scenarios of human and robot, and one to record driving in, as highway-env environments.
+"""The environments: scenarios of a robot with one human or several, and one to record driving in.
 
 ``import ms_highway`` registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
-``ms-highway/give-way-v0`` and ``ms-highway/demonstration-v0`` with Gymnasium. Imports `ms_highway.vehicle` and what
+``ms-highway/give-way-v0``, ``ms-highway/dense-merge-v0``, ``ms-highway/crossing-crowd-v0`` and
+``ms-highway/demonstration-v0`` with Gymnasium. Imports `ms_highway.vehicle` and what
 stands below it.
 """
 
@@ -10,6 +11,8 @@ from typing import cast
 from gymnasium.envs.registration import EnvCreator, register, registry
 
 from ms_highway.envs.base import InteractionEnv
+from ms_highway.envs.crowd.base import CrowdEnv
+from ms_highway.envs.crowd.scenes import CrossingCrowdEnv, DenseMergeEnv
 from ms_highway.envs.demonstration import DemonstrationEnv
 from ms_highway.envs.give_way import GiveWayEnv
 from ms_highway.envs.merger import MergerEnv
@@ -17,11 +20,15 @@ from ms_highway.envs.stay_back import StayBackEnv
 from ms_highway.game.scenario import Scenario
 
 __all__ = [
+    "CROWD_SCENARIOS",
     "DEMONSTRATION_ID",
     "ENVIRONMENTS",
     "PAPER_SCENARIOS",
     "SCENARIOS",
+    "CrossingCrowdEnv",
+    "CrowdEnv",
     "DemonstrationEnv",
+    "DenseMergeEnv",
     "GiveWayEnv",
     "MergerEnv",
     "StayBackEnv",
@@ -31,10 +38,12 @@ __all__ = [
     "checks",
     "configuration",
     "controllers",
+    "crowd",
     "demonstration",
     "environment_id",
     "give_way",
     "graphics",
+    "is_crowd",
     "merger",
     "observations",
     "routes",
@@ -42,18 +51,25 @@ __all__ = [
     "short_names",
     "stage",
     "stay_back",
+    "two_player_scenario",
 ]
 
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
-    environment.scenario.name: environment for environment in (StayBackEnv, MergerEnv, GiveWayEnv)
+    environment.scenario.name: environment
+    for environment in (StayBackEnv, MergerEnv, GiveWayEnv, DenseMergeEnv, CrossingCrowdEnv)
 }
 """The environments by name of their scenario."""
 
-SCENARIOS: dict[str, Scenario] = {name: environment.scenario for name, environment in ENVIRONMENTS.items()}
-"""The scenarios by name."""
+SCENARIOS: dict[str, Scenario] = {
+    name: environment.scenario for name, environment in ENVIRONMENTS.items() if not issubclass(environment, CrowdEnv)
+}
+"""The scenarios with one human by name."""
 
 PAPER_SCENARIOS = ("stay_back", "merger", "give_way")
 """Names of the paper's scenarios."""
+
+CROWD_SCENARIOS = ("dense_merge", "crossing_crowd")
+"""Names of the package's scenarios with several humans."""
 
 DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
 """The Gymnasium id of the `DemonstrationEnv`, with the prefix that lets spawned workers find it."""
@@ -65,9 +81,26 @@ def environment_id(scenario: str) -> str:
     Raises:
         ValueError: for an unknown scenario.
     """
-    if scenario not in SCENARIOS:
-        raise ValueError(f"unknown scenario {scenario!r}; the scenarios are {', '.join(SCENARIOS)}")
+    if scenario not in ENVIRONMENTS:
+        raise ValueError(f"unknown scenario {scenario!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
     return f"ms_highway:ms-highway/{scenario.replace('_', '-')}-v0"
+
+
+def is_crowd(scenario: str) -> bool:
+    """Return whether a scenario has several humans, see `ms_highway.envs.crowd`; an unknown one has not."""
+    return scenario in ENVIRONMENTS and scenario not in SCENARIOS
+
+
+def two_player_scenario(name: str) -> Scenario:
+    """Return a scenario with one human.
+
+    Raises:
+        ValueError: for an unknown scenario, or one with several humans.
+    """
+    environment_id(name)
+    if is_crowd(name):
+        raise ValueError(f"{name} has several humans; the scenarios with one human are {', '.join(SCENARIOS)}")
+    return SCENARIOS[name]
 
 
 def add_scenario(environment: type[InteractionEnv]) -> str:
@@ -82,13 +115,16 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
         The Gymnasium id.
 
     Raises:
-        ValueError: if the name is one of the paper's, or no such word.
+        ValueError: if the name is one of the package's, or no such word.
     """
     name = environment.scenario.name
-    if name in PAPER_SCENARIOS or not (name.isidentifier() and name.islower()):
-        taken = ", ".join(PAPER_SCENARIOS)
-        raise ValueError(f"a scenario cannot be called {name!r}; choose one word in lower case other than {taken}")
-    ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
+    taken = (*PAPER_SCENARIOS, *CROWD_SCENARIOS)
+    if name in taken or not (name.isidentifier() and name.islower()):
+        others = ", ".join(taken)
+        raise ValueError(f"a scenario cannot be called {name!r}; choose one word in lower case other than {others}")
+    ENVIRONMENTS[name] = environment
+    if not issubclass(environment, CrowdEnv):
+        SCENARIOS[name] = environment.scenario
     bare_id = environment_id(name).removeprefix("ms_highway:")
     registry.pop(bare_id, None)
     register(bare_id, entry_point=cast(EnvCreator, environment))

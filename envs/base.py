@@ -1,7 +1,6 @@
 """The environment that the three scenarios share: a road, a human, a robot, and who drives it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import jax
@@ -10,7 +9,6 @@ from gymnasium import spaces
 from highway_env.envs.common.action import ActionType, action_factory
 from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
-from highway_env.vehicle.objects import Obstacle
 from jaxtyping import Float
 
 from ms_highway.control.controller import Controller
@@ -21,37 +19,17 @@ from ms_highway.envs.controllers import ChoosingSettings, FixedSettings, control
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.observations import CarStates, finite
 from ms_highway.envs.settings import Settings, merged
-from ms_highway.envs.stage import StageEnv, straight_road
+from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.stage import Cone, StageEnv, Timing, straight_road
 from ms_highway.game.game import swap_roles
 from ms_highway.game.planning_settings import PAPER_PLANNING
 from ms_highway.game.reward import COMPUTATION
-from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT, TIME_STEP, Scenario, draw_starts
+from ms_highway.game.scenario import TIME_STEP, Scenario, draw_starts
 from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.planning.human_models import HumanModel, Naive, human_model
-from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
+from ms_highway.vehicle import BicycleVehicle, HumanVehicle, PlanningVehicle, RobotVehicle, ScriptedVehicle, states_of
 
-__all__ = ["Cone", "InteractionEnv", "Timing"]
-
-
-@dataclass(frozen=True)
-class Timing:
-    """What the robot's step took on this machine. Any two compare equal: measured times are no part of what happened.
-
-    Attributes:
-        planning_seconds: wall time of the plan, compilation excluded.
-        decision_seconds: wall time of choosing the model, compilation excluded; 0 without a choice.
-        compile_seconds: time spent compiling and warming up.
-    """
-
-    planning_seconds: float = field(compare=False)
-    decision_seconds: float = field(compare=False)
-    compile_seconds: float = field(compare=False)
-
-
-class Cone(Obstacle):
-    """A traffic cone."""
-
-    LENGTH, WIDTH = (size * PAPER_UNIT for size in CONE_SIZE)  # m
+__all__ = ["InteractionEnv"]
 
 
 class InteractionEnv(StageEnv):
@@ -97,6 +75,8 @@ class InteractionEnv(StageEnv):
     """
 
     scenario: ClassVar[Scenario]
+    viewer_class: ClassVar[type[InteractionViewer]] = InteractionViewer
+    settings: Any  # `Settings`; among several humans others
     action_space: spaces.Space | None
     viewer: InteractionViewer | None
 
@@ -142,11 +122,35 @@ class InteractionEnv(StageEnv):
         Raises:
             ValueError: for an unknown key or an impossible value.
         """
-        self.config = merged(self.config, config)
+        self.config = self.checked_config(config, self.config)
+        self._read()
+        super().configure(None)
+
+    @classmethod
+    def checked_config(
+        cls, changes: Mapping[str, Any] | None, config: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """Return the whole configuration, by default the default one, after changes.
+
+        Raises:
+            ValueError: for an unknown key or an impossible value.
+        """
+        return merged(cls.default_config() if config is None else config, changes)
+
+    @staticmethod
+    def controller_config(text: str) -> dict[str, Any]:
+        """Return the configuration that a controller's short name stands for in this environment.
+
+        Raises:
+            ValueError: if it stands for none.
+        """
+        return controller_config(text)
+
+    def _read(self) -> None:
+        """Read the checked configuration."""
         self.settings = Settings.read(self.config)
         self.game = self.settings.game(self.scenario)
         self._costs = self.settings.costs
-        super().configure(None)
 
     def update_metadata(self, video_real_time_ratio: int = 1) -> None:
         """Frames per second of a video that plays at true speed."""
@@ -161,7 +165,7 @@ class InteractionEnv(StageEnv):
         if before == self.action_space:
             self.action_space = before
         if observation == {"type": "CarStates"}:
-            self.observation_type = CarStates(self, cars=len(self.scenario.cars))
+            self.observation_type = CarStates(self, cars=self.cars)
         else:
             self.observation_type = observation_factory(self, observation)
         self.observation_space = finite(self.observation_type.space())
@@ -201,7 +205,7 @@ class InteractionEnv(StageEnv):
     def _checked_states(self, states: Any) -> Float[np.ndarray, "cars 4"] | None:
         if states is None:
             return None
-        states, shape = np.array(states, dtype=float), (len(self.scenario.cars), 4)
+        states, shape = np.array(states, dtype=float), (self.cars, 4)
         if states.shape != shape:
             raise ValueError(f"options['initial_states'] has shape {states.shape}; {self.scenario.name} needs {shape}")
         if not np.isfinite(states).all():
@@ -214,20 +218,37 @@ class InteractionEnv(StageEnv):
         self.road = Road(straight_road(self.game), np_random=self.np_random)
         for x, y in np.asarray(self.game.scene.obstacles, dtype=float):
             self.road.objects.append(Cone(self.road, [x, y]))
-        classes = [RobotVehicle, HumanVehicle] + [ScriptedVehicle] * (len(states) - 2)
-        cars = [kind(self.road, state[:2], *state[2:]) for kind, state in zip(classes, states, strict=True)]
+        cars = [kind(self.road, state[:2], *state[2:]) for kind, state in zip(self._roles(), states, strict=True)]
         for car in cars:
             car.solid = False  # collisions are seen, without effect
-        for car in cars[:2]:
-            car.dynamics = jax.tree.map(float, self.game.world)
-        robot, human, *others = cars
-        human.drive_with(FixedModel(swap_roles(self.game), Naive()), [robot, *others])
-        if isinstance(self.action_type, (Autopilot, HumanModelAction)):
-            robot.drive_with(self._controller(states), [human, *others])
+            if isinstance(car, PlanningVehicle):
+                car.dynamics = jax.tree.map(float, self.game.world)
+        self._drive(cars, states)
         self.road.vehicles = cars
-        self.controlled_vehicles = [robot]
+        self.controlled_vehicles = [cars[0]]
         self.history = []
         self.collision = False
+
+    @property
+    def cars(self) -> int:
+        """Number of cars."""
+        return len(self.scenario.cars)
+
+    def _roles(self) -> list[type[BicycleVehicle]]:
+        """Return the class of every car."""
+        return [RobotVehicle, HumanVehicle, *[ScriptedVehicle] * (self.cars - 2)]
+
+    def _drive(self, cars: list[Any], states: Float[np.ndarray, "cars 4"]) -> None:
+        """Say who drives the cars, which are in these states."""
+        robot, human, *others = cars
+        human.drive_with(FixedModel(swap_roles(self.game), Naive()), [robot, *others])
+        if self.drives_itself:
+            robot.drive_with(self._controller(states), [human, *others])
+
+    @property
+    def drives_itself(self) -> bool:
+        """Whether a controller drives the robot, and not the agent."""
+        return isinstance(self.action_type, (Autopilot, HumanModelAction))
 
     def draw_starts(self, random: np.random.Generator) -> Float[np.ndarray, "cars 4"]:
         """Draw a start of every car, robot first, then the human, in SI units; see `draw_starts`."""
@@ -255,8 +276,12 @@ class InteractionEnv(StageEnv):
         """T(M) of every model on the ladder [s]; where to be measured, once after each change of configuration."""
         names = [model.name for model in self.models]
         if self._costs is None:
-            self._costs = dict(zip(names, measure_costs(self.game, self.models, states).tolist(), strict=True))
+            self._costs = dict(zip(names, self._measured_costs(states), strict=True))
         return np.array([self._costs[name] for name in names])
+
+    def _measured_costs(self, states: Float[np.ndarray, "cars 4"]) -> list[float]:
+        """Measure T(M) of every model on the ladder [s]."""
+        return measure_costs(self.game, self.models, states).tolist()
 
     @property
     def robot(self) -> RobotVehicle:
@@ -276,7 +301,7 @@ class InteractionEnv(StageEnv):
     def render(self) -> np.ndarray | None:
         """Draw the road from above and a panel with the model in use, its history, reward and planning time."""
         if self.viewer is None and self.render_mode is not None:
-            self.viewer = InteractionViewer(self)
+            self.viewer = self.viewer_class(self)
         return super().render()
 
     def _simulate(self, action: Any = None) -> None:

@@ -33,7 +33,7 @@ OBSERVATIONS = {
     "LidarObservation": LidarObservation,
     "GrayscaleObservation": GrayscaleObservation,
 }
-CHOICES = {
+CHOICES: dict[str, tuple[str | None, ...]] = {
     "semantics": ("paper", "released"),
     "influence": (None, "exact", "damped"),
     "solver": ("gradient", "newton"),
@@ -44,11 +44,20 @@ OWN_CHECK = ("horizon", "iterations", "step_size")  # in `ms_highway.envs.settin
 REPLACED = ("human_reward",)  # mappings that are not merged: weights of two rewards do not belong together
 
 
-def changed(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
+def changed(
+    defaults: Mapping[str, Any],
+    changes: Mapping[str, Any] | None,
+    choices: Mapping[str, tuple[str | None, ...]] | None = None,
+) -> dict[str, Any]:
     """Apply changes to the defaults of any environment, and check the keys that all environments share.
 
     A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
     replaces the default.
+
+    Args:
+        defaults: the whole configuration.
+        changes: of some of it.
+        choices: of keys whose choices differ from those of other environments.
 
     Raises:
         ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
@@ -61,9 +70,10 @@ def changed(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> d
         key: changes[key] if key in changes and key in REPLACED else _merged_value(default, changes.get(key, default))
         for key, default in defaults.items()
     }
-    for key in CHOICES.keys() & config.keys():
-        if not is_one_of(config[key], CHOICES[key]):
-            raise ValueError(f"config[{key!r}] is {config[key]!r}; choose one of {', '.join(map(repr, CHOICES[key]))}")
+    known = {**CHOICES, **(choices or {})}
+    for key in known.keys() & config.keys():
+        if not is_one_of(config[key], known[key]):
+            raise ValueError(f"config[{key!r}] is {config[key]!r}; choose one of {', '.join(map(repr, known[key]))}")
     for key, default in defaults.items():
         _check_scalar(key, default, config[key])
     _set_frequencies(config, changes)

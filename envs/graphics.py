@@ -50,7 +50,6 @@ MODEL_MEANINGS = {
 }
 INK, FAINT, PAPER, CONE = (32, 36, 44), (125, 130, 140), (250, 250, 247), (255, 120, 20)
 GRID, GROUND, ASPHALT = (215, 218, 224), (205, 218, 195), (96, 100, 106)
-PANEL_HEIGHT = 150  # px
 MARGIN = 16  # px
 TEXT_WIDTH = 440  # px, left part of the panel
 LARGE, MEDIUM, SMALL = 26, 15, 13  # px, sizes of texts
@@ -99,6 +98,8 @@ class Viewer(EnvViewer):
 class InteractionViewer(Viewer):
     """Draws an `ms_highway.envs.base.InteractionEnv` on a surface of ``screen_width`` x ``screen_height``."""
 
+    panel_height = 150  # px
+
     def window_position(self) -> Float[np.ndarray, "2"]:
         """Return the centre of the view: it follows the robot along the road and keeps the road in place."""
         lanes = np.asarray(self.env.game.scene.lanes, dtype=float)
@@ -116,10 +117,7 @@ class InteractionViewer(Viewer):
         for car in road.vehicles:
             VehicleGraphics.display(car, surface, offscreen=self.offscreen)
         self._plans()
-        (_, robot_start), (_, human_start), *_ = self.env.scenario.cars
-        side = 1 if robot_start > human_start else -1
-        self._name("robot", self.env.robot, side)
-        self._name("human", self.env.human, -side)
+        self._names()
         self._panel()
         if not self.offscreen:
             self.screen.blit(surface, (0, 0))
@@ -134,6 +132,13 @@ class InteractionViewer(Viewer):
         _, bottom = surface.pos2pix(0, lanes.max() + margin)
         surface.fill(GROUND)
         pygame.draw.rect(surface, ASPHALT, (0, top, surface.get_width(), bottom - top))
+
+    def _names(self) -> None:
+        """Draw the names of robot and human at the roadside."""
+        (_, robot_start), (_, human_start), *_ = self.env.scenario.cars
+        side = 1 if robot_start > human_start else -1
+        self._name("robot", self.env.robot, side)
+        self._name("human", self.env.human, -side)
 
     def _name(self, name: str, car: Any, side: int) -> None:
         """Draw the car's name at the roadside: -1 is the left, at the top."""
@@ -154,17 +159,23 @@ class InteractionViewer(Viewer):
 
     def _plans(self) -> None:
         """Draw the robot's plan as a line and the predicted human path as dots, both in the model's colour."""
-        robot, surface = self.env.robot, self.sim_surface
+        robot = self.env.robot
         if robot.last_step is None:
             return
         color = model_color(robot.last_step.model)
-        planned = [surface.vec2pix(point) for point in self._path(robot.last_state[0], robot.last_step.plan)]
-        predicted = [surface.vec2pix(point) for point in self._path(robot.last_state[1], robot.last_step.human)]
-        pygame.draw.lines(surface, PAPER, False, planned, 8)
-        pygame.draw.lines(surface, color, False, planned, 4)
-        for point in predicted[1:]:
-            pygame.draw.circle(surface, PAPER, point, 6)
-            pygame.draw.circle(surface, color, point, 4)
+        self._line(self._path(robot.last_state[0], robot.last_step.plan), color)
+        self._dots(self._path(robot.last_state[1], robot.last_step.human)[1:], color)
+
+    def _line(self, points: list[np.ndarray], color: Color) -> None:
+        places = [self.sim_surface.vec2pix(point) for point in points]
+        pygame.draw.lines(self.sim_surface, PAPER, False, places, 8)
+        pygame.draw.lines(self.sim_surface, color, False, places, 4)
+
+    def _dots(self, points: list[np.ndarray], color: Color) -> None:
+        for point in points:
+            place = self.sim_surface.vec2pix(point)
+            pygame.draw.circle(self.sim_surface, PAPER, place, 6)
+            pygame.draw.circle(self.sim_surface, color, place, 4)
 
     def _path(self, state: Float[np.ndarray, "4"], controls: Float[np.ndarray, "steps 2"]) -> list[np.ndarray]:
         points, dynamics = [state[:2]], jax.tree.map(float, self.env.game.dynamics)
@@ -176,17 +187,17 @@ class InteractionViewer(Viewer):
     def _panel(self) -> None:
         surface = self.sim_surface
         width, height = surface.get_size()
-        top = height - PANEL_HEIGHT
-        pygame.draw.rect(surface, PAPER, (0, top, width, PANEL_HEIGHT))
+        top = height - self.panel_height
+        pygame.draw.rect(surface, PAPER, (0, top, width, self.panel_height))
         history = self.env.history
         if not history:
             self._text(f"{title(self.env.scenario.name)}: the episode starts", MEDIUM, INK, (MARGIN, top + MARGIN))
             return
         self._now(history[-1], top + 12)
-        chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, 42)
+        chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, (self.panel_height - 66) // 2)
         if any(record["model"] for record in history):
             self._bars(chart)
-        self._curve(chart.move(0, 70))
+        self._curve(chart.move(0, chart.height + 28))
 
     def _now(self, record: dict[str, Any], top: int) -> None:
         """Draw the left part: model, reward, seconds and, where the model is chosen here, gains of the last step."""

@@ -21,7 +21,17 @@ from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.effort import BEST, seconds_of
 from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
 
-__all__ = ["HUMAN_REWARDS", "PLANNING", "Settings", "merged"]
+__all__ = [
+    "ACTION_DEFAULTS",
+    "HUMAN_REWARDS",
+    "PLANNING",
+    "Settings",
+    "merged",
+    "read_costs",
+    "read_human_weights",
+    "read_limit",
+    "read_planning",
+]
 
 PLANNING = ("horizon", "time_step", "iterations", "step_size", "control_limit", "grip")
 """Keys that say how robot and human plan."""
@@ -34,6 +44,7 @@ ACTION_DEFAULTS: dict[str, dict[str, Any]] = {
     "ContinuousAction": {"steering_range": STEERING_RANGE},
     "DiscreteAction": {"steering_range": STEERING_RANGE},
 }
+"""What is added to highway-env's defaults of actions, by type."""
 LONGEST_HORIZON = 100  # steps
 
 
@@ -75,20 +86,20 @@ class Settings:
             ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
         """
         paper = config["semantics"] == "paper"
-        models, planning = _ladder(config["ladder"]), _planning(config)
+        models, planning = _ladder(config["ladder"]), read_planning(config)
         controller = controller_settings(config["controller"])
         others = [human_model(name) for name in controller.names()]
         return cls(
             semantics=config["semantics"],
             models=models,
             controller=controller,
-            costs=_costs(config["costs"], models, others, gradient_steps(planning)[0]),
+            costs=read_costs(config["costs"], models, others, gradient_steps(planning)[0]),
             influence=config["influence"] or ("damped" if paper else "exact"),
-            control_limit=_limit(config["control_limit"], PHYSICAL_LIMIT if paper else None),
+            control_limit=read_limit(config["control_limit"], PHYSICAL_LIMIT if paper else None),
             grip=_grip(config["grip"]),
             solver=config["solver"],
             planning=planning,
-            human_weights=_human_weights(config["human_reward"], HUMAN_REWARDS[config["semantics"]]),
+            human_weights=read_human_weights(config["human_reward"], HUMAN_REWARDS[config["semantics"]]),
             warm_start=bool(config["warm_start"]),
         )
 
@@ -133,10 +144,14 @@ def _ladder(names: Any) -> tuple[HumanModel, ...]:
         raise ValueError(f"config['ladder']: {error}") from None
 
 
-def _costs(
+def read_costs(
     costs: Any, rungs: Sequence[HumanModel], others: Sequence[HumanModel], iterations: int
 ) -> Mapping[str, float] | None:
-    """T(M) by model, also of others than the rungs as far as it is known; None where it is to be measured."""
+    """Return T(M) by model, also of others than the rungs as far as it is known; None where it is to be measured.
+
+    Raises:
+        ValueError: for unknown models or impossible seconds.
+    """
     if is_one_of(costs, ("measured",)):
         return None
     remedy = "say 'published', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
@@ -156,8 +171,12 @@ def _costs(
     return {**given, **{name: seconds for name, seconds in known.items() if seconds is not None}}
 
 
-def _limit(limit: Any, usual: tuple[float, float] | None) -> tuple[float, float] | None:
-    """Bounds on plans; None where they are unlimited."""
+def read_limit(limit: Any, usual: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Return the bounds on plans; None where they are unlimited.
+
+    Raises:
+        ValueError: for impossible bounds.
+    """
     if is_one_of(limit, (None, "unlimited")):
         return usual if limit is None else None
     pair = tuple(limit) if isinstance(limit, (list, tuple)) or np.ndim(limit) == 1 else ()
@@ -178,7 +197,12 @@ def _grip(grip: Any) -> float | None:
     return float(grip)
 
 
-def _planning(config: Mapping[str, Any]) -> PlanningSettings:
+def read_planning(config: Mapping[str, Any]) -> PlanningSettings:
+    """Return how far ahead, how often and by which gradient steps cars plan.
+
+    Raises:
+        ValueError: for impossible numbers.
+    """
     horizon, iterations, length = config["horizon"], config["iterations"], config["step_size"]
     time_step = float(config["time_step"])
     if not is_whole(horizon) or not 0 < horizon <= LONGEST_HORIZON:
@@ -204,8 +228,12 @@ def _planning(config: Mapping[str, Any]) -> PlanningSettings:
     return planning
 
 
-def _human_weights(reward: Any, usual: str) -> Mapping[str, float]:
-    """Return the weights of the human's reward, by name."""
+def read_human_weights(reward: Any, usual: str) -> Mapping[str, float]:
+    """Return the weights of the human's reward, by name.
+
+    Raises:
+        ValueError: for an unknown reward or weight.
+    """
     reward = usual if reward is None else reward
     if is_one_of(reward, ("learned",)):
         return shipped("demonstrations").weights

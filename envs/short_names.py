@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ms_highway.envs.controllers import CHOOSING, ControllerSettings, controller_settings
+from ms_highway.envs.crowd.controllers import CrowdControllerSettings, crowd_controller_config, crowd_settings
 from ms_highway.planning.human_models import is_model, model_names
 
 __all__ = ["controller_config", "named_controller"]
@@ -11,13 +12,22 @@ __all__ = ["controller_config", "named_controller"]
 MOST_DIGITS = 5  # of a number of steps
 
 
-def named_controller(text: str) -> ControllerSettings:
-    """Return the settings that a controller's short name stands for, see `controller_config`.
+def named_controller(text: str) -> ControllerSettings | CrowdControllerSettings:
+    """Return the settings that a controller's short name stands for, with one human or else with several.
+
+    See `controller_config` and `ms_highway.envs.crowd.controllers.crowd_controller_config`. A name that both know is of
+    the same type, at the same lambda.
 
     Raises:
         ValueError: if it stands for none.
     """
-    return controller_settings(controller_config(text))
+    try:
+        return controller_settings(controller_config(text))
+    except ValueError as error:
+        try:
+            return crowd_settings(crowd_controller_config(text))
+        except ValueError:
+            raise error from None
 
 
 def controller_config(text: str) -> dict[str, Any]:

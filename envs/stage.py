@@ -1,6 +1,7 @@
-"""What the environments share: the road that is drawn, and car 0's reward by feature."""
+"""What the environments share: road and cones, car 0's reward by feature, and what a step took."""
 
 from abc import abstractmethod
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -8,15 +9,17 @@ import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import RoadNetwork
+from highway_env.vehicle.objects import Obstacle
 from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.features import features
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward
+from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT
 from ms_highway.game.scene import Scene
 
-__all__ = ["StageEnv", "evaluate", "straight_road"]
+__all__ = ["Cone", "StageEnv", "Timing", "evaluate", "straight_road"]
 
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
 
@@ -41,6 +44,27 @@ def straight_road(game: Game) -> RoadNetwork:
         lane = StraightLane(*ends, width=float(scene.lane_width), line_types=[left, right], speed_limit=limit)
         network.add_lane("start", "end", lane)
     return network
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What the robot's step took on this machine. Any two compare equal: measured times are no part of what happened.
+
+    Attributes:
+        planning_seconds: wall time of the plan, compilation excluded.
+        decision_seconds: wall time of choosing the model, compilation excluded; 0 without a choice.
+        compile_seconds: time spent compiling and warming up.
+    """
+
+    planning_seconds: float = field(compare=False)
+    decision_seconds: float = field(compare=False)
+    compile_seconds: float = field(compare=False)
+
+
+class Cone(Obstacle):
+    """A traffic cone."""
+
+    LENGTH, WIDTH = (size * PAPER_UNIT for size in CONE_SIZE)  # m
 
 
 class StageEnv(AbstractEnv):

@@ -84,6 +84,8 @@ _ENVIRONMENTS = {
     "stay-back": "StayBackEnv",
     "merger": "MergerEnv",
     "give-way": "GiveWayEnv",
+    "dense-merge": "DenseMergeEnv",
+    "crossing-crowd": "CrossingCrowdEnv",
     "demonstration": "DemonstrationEnv",
 }
 

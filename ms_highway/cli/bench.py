@@ -49,7 +49,7 @@ def _bench(options: argparse.Namespace) -> None:
 
     from ms_highway.benchmarks.latency import bench
     from ms_highway.benchmarks.throughput import throughput
-    from ms_highway.envs import SCENARIOS, environment_id
+    from ms_highway.envs import SCENARIOS, two_player_scenario
     from ms_highway.experiments.comparison import paper_controllers
     from ms_highway.runtime.files import replacing
 
@@ -59,7 +59,7 @@ def _bench(options: argparse.Namespace) -> None:
         raise ValueError(f"--batches has {max(options.batches)}; a batch may have {MOST} episodes")
     scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
     for scenario in scenarios:
-        environment_id(scenario)  # refuses unknown ones before anything is measured
+        two_player_scenario(scenario)  # refuses unknown ones before anything is measured
     columns = TextColumn("{task.description}"), TimeElapsedColumn()
     results: dict[str, dict[str, Any]] = {}
     with Progress(*columns, console=Console(stderr=True)) as progress:

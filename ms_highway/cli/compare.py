@@ -5,10 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, count_episodes, print_tables
 from ms_highway.cli.options import (
+    CROWD_CONTROLLERS,
+    CROWD_NAMES,
     MOST,
+    SCENARIO_NAMES,
     SOLVERS,
     add_controllers,
     add_costs,
+    add_humans,
     add_ladder,
     add_out,
     add_planning,
@@ -24,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_compare", "comparison"]
 
-HELP = """\
+HELP = f"""\
 Run the same seeded episodes with several controllers and compare reward and computation.
 
 A controller is a human model that plans every step (naive, turn, tom); or learned:LAMBDA, which chooses the model at
@@ -35,6 +39,11 @@ an order that is fixed beforehand, such as schedule:tom=6,naive; or period:MODEL
 such as period:tom=1,naive=3; or random:MODEL=SHARE,..., a model drawn for every step, such as random:naive=0.7,tom=0.3:
 a choice that looks at nothing, which others have to beat. Without scenarios and controllers, the paper's comparison
 runs: its three scenarios, each with its ladder and the paper's two lambdas.
+
+In {" and ".join(CROWD_NAMES)}, a controller chooses a model for each of several humans: {CROWD_CONTROLLERS}. A model's
+name stands for all humans; nearest:K, ttc:K and influence:K predict K humans by tom, the nearest, those with the
+smallest time to collision, or those with the largest influence on the plan, and the others naively; budget:MILLISECONDS
+chooses what is worth most within this time of planning and deciding per step.
 
 Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
 SCENARIO_bars.png (of three lambdas or more _curve.png, reward against computation), _timeline.png and _decisions.png;
@@ -49,13 +58,14 @@ examples:
   ms-highway compare merger --ladder naive tom --controllers switching:0.1 --out results/two_rungs
   ms-highway compare give_way --semantics released --costs measured --out results/measured
   ms-highway compare stay_back --controllers naive turn --solver newton --seeds 100 --out results/newton
+  ms-highway compare dense_merge --controllers naive tom nearest:1 budget:20 --out results/dense_merge
   ms-highway compare merger --horizon 10 --control-limit 0.2,9 --out results/second"""
 
 
 def add_compare(commands: Any) -> None:
     """Add the command ``compare`` to a parser's subparsers."""
     parser = add_command(commands, "compare", "compare controllers over many episodes", HELP, EXAMPLES)
-    add_scenarios(parser)
+    add_scenarios(parser, known=[*SCENARIO_NAMES, *CROWD_NAMES])
     add_controllers(parser)
     parser.add_argument("--seeds", type=int, default=30, help="episodes per controller, seeded 0, 1, ... (default: 30)")
     add_ladder(parser)
@@ -63,12 +73,13 @@ def add_compare(commands: Any) -> None:
     parser.add_argument(
         "--solver",
         choices=SOLVERS,
-        default="gradient",
         help="how the robot improves its plans under naive and turn: gradient, the paper's 20 steps (default), or "
-        "newton, second-order steps with a line search; tom always takes gradient steps",
+        "newton, second-order steps with a line search; tom always takes gradient steps. Among several humans, under "
+        "all models: damped_newton (default), for horizons of seconds, or gradient",
     )
     add_costs(parser)
     add_planning(parser)
+    add_humans(parser)
     add_out(parser, "results/compare")
     parser.set_defaults(run=_compare)
 

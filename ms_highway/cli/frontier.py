@@ -130,7 +130,7 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
     Raises:
         ValueError: naming what cannot be searched.
     """
-    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
+    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, two_player_scenario
     from ms_highway.planning.human_models import rung_names
 
     check_least(options, seeds=1, population=1, rounds=1, devices=1)
@@ -143,7 +143,7 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
         if not 0 <= price < inf:
             raise ValueError(f"--prices has {price:g}; a price must be a number that is not negative, such as 0.1")
     for name in options.scenarios:
-        environment_id(name)
+        two_player_scenario(name)
     driven = drivers([*options.controllers, "switching"], options.prices, options.lambdas)
     controllers = {
         name: [*rung_names(options.ladder or SCENARIOS[name].ladder), *driven]

@@ -134,7 +134,7 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
     Raises:
         ValueError: naming what cannot be compared.
     """
-    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
+    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, two_player_scenario
     from ms_highway.planning.human_models import rung_names
 
     check_least(options, seeds=1, population=1, rounds=1, devices=1, steps=1)
@@ -146,7 +146,7 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
     if options.training_seed < 0:
         raise ValueError(f"--training-seed is {options.training_seed}; it must be 0 or more")
     for name in options.scenarios:
-        environment_id(name)
+        two_player_scenario(name)
     others = drivers(options.controllers, [options.price], [options.price])
     controllers = {
         name: [*rung_names(options.ladder or SCENARIOS[name].ladder), *others]

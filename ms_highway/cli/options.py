@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CONTROLLERS",
+    "CROWD_CONTROLLERS",
+    "CROWD_NAMES",
     "EFFORTS",
     "MOST",
     "MOST_LAMBDAS",
@@ -24,6 +26,7 @@ __all__ = [
     "add_controllers",
     "add_costs",
     "add_devices",
+    "add_humans",
     "add_ladder",
     "add_out",
     "add_planning",
@@ -55,10 +58,13 @@ MOST_PROCESSES = 1000
 SCENARIO_NAMES = ("stay_back", "merger", "give_way")
 """`ms_highway.envs.PAPER_SCENARIOS`, for help texts."""
 
+CROWD_NAMES = ("dense_merge", "crossing_crowd")
+"""`ms_highway.envs.CROWD_SCENARIOS`, for help texts."""
+
 SEMANTICS = ("paper", "released")
 """Keys of `ms_highway.envs.settings.HUMAN_REWARDS`; told here so that help needs no JAX."""
 
-SOLVERS = ("gradient", "newton")
+SOLVERS = ("gradient", "newton", "damped_newton")
 """The values of `ms_highway.optimization.solvers.Solver`; told here so that help needs no JAX."""
 
 EFFORTS = "tom@8 plans in 8 ascent steps, tom@8+warm or tom+warm from the rest of the last plan"
@@ -71,9 +77,18 @@ CONTROLLERS = (
 """What controllers are called on the command line, for help texts."""
 
 
-def add_scenarios(parser: argparse.ArgumentParser, default: str = "the paper's") -> None:
+CROWD_CONTROLLERS = (
+    "naive, turn, tom, switching:LAMBDA, learned:LAMBDA[:FILE], budget:MILLISECONDS, nearest:K, ttc:K, influence:K, "
+    "random:MODEL=SHARE,..."
+)
+"""What controllers among several humans are called, for help texts."""
+
+
+def add_scenarios(
+    parser: argparse.ArgumentParser, default: str = "the paper's", known: Sequence[str] = SCENARIO_NAMES
+) -> None:
     """Add the scenarios, any number of them, to a command."""
-    names = ", ".join(SCENARIO_NAMES)
+    names = ", ".join(known)
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: {default})")
 
 
@@ -162,14 +177,14 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
 
 
 def planning(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the values of the options of `add_planning` that are given, by key of the configuration.
+    """Return the values of the options of `add_planning` and `add_humans` that are given, by key of the configuration.
 
     Raises:
         ValueError: if the limits are no numbers.
     """
     from ms_highway.envs.settings import PLANNING
 
-    given = {key: value for key in PLANNING if (value := getattr(options, key, None)) is not None}
+    given = {key: value for key in (*PLANNING, "humans") if (value := getattr(options, key, None)) is not None}
     if "control_limit" in given:
         given["control_limit"] = control_limit("--control-limit", given["control_limit"])
     return given
@@ -189,24 +204,31 @@ def control_limit(option: str, text: str) -> list[float] | str:
         raise ValueError(f"{option} is {text!r}; give two numbers like 0.2,9, or unlimited") from None
 
 
+def add_humans(parser: argparse.ArgumentParser) -> None:
+    """Add ``--humans``, the number of humans of the scenarios with several, to a command."""
+    parser.add_argument(
+        "--humans", type=int, metavar="N", help=f"number of humans, 2 to 12, in {', '.join(CROWD_NAMES)}"
+    )
+
+
 def add_costs(parser: argparse.ArgumentParser, measured: bool = True) -> None:
     """Add ``--costs``, which says what T(M) is, to a command; a simulation cannot measure it."""
     parser.add_argument(
         "--costs",
-        default="published",
-        help="seconds per plan that switching decides with: published (0.09, 0.17, 0.37; default), "
-        + ("measured on this machine, " if measured else "")
+        default=None if measured else "published",
+        help="seconds per plan that controllers decide with: published (0.09, 0.17, 0.37; default), "
+        + ("measured on this machine (default among several humans), " if measured else "")
         + "or given like naive=0.1,turn=0.2,tom=0.5",
     )
 
 
-def costs(text: str) -> str | dict[str, float]:
-    """Return T(M) as ``--costs`` gives it: a word, or seconds by model.
+def costs(text: str | None) -> str | dict[str, float] | None:
+    """Return T(M) as ``--costs`` gives it: a word, or seconds by model; None if not given.
 
     Raises:
         ValueError: if the seconds are no numbers.
     """
-    if "=" not in text:
+    if text is None or "=" not in text:
         return text
     try:
         return {name: float(value) for name, _, value in (part.partition("=") for part in text.split(","))}
@@ -252,7 +274,7 @@ def asked_comparison(
         episodes,
         options.semantics,
         costs(options.costs),
-        getattr(options, "solver", "gradient"),
+        getattr(options, "solver", None),
         human_reward(options.human_reward),
         getattr(options, "ladder", None),
         getattr(options, "seed", 0),

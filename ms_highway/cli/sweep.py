@@ -151,11 +151,10 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
     Raises:
         ValueError: naming what cannot be simulated.
     """
-    from ms_highway.envs import SCENARIOS, environment_id
+    from ms_highway.envs import two_player_scenario
     from ms_highway.planning.human_models import rung_names
 
-    environment_id(options.scenario)
-    scenario = SCENARIOS[options.scenario]
+    scenario = two_player_scenario(options.scenario)
     prices = lambdas(options.lambdas) if options.lambdas is not None else [] if options.controllers else scenario.prices
     controllers = [
         *(options.controllers or rung_names(options.ladder or scenario.ladder)),

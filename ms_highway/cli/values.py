@@ -142,7 +142,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     """
     from dataclasses import replace
 
-    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
+    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, two_player_scenario
     from ms_highway.envs.settings import Settings
     from ms_highway.experiments.provenance import this_run
     from ms_highway.experiments.simulated import make_batch
@@ -154,7 +154,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
 
     names = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS))
     for name in names:
-        environment_id(name)
+        two_player_scenario(name)
     first = asked_comparison(options, {name: list(SCENARIOS[name].ladder[:1]) for name in names}, 1)
     comparisons = [replace(first, solver=solver) for solver in dict.fromkeys(options.solvers)]
     for comparison in comparisons:

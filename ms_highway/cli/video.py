@@ -7,8 +7,11 @@ from typing import Any
 from ms_highway.cli.console import add_command, draw_unseen
 from ms_highway.cli.options import (
     CONTROLLERS,
+    CROWD_CONTROLLERS,
+    CROWD_NAMES,
     EFFORTS,
     SCENARIO_NAMES,
+    add_humans,
     add_planning,
     add_semantics,
     human_reward,
@@ -21,7 +24,8 @@ SLOWEST, FASTEST = 0.01, 100
 
 HELP = """\
 Film one episode from above: the road, the robot's plan, the human path that it counts on, and a panel with the model
-in use, planning time and reward. Plays at true speed.
+in use, planning time and reward. Plays at true speed. Among several humans, each has the colour of the model that
+predicts it, and the panel shows how many humans each model predicts, and the time of the step against its budget.
 
 With --against, a second controller drives from the same start, and both are shown together, one above the other, each
 under its name, its mean reward per step and what it has spent on planning and deciding so far."""
@@ -35,16 +39,18 @@ examples:
 def add_video(commands: Any) -> None:
     """Add the command ``video`` to a parser's subparsers."""
     parser = add_command(commands, "video", "film an episode", HELP, EXAMPLES)
-    parser.add_argument("scenario", metavar="SCENARIO", help=", ".join(SCENARIO_NAMES))
+    parser.add_argument("scenario", metavar="SCENARIO", help=", ".join((*SCENARIO_NAMES, *CROWD_NAMES)))
     parser.add_argument(
         "--controller",
         metavar="CONTROLLER",
-        help=f"{CONTROLLERS}; {EFFORTS} (default: switching with the paper's conservative lambda)",
+        help=f"{CONTROLLERS}; {EFFORTS}; among several humans {CROWD_CONTROLLERS} (default: switching with the "
+        "conservative lambda)",
     )
     parser.add_argument("--against", metavar="CONTROLLER", help="a second controller, filmed from the same start")
     parser.add_argument("--seed", type=int, default=0, help="seed of the episode (default: 0)")
     add_semantics(parser)
     add_planning(parser)
+    add_humans(parser)
     parser.add_argument("--speed", type=float, default=1.0, help="1 is true speed (default), 0.5 slow motion")
     parser.add_argument("--width", type=int, metavar="PIXELS", help="scale the video down to this width")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4 or .gif file")
@@ -53,7 +59,6 @@ def add_video(commands: Any) -> None:
 
 def _video(options: argparse.Namespace) -> None:
     from ms_highway.envs import ENVIRONMENTS, environment_id
-    from ms_highway.envs.short_names import controller_config
     from ms_highway.experiments.comparison import paper_controllers
     from ms_highway.visualization import video
     from ms_highway.visualization.side_by_side import side_by_side
@@ -69,7 +74,7 @@ def _video(options: argparse.Namespace) -> None:
     controllers = [options.controller or paper_controllers(options.scenario)[-1]]
     controllers += [options.against] if options.against else []
     for controller in controllers:
-        controller_config(controller)
+        ENVIRONMENTS[options.scenario].controller_config(controller)
     config = {"semantics": options.semantics, "human_reward": human_reward(options.human_reward)} | planning(options)
     draw_unseen()
     films = [video.film(options.scenario, controller, options.seed, **config) for controller in controllers]

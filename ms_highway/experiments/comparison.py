@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ms_highway.envs import ENVIRONMENTS, SCENARIOS, environment_id
-from ms_highway.envs.settings import HUMAN_REWARDS, merged
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs import ENVIRONMENTS, environment_id, is_crowd
+from ms_highway.envs.settings import HUMAN_REWARDS
+from ms_highway.experiments.records import columns
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import rung_names
 
@@ -21,29 +21,51 @@ class Comparison:
         controllers: short names of the controllers of each scenario, by scenario.
         seeds: number of episodes of each controller; episode k is seeded with k more than the first.
         semantics: ``paper`` or ``released``.
-        costs: T(M) in the decisions: ``published``, ``measured``, or seconds by model.
-        solver: how the robot improves its plans, ``gradient`` or ``newton``, see
-            `ms_highway.optimization.solvers.optimize_controls`.
+        costs: T(M) in the decisions: ``published``, ``measured``, or seconds by model; None for published, and among
+            several humans measured.
+        solver: how the robot improves its plans, see `ms_highway.optimization.solvers.optimize_controls`; None for
+            ``gradient``, and among several humans ``damped_newton``.
         human_reward: what humans drive for: ``learned``, ``published``, weights by name, or None for what belongs to
             the semantics.
         ladder: names of the human models that switching chooses from, or ``best``; without it, the scenario's own.
         first_seed: of the first episode, from which all others count on.
-        planning: what differs from the scenarios' own of the keys `ms_highway.envs.settings.PLANNING`, by key.
+        planning: what differs from the scenarios' own of the keys `ms_highway.envs.settings.PLANNING` and, among
+            several humans, ``humans``, by key.
     """
 
     controllers: dict[str, list[str]]
     seeds: int = 30
     semantics: str = "paper"
-    costs: Any = "published"
-    solver: Solver = "gradient"
+    costs: Any = None
+    solver: Solver | None = None
     human_reward: str | dict[str, float] | None = None
     ladder: Sequence[str] | None = None
     first_seed: int = 0
     planning: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Fill in what depends on the scenarios."""
+        for name, with_one, with_several in (
+            ("costs", "published", "measured"),
+            ("solver", "gradient", "damped_newton"),
+        ):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, with_several if self.crowd else with_one)
+
+    @property
+    def crowd(self) -> bool:
+        """Whether the scenarios have several humans."""
+        return any(map(is_crowd, self.controllers))
+
+    def columns(self) -> list[str]:
+        """Return the columns of the records, see `ms_highway.experiments.records.columns`."""
+        return columns(self.rungs(), self.crowd)
+
     def rungs(self) -> list[str]:
         """Return the names of the models on the ladders of all scenarios, in any order."""
-        ladders = [SCENARIOS[name].ladder for name in self.controllers] if self.ladder is None else [self.ladder]
+        ladders = (
+            [ENVIRONMENTS[name].scenario.ladder for name in self.controllers] if self.ladder is None else [self.ladder]
+        )
         return [name for names in ladders for name in rung_names(names)]
 
     def episodes(self) -> Iterator[tuple[str, str, int]]:
@@ -57,8 +79,12 @@ class Comparison:
         """Check everything before anything is run or written.
 
         Raises:
-            ValueError: for an unknown scenario, controller or solver, or impossible costs or weights.
+            ValueError: for an unknown scenario, controller or solver, impossible costs or weights, or scenarios with
+                one human beside others with several.
         """
+        if self.crowd and not all(map(is_crowd, self.controllers)):
+            names = ", ".join(name for name in self.controllers if is_crowd(name))
+            raise ValueError(f"{names} has several humans, the other scenarios one; compare them in a directory each")
         for scenario, controllers in self.controllers.items():
             for controller in controllers:
                 self.config(scenario, controller)
@@ -70,8 +96,9 @@ class Comparison:
             ValueError: as `check`.
         """
         environment_id(scenario)
-        changes = {**self.common_config(), "costs": self.costs, "controller": controller_config(controller)}
-        return merged(ENVIRONMENTS[scenario].default_config(), changes)
+        environment = ENVIRONMENTS[scenario]
+        driver = environment.controller_config(controller)
+        return environment.checked_config({**self.common_config(), "costs": self.costs, "controller": driver})
 
     def steps(self, scenario: str) -> int:
         """Return the length of a scenario's episodes.
@@ -95,16 +122,16 @@ def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
         ValueError: for an unknown scenario or an impossible configuration.
     """
     environment_id(scenario)
-    whole = merged(ENVIRONMENTS[scenario].default_config(), config)
+    whole = ENVIRONMENTS[scenario].checked_config(config)
     return round(whole["duration"] * whole["policy_frequency"])
 
 
 def paper_controllers(scenario: str) -> list[str]:
-    """Return the controllers that the paper compares: every rung, then switching, aggressive and conservative.
+    """Return the controllers that are compared by default: every rung, then switching at both lambdas.
 
     Raises:
         ValueError: for an unknown scenario.
     """
     environment_id(scenario)
-    choice = SCENARIOS[scenario]
+    choice = ENVIRONMENTS[scenario].scenario
     return [*rung_names(choice.ladder), *(f"switching:{price:g}" for price in choice.prices)]

@@ -9,6 +9,7 @@ from ms_highway.planning.human_models import known_models
 
 __all__ = [
     "CARS",
+    "CROWD_COLUMNS",
     "KEYS",
     "MEASURED",
     "STATE",
@@ -31,25 +32,30 @@ MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
 """Columns of times as they were measured, which a simulation does not have."""
 
 COUNTED = "counted_seconds"
+CROWD_COLUMNS = ("humans_turn", "humans_tom", "success")
+"""Columns of records with several humans: how many of them were predicted by the dearer models, and success so far."""
+
 CARS, STATE = ("robot", "human"), ("x", "y", "heading", "speed")
 NEVER_EMPTY = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
 NUMBERS = ("seed", "step", "reward", COUNTED, *MEASURED[:2])
 
 
-def columns(rungs: Iterable[str] = ()) -> list[str]:
+def columns(rungs: Iterable[str] = (), crowd: bool = False) -> list[str]:
     """Return the columns of a record of steps.
 
     ``counted_seconds`` is T(M), what decisions count for the step's plan; a gain, of which every known human model and
-    every rung has one, is empty where none was estimated; states are in SI units after the step.
+    every rung has one, is empty where none was estimated; states are in SI units after the step, with several humans
+    that of the first.
 
     Args:
         rungs: names of the models on ladders, which may have efforts.
+        crowd: whether there are several humans; then ``model`` is the dearest one in use, and `CROWD_COLUMNS` are added.
     """
     planning, decision, compiling = MEASURED
     gains = [gain_column(name) for name in known_models(rungs)]
     states = [name for car in CARS for name in state_columns(car)]
     steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
-    return [*KEYS, *steps, *gains, *states]
+    return [*KEYS, *steps, *gains, *states, *(CROWD_COLUMNS if crowd else ())]
 
 
 def gain_column(model: str) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from ms_highway.envs import SCENARIOS
+from ms_highway.envs import ENVIRONMENTS
 from ms_highway.experiments.analysis.published import PUBLISHED, PUBLISHED_WITH, Published
 from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.comparison import episode_steps
@@ -110,7 +110,7 @@ def _read_records(file: Path, config: Mapping[str, Any]) -> pd.DataFrame:
     if records.empty:
         raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
     for column, known, names in (
-        ("scenario", SCENARIOS.__contains__, ", ".join(SCENARIOS)),
+        ("scenario", ENVIRONMENTS.__contains__, ", ".join(ENVIRONMENTS)),
         ("model", is_model, model_names()),
     ):
         for name in records[column].dropna().unique():

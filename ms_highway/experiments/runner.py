@@ -11,14 +11,12 @@ from typing import Any
 import gymnasium as gym
 import pandas as pd
 
-from ms_highway.envs import SCENARIOS, environment_id
+from ms_highway.envs import ENVIRONMENTS, CrowdEnv, environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, KEYS, check_columns, columns, gain_column, state_columns, whole_steps
 from ms_highway.experiments.resuming import cannot_resume, missing, resumed_settings
 from ms_highway.experiments.settings import EXTENDED, SETTINGS_FILE, write_settings
-from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.files import append, replacing
 
 __all__ = ["STEPS_FILE", "episode", "make_environment", "read", "run"]
@@ -31,14 +29,15 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
 
     Args:
         scenario: its name.
-        controller: short name of the controller, see `controller_config`.
+        controller: short name of the controller, see `InteractionEnv.controller_config`.
         render: whether to render ``rgb_array`` frames.
         config: further configuration of the environment.
 
     Raises:
         ValueError: for an unknown scenario, controller or configuration.
     """
-    identity, driver = environment_id(scenario), controller_config(controller)
+    identity = environment_id(scenario)
+    driver = ENVIRONMENTS[scenario].controller_config(controller)
     return gym.make(identity, render_mode="rgb_array" if render else None, config={**config, "controller": driver})
 
 
@@ -47,7 +46,8 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
     env.reset(seed=seed)
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)
-    done, step, wanted = False, 0, columns(model.name for model in inner.models)
+    wanted = columns((model.name for model in inner.models), isinstance(inner, CrowdEnv))
+    done, step = False, 0
     while not done:
         _, reward, terminated, truncated, info = env.step(0)
         done = terminated or truncated
@@ -79,7 +79,7 @@ def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
         env = make_environment(scenario, controller, costs=costs[scenario], **comparison.common_config())
         for _, _, seed in keys:
             text = io.StringIO()
-            writer = csv.DictWriter(text, columns(comparison.rungs()), lineterminator="\n")
+            writer = csv.DictWriter(text, comparison.columns(), lineterminator="\n")
             for record in episode(env, seed):
                 writer.writerow({"scenario": scenario, "controller": controller, "seed": seed, **record})
             append(directory / STEPS_FILE, text.getvalue())
@@ -110,15 +110,15 @@ def _take_up(comparison: Comparison, directory: Path) -> tuple[set[tuple[str, st
     write_settings(directory, known)
     if not steps.exists():
         with replacing(steps) as path:
-            path.write_text(",".join(columns(comparison.rungs())) + "\n")
+            path.write_text(",".join(comparison.columns()) + "\n")
     return done, {scenario: known["measured"].get(scenario, comparison.costs) for scenario in comparison.controllers}
 
 
 def _measured(scenario: str, config: dict[str, Any]) -> dict[str, float]:
     """Measure the seconds of a warm plan on this machine, for every model on the scenario's ladder."""
-    env = make_environment(scenario, "naive", **config).unwrapped
+    env = make_environment(scenario, "naive", costs="measured", **config).unwrapped
     assert isinstance(env, InteractionEnv)
-    seconds = measure_costs(env.game, env.models, env.car_states)
+    seconds = env.costs(env.car_states)
     return {model.name: float(cost) for model, cost in zip(env.models, seconds, strict=True)}
 
 
@@ -132,11 +132,11 @@ def _whole_episodes(steps: Path, comparison: Comparison) -> set[tuple[str, str, 
     whole_lines = text[: text.rfind("\n") + 1]
     try:
         records = pd.read_csv(io.StringIO(whole_lines))
-        wanted = columns(comparison.rungs())
+        wanted = comparison.columns()
         if list(records) != wanted:
             raise ValueError(f"its columns are not {', '.join(wanted)}")
         check_columns(records)
-        unknown = set(records["scenario"]) - set(SCENARIOS)
+        unknown = set(records["scenario"]) - set(ENVIRONMENTS)
         if unknown:
             raise ValueError(f"it holds unknown scenarios, {', '.join(map(str, unknown))}")
     except ValueError as error:

@@ -15,7 +15,7 @@ from jax.sharding import Mesh
 from jaxtyping import Float, Int
 
 from ms_highway.control.fallback import STATUSES
-from ms_highway.envs import ENVIRONMENTS, environment_id
+from ms_highway.envs import ENVIRONMENTS, two_player_scenario
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.controllers import ChoosingSettings, ControllerSettings, SwitchingSettings
 from ms_highway.envs.settings import Settings
@@ -120,7 +120,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         ValueError: for anything unknown or impossible; for costs that are to be measured, as nothing is timed here; and
             for environments that end early, or do something of their own in a step.
     """
-    environment_id(scenario)
+    two_player_scenario(scenario)
     controllers = comparison.controllers.get(scenario, [])
     if not controllers:
         raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")

@@ -33,10 +33,11 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """Return the summary of one scenario as text: a row per controller, and texts under the columns' headings.
 
     Planning has two columns: as decisions count it, at T(M), and as it was measured, if it was. Steps driven by
-    fallback have a column if there are any.
+    fallback have a column if there are any, and success where there are several humans.
     """
     chosen = summaries[summaries["scenario"] == scenario]
     failed = "fallbacks" in chosen and bool(chosen["fallbacks"].any())
+    succeeded = "success" in chosen and bool(chosen["success"].notna().any())
     models = models_of(summaries, share_column)
     rows = [
         {
@@ -49,6 +50,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
             **{heading: f"{row[name]:.2f}" for name, heading in MEASURED.items() if name in row},
             f"{' / '.join(models)} %": " / ".join(f"{100 * row[share_column(name)]:.0f}" for name in models),
             "collisions": f"{row['collision_episodes']} of {row['episodes']}",
+            **({"success": f"{100 * row['success']:.0f} %"} if succeeded else {}),
             **({"fallback steps": f"{row['fallbacks']}"} if failed else {}),
         }
         for row in chosen.to_dict("records")

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator, StrMethodFormatter
 
-from ms_highway.envs.graphics import PANEL_HEIGHT
+from ms_highway.envs import ENVIRONMENTS
 from ms_highway.experiments.records import gain_column, models_of, switches
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import known_models
@@ -110,6 +110,7 @@ def storyboard(episode: pd.DataFrame, pictures: Sequence[UInt8[np.ndarray, "h w 
         most: how many steps are shown at most; where there are more `switches`, the first two, and of the others those
             after which the model stayed longest.
     """
+    panel = ENVIRONMENTS[episode["scenario"].iloc[0]].viewer_class.panel_height
     starts = switches(episode)
     lengths = np.diff([*starts, len(episode)])
     lengths[:2] = len(episode)
@@ -124,7 +125,7 @@ def storyboard(episode: pd.DataFrame, pictures: Sequence[UInt8[np.ndarray, "h w 
             step = shown[number]
             picture, record = pictures[step], episode.iloc[step]
             height, width, _ = picture.shape
-            axes.imshow(picture[: height - PANEL_HEIGHT, round(CROP[0] * width) : round(CROP[1] * width)])
+            axes.imshow(picture[: height - panel, round(CROP[0] * width) : round(CROP[1] * width)])
             axes.set_title(
                 f"{number + 1}: step {step}, {record['model']}",
                 loc="left",

@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 
 import ms_highway
 from ms_highway.envs import SCENARIOS, MergerEnv, add_scenario, environment_id
-from ms_highway.envs.base import Timing
+from ms_highway.envs.stage import Timing
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import COMFORT, FEATURES
 from ms_highway.game.scenario import COMMON_WEIGHTS, PAPER_UNIT

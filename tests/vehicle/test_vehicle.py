@@ -11,7 +11,7 @@ from highway_env.vehicle.objects import Landmark
 
 from ms_highway.control.fixed import FixedModel
 from ms_highway.control.switching import ModelSwitching
-from ms_highway.envs.base import Cone
+from ms_highway.envs.stage import Cone
 from ms_highway.game.dynamics import step
 from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import driving_game

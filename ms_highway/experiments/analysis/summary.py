@@ -22,7 +22,8 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     ``reward_low`` and ``reward_high``, the 90 % interval of the mean over episodes (Student's t), and ``reward_std``
     over episodes; ``planning_ms`` and ``decision_ms`` per step as measured; ``counted_ms`` per step, planning at the
     seconds T(M) that decisions count, empty where one is not known; ``share_MODEL`` of steps; ``collision_episodes``,
-    in which the robot collided at least once; ``fallbacks``, steps whose plan failed, of all episodes together.
+    in which the robot collided at least once; ``success``, the share of the episodes in which it succeeded, empty with
+    one human; ``fallbacks``, steps whose plan failed, of all episodes together.
 
     Raises:
         ValueError: for an unknown controller.
@@ -38,10 +39,18 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
                 "decision_ms": 1e3 * steps["decision_seconds"].mean(),
                 **{share_column(model): (steps["model"] == model).mean() for model in models},
                 "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
+                "success": _success(steps),
                 "fallbacks": int((steps["status"] != "planned").sum()),
             }
         )
     return pd.DataFrame(rows)
+
+
+def _success(steps: pd.DataFrame) -> float:
+    """Return the share of the episodes that end with success; NaN where that is not known."""
+    if "success" not in steps:
+        return np.nan
+    return steps.sort_values("step").groupby("seed")["success"].last().astype(float).mean()
 
 
 def earned(controller: str, rewards: pd.Series) -> dict[str, Any]:
