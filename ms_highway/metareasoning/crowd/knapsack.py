@@ -12,7 +12,7 @@ __all__ = ["best_rungs"]
 def best_rungs(
     values: Float[jax.Array, "humans rungs"], costs: Float[Array, "rungs"], capacity: float | Float[Array, ""]
 ) -> Int[jax.Array, "humans"]:
-    """Return the rungs of the highest summed value whose summed cost is within a capacity; at equal value, the cheapest.
+    """Return the rungs of the highest summed value whose summed cost is within a capacity; of equals, the cheapest.
 
     Costs are the same for all humans, so they follow from how many humans have each rung: a dynamic programme over
     these counts is exact for any costs. For h humans and r rungs, it keeps a table of (h + 1)^(r - 1) values.
