@@ -6,7 +6,7 @@ from typing import Any
 from ms_highway.envs.controllers import CHOOSING, ControllerSettings, controller_settings
 from ms_highway.planning.human_models import is_model, model_names
 
-__all__ = ["controller_config", "named_controller", "shares_of"]
+__all__ = ["controller_config", "named_controller", "number_of", "shares_of"]
 
 MOST_DIGITS = 5  # of a number of steps
 
@@ -35,12 +35,7 @@ def controller_config(text: str) -> dict[str, Any]:
     config: dict[str, Any]
     if name in CHOOSING:
         price, _, values = rest.partition(":")
-        try:
-            if price != price.strip():
-                raise ValueError  # the name would have spaces or line breaks, in files too
-            config = {"type": name, "lambda": float(price)}
-        except ValueError:
-            raise ValueError(f"controller {text!r} needs its lambda as a number, such as {name}:0.1") from None
+        config = {"type": name, "lambda": number_of(text, price, f"its lambda as a number, such as {name}:0.1")}
         if values:
             config["values"] = values
     elif name == "schedule":
@@ -84,6 +79,25 @@ def _stretches(text: str, parts: Sequence[str], example: str) -> list[str]:
             raise ValueError(f"controller {text!r}: no episode has {steps} steps; leave out what comes later")
         models += [name] * int(steps)
     return models
+
+
+def number_of(text: str, part: str, wanted: str) -> float:
+    """Return the number in a part of a controller's short name.
+
+    Args:
+        text: the name.
+        part: of it.
+        wanted: what the number is, and an example.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    try:
+        if part != part.strip():
+            raise ValueError  # the name would have spaces or line breaks, in files too
+        return float(part)
+    except ValueError:
+        raise ValueError(f"controller {text!r} needs {wanted}") from None
 
 
 def shares_of(text: str, parts: str) -> dict[str, float]:

@@ -4,15 +4,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from math import nan
+from os import PathLike
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ms_highway.envs.checks import is_one_of, is_whole, refuse_unknown
-from ms_highway.envs.controllers import PLACE, ControllerSettings, RandomSettings
-from ms_highway.envs.short_names import named_controller, shares_of
+from ms_highway.envs.checks import is_number, is_one_of, is_whole, refuse_unknown
+from ms_highway.envs.controllers import PLACE, ControllerSettings, RandomSettings, check_price
+from ms_highway.envs.short_names import named_controller, number_of, shares_of
 from ms_highway.metareasoning.crowd.baselines import AllOfOne, Influence, Nearest, RandomRungs, TimeToCollision
+from ms_highway.metareasoning.crowd.budget import Budget
 from ms_highway.metareasoning.crowd.rule import CrowdRule
+from ms_highway.metareasoning.crowd.switching import OneStepGains, crowd_switching
+from ms_highway.metareasoning.crowd.values import CrowdValues, load_crowd_values
+from ms_highway.metareasoning.values import SHIPPED_VALUES
 from ms_highway.planning.compiled_crowd import CrowdCosts
 from ms_highway.planning.crowd import RUNGS
 
@@ -111,9 +116,113 @@ class InfluenceSettings(_CountSettings):
     type, ranking = "influence", Influence
 
 
-CLASSES = (FixedSettings, RandomCrowdSettings, NearestSettings, TimeToCollisionSettings, InfluenceSettings)
+@dataclass(frozen=True)
+class SwitchingCrowdSettings(CrowdSettings):
+    """Algorithm 1 chooses for each human alone, at a price per second of planning."""
+
+    price: float
+    type: ClassVar[str] = "switching"
+
+    def __post_init__(self) -> None:
+        check_price(PLACE, self.price)
+
+    def rule(self, costs: CrowdCosts) -> CrowdRule:
+        """See `CrowdSettings.rule`."""
+        return crowd_switching(costs, self.price)
+
+
+@dataclass(frozen=True)
+class LearnedCrowdSettings(CrowdSettings):
+    """A learned value of computation chooses for each human, at a price per second of planning.
+
+    Attributes:
+        values: ``"shipped"`` or a file of `ms_highway.metareasoning.crowd.values`; ``""`` and None mean shipped.
+    """
+
+    price: float
+    values: str | PathLike[str] | None = None
+    type: ClassVar[str] = "learned"
+
+    def __post_init__(self) -> None:
+        check_price(PLACE, self.price)
+        _loaded(self.values or SHIPPED_VALUES)
+
+    def rule(self, costs: CrowdCosts) -> CrowdRule:
+        """See `CrowdSettings.rule`."""
+        return _loaded(self.values or SHIPPED_VALUES).rule(costs, self.price)
+
+
+def _loaded(values: Any) -> CrowdValues:
+    """Return learned values.
+
+    Raises:
+        ValueError: if there are none.
+    """
+    if not isinstance(values, (str, PathLike)):
+        raise ValueError(f"{PLACE}['values'] is {values!r}; say 'shipped' or name a file of learned values")
+    return load_crowd_values(values)
+
+
+ONE_STEP = "one_step"
+"""Name of the gains of budgets that are not learned but estimated by Algorithm 1."""
+
+
+@dataclass(frozen=True)
+class BudgetSettings(CrowdSettings):
+    """Gains most within the time of a cycle.
+
+    Attributes:
+        milliseconds: of a cycle, decision and plan.
+        values: that tell the gains: `ONE_STEP` or what `LearnedCrowdSettings` takes; None means `ONE_STEP`.
+    """
+
+    milliseconds: float
+    values: str | PathLike[str] | None = None
+    type: ClassVar[str] = "budget"
+    quantile: ClassVar[float] = 0.99
+
+    def __post_init__(self) -> None:
+        if not is_number(self.milliseconds) or self.milliseconds <= 0:
+            raise ValueError(
+                f"{PLACE}['milliseconds'] is {self.milliseconds!r}; a cycle takes more than 0 milliseconds"
+            )
+
+        if self._is_learned:
+            _loaded(self.values)
+
+    @property
+    def _is_learned(self) -> bool:
+        return (self.values or ONE_STEP) != ONE_STEP
+
+    @property
+    def budget(self) -> float:
+        """Time of a cycle [s]."""
+        return self.milliseconds * 1e-3
+
+    def rule(self, costs: CrowdCosts) -> CrowdRule:
+        """See `CrowdSettings.rule`."""
+        one_step = OneStepGains(crowd_switching(costs, 0.0).switching)
+        gains: CrowdRule = _loaded(self.values).rule(costs, 0.0) if self._is_learned else one_step
+        return Budget(gains, costs, self.budget)
+
+
+CLASSES = (
+    SwitchingCrowdSettings,
+    LearnedCrowdSettings,
+    BudgetSettings,
+    FixedSettings,
+    RandomCrowdSettings,
+    NearestSettings,
+    TimeToCollisionSettings,
+    InfluenceSettings,
+)
 KINDS: dict[str, type[Any]] = {kind.type: kind for kind in CLASSES}
 COUNTS = tuple(name for name, kind in KINDS.items() if issubclass(kind, _CountSettings))
+NUMBERS = {
+    "switching": ("lambda", "its lambda as a number, such as switching:0.1"),
+    "learned": ("lambda", "its lambda as a number, such as learned:0.1"),
+    "budget": ("milliseconds", "the milliseconds of a cycle as a number, such as budget:20"),
+}
 
 
 def crowd_settings(config: Any) -> CrowdSettings:
@@ -133,7 +242,9 @@ def crowd_settings(config: Any) -> CrowdSettings:
 def crowd_controller_config(text: str) -> dict[str, Any]:
     """Return the configuration that the short name of a controller for several humans stands for.
 
-    These are ``naive``, ``turn`` and ``tom``, the same model for all humans; ``nearest:2``, ``ttc:2`` and
+    These are ``naive``, ``turn`` and ``tom``, the same model for all humans; ``switching:0.1``,
+    ``learned:0.1`` and ``learned:0.1:FILE`` with a lambda; ``budget:20``, with the milliseconds of a cycle, and
+    ``budget:20:FILE``, with learned gains; ``nearest:2``, ``ttc:2`` and
     ``influence:2``, theory of mind about the two nearest humans, those with the shortest time to collision, or those
     that influence the plan most; and ``random:naive=0.7,tom=0.3``, for every human and step a model that is drawn with
     these shares.
@@ -145,6 +256,10 @@ def crowd_controller_config(text: str) -> dict[str, Any]:
     config: dict[str, Any]
     if name in RUNGS and name == text:
         config = {"type": "fixed", "model": name}
+    elif name in NUMBERS:
+        key, wanted = NUMBERS[name]
+        number, _, values = rest.partition(":")
+        config = {"type": name, key: number_of(text, number, wanted)} | ({"values": values} if values else {})
     elif name in COUNTS:
         if not rest.isdecimal():
             raise ValueError(f"controller {text!r} needs its number of humans, such as {name}:2")
@@ -152,8 +267,9 @@ def crowd_controller_config(text: str) -> dict[str, Any]:
     elif name == "random":
         config = {"type": "random", "shares": shares_of(text, rest)}
     else:
+        numbers = "switching:LAMBDA, learned:LAMBDA[:FILE], budget:MILLISECONDS[:FILE]"
         counts = ", ".join(f"{kind}:HUMANS" for kind in COUNTS)
-        known = f"{', '.join(RUNGS)}, {counts} and random:MODEL=SHARE,..."
+        known = f"{', '.join(RUNGS)}, {numbers}, {counts} and random:MODEL=SHARE,..."
         raise ValueError(f"unknown controller {text!r}; the controllers of several humans are {known}")
     try:
         crowd_settings(config)

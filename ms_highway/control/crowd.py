@@ -13,6 +13,7 @@ from ms_highway.control.fixed import FixedModel
 from ms_highway.game.crowd import Crowd, human_game
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
+from ms_highway.metareasoning.crowd.budget import Budget
 from ms_highway.metareasoning.crowd.compiled_decision import CompiledCrowdDecision, CrowdObservation
 from ms_highway.metareasoning.crowd.rule import CrowdRule, first_crowd_memory
 from ms_highway.planning.compiled_crowd import CompiledCrowdPlans, first_crowd_plan
@@ -22,6 +23,8 @@ from ms_highway.planning.human_models import HumanModel, JointPlan, Naive
 from ms_highway.runtime.forks import refuse_after_fork
 
 __all__ = ["CrowdDriver", "CrowdStep", "HumanDriver"]
+
+QUANTILE = 0.99  # of decisions' seconds, for budgets
 
 
 @dataclass(frozen=True)
@@ -133,11 +136,18 @@ class CrowdDriver:
         )
 
     def _warm_up(self, state: Float[np.ndarray, "cars 4"]) -> float:
-        """Compile plans and decision before the first control of a crowd; return the seconds spent."""
+        """Compile plans and decision before the first control of a crowd; return the seconds spent.
+
+        A budget without the time of a decision gets it measured.
+        """
         if self._warm:
             return 0.0
         self._warm = True
-        return self._plans.warm_up(state) + self._decision.warm_up(state)
+        seconds = self._plans.warm_up(state) + self._decision.warm_up(state)
+        if isinstance(self.rule, Budget) and not self.rule.deciding:
+            self.rule = replace(self.rule, deciding=self._decision.measure(state, quantile=QUANTILE))
+            self._decision = CompiledCrowdDecision(self.rule, self.crowd)
+        return seconds
 
     def _outcome(
         self, now: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None

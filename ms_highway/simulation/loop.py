@@ -13,7 +13,6 @@ from jax import numpy as jnp
 from jax.sharding import Mesh
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.control.fallback import BRAKING, braking_control, fallback_status
 from ms_highway.game.dynamics import keep_velocity, recover_control, step, within_grip
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, swap_players
@@ -22,6 +21,7 @@ from ms_highway.planning.effort import starts_warm
 from ms_highway.planning.human_models import HumanModel, JointPlan, Naive, cold_start, plan_within_limits
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.simulation.devices import device_mesh, share_among
+from ms_highway.simulation.following import Rest, follow, warm_plan
 from ms_highway.simulation.records import DECIDES, Episodes, Loop, Records
 
 __all__ = ["simulate"]
@@ -55,21 +55,14 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
     return share_among(mesh, partial(_simulate, loop), episodes, loop.chunk)
 
 
-class _Rest(NamedTuple):
-    """What is left of a driver's last finite plan: its scaled controls, and their number; 0 after braking."""
-
-    plan: JointPlan
-    steps: Int[jax.Array, ""]
-
-
 class _Now(NamedTuple):
     """What an episode carries from step to step."""
 
     state: Float[jax.Array, "cars 4"]
     memory: Memory
     gains: Float[jax.Array, "rungs"]
-    robot: _Rest
-    human: _Rest
+    robot: Rest[JointPlan]
+    human: Rest[JointPlan]
 
 
 class _Own(NamedTuple):
@@ -85,7 +78,7 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
     """Run the first ``count`` episodes; the records of the others mean nothing."""
     size = len(episodes)
     own = _Own(*map(jnp.asarray, (episodes.prices, episodes.robot_weights, episodes.human_weights)))
-    none = _Rest(cold_start(loop.game), jnp.int32(0))
+    none = Rest(cold_start(loop.game), jnp.int32(0))
     unknown = jnp.full(len(loop.rule.ladder), jnp.nan)
     before = _Now(jnp.zeros(0), first_memory(loop.rule), unknown, none, none)
     first = jax.tree.map(lambda part: jnp.broadcast_to(part, (size, *part.shape)), before)
@@ -138,7 +131,7 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> JointPlan:
     """Plan every episode; compute only the models that some episode uses."""
 
     def planned(model: HumanModel) -> JointPlan:
-        start = jax.vmap(_warm_plan)(now.robot) if loop.warm_start or starts_warm(model) else None
+        start = jax.vmap(warm_plan)(now.robot) if loop.warm_start or starts_warm(model) else None
         return jax.vmap(lambda own, *now: plan_within_limits(model, _game(loop.game, own), *now))(own, now.state, start)
 
     still = jnp.zeros((loop.chunk, loop.game.planner.horizon, 2))
@@ -148,27 +141,6 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> JointPlan:
         plan = jax.lax.cond(uses.any(), partial(planned, model), lambda: JointPlan(still, still))
         chosen = jax.tree.map(lambda new, old, uses=uses: jnp.where(uses[:, None, None], new, old), plan, chosen)
     return chosen
-
-
-def _follow(
-    game: Game, car: Float[jax.Array, "4"], plan: JointPlan, rest: _Rest
-) -> tuple[Float[jax.Array, "2"], Int[jax.Array, ""], _Rest]:
-    """Return the scaled control to execute, its status and the remaining plan, see `ms_highway.control.fallback`."""
-    finite = jnp.isfinite(plan.robot).all() & jnp.isfinite(plan.human).all()
-    status, left = fallback_status(finite, rest.steps, game.planner.horizon)
-    followed = jax.tree.map(lambda new, old: jnp.where(finite, new, jnp.roll(old, -1, axis=0)), plan, rest.plan)
-    braking = braking_control(game, car) / game.planner.control_scale
-    return jnp.where(status == BRAKING, braking, followed.robot[0]), status, _Rest(followed, left)
-
-
-def _warm_plan(rest: _Rest) -> JointPlan:
-    """Return what is left after the last step, its last control repeated; zero controls where nothing is left."""
-
-    def after(controls: Float[jax.Array, "horizon 2"]) -> Float[jax.Array, "horizon 2"]:
-        coming = jnp.minimum(jnp.arange(1, len(controls) + 1), jnp.maximum(rest.steps - 1, 0))
-        return jnp.where(rest.steps > 0, controls[coming], 0.0)
-
-    return jax.tree.map(after, rest.plan)
 
 
 class _Moved(NamedTuple):
@@ -182,9 +154,9 @@ def _move(game: Game, now: _Now, own: _Own, plan: JointPlan) -> tuple[_Moved, Re
     """Let the human plan and the world move; reward the robot."""
     game, state = _game(game, own), now.state
     scale = game.planner.control_scale
-    robot, status, robot_rest = _follow(game, state[0], plan, now.robot)
+    robot, status, robot_rest = follow(game, state[0], plan, now.robot)
     mirrored, mirrored_state = swap_players(game, state)
-    human, _, human_rest = _follow(mirrored, state[1], Naive().plan(mirrored, mirrored_state), now.human)
+    human, _, human_rest = follow(mirrored, state[1], Naive().plan(mirrored, mirrored_state), now.human)
     driven = jnp.stack([robot, human]) * scale
     if game.planner.grip is not None:  # as vehicles do
         driven = within_grip(game.world, jnp.asarray(game.planner.grip), state[:2, 3], driven)

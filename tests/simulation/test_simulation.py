@@ -18,7 +18,8 @@ from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.planning.human_models import JointPlan
 from ms_highway.simulation.devices import use_devices
-from ms_highway.simulation.loop import _Rest, _warm_plan, simulate
+from ms_highway.simulation.following import Rest, warm_plan
+from ms_highway.simulation.loop import simulate
 
 KEYS = ["controller", "seed", "step"]
 COIN = "random:naive=0.25,turn=0.75"
@@ -207,7 +208,7 @@ def test_warm_starts_and_efforts_agree_with_the_environment_step_by_step(control
 def test_a_warm_start_goes_on_from_what_is_left_of_the_last_plan_and_from_zero_after_braking():
     plan = JointPlan(np.arange(10.0).reshape(5, 2), -np.arange(10.0).reshape(5, 2))
     for steps, coming in ((5, [1, 2, 3, 4, 4]), (3, [1, 2, 2, 2, 2]), (1, [0, 0, 0, 0, 0])):
-        start = _warm_plan(_Rest(plan, np.int32(steps)))
+        start = warm_plan(Rest(plan, np.int32(steps)))
         np.testing.assert_array_equal(start.robot, plan.robot[coming])
         np.testing.assert_array_equal(start.human, plan.human[coming])
-    assert not np.any(_warm_plan(_Rest(plan, np.int32(0))))
+    assert not np.any(warm_plan(Rest(plan, np.int32(0))))

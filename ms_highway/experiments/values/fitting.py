@@ -1,7 +1,9 @@
 """Fit networks that estimate the value of computation to rollouts."""
 
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,7 +14,7 @@ from jaxtyping import Float, Int
 from ms_highway.experiments.values.rollouts import Rollouts, draw_prices
 from ms_highway.metareasoning.learned_value import Network, advantages, network_inputs, scale
 
-__all__ = ["fit", "new_network"]
+__all__ = ["BATCH", "NETWORKS", "descend", "fit", "new_network", "surprises"]
 
 NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
 HIDDEN = (32, 32)
@@ -74,7 +76,6 @@ def _fit(
     drawn: Float[jax.Array, "steps networks batch"],
 ) -> Network:
     costs, centre, spread = numbers
-    optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY)
 
     def loss(
         network: Network, chosen: Int[jax.Array, "networks batch"], price: Float[jax.Array, "networks batch"]
@@ -89,20 +90,38 @@ def _fit(
         inputs = (network_inputs(jnp.asarray(picked.descriptions), price) - centre) / spread
         over_top, noise = jax.vmap(partial(_one, costs))(network, inputs, price)
         errors = (over_top - jnp.take_along_axis(over_top, top, axis=-1)) / size - targets
-        surprise = errors**2 / (2 * (noise / size) ** 2) + jnp.log(noise / size)
-        surprise *= jax.lax.stop_gradient(noise / size) ** SOFTENING
+        surprise = surprises(errors, noise / size)
         below_top = known & (jnp.arange(known.shape[-1]) < top)
         return jnp.where(below_top, surprise, 0).sum(axis=-1).mean(axis=-1).sum()
 
+    return descend(loss, network, (chosen, drawn))
+
+
+def descend(loss: Callable[..., Float[jax.Array, ""]], network: Network, batches: Any) -> Network:
+    """Return a network after steps of AdamW, whose rate falls to 0 by a cosine.
+
+    Args:
+        loss: of a network and of what a batch consists of.
+        network: first weights.
+        batches: tuple of arrays [steps, ...].
+    """
+    optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(batches[0])), weight_decay=DECAY)
+
     def step(
-        carry: tuple[Network, optax.OptState], batch: tuple[jax.Array, jax.Array]
+        carry: tuple[Network, optax.OptState], batch: tuple[jax.Array, ...]
     ) -> tuple[tuple[Network, optax.OptState], None]:
         network, state = carry
         updates, state = optimizer.update(jax.grad(loss)(network, *batch), state, network)
         return (optax.apply_updates(network, updates), state), None
 
-    (network, _), _ = jax.lax.scan(step, (network, optimizer.init(network)), (chosen, drawn))
+    (network, _), _ = jax.lax.scan(step, (network, optimizer.init(network)), batches)
     return network
+
+
+def surprises(errors: Float[jax.Array, "*shape"], noise: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
+    """Return the negative logarithm of the likelihood of normal errors, weighed by a power of their noise."""
+    surprise = errors**2 / (2 * noise**2) + jnp.log(noise)
+    return surprise * jax.lax.stop_gradient(noise) ** SOFTENING
 
 
 def _one(
