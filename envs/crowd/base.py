@@ -38,6 +38,7 @@ class CrowdEnv(InteractionEnv):
     * ``humans``: their number, from 2 to 12.
     * ``beliefs``: what the robot takes the humans' rewards to be: ``"learned"``, that all have the reward that theirs
       are drawn around, ``"true"``, their own.
+    * ``way_out``: whether the robot keeps a way out from humans who do not yield, see `ms_highway.planning.way_out`.
     * ``human_reward``: the reward that theirs are drawn around: ``"learned"``, ``"published"``, or weights by name.
     * ``controller``: chooses a model for every human, see `ms_highway.envs.crowd.controllers`.
     * ``costs``: T(M) of a plan in which one human is predicted by M and the others naively, in the forms of
@@ -65,6 +66,7 @@ class CrowdEnv(InteractionEnv):
             "human_reward": "learned",
             "humans": cls.scenario.humans,
             "beliefs": "learned",
+            "way_out": True,
             "solver": "damped_newton",
             "grip": GRIP,
             "horizon": CROWD_PLANNING.horizon,
@@ -123,7 +125,7 @@ class CrowdEnv(InteractionEnv):
             costs = CrowdCosts(float(seconds[0]), seconds - seconds[0])
         crowd = self.settings.crowd(self.scenario, self.weights if self.settings.beliefs == "true" else None)
         seed = int(self.np_random.integers(np.iinfo(np.int32).max))
-        return CrowdDriver(crowd, controller.rule(costs), controller.budget, seed)
+        return CrowdDriver(crowd, controller.rule(costs), controller.budget, seed, bool(self.config["way_out"]))
 
     def _measured_costs(self, states: Float[np.ndarray, "cars 4"]) -> list[float]:
         quantile = self.settings.controller.quantile

@@ -57,11 +57,14 @@ class CrowdDriver:
         crowd: of which car 0 is driven, with the humans' rewards as the robot believes them.
         rule: chooses the models; pure.
         budget: time of a cycle, decision and plan [s]; None for no limit.
+        way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out`.
         seed: of the episode, for rules that draw; may be replaced before a `reset`.
     """
 
-    def __init__(self, crowd: Crowd, rule: CrowdRule, budget: float | None = None, seed: int = 0) -> None:
-        self.rule, self.budget, self.seed = rule, budget, seed
+    def __init__(
+        self, crowd: Crowd, rule: CrowdRule, budget: float | None = None, seed: int = 0, way_out: bool = True
+    ) -> None:
+        self.rule, self.budget, self.seed, self.way_out = rule, budget, seed, way_out
         self.crowd = crowd
         self.reset()
 
@@ -115,7 +118,7 @@ class CrowdDriver:
         late = self.budget is not None and perf_counter() - start > self.budget
         self._memory, gains = decision.memory, np.asarray(decision.gains)
         followed, status = self._follow(plan, late, state)
-        control, status = self._executed(followed, status)
+        control, status, checking = self._executed(followed, status, now)
         self._seen = CrowdObservation(now, now, control, self._whole(followed))
         scale = np.asarray(self.game.planner.control_scale, dtype=float)
         robot, humans = (np.asarray(side) * scale for side in followed)
@@ -124,7 +127,7 @@ class CrowdDriver:
             robot,
             humans[0],
             RUNGS[max(rungs)],
-            planning,
+            planning + checking,
             deciding,
             compiling,
             _highest(gains),
@@ -173,9 +176,15 @@ class CrowdDriver:
         scale = np.asarray(self.game.planner.control_scale, dtype=float)
         return CrowdPlan(*(brake(self.game, state[0]) / scale, first_crowd_plan(self.crowd, state).humans))
 
-    def _executed(self, followed: CrowdPlan, status: Status) -> tuple[Float[np.ndarray, "2"], Status]:
-        """Return the scaled control to execute, and its status."""
-        return np.asarray(followed.robot[0]), status
+    def _executed(
+        self, followed: CrowdPlan, status: Status, state: Float[np.ndarray, "cars 4"]
+    ) -> tuple[Float[np.ndarray, "2"], Status, float]:
+        """Return the scaled control to execute, its status, and the seconds of looking for a way out."""
+        control = np.asarray(followed.robot[0])
+        if not self.way_out:
+            return control, status, 0.0
+        kept, replaced, seconds = self._plans.keep_way_out(state, control)
+        return (kept, "way out", seconds) if replaced else (control, status, seconds)
 
     def _whole(self, plan: CrowdPlan) -> CrowdPlan:
         """Return a plan over the whole horizon, its last controls repeated."""
