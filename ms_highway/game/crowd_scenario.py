@@ -35,6 +35,7 @@ __all__ = [
     "CrowdScenario",
     "Stream",
     "crowd_game",
+    "crowd_scenario",
     "draw_crowd",
 ]
 
@@ -122,6 +123,18 @@ CROSSING_CROWD = CrowdScenario(
 
 Which human matters changes during the episode: first those of the middle lane, whom it has to get between; then those
 of the left lane, who pass them, so that the robot's neighbours there are others than at the start."""
+
+
+def crowd_scenario(name: str) -> CrowdScenario:
+    """Return a scenario with several humans by its name.
+
+    Raises:
+        ValueError: if there is none of that name.
+    """
+    known = {scenario.name: scenario for scenario in (DENSE_MERGE, CROSSING_CROWD)}
+    if name not in known:
+        raise ValueError(f"{name!r} is no scenario with several humans; these are {', '.join(known)}")
+    return known[name]
 
 
 def crowd_game(

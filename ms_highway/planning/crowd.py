@@ -1,8 +1,8 @@
 """Plan among several humans, each of whom is predicted by a model of its own.
 
 A rung is the number of a model in `RUNGS`. Human i under theory of mind answers the robot's plan, and all others keep
-to the paths that are predicted for them: the humans' response is block-diagonal,
-``J_i = -H_i^-1 d2R_i / du_i du_R``, and the robot climbs along ``dR_R/du_R + sum_i J_i^T dR_R/du_i`` (Sadigh et al. 2018, for one human).
+to the paths that are predicted for them: the humans' response is block-diagonal, ``J_i = -H_i^-1 d2R_i / du_i du_R``,
+and the robot climbs along ``dR_R/du_R + sum_i J_i^T dR_R/du_i``.
 """
 
 from functools import partial
