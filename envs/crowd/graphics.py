@@ -1,9 +1,11 @@
 """What a person sees of a robot among several humans: who is predicted how, and what that costs."""
 
+from math import inf
 from typing import Any
 
 import pygame
 
+from ms_highway.control.fallback import PLANNED, STATUSES
 from ms_highway.envs.graphics import FAINT, GRID, INK, MARGIN, PAPER, TEXT_WIDTH, InteractionViewer, model_color, words
 from ms_highway.planning.crowd import NAIVE, RUNGS
 
@@ -69,8 +71,10 @@ class CrowdViewer(InteractionViewer):
                 left = self._chip(f"{rung} {record['rungs'].count(rung)}", rung, left, top)
             self._time(record, top + 58)
         self._text(line, MEDIUM, INK, (MARGIN, top + 100))
-        if self.env.distance_to_cones < float("inf"):
-            self._text(f"cones in {self.env.distance_to_cones:.0f} m", MEDIUM, INK, (MARGIN, top + 126))
+        cones, status = self.env.distance_to_cones, record["status"]
+        lines = [f"cones in {cones:.0f} m"] if cones < inf else []
+        lines += [status] if status not in (None, STATUSES[PLANNED]) else []
+        self._text("    ".join(lines), MEDIUM, INK, (MARGIN, top + 126))
 
     def _chip(self, text: str, rung: str, left: int, top: int) -> int:
         """Draw a text on the colour of a model; return where the next one begins."""

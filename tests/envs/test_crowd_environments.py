@@ -1,6 +1,7 @@
 """The environments with several humans, as a Gymnasium user meets them."""
 
 import warnings
+from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
@@ -15,6 +16,7 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.results import read_results
 from ms_highway.experiments.runner import STEPS_FILE, read, run
 from ms_highway.planning.compiled_crowd import CompiledCrowdPlans
+from ms_highway.visualization.video import film
 
 FIXED = {"type": "fixed", "model": "tom"}
 AGENT = {"type": "ContinuousAction"}
@@ -153,13 +155,26 @@ def test_impossible_configurations_are_refused_with_value_place_and_remedy(confi
 def test_humans_have_the_colours_of_the_models_that_predict_them():
     env = make(render_mode="rgb_array", duration=0.3)
     drive(env)
-    picture = env.render()
-    assert picture.shape == (420, 1280, 3)
-    surface = env.unwrapped.viewer.sim_surface
+    picture, surface = env.render(), env.unwrapped.viewer.sim_surface
     for human in env.unwrapped.road.vehicles[1:]:
         x, y = surface.vec2pix(human.position + np.array([-1.2, 0.6]))
         np.testing.assert_array_equal(picture[int(y), int(x)], model_color("tom"))
-    assert env.unwrapped.viewer.panel_height < 420 - 2 * 16
+
+
+def test_a_film_shows_every_step_of_an_episode():
+    shot = film("dense_merge", "naive", 0, humans=2, costs="published", duration=0.3)
+    assert shot.frames_per_second == 10
+    assert [picture.shape for picture in shot.pictures] == [(420, 1280, 3)] * 3
+    assert all((one != other).any() for one, other in pairwise(shot.pictures))
+
+
+def test_a_robot_that_is_too_late_for_its_budget_drives_on_with_what_it_has_and_says_so():
+    env = make(render_mode="rgb_array", duration=0.3, controller={"type": "budget", "milliseconds": 1e-3})
+    states, infos = drive(env)
+    assert env.unwrapped.budget == pytest.approx(1e-6)
+    assert [info["status"] for info in infos] == ["late"] * 3
+    assert states[1, 0, 3] < states[0, 0, 3] - 0.5
+    assert env.render().shape == (420, 1280, 3)
 
 
 def test_a_comparison_counts_successes_and_the_humans_under_each_model(tmp_path):
