@@ -5,12 +5,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
+from ms_highway.cli.crowd_values import learn_crowd_values
 from ms_highway.cli.options import (
+    CROWD_NAMES,
     MOST,
     SCENARIO_NAMES,
     SOLVERS,
     add_costs,
     add_devices,
+    add_humans,
     add_ladder,
     add_planning,
     add_scenarios,
@@ -34,6 +37,9 @@ come through, every model of the ladder plans a step, and the rule that was lear
 networks are fitted to what was earned and planned, and so on for some rounds. One file serves all lambdas from 0.001
 to 100.
 
+Among several humans (dense_merge, crossing_crowd), every human has a value of its own: what the robot earns more with
+this one human predicted by a dearer model. The file is for learned:LAMBDA:FILE there.
+
 After every round, the regret per step is shown: how far the rule stays behind the best of simple orders of models from
 starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts are drawn anew, not by the numbered seeds
 of environments: all of those are held out. The same --seed gives the same values. Rollouts are kept beside the file
@@ -43,6 +49,7 @@ LEARN_EXAMPLES = """\
 examples:
   ms-highway values learn merger give_way --out values.npz
   ms-highway compare merger --controllers tom learned:1:values.npz
+  ms-highway values learn dense_merge crossing_crowd --out crowd_values.npz
   ms-highway --import zipper values learn zipper --out zipper.npz"""
 
 SHOW = """\
@@ -54,6 +61,7 @@ examples:
   ms-highway values show shipped
   ms-highway values show shipped --scenario merger --price 1 --out merger_values.png"""
 
+DEFAULTS = {"states": 400, "rounds": 5, "horizon_steps": 20}  # with one human
 MOST_GENERATED = 1000
 DPI = 160
 
@@ -63,7 +71,7 @@ def add_values(commands: Any) -> None:
     values = commands.add_parser("values", help="learn when it pays to think", description=HELP)
     subcommands = values.add_subparsers(title="commands", required=True, metavar="COMMAND")
     parser = add_command(subcommands, "learn", "learn values of computation", LEARN, LEARN_EXAMPLES)
-    add_scenarios(parser)
+    add_scenarios(parser, known=(*SCENARIO_NAMES, *CROWD_NAMES))
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the values, such as values.npz")
     parser.add_argument(
         "--generated", type=int, default=0, metavar="N", help="learn on so many random scenes as well (default: 0)"
@@ -71,11 +79,13 @@ def add_values(commands: Any) -> None:
     parser.add_argument(
         "--states",
         type=int,
-        default=400,
-        help="that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400)",
+        help="that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; "
+        "among several humans 100 in every round)",
     )
-    parser.add_argument("--rounds", type=int, default=5, help="of rollouts and fits (default: 5)")
-    parser.add_argument("--horizon-steps", type=int, default=20, metavar="STEPS", help="of a rollout (default: 20)")
+    parser.add_argument("--rounds", type=int, help="of rollouts and fits (default: 5; among several humans 2)")
+    parser.add_argument(
+        "--horizon-steps", type=int, metavar="STEPS", help="of a rollout (default: 20; among several humans 25)"
+    )
     parser.add_argument(
         "--without",
         nargs="+",
@@ -96,6 +106,7 @@ def add_values(commands: Any) -> None:
         help="of the robot's plans; each scenario is learned with each of them (default: gradient)",
     )
     add_planning(parser)
+    add_humans(parser)
     add_devices(parser)
     parser.set_defaults(run=_learn, simulates=True)
     show = add_command(subcommands, "show", "show what a file of values holds", SHOW, SHOW_EXAMPLES)
@@ -108,16 +119,24 @@ def add_values(commands: Any) -> None:
 
 
 def _learn(options: argparse.Namespace) -> None:
+    from ms_highway.envs import is_crowd
     from ms_highway.experiments.values.learning import learn, rollouts_file
     from ms_highway.metareasoning.values import save_values
     from ms_highway.simulation.devices import use_devices
 
+    several = any(map(is_crowd, options.scenarios))
     check_least(options, states=1, rounds=1, horizon_steps=1, generated=0, seed=0, devices=1)
-    check_most(options, states=MOST, rounds=100, horizon_steps=20, generated=MOST_GENERATED)
+    check_most(options, states=MOST, rounds=100, horizon_steps=100 if several else 20, generated=MOST_GENERATED)
     if options.out.is_dir() or not options.out.parent.is_dir():
         raise ValueError(f"--out is {options.out}; name a file in a directory that exists, such as values.npz")
     if options.out.suffix != ".npz":
         raise ValueError(f"--out is {options.out}; give the file a name that ends in .npz")
+    if several:
+        learn_crowd_values(options)
+        return
+    for name, default in DEFAULTS.items():
+        if getattr(options, name) is None:
+            setattr(options, name, default)
     learning, courses = _courses(options)
     values, kept = None, rollouts_file(options.out)
     with telling() as tell:
