@@ -321,6 +321,7 @@ class InteractionEnv(StageEnv):
             "decision_seconds": step.decision_seconds if step else 0.0,
             "gains": step.gains if step else {},
             "choice_failed": bool(step and step.choice_failed),
+            "status": step.status if step else None,
             "reward": sum(self._terms.values()),
             "collision": self.collision,
         }

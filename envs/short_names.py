@@ -4,30 +4,20 @@ from collections.abc import Sequence
 from typing import Any
 
 from ms_highway.envs.controllers import CHOOSING, ControllerSettings, controller_settings
-from ms_highway.envs.crowd.controllers import CrowdControllerSettings, crowd_controller_config, crowd_settings
 from ms_highway.planning.human_models import is_model, model_names
 
-__all__ = ["controller_config", "named_controller"]
+__all__ = ["controller_config", "named_controller", "number_of", "shares_of"]
 
 MOST_DIGITS = 5  # of a number of steps
 
 
-def named_controller(text: str) -> ControllerSettings | CrowdControllerSettings:
-    """Return the settings that a controller's short name stands for, with one human or else with several.
-
-    See `controller_config` and `ms_highway.envs.crowd.controllers.crowd_controller_config`. A name that both know is of
-    the same type, at the same lambda.
+def named_controller(text: str) -> ControllerSettings:
+    """Return the settings that a controller's short name stands for, see `controller_config`.
 
     Raises:
         ValueError: if it stands for none.
     """
-    try:
-        return controller_settings(controller_config(text))
-    except ValueError as error:
-        try:
-            return crowd_settings(crowd_controller_config(text))
-        except ValueError:
-            raise error from None
+    return controller_settings(controller_config(text))
 
 
 def controller_config(text: str) -> dict[str, Any]:
@@ -45,12 +35,7 @@ def controller_config(text: str) -> dict[str, Any]:
     config: dict[str, Any]
     if name in CHOOSING:
         price, _, values = rest.partition(":")
-        try:
-            if price != price.strip():
-                raise ValueError  # the name would have spaces or line breaks, in files too
-            config = {"type": name, "lambda": float(price)}
-        except ValueError:
-            raise ValueError(f"controller {text!r} needs its lambda as a number, such as {name}:0.1") from None
+        config = {"type": name, "lambda": number_of(text, price, f"its lambda as a number, such as {name}:0.1")}
         if values:
             config["values"] = values
     elif name == "schedule":
@@ -58,7 +43,7 @@ def controller_config(text: str) -> dict[str, Any]:
     elif name == "period":
         config = {"type": "period", "models": _stretches(text, rest.split(","), "period:tom=1,naive=3")}
     elif name == "random":
-        config = {"type": "random", "shares": _shares(text, rest)}
+        config = {"type": "random", "shares": shares_of(text, rest)}
     elif is_model(name) and not rest:
         config = {"type": "fixed", "model": name}
     else:
@@ -96,8 +81,35 @@ def _stretches(text: str, parts: Sequence[str], example: str) -> list[str]:
     return models
 
 
-def _shares(text: str, parts: str) -> dict[str, float]:
-    """Return the share of each model in a random controller's short name."""
+def number_of(text: str, part: str, wanted: str) -> float:
+    """Return the number in a part of a controller's short name.
+
+    Args:
+        text: the name.
+        part: of it.
+        wanted: what the number is, and an example.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    try:
+        if part != part.strip():
+            raise ValueError  # the name would have spaces or line breaks, in files too
+        return float(part)
+    except ValueError:
+        raise ValueError(f"controller {text!r} needs {wanted}") from None
+
+
+def shares_of(text: str, parts: str) -> dict[str, float]:
+    """Return the share of each model in a random controller's short name.
+
+    Args:
+        text: the name.
+        parts: what comes after ``random:``.
+
+    Raises:
+        ValueError: where a share is missing, or a model is named twice.
+    """
     shares: dict[str, float] = {}
     for part in parts.split(","):
         name, _, share = part.partition("=")

@@ -28,7 +28,8 @@ import numpy as np
 
 from ms_highway.cli.main import main
 from ms_highway.control.fixed import FixedModel
-from ms_highway.envs import ENVIRONMENTS, SCENARIOS
+from ms_highway.envs import ENVIRONMENTS, SCENARIOS, is_crowd
+from ms_highway.envs.crowd.settings import CrowdEnvSettings
 from ms_highway.envs.settings import Settings, merged
 from ms_highway.experiments.resuming import check_settings
 from ms_highway.experiments.settings import read_settings
@@ -61,11 +62,11 @@ def configurations() -> Iterator[Try]:
     for config, _ in listed(test_environments.test_a_wrong_configuration_is_refused_with_the_remedy):
         yield lambda config=config: refused(lambda: test_environments.make("merger", **config))
     for name, environment in ENVIRONMENTS.items():
-        defaults = environment.default_config()
-        for key in defaults:
+        kind = CrowdEnvSettings if is_crowd(name) else Settings
+        for key in environment.default_config():
             for value in HOSTILE:
-                yield lambda n=name, d=defaults, c={key: value}: survived(
-                    lambda: Settings.read(merged(d, c)).game(SCENARIOS[n])
+                yield lambda e=environment, k=kind, c={key: value}: survived(
+                    lambda: k.read(e.checked_config(c)).game(e.scenario)
                 )
 
 

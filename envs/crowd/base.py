@@ -1,6 +1,7 @@
 """The environment of a robot among several humans."""
 
 from collections.abc import Mapping
+from math import isnan, nan
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,25 +11,16 @@ from ms_highway.control.crowd import CrowdDriver, CrowdStep, HumanDriver
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.crowd.controllers import crowd_controller_config
 from ms_highway.envs.crowd.graphics import CrowdViewer
-from ms_highway.envs.crowd.settings import CrowdSettings, merged_crowd
+from ms_highway.envs.crowd.settings import CrowdEnvSettings, merged_crowd
 from ms_highway.game.crowd_scenario import CROWD_PLANNING, REACHED, CrowdScenario, draw_crowd
 from ms_highway.game.scenario import GRIP
-from ms_highway.metareasoning.crowd.rule import CrowdCosts
-from ms_highway.planning.compiled_crowd import measure_crowd_costs
+from ms_highway.planning.compiled_crowd import CrowdCosts, measure_crowd_costs
 from ms_highway.planning.crowd import RUNGS
-from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RobotVehicle, states_of
+from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RobotVehicle
 
-__all__ = ["CrowdEnv", "CrowdHumanVehicle"]
+__all__ = ["CrowdEnv"]
 
 LEFT_OUT = ("ladder", "influence", "warm_start")  # keys of the configuration that only environments with one human have
-
-
-class CrowdHumanVehicle(HumanVehicle):
-    """A human of a crowd, who sees all cars in their order, the robot first."""
-
-    def observe(self) -> Float[np.ndarray, "cars 4"]:
-        """Return the states of all cars."""
-        return states_of(self.road.vehicles)
 
 
 class CrowdEnv(InteractionEnv):
@@ -46,6 +38,7 @@ class CrowdEnv(InteractionEnv):
     * ``humans``: their number, from 2 to 12.
     * ``beliefs``: what the robot takes the humans' rewards to be: ``"learned"``, that all have the reward that theirs
       are drawn around, ``"true"``, their own.
+    * ``way_out``: whether the robot keeps a way out from humans who do not yield, see `ms_highway.planning.way_out`.
     * ``human_reward``: the reward that theirs are drawn around: ``"learned"``, ``"published"``, or weights by name.
     * ``controller``: chooses a model for every human, see `ms_highway.envs.crowd.controllers`.
     * ``costs``: T(M) of a plan in which one human is predicted by M and the others naively, in the forms of
@@ -68,11 +61,12 @@ class CrowdEnv(InteractionEnv):
         """The configuration of environments with one human, changed to suit several."""
         config = super().default_config()
         return {key: value for key, value in config.items() if key not in LEFT_OUT} | {
-            "controller": {"type": "fixed", "model": "tom"},
+            "controller": {"type": "switching", "lambda": cls.scenario.prices[1]},
             "costs": "measured",
             "human_reward": "learned",
             "humans": cls.scenario.humans,
             "beliefs": "learned",
+            "way_out": True,
             "solver": "damped_newton",
             "grip": GRIP,
             "horizon": CROWD_PLANNING.horizon,
@@ -93,8 +87,8 @@ class CrowdEnv(InteractionEnv):
         return crowd_controller_config(text)
 
     def _read(self) -> None:
-        self.settings = CrowdSettings.read(self.config)
-        self.game = self.settings.crowd(self.scenario).game
+        self.settings = CrowdEnvSettings.read(self.config)
+        self.game = self.settings.game(self.scenario)
         self._costs = self.settings.costs
 
     @property
@@ -103,7 +97,7 @@ class CrowdEnv(InteractionEnv):
         return 1 + self.settings.humans
 
     def _roles(self) -> list[type[BicycleVehicle]]:
-        return [RobotVehicle, *[CrowdHumanVehicle] * self.settings.humans]
+        return [RobotVehicle, *[HumanVehicle] * self.settings.humans]
 
     def draw_starts(self, random: np.random.Generator) -> Float[np.ndarray, "cars 4"]:
         """Draw a start of every car, robot first, in SI units, and what every human drives for; see `draw_crowd`."""
@@ -125,17 +119,17 @@ class CrowdEnv(InteractionEnv):
             cars[0].drive_with(self._controller(states), cars[1:])
 
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> CrowdDriver:
-        controller = self.settings.controller
-        costs = None
-        if self._costs is not None or controller.needs_costs:
+        controller, costs = self.settings.controller, CrowdCosts(nan, np.full(len(RUNGS), nan))
+        if self._costs is not None or controller.budget is not None or not isnan(controller.price):
             seconds = self.costs(states)  # to be measured now, if at all, and not within a step
             costs = CrowdCosts(float(seconds[0]), seconds - seconds[0])
         crowd = self.settings.crowd(self.scenario, self.weights if self.settings.beliefs == "true" else None)
         seed = int(self.np_random.integers(np.iinfo(np.int32).max))
-        return CrowdDriver(crowd, controller.rule(costs), controller.budget, seed)
+        return CrowdDriver(crowd, controller.rule(costs), controller.budget, seed, bool(self.config["way_out"]))
 
     def _measured_costs(self, states: Float[np.ndarray, "cars 4"]) -> list[float]:
-        costs = measure_crowd_costs(self.settings.crowd(self.scenario), states)
+        quantile = self.settings.controller.quantile
+        costs = measure_crowd_costs(self.settings.crowd(self.scenario), states, quantile=quantile)
         return [float(costs.base + each) for each in np.asarray(costs.each)]
 
     @property

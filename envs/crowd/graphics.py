@@ -1,16 +1,19 @@
 """What a person sees of a robot among several humans: who is predicted how, and what that costs."""
 
+from math import inf
 from typing import Any
 
 import pygame
 
+from ms_highway.control.fallback import PLANNED, STATUSES
 from ms_highway.envs.graphics import FAINT, GRID, INK, MARGIN, PAPER, TEXT_WIDTH, InteractionViewer, model_color, words
 from ms_highway.planning.crowd import NAIVE, RUNGS
 
 __all__ = ["CrowdViewer"]
 
 LARGE, MEDIUM, SMALL = 22, 15, 13  # px, sizes of texts
-DOT = 3  # px, radius
+DOT = 2  # px, radius
+ROOF = 11  # px, radius of what a number is written on
 EVERY = 2  # step of a predicted path of which a dot is drawn
 BAR = pygame.Rect(MARGIN, 0, TEXT_WIDTH - 5 * MARGIN, 14)  # of the step's time
 ROOM = 1.25  # of the bar in budgets, or in the longest times without one
@@ -37,11 +40,13 @@ class CrowdViewer(InteractionViewer):
 
     def _names(self) -> None:
         """Draw the robot's name at the roadside, and every human's number on its roof."""
+        surface = self.sim_surface
         self._name("robot", self.env.robot, 1)
-        for number, human in enumerate(self.env.road.vehicles[1:], start=1):
+        for number, (human, rung) in enumerate(zip(self.env.road.vehicles[1:], self._rungs(), strict=True), start=1):
+            place = surface.vec2pix(human.position)
             label = words(str(number), MEDIUM, INK)
-            place = self.sim_surface.vec2pix(human.position)
-            self.sim_surface.blit(label, label.get_rect(center=place))
+            pygame.draw.circle(surface, model_color(rung), place, ROOF)
+            surface.blit(label, label.get_rect(center=place))
 
     def _plans(self) -> None:
         """Draw the predicted paths of humans as dots in the colours of their models, and the robot's plan as a line."""
@@ -50,9 +55,8 @@ class CrowdViewer(InteractionViewer):
             return
         for state, controls, rung in zip(robot.last_state[1:], robot.last_step.humans, self._rungs(), strict=True):
             for point in self._path(state, controls)[EVERY::EVERY]:
-                place = surface.vec2pix(point)
-                pygame.draw.circle(surface, INK, place, DOT + 1)
-                pygame.draw.circle(surface, model_color(rung), place, DOT)
+                pygame.draw.circle(surface, PAPER, surface.vec2pix(point), DOT + 1)
+                pygame.draw.circle(surface, model_color(rung), surface.vec2pix(point), DOT)
         self._line(self._path(robot.last_state[0], robot.last_step.plan), tuple(robot.color))
 
     def _now(self, record: dict[str, Any], top: int) -> None:
@@ -67,8 +71,10 @@ class CrowdViewer(InteractionViewer):
                 left = self._chip(f"{rung} {record['rungs'].count(rung)}", rung, left, top)
             self._time(record, top + 58)
         self._text(line, MEDIUM, INK, (MARGIN, top + 100))
-        if self.env.distance_to_cones < float("inf"):
-            self._text(f"cones in {self.env.distance_to_cones:.0f} m", MEDIUM, INK, (MARGIN, top + 126))
+        cones, status = self.env.distance_to_cones, record["status"]
+        lines = [f"cones in {cones:.0f} m"] if cones < inf else []
+        lines += [status] if status not in (None, STATUSES[PLANNED]) else []
+        self._text("    ".join(lines), MEDIUM, INK, (MARGIN, top + 126))
 
     def _chip(self, text: str, rung: str, left: int, top: int) -> int:
         """Draw a text on the colour of a model; return where the next one begins."""

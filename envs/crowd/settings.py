@@ -4,21 +4,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from jaxtyping import Float
 
 from ms_highway.envs.checks import is_whole
 from ms_highway.envs.configuration import changed
-from ms_highway.envs.crowd.controllers import CrowdControllerSettings, crowd_settings
+from ms_highway.envs.crowd.controllers import CrowdSettings, crowd_settings
 from ms_highway.envs.settings import ACTION_DEFAULTS, read_costs, read_human_weights, read_limit, read_planning
 from ms_highway.game.crowd import Crowd
 from ms_highway.game.crowd_scenario import CROWD_LIMIT, HUMANS, CrowdScenario, crowd_game
+from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PlanningSettings, gradient_steps
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.crowd import RUNGS
 from ms_highway.planning.human_models import HumanModel, ladder
-from ms_highway.runtime.arrays import Array
 
-__all__ = ["BELIEFS", "CrowdSettings", "merged_crowd"]
+__all__ = ["BELIEFS", "CrowdEnvSettings", "merged_crowd"]
 
 BELIEFS = ("learned", "true")
 """What the robot believes the humans' rewards to be: the one that they are drawn around, or their own."""
@@ -31,7 +32,7 @@ CHOICES: dict[str, tuple[str | None, ...]] = {
 
 
 @dataclass(frozen=True)
-class CrowdSettings:
+class CrowdEnvSettings:
     """Checked settings of an `ms_highway.envs.crowd.base.CrowdEnv`, with open choices filled in.
 
     Attributes:
@@ -44,7 +45,7 @@ class CrowdSettings:
     """
 
     humans: int
-    controller: CrowdControllerSettings
+    controller: CrowdSettings
     costs: Mapping[str, float] | None
     beliefs: str
     human_weights: Mapping[str, float]
@@ -54,7 +55,7 @@ class CrowdSettings:
     planning: PlanningSettings
 
     @classmethod
-    def read(cls, config: Mapping[str, Any]) -> "CrowdSettings":
+    def read(cls, config: Mapping[str, Any]) -> "CrowdEnvSettings":
         """Read a whole configuration, of which `ms_highway.envs.configuration.changed` has checked the rest.
 
         Raises:
@@ -80,7 +81,11 @@ class CrowdSettings:
         """The models that humans can be predicted by, cheapest first."""
         return ladder(RUNGS)
 
-    def crowd(self, scenario: CrowdScenario, weights: Float[Array, "humans features"] | None = None) -> Crowd:
+    def game(self, scenario: CrowdScenario) -> Game:
+        """Build the game of a scenario with any one of the humans."""
+        return self.crowd(scenario).game
+
+    def crowd(self, scenario: CrowdScenario, weights: Float[np.ndarray, "humans features"] | None = None) -> Crowd:
         """Build the game of a scenario; without weights, all humans have the reward that theirs are drawn around."""
         return crowd_game(
             scenario,
@@ -105,5 +110,5 @@ def merged_crowd(defaults: Mapping[str, Any], changes: Mapping[str, Any] | None)
         remedy = "say 'Autopilot', and the controller chooses a model for every human"
         raise ValueError(f"config['action'] is of type 'HumanModelAction', which is for one human; {remedy}")
     config["action"] = {**ACTION_DEFAULTS.get(config["action"]["type"], {}), **config["action"]}
-    CrowdSettings.read(config)
+    CrowdEnvSettings.read(config)
     return config

@@ -78,8 +78,8 @@ CONTROLLERS = (
 
 
 CROWD_CONTROLLERS = (
-    "naive, turn, tom, switching:LAMBDA, learned:LAMBDA[:FILE], budget:MILLISECONDS, nearest:K, ttc:K, influence:K, "
-    "random:MODEL=SHARE,..."
+    "naive, turn, tom, switching:LAMBDA, learned:LAMBDA[:FILE], budget:MILLISECONDS[:FILE], nearest:K, ttc:K, "
+    "influence:K, random:MODEL=SHARE,..."
 )
 """What controllers among several humans are called, for help texts."""
 

@@ -1,71 +1,248 @@
-"""Drive among several humans (stand-in)."""
+"""Drive among several humans, with the models that a rule chooses for them; drive as one of the humans."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Any
 
-import jax
 import numpy as np
+from jaxtyping import Float
 
 from ms_highway.control.controller import ControlStep
-from ms_highway.game.crowd import Crowd
-from ms_highway.planning.crowd import RUNGS, plan_crowd, predict_human
+from ms_highway.control.fallback import Status, brake
+from ms_highway.control.fixed import FixedModel
+from ms_highway.game.crowd import Crowd, human_game
+from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.game import Game
+from ms_highway.metareasoning.crowd.budget import Budget
+from ms_highway.metareasoning.crowd.compiled_decision import CompiledCrowdDecision, CrowdObservation
+from ms_highway.metareasoning.crowd.rule import CrowdRule, first_crowd_memory
+from ms_highway.planning.compiled_crowd import CompiledCrowdPlans, first_crowd_plan
+from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
+from ms_highway.planning.crowd import RUNGS, CrowdPlan
+from ms_highway.planning.human_models import HumanModel, JointPlan, Naive
+from ms_highway.runtime.forks import refuse_after_fork
 
-_plan, _predict = jax.jit(plan_crowd), jax.jit(predict_human)
+__all__ = ["CrowdDriver", "CrowdStep", "HumanDriver"]
+
+QUANTILE = 0.99  # of decisions' seconds, for budgets
 
 
 @dataclass(frozen=True)
 class CrowdStep(ControlStep):
-    """A step among several humans."""
+    """Record of one step among several humans.
 
-    humans: Any = ()
-    rungs: tuple[str, ...] = ()
+    What a `ControlStep` tells of one human is here of the first (``human``), of the dearest rung in use (``model``),
+    and of the highest gain of each rung over all humans (``gains``).
+
+    Attributes:
+        humans: controls that the plan expects of every human.
+        rungs: name of the model that predicted every human.
+        human_gains: estimated gain of each rung for every human, NaN where none was estimated; see
+            `ms_highway.metareasoning.crowd.rule.CrowdDecision`.
+    """
+
+    humans: Float[np.ndarray, "humans steps 2"] = field(kw_only=True)
+    rungs: tuple[str, ...] = field(kw_only=True)
+    human_gains: Float[np.ndarray, "humans rungs"] = field(kw_only=True)
 
 
 class CrowdDriver:
-    """Drive the robot."""
+    """Plan every step among several humans, with the models that a rule chooses.
 
-    def __init__(self, crowd: Crowd, rule: Any, budget: float | None = None, seed: int = 0) -> None:
-        self.crowd, self.rule, self.budget = crowd, rule, budget
-        self.game = crowd.game
+    Plans start from the rest of the last one. Where a plan is not finite, the robot follows the rest of the last finite
+    one, then brakes. With a budget, a plan that is late is not followed in its own step, in which the robot drives on
+    with what it has, but from the next step on.
+
+    Args:
+        crowd: of which car 0 is driven, with the humans' rewards as the robot believes them.
+        rule: chooses the models; pure.
+        budget: time of a cycle, decision and plan [s]; None for no limit.
+        way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out`.
+        seed: of the episode, for rules that draw; may be replaced before a `reset`.
+    """
+
+    def __init__(
+        self, crowd: Crowd, rule: CrowdRule, budget: float | None = None, seed: int = 0, way_out: bool = True
+    ) -> None:
+        self.rule, self.budget, self.seed, self.way_out = rule, budget, seed, way_out
+        self.crowd = crowd
+        self.reset()
+
+    @property
+    def crowd(self) -> Crowd:
+        """Game that is played; may be replaced between steps, and one of the same shapes compiles nothing."""
+        return self._plans.crowd
+
+    @crowd.setter
+    def crowd(self, crowd: Crowd) -> None:
+        self._plans = CompiledCrowdPlans(crowd)
+        self._decision = CompiledCrowdDecision(self.rule, crowd)
+        self._warm = False
+
+    @property
+    def game(self) -> Game:
+        """Game of the robot with any one of the humans, see `ms_highway.control.controller.Controller`."""
+        return self.crowd.game
+
+    @game.setter
+    def game(self, game: Game) -> None:
+        self.crowd = replace(self.crowd, game=game)
 
     def reset(self) -> None:
-        pass
+        """Forget the past, before a new episode."""
+        self._memory = first_crowd_memory(self.crowd.humans, self.seed)
+        self._rest: CrowdPlan | None = None  # scaled controls of the coming steps, as last planned
+        self._seen: CrowdObservation | None = None  # the last step, not yet its outcome
 
     def reset_partner(self) -> None:
-        pass
+        """Forget all humans: the cars are others from now on."""
+        self.reset()
 
-    def step(self, state: Any, before: Any = None) -> CrowdStep:
-        begun = perf_counter()
-        rungs = np.array(self.rule(state))
-        plan = jax.block_until_ready(_plan(self.crowd, np.asarray(state, np.float32), rungs))
-        scale = np.asarray(self.game.planner.control_scale, float)
-        robot, humans = (np.asarray(side, float) * scale for side in plan)
+    def step(self, state: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None = None) -> CrowdStep:
+        """Return the control of the coming step, after choosing the models from the outcome of the last one.
+
+        Args:
+            state: the robot, all humans and the scripted cars now.
+            before: all cars before the last step, in the present coordinates; needed where these have changed since.
+
+        Raises:
+            ValueError: if a state is not a finite array [cars, 4] of two cars or more.
+        """
+        refuse_after_fork()
+        now = checked_state(state)
+        compiling = self._warm_up(now)
+        start = perf_counter()
+        decision, deciding = self._decision.decide(self._memory, self._outcome(now, before))
+        rungs = [int(rung) for rung in decision.memory.rungs]
+        plan, planning = self._plans.plan(now, rungs, self._rest and self._whole(self._rest))
+        late = self.budget is not None and perf_counter() - start > self.budget
+        self._memory, gains = decision.memory, np.asarray(decision.gains)
+        followed, status = self._follow(plan, late, state)
+        control, status, checking = self._executed(followed, status, now)
+        self._seen = CrowdObservation(now, now, control, self._whole(followed))
+        scale = np.asarray(self.game.planner.control_scale, dtype=float)
+        robot, humans = (np.asarray(side) * scale for side in followed)
         return CrowdStep(
-            robot[0],
+            control * scale,
             robot,
             humans[0],
-            RUNGS[rungs.max()],
-            perf_counter() - begun,
+            RUNGS[max(rungs)],
+            planning + checking,
+            deciding,
+            compiling,
+            _highest(gains),
+            bool(decision.failed),
+            status,
             humans=humans,
             rungs=tuple(RUNGS[rung] for rung in rungs),
+            human_gains=gains,
         )
 
+    def _warm_up(self, state: Float[np.ndarray, "cars 4"]) -> float:
+        """Compile plans and decision before the first control of a crowd; return the seconds spent.
 
-class HumanDriver:
-    """Drive a human."""
+        A budget without the time of a decision gets it measured.
+        """
+        if self._warm:
+            return 0.0
+        self._warm = True
+        seconds = self._plans.warm_up(state) + self._decision.warm_up(state)
+        if isinstance(self.rule, Budget) and not self.rule.deciding:
+            self.rule = replace(self.rule, deciding=self._decision.measure(state, quantile=QUANTILE))
+            self._decision = CompiledCrowdDecision(self.rule, self.crowd)
+        return seconds
+
+    def _outcome(
+        self, now: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None
+    ) -> CrowdObservation:
+        """Return the outcome of the last step; before the first one, of a step in which no car moved."""
+        if self._seen is None:
+            return self._decision.nothing_happened(now)
+        return self._seen._replace(before=self._seen.before if before is None else checked_state(before), after=now)
+
+    def _follow(self, plan: CrowdPlan, late: bool, state: Float[np.ndarray, "cars 4"]) -> tuple[CrowdPlan, Status]:
+        """Return the scaled plan to follow in this step, and its status; keep what is left for the coming steps."""
+        finite, goes_on = all(np.isfinite(side).all() for side in plan), self._rest is not None
+        status: Status = "planned" if finite else "previous plan" if goes_on else "braking"
+        if finite and late:
+            status = "late"
+        followed = plan if status == "planned" else self._rest or self._braking(state)
+        left = plan if finite else self._rest
+        self._rest = left and _after_first(left)
+        return followed, status
+
+    def _braking(self, state: Float[np.ndarray, "cars 4"]) -> CrowdPlan:
+        """Return the scaled controls that stop the robot, among humans who keep their velocity."""
+        scale = np.asarray(self.game.planner.control_scale, dtype=float)
+        return CrowdPlan(*(brake(self.game, state[0]) / scale, first_crowd_plan(self.crowd, state).humans))
+
+    def _executed(
+        self, followed: CrowdPlan, status: Status, state: Float[np.ndarray, "cars 4"]
+    ) -> tuple[Float[np.ndarray, "2"], Status, float]:
+        """Return the scaled control to execute, its status, and the seconds of looking for a way out."""
+        control = np.asarray(followed.robot[0])
+        if not self.way_out:
+            return control, status, 0.0
+        kept, replaced, seconds = self._plans.keep_way_out(state, control)
+        return (kept, "way out", seconds) if replaced else (control, status, seconds)
+
+    def _whole(self, plan: CrowdPlan) -> CrowdPlan:
+        """Return a plan over the whole horizon, its last controls repeated."""
+        places = np.minimum(np.arange(self.game.planner.horizon), len(plan.robot) - 1)
+        return CrowdPlan(plan.robot[places], plan.humans[:, places])
+
+
+def _after_first(plan: CrowdPlan) -> CrowdPlan | None:
+    """Return what is left of a plan after its first step; None where nothing is."""
+    return CrowdPlan(plan.robot[1:], plan.humans[:, 1:]) if len(plan.robot) > 1 else None
+
+
+def _highest(gains: Float[np.ndarray, "humans rungs"]) -> dict[str, float]:
+    """Return the highest gain of each rung over all humans, by name, where any was estimated."""
+    found = np.isfinite(gains)
+    best = np.where(found, gains, -np.inf).max(axis=0)
+    return {name: float(gain) for name, gain, known in zip(RUNGS, best, found.any(axis=0), strict=True) if known}
+
+
+class HumanDriver(FixedModel):
+    """Drive as one of the humans: plan for its own reward among all others, who keep their velocity.
+
+    States hold this human first, then all other cars in the order of the crowd: the robot, the other humans, scripted
+    cars. So a vehicle drives with all other cars as companions, in the robot's order.
+
+    Args:
+        crowd: with the true rewards.
+        human: its number.
+    """
 
     def __init__(self, crowd: Crowd, human: int) -> None:
-        self.crowd, self.human = crowd, human
-        self.game = crowd.game
+        self._crowd, self._human = crowd, human
+        super().__init__(human_game(crowd, human), Naive())
 
-    def reset(self) -> None:
-        pass
+    def _prepare(self, game: Game) -> None:
+        weights = np.array(self._crowd.weights, dtype=np.float32)
+        weights[self._human] = game.robot.weights
+        self._crowd = Crowd(replace(game, robot=game.human, human=game.robot), weights)
+        self._plans = _HumanPlans(game, self._crowd, self._human)
 
-    def reset_partner(self) -> None:
-        pass
 
-    def step(self, state: Any, before: Any = None) -> ControlStep:
-        plan = _predict(self.crowd, np.asarray(state, np.float32), self.human)
-        controls = np.asarray(plan, float) * np.asarray(self.game.planner.control_scale, float)
-        return ControlStep(controls[0], controls, controls, RUNGS[0], 0.0)
+class _HumanPlans(CompiledPlans):
+    """The plans of one human of a crowd, in the order of cars of a `HumanDriver`."""
+
+    def __init__(self, game: Game, crowd: Crowd, human: int) -> None:
+        super().__init__(game)
+        self._all, self._human = CompiledCrowdPlans(crowd), human
+
+    def plan(
+        self, model: HumanModel, state: Float[np.ndarray, "cars 4"], start: JointPlan | None = None
+    ) -> tuple[JointPlan, float]:
+        own, seconds = self._all.predict(self._in_crowd(state), self._human)
+        game = self._all.crowd.game
+        kept = keep_velocity(game.dynamics, state[1]) / np.asarray(game.planner.control_scale)
+        return JointPlan(*np.stack([own, np.tile(kept, (len(own), 1))])), seconds
+
+    def warm_up(self, models: Sequence[HumanModel], state: Float[np.ndarray, "cars 4"]) -> float:
+        return self._all.warm_up_humans(self._in_crowd(state))
+
+    def _in_crowd(self, state: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars 4"]:
+        return np.insert(state[1:], 1 + self._human, state[0], axis=0)

@@ -9,16 +9,28 @@ from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game
 from ms_highway.runtime.arrays import Array, SameArray
 
-__all__ = ["BRAKING", "PLANNED", "PREVIOUS_PLAN", "STATUSES", "Status", "brake", "braking_control", "fallback_status"]
+__all__ = [
+    "BRAKING",
+    "LATE",
+    "PLANNED",
+    "PREVIOUS_PLAN",
+    "STATUSES",
+    "WAY_OUT",
+    "Status",
+    "brake",
+    "braking_control",
+    "fallback_status",
+]
 
-Status: TypeAlias = Literal["planned", "previous plan", "braking"]
+Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
 """Source of a control: this step's plan; where that is not finite, the rest of the last finite plan; where nothing is
-left of it, braking in lane."""
+left of it, braking in lane. Where the plan is late for its step, ``late``: again the rest of the last plan, or braking.
+``way out``: what keeps free of collisions whatever the humans do, instead of this step's plan."""
 
 STATUSES: tuple[Status, ...] = get_args(Status)
 """All statuses, in the order of their numbers."""
 
-PLANNED, PREVIOUS_PLAN, BRAKING = range(3)
+PLANNED, PREVIOUS_PLAN, BRAKING, LATE, WAY_OUT = range(5)
 DECELERATION = 8.0  # m/s^2, hard braking on a dry road
 STRAIGHTENING_TIME = 0.5  # s, in which a braking car aligns with the road
 

@@ -49,7 +49,7 @@ def columns(rungs: Iterable[str] = (), crowd: bool = False) -> list[str]:
 
     Args:
         rungs: names of the models on ladders, which may have efforts.
-        crowd: whether there are several humans; then ``model`` is the dearest one in use, and `CROWD_COLUMNS` are added.
+        crowd: whether there are several humans; ``model`` is then the dearest one in use, `CROWD_COLUMNS` are added.
     """
     planning, decision, compiling = MEASURED
     gains = [gain_column(name) for name in known_models(rungs)]

@@ -35,6 +35,7 @@ __all__ = [
     "CrowdScenario",
     "Stream",
     "crowd_game",
+    "crowd_scenario",
     "draw_crowd",
 ]
 
@@ -98,7 +99,7 @@ DENSE_MERGE = CrowdScenario(
     cars=((0.0, 0.0),),
     steps=80,
     ladder=("naive", "turn", "tom"),
-    prices=(1.0, 0.1),
+    prices=(10.0, 1.0),
     robot_weights=COMMON_WEIGHTS | {"target_lane": 150, "merged": 5},
     human_weights=COMMON_WEIGHTS,
     cones=_cones(1.5, 0.0),
@@ -112,16 +113,28 @@ CROSSING_CROWD = CrowdScenario(
     cars=((0.0, 0.0),),
     steps=100,
     ladder=("naive", "turn", "tom"),
-    prices=(1.0, 0.1),
+    prices=(10.0, 1.0),
     robot_weights=COMMON_WEIGHTS | {"target_lane": 150, "merged": 5},
     human_weights=COMMON_WEIGHTS,
-    cones=(*_cones(1.5, 0.0), *_cones(3.0, -0.1)),
+    cones=_cones(1.5, 0.0),
     streams=(Stream(-0.1, 0.95 * SPEED_LIMIT), Stream(-0.2, 1.05 * SPEED_LIMIT)),
 )
-"""The robot crosses one stream of humans to join another, before its lane ends and then the next one.
+"""The robot's lane ends, and it wants to cross the stream of humans beside it, to join another one in the left lane.
 
-Which human matters changes during the episode: first those of the middle lane, whom it has to get between; then those
-of the left lane, who pass them, so that the robot's neighbours there are others than at the start."""
+Which human matters changes during the episode: first those of the middle lane, between whom it has to get before the
+cones; then those of the left lane, who drive faster, so that its neighbours there are others than at the start."""
+
+
+def crowd_scenario(name: str) -> CrowdScenario:
+    """Return a scenario with several humans by its name.
+
+    Raises:
+        ValueError: if there is none of that name.
+    """
+    known = {scenario.name: scenario for scenario in (DENSE_MERGE, CROSSING_CROWD)}
+    if name not in known:
+        raise ValueError(f"{name!r} is no scenario with several humans; these are {', '.join(known)}")
+    return known[name]
 
 
 def crowd_game(

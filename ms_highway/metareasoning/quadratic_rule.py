@@ -18,7 +18,7 @@ from ms_highway.optimization.trust_region import trust_region_step
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["TRUST_TOLERANCE", "Expansion", "QuadraticRule", "estimate_gains"]
+__all__ = ["TRUST_TOLERANCE", "Expansion", "QuadraticRule", "change_of_control", "estimate_gains"]
 
 
 TRUST_TOLERANCE = 1e-3
@@ -141,7 +141,7 @@ def estimate_gains(
         def gain(
             expected: Float[jax.Array, "n"], influence: Float[jax.Array, "n n"], alternative: Int[jax.Array, ""] | int
         ) -> Float[jax.Array, ""]:
-            change = _change_of_control(expansion, human, expected, influence, rule)
+            change = change_of_control(expansion, human, expected, influence, rule)
             earned = rule.earned(game, state, robot + change, human + expansion.influence @ change)
             return earned - reward - steps * rule.price * (costs[alternative] - costs[rung])
 
@@ -157,7 +157,7 @@ def estimate_gains(
     return jnp.stack(jax.lax.cond(climbs | checks, estimate, lambda: (not_estimated, not_estimated)))
 
 
-def _change_of_control(
+def change_of_control(
     expansion: Expansion,
     human: Float[jax.Array, "n"],
     expected: Float[jax.Array, "n"],

@@ -16,7 +16,7 @@ from ms_highway.optimization.second_derivatives import Trajectory, second_order_
 
 __all__ = ["SHARES", "best_of", "damped_factor", "damped_newton_steps", "damped_solve"]
 
-STEPS = 6  # of a plan
+STEPS = 4  # of a plan
 SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 10, 1 / 32, 0], dtype=np.float32)
 """Shares of a step that a line search tries."""
 
@@ -62,7 +62,7 @@ def damped_newton_steps(
     start: Controls,
     bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
 ) -> Controls:
-    """Improve controls by 6 damped Newton steps; for the arguments see `ms_highway.optimization.solvers`.
+    """Improve controls by 4 damped Newton steps; for the arguments see `ms_highway.optimization.solvers`.
 
     The line search takes the best of six shares of each step, projected on the limits; the last share is no step.
     """

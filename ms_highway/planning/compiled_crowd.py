@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -12,6 +12,7 @@ from ms_highway.game.crowd import Crowd
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.planning.compiled_plans import checked_state
 from ms_highway.planning.crowd import RUNGS, CrowdPlan, plan_crowd, predict_human
+from ms_highway.planning.way_out import Escape, keep_way_out
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import QUICKLY, known_options
 from ms_highway.runtime.forks import refuse_after_fork
@@ -25,6 +26,7 @@ __all__ = [
     "first_crowd_plan",
     "human_plan_function",
     "measure_crowd_costs",
+    "way_out_function",
 ]
 
 
@@ -65,7 +67,17 @@ class CompiledCrowdPlans:
         robot, humans = (np.asarray(side, np.float32) for side in begin)
         function = crowd_plan_function(self._layout)
         plan, seconds = timed(function, self._numbers, state, np.asarray(rungs, np.int32), robot, humans)
-        return CrowdPlan(*map(np.asarray, plan)), seconds
+        return jax.tree.map(np.asarray, plan), seconds
+
+    def keep_way_out(
+        self, state: Float[np.ndarray, "cars 4"], control: Float[np.ndarray, "2"]
+    ) -> tuple[Float[np.ndarray, "2"], bool, float]:
+        """Return the scaled control to execute, whether it is an escape's, and the seconds that it took.
+
+        See `ms_highway.planning.way_out.keep_way_out`.
+        """
+        escape, seconds = timed(way_out_function(self._layout), self._numbers, state, np.asarray(control, np.float32))
+        return np.asarray(escape.control), bool(escape.replaced), seconds
 
     def predict(self, state: Float[np.ndarray, "cars 4"], human: int) -> tuple[Float[np.ndarray, "steps 2"], float]:
         """Return a human's scaled plan for its own reward, and the seconds that it took; humans drive by it."""
@@ -74,7 +86,8 @@ class CompiledCrowdPlans:
     def warm_up(self, state: Float[np.ndarray, "cars 4"]) -> float:
         """Compile and run the plans if they have not run before; return the seconds spent."""
         rungs, begin = np.zeros(self.crowd.humans, np.int32), first_crowd_plan(self.crowd, state)
-        return warm_up(crowd_plan_function(self._layout), self._numbers, state, rungs, *begin)
+        seconds = warm_up(crowd_plan_function(self._layout), self._numbers, state, rungs, *begin)
+        return seconds + warm_up(way_out_function(self._layout), self._numbers, state, np.zeros(2, np.float32))
 
     def warm_up_humans(self, state: Float[np.ndarray, "cars 4"]) -> float:
         """Compile and run the humans' plans if they have not run before; return the seconds spent."""
@@ -82,7 +95,8 @@ class CompiledCrowdPlans:
 
     def _human_arguments(self, state: Float[np.ndarray, "cars 4"], human: int) -> tuple[np.ndarray, ...]:
         """Return the arguments of a `human_plan_function`."""
-        return self._numbers, state, np.int32(human), first_crowd_plan(self.crowd, state).humans[human]
+        begin = np.asarray(first_crowd_plan(self.crowd, state).humans[human])
+        return self._numbers, state, np.asarray(human, np.int32), begin
 
 
 def _in_numpy(result: tuple[jax.Array, float]) -> tuple[np.ndarray, float]:
@@ -92,7 +106,7 @@ def _in_numpy(result: tuple[jax.Array, float]) -> tuple[np.ndarray, float]:
 def first_crowd_plan(crowd: Crowd, state: Float[np.ndarray, "cars 4"]) -> CrowdPlan:
     """Return the scaled plan that plans start from by default, see `plan_crowd`, in NumPy arrays."""
     planner, cars = crowd.game.planner, np.asarray(state, np.float32)[: 1 + crowd.humans]
-    controls = np.zeros((len(cars), planner.horizon, 2), np.float32)
+    controls: Any = np.zeros((len(cars), planner.horizon, 2), np.float32)
     if planner.solver != "gradient":
         controls += (keep_velocity(crowd.game.dynamics, cars) / np.asarray(planner.control_scale))[:, None]
     return CrowdPlan(controls[0], controls[1:])
@@ -113,6 +127,19 @@ def crowd_plan_function(layout: Layout) -> jax.stages.Wrapped:
 
 
 @cache
+def way_out_function(layout: Layout) -> jax.stages.Wrapped:
+    """Compile `keep_way_out` once for all crowds of a layout.
+
+    The compiled function takes the numbers of a packed crowd, all cars now, and the robot's scaled control.
+    """
+
+    def escape(numbers: jax.Array, state: jax.Array, control: jax.Array) -> Escape:
+        return keep_way_out(layout.unpack(numbers).game, state, control)
+
+    return jax.jit(escape, compiler_options=known_options(QUICKLY))
+
+
+@cache
 def human_plan_function(layout: Layout) -> jax.stages.Wrapped:
     """Compile `predict_human` once for all humans of all crowds of a layout.
 
@@ -129,7 +156,7 @@ def human_plan_function(layout: Layout) -> jax.stages.Wrapped:
 def measure_crowd_costs(
     crowd: Crowd, state: Float[np.ndarray, "cars 4"], repeats: int = 20, quantile: float = 0.5
 ) -> CrowdCosts:
-    """Measure T on this machine, by warm plans in this state with all humans under the same rung.
+    """Measure T, a plan and the check of its way out, by warm plans in this state with all humans under the same rung.
 
     Args:
         crowd: with one human at least.
@@ -143,6 +170,11 @@ def measure_crowd_costs(
     refuse_after_fork()
     plans, now = CompiledCrowdPlans(crowd), checked_state(state)
     plans.warm_up(now)
-    seconds = [[plans.plan(now, [rung] * crowd.humans)[1] for _ in range(repeats)] for rung in range(len(RUNGS))]
+
+    def once(rung: int) -> float:
+        plan, seconds = plans.plan(now, [rung] * crowd.humans)
+        return seconds + plans.keep_way_out(now, plan.robot[0])[2]
+
+    seconds = [[once(rung) for _ in range(repeats)] for rung in range(len(RUNGS))]
     whole = np.quantile(seconds, quantile, axis=1)
     return CrowdCosts(float(whole[0]), np.maximum(whole - whole[0], 0.0) / crowd.humans)

@@ -1,8 +1,8 @@
 """Plan among several humans, each of whom is predicted by a model of its own.
 
-A rung is the number of a model in `RUNGS`. Human i under theory of mind answers the robot's plan, and all others keep to
-the paths that are predicted for them: the humans' response is block-diagonal, ``J_i = -H_i^-1 d2R_i / du_i du_R``, and
-the robot climbs along ``dR_R/du_R + sum_i J_i^T dR_R/du_i`` (Sadigh et al. 2018, for one human).
+A rung is the number of a model in `RUNGS`. Human i under theory of mind answers the robot's plan, and all others keep
+to the paths that are predicted for them: the humans' response is block-diagonal, ``J_i = -H_i^-1 d2R_i / du_i du_R``,
+and the robot climbs along ``dR_R/du_R + sum_i J_i^T dR_R/du_i``.
 """
 
 from functools import partial
@@ -18,6 +18,7 @@ from ms_highway.optimization.damped_newton import SHARES, STEPS, best_of, damped
 from ms_highway.optimization.second_derivatives import Expansion, Trajectory, response, second_order_expansion
 from ms_highway.optimization.solvers import optimize_controls, projected_ascent
 from ms_highway.planning.human_models import PAPER_MODELS
+from ms_highway.planning.manoeuvres import manoeuvres
 
 __all__ = ["NAIVE", "RUNGS", "TOM", "TURN", "CrowdPlan", "plan_crowd", "predict_human"]
 
@@ -25,6 +26,8 @@ RUNGS = PAPER_MODELS
 """Names of the models that humans of a crowd are predicted by, cheapest first."""
 
 NAIVE, TURN, TOM = range(len(RUNGS))
+
+STEADINESS = 8.0  # reward per step, by which a manoeuvre must beat the given plan to replace it
 
 State = Float[jax.Array, "cars 4"]
 Rungs = Int[jax.Array, "humans"]
@@ -48,7 +51,8 @@ def plan_crowd(crowd: Crowd, state: State, rungs: Rungs, start: CrowdPlan | None
       plans are the same.
     * ``damped_newton`` holds over horizons of seconds: the robot takes Newton steps on its own reward, with the
       gradient above; the line search looks at what the robot earns once the humans have answered the step, by their
-      linear response ``J_i du_R``, and a Newton step of their own.
+      linear response ``J_i du_R``, and a Newton step of their own. Where a simple
+      manoeuvre (`ms_highway.planning.manoeuvres`) earns clearly more, it takes the plan's place.
 
     Args:
         crowd: the game, with the humans' rewards as the robot believes them.
@@ -71,8 +75,8 @@ def plan_crowd(crowd: Crowd, state: State, rungs: Rungs, start: CrowdPlan | None
 
     predicted = jax.lax.fori_loop(0, turning, predict, kept)
     first = CrowdPlan(start.robot, jnp.where((rungs == TOM)[:, None, None], start.humans, predicted))
-    climb = _climb_by_gradients if paper else _climb_by_newton_steps
-    return climb(_Climb(crowd, state, rungs, ranks, responding), first)
+    climb = _Climb(crowd, state, rungs, ranks, responding)
+    return _climb_by_gradients(climb, first) if paper else _or_manoeuvre(climb, _climb_by_newton_steps(climb, first))
 
 
 def predict_human(
@@ -155,14 +159,14 @@ class _Climb(NamedTuple):
         jacobian: Float[jax.Array, "fields steps n"],
         pushed: Float[jax.Array, "n"],
     ) -> Trajectory:
-        """Return ``J_i^T dR_R/du_i`` in the robot's trajectory; ``pushed`` is ``-H_i^-1 dR_R/du_i`` (adjoint method)."""
+        """Return ``J_i^T dR_R/du_i`` in the robot's trajectory, by the adjoint method from ``-H_i^-1 dR_R/du_i``."""
         _, pull_back = jax.vjp(partial(self.human_slope, paths, human), paths[0])
         return pull_back(jnp.sum(jacobian * pushed, axis=-1))[0]
 
 
 def _climb_by_gradients(climb: _Climb, start: CrowdPlan) -> CrowdPlan:
     """Improve a plan by the paper's joint gradient steps."""
-    game, state, crowd = climb.game, climb.state, climb.crowd
+    game, state = climb.game, climb.state
 
     def direction(plan: CrowdPlan) -> CrowdPlan:
         paths = climb.paths(plan)
@@ -183,6 +187,23 @@ def _climb_by_gradients(climb: _Climb, start: CrowdPlan) -> CrowdPlan:
         return CrowdPlan(eased, humans)
 
     return projected_ascent(game.planner, direction, start, partial(_within_limits, climb))
+
+
+def _or_manoeuvre(climb: _Climb, plan: CrowdPlan) -> CrowdPlan:
+    """Replace a plan by the manoeuvre that earns clearly more against the predicted humans, if there is one.
+
+    Newton steps find a local optimum, such as driving on through the cones; the next plan starts from the manoeuvre.
+    """
+    game, car = climb.game, climb.state[0]
+    others = climb.paths(plan)[1:]
+    controls, _ = manoeuvres(game, car, game.planner.horizon)
+    candidates = jnp.concatenate([plan.robot[None], bounded(game, car, controls)])
+
+    def earned(controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
+        return climb.robot_reward(move(game, car, controls), others) - discomfort(game, car, controls)
+
+    total = jax.vmap(earned)(candidates).at[0].add(STEADINESS * game.planner.horizon)
+    return plan._replace(robot=best_of(candidates, total))
 
 
 def _within_limits(climb: _Climb, plan: CrowdPlan) -> CrowdPlan:

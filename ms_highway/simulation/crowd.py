@@ -4,7 +4,7 @@ The order of a step is that of `ms_highway.control.crowd`: the rule chooses from
 plans from the rest of its last plan, all cars move.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from jax import numpy as jnp
 from jax.sharding import Mesh
 from jaxtyping import Bool, Float, Int
 
+from ms_highway.control.fallback import WAY_OUT
 from ms_highway.game.crowd import Crowd, others_of
 from ms_highway.game.dynamics import keep_velocity, recover_control, step, within_grip
 from ms_highway.game.features import features
@@ -20,6 +21,7 @@ from ms_highway.game.game import constant_velocity
 from ms_highway.metareasoning.crowd.rule import CrowdMemory, CrowdOutcome, CrowdRule, first_crowd_memory
 from ms_highway.planning.crowd import RUNGS, CrowdPlan, plan_crowd, predict_human
 from ms_highway.planning.human_models import JointPlan
+from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.simulation.devices import device_mesh, share_among
@@ -38,10 +40,12 @@ class CrowdLoop:
     Attributes:
         crowd: the game, with the humans' rewards as the robot believes them.
         rule: chooses rungs where a schedule leaves them to it; None where schedules leave nothing.
+        way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out` (static).
     """
 
     crowd: Crowd
     rule: CrowdRule | None = None
+    way_out: bool = field(default=True, metadata={"static": True})
 
 
 @jax.tree_util.register_dataclass
@@ -157,6 +161,9 @@ def _step(loop: CrowdLoop, truth: Crowd, now: _Now, scheduled: Int[jax.Array, "h
     memory, gains = _choose(loop, now, scheduled)
     plan = _plan(loop, state, jnp.asarray(memory.rungs), now.robot)
     robot, status, robot_rest = follow(game, state[0], plan, now.robot)
+    if loop.way_out:
+        robot, replaced = keep_way_out(game, state, robot)
+        status = jnp.where(replaced, WAY_OUT, status)
 
     def drive(given: tuple[Int[jax.Array, ""], Rest[JointPlan]]) -> tuple[Float[jax.Array, "2"], Rest[JointPlan]]:
         human, rest = given

@@ -16,7 +16,7 @@ from rich.console import JustifyMethod
 from rich.table import Table
 
 from ms_highway.envs.controllers import CHOOSING
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.crowd.controllers import any_controller
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import is_model, known_models
@@ -119,7 +119,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     """
     rows = records[records["scenario"] == scenario]
     controllers = list(dict.fromkeys(rows["controller"]))
-    choosing = [name for name in controllers if named_controller(name).type in CHOOSING]
+    choosing = [name for name in controllers if any_controller(name).type in CHOOSING]
     figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")
     heights = [2.5] + [1] * len(choosing)
     axes = np.atleast_1d(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
@@ -169,7 +169,7 @@ def _models_in_use(axes: Axes, steps: pd.DataFrame, name: str) -> None:
 
 def _colors(controllers: Sequence[str]) -> list[str]:
     """Return a model's own colour for a fixed model, shades of its kind's for one that chooses online, else greys."""
-    kinds = [kind if (kind := named_controller(name).type) in CHOOSING else "switching" for name in controllers]
+    kinds = [kind if (kind := any_controller(name).type) in CHOOSING else "switching" for name in controllers]
     shades = {kind: cycle(choosing_shades(kind)) for kind in kinds}
     pairs = zip(controllers, kinds, strict=True)
     return [color_of(name) if is_model(name) else next(shades[kind]) for name, kind in pairs]

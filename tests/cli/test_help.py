@@ -9,7 +9,7 @@ import pytest
 from ms_highway.cli import options
 from ms_highway.cli.irl import options as irl_options
 from ms_highway.cli.main import main
-from ms_highway.envs import PAPER_SCENARIOS
+from ms_highway.envs import CROWD_SCENARIOS, PAPER_SCENARIOS
 from ms_highway.envs.routes import DENSITIES
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.game.learned_reward import SHIPPED
@@ -54,6 +54,7 @@ def test_help_loads_neither_jax_nor_highway_env_nor_what_draws():
 
 def test_the_names_in_help_texts_are_those_that_are_known():
     assert options.SCENARIO_NAMES == PAPER_SCENARIOS
+    assert options.CROWD_NAMES == CROWD_SCENARIOS
     assert set(options.SEMANTICS) == set(HUMAN_REWARDS)
     assert get_args(Solver) == options.SOLVERS
     assert get_args(Others) == irl_options.OTHERS

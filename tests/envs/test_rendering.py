@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ms_highway.cli.main import main
-from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PANEL_HEIGHT, PAPER, TEXT_WIDTH, words
+from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PAPER, TEXT_WIDTH, InteractionViewer, words
 from ms_highway.experiments.runner import make_environment
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.visualization.side_by_side import HEADING_HEIGHT, side_by_side
@@ -50,7 +50,7 @@ def test_no_planning_time_is_charted_where_an_agent_drives():
     env = gym.make("ms-highway/merger-v0", render_mode="rgb_array", config={"action": {"type": "ContinuousAction"}})
     env.reset(seed=0)
     env.step([0.0, 0.0])
-    chart = env.render()[-PANEL_HEIGHT:-90, TEXT_WIDTH:]
+    chart = env.render()[-InteractionViewer.panel_height : -90, TEXT_WIDTH:]
     assert (chart == PAPER).all()
 
 

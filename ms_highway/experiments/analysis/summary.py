@@ -6,13 +6,15 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ms_highway.envs.short_names import named_controller
+from ms_highway.control.fallback import BRAKING, PREVIOUS_PLAN, STATUSES
+from ms_highway.envs.crowd.controllers import any_controller
 from ms_highway.experiments.records import share_column
 from ms_highway.planning.human_models import known_models
 
 __all__ = ["CONFIDENCE", "earned", "interval", "summary"]
 
 CONFIDENCE = 0.9
+FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
 
 
 def summary(records: pd.DataFrame) -> pd.DataFrame:
@@ -40,7 +42,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
                 **{share_column(model): (steps["model"] == model).mean() for model in models},
                 "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
                 "success": _success(steps),
-                "fallbacks": int((steps["status"] != "planned").sum()),
+                "fallbacks": int(steps["status"].isin(FAILED).sum()),
             }
         )
     return pd.DataFrame(rows)
@@ -59,7 +61,7 @@ def earned(controller: str, rewards: pd.Series) -> dict[str, Any]:
     Raises:
         ValueError: for an unknown controller.
     """
-    settings, (low, high) = named_controller(controller), interval(rewards)
+    settings, (low, high) = any_controller(controller), interval(rewards)
     return {
         "controller": controller,
         "kind": settings.type,

@@ -10,22 +10,11 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.crowd import Crowd
 from ms_highway.metareasoning.rule import NEVER
+from ms_highway.planning.compiled_crowd import CrowdCosts
 from ms_highway.planning.crowd import RUNGS, CrowdPlan
 from ms_highway.runtime.arrays import Array
 
 __all__ = ["CrowdCosts", "CrowdDecision", "CrowdMemory", "CrowdOutcome", "CrowdRule", "first_crowd_memory"]
-
-
-class CrowdCosts(NamedTuple):
-    """Planning time, additive in the humans: ``T(assignment) = base + sum_i each[rung_i]`` [s].
-
-    Attributes:
-        base: of a plan in which every human is predicted naively.
-        each: what a human adds under each rung; 0 for the first.
-    """
-
-    base: float | Float[Array, ""]
-    each: Float[Array, "rungs"]
 
 
 class CrowdMemory(NamedTuple):
