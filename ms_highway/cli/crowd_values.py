@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 __all__ = ["learn_crowd_values"]
 
-DECIDED = 5 / 8  # of an episode's steps, from which states are drawn
+DECIDED = 0.4  # of an episode, in which it is decided whether the robot merges; states are drawn from it
 COSTS = {"naive": 0.003, "turn": 0.0036, "tom": 0.005}  # s, as measured on one core
 
 

@@ -76,7 +76,7 @@ class CrowdLearning:
     """
 
     costs: CrowdCosts
-    price: float = 100.0
+    price: float = 30.0
     rounds: int = 2
     states: int = 100
     horizon: int = HORIZON
