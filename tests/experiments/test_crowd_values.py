@@ -60,6 +60,8 @@ def test_the_command_writes_a_file_of_values_and_says_where(tmp_path, capsys):
     values = load_crowd_values(file)
     assert values.provenance["scenarios"] == ["dense_merge"]
     assert list(tmp_path.iterdir()) == [file]
+    assert main(["values", "show", str(file)]) == 0
+    assert "each of several humans" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
