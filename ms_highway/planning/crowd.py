@@ -10,9 +10,11 @@ from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.crowd import Crowd, along_others, coasting, human_game, others_of
+from ms_highway.game.dynamics import Motion
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move
 from ms_highway.optimization.damped_newton import SHARES, STEPS, best_of, damped_factor, damped_solve
 from ms_highway.optimization.second_derivatives import Expansion, Trajectory, response, second_order_expansion
@@ -26,8 +28,6 @@ RUNGS = PAPER_MODELS
 """Names of the models that humans of a crowd are predicted by, cheapest first."""
 
 NAIVE, TURN, TOM = range(len(RUNGS))
-
-STEADINESS = 8.0  # reward per step, by which a manoeuvre must beat the given plan to replace it
 
 State = Float[jax.Array, "cars 4"]
 Rungs = Int[jax.Array, "humans"]
@@ -51,8 +51,8 @@ def plan_crowd(crowd: Crowd, state: State, rungs: Rungs, start: CrowdPlan | None
       plans are the same.
     * ``damped_newton`` holds over horizons of seconds: the robot takes Newton steps on its own reward, with the
       gradient above; the line search looks at what the robot earns once the humans have answered the step, by their
-      linear response ``J_i du_R``, and a Newton step of their own. Where a simple
-      manoeuvre (`ms_highway.planning.manoeuvres`) earns clearly more, it takes the plan's place.
+      linear response ``J_i du_R``, and a Newton step of their own. Where the plan
+      runs into an obstacle, a simple manoeuvre (`ms_highway.planning.manoeuvres`) takes its place.
 
     Args:
         crowd: the game, with the humans' rewards as the robot believes them.
@@ -190,20 +190,25 @@ def _climb_by_gradients(climb: _Climb, start: CrowdPlan) -> CrowdPlan:
 
 
 def _or_manoeuvre(climb: _Climb, plan: CrowdPlan) -> CrowdPlan:
-    """Replace a plan by the manoeuvre that earns clearly more against the predicted humans, if there is one.
+    """Replace a plan that runs into an obstacle by the manoeuvre that earns most of those that do not, if any.
 
-    Newton steps find a local optimum, such as driving on through the cones; the next plan starts from the manoeuvre.
+    Newton steps do not leave the local optimum of driving through the cones; the next plan starts from the manoeuvre.
+    Humans may still answer, so that a plan that counts on them is left as it is.
     """
     game, car = climb.game, climb.state[0]
     others = climb.paths(plan)[1:]
     controls, _ = manoeuvres(game, car, game.planner.horizon)
     candidates = jnp.concatenate([plan.robot[None], bounded(game, car, controls)])
 
-    def earned(controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
-        return climb.robot_reward(move(game, car, controls), others) - discomfort(game, car, controls)
+    def look(controls: Float[jax.Array, "steps 2"]) -> tuple[Bool[jax.Array, ""], Float[jax.Array, ""]]:
+        own = move(game, car, controls)
+        nobody = Motion(*jnp.zeros((len(own), 0, game.planner.horizon)))
+        _, collision = collision_risk(game.scene, Motion(*own), nobody)
+        return (collision > 0).any(), climb.robot_reward(own, others) - discomfort(game, car, controls)
 
-    total = jax.vmap(earned)(candidates).at[0].add(STEADINESS * game.planner.horizon)
-    return plan._replace(robot=best_of(candidates, total))
+    hits, earned = jax.vmap(look)(candidates)
+    best = best_of(candidates, jnp.where(hits, -jnp.inf, earned))
+    return plan._replace(robot=jnp.where(hits[0] & ~hits.all(), best, plan.robot))
 
 
 def _within_limits(climb: _Climb, plan: CrowdPlan) -> CrowdPlan:

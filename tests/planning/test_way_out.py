@@ -1,0 +1,78 @@
+"""The robot keeps a way out from cones and from humans who do not yield."""
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.game.crowd_scenario import DENSE_MERGE, crowd_game
+from ms_highway.game.dynamics import keep_velocity, step
+from ms_highway.game.features import features
+from ms_highway.planning.way_out import keep_way_out
+
+STEPS = 45
+
+
+@pytest.fixture(scope="module")
+def game():
+    return crowd_game(DENSE_MERGE, 3).game
+
+
+@pytest.fixture(scope="module")
+def escape(game):
+    return jax.jit(lambda state, control: keep_way_out(game, state, control))
+
+
+def beside(game, offsets):
+    """The robot in its lane, and humans in the other one, so far ahead of it [m]."""
+    robot, target = np.array([[0.0, 0.0, 0.0, 20.0]]), float(game.scene.target_lane)
+    humans = np.array([[offset, target, 0.0, 20.0] for offset in offsets])
+    return jnp.asarray(np.concatenate([robot, humans]), jnp.float32)
+
+
+def collides(game, state):
+    return float(features(game.scene, game.robot, state)[game.robot.names.index("collision")]) > 0
+
+
+def driven(game, state, control, escape=None):
+    """Whether the robot collides if it always wants this control [1/m, m/s^2], and how many controls are replaced."""
+    scale, replaced = np.asarray(game.planner.control_scale), 0
+    for _ in range(STEPS):
+        own = jnp.asarray(control / scale, jnp.float32)
+        if escape is not None:
+            own, instead = escape(state, own)
+            replaced += bool(instead)
+        others = keep_velocity(game.dynamics, state[1:])
+        state = step(game.dynamics, state, jnp.concatenate([(own * scale)[None], others]))
+        if collides(game, state):
+            return True, replaced
+    return False, replaced
+
+
+def test_a_robot_that_would_drive_into_the_cones_brakes_in_time_where_the_lane_beside_is_taken(game, escape):
+    state, cruise = beside(game, [-8.0, 0.0, 8.0]), np.array([0.0, 4.0])
+    assert driven(game, state, cruise)[0]
+    collided, replaced = driven(game, state, cruise, escape)
+    assert not collided
+    assert replaced > 0
+
+
+def test_a_robot_that_would_drive_into_a_human_who_keeps_its_velocity_does_not(game, escape):
+    state, leftwards = beside(game, [-8.0, 0.0, 8.0]), np.array([-0.01, 4.0])
+    assert driven(game, state, leftwards)[0]
+    assert not driven(game, state, leftwards, escape)[0]
+
+
+def test_a_control_that_leaves_a_way_out_stays(game, escape):
+    state, control = beside(game, [-60.0, 60.0, 70.0]), jnp.array([0.1, 0.12], jnp.float32)
+    kept, replaced = escape(state, control)
+    assert not replaced
+    np.testing.assert_array_equal(kept, control)
+
+
+def test_where_nothing_is_free_of_collisions_the_control_stays(game, escape):
+    state = beside(game, [-8.0, 0.0, 8.0]).at[1:, 1].set(0.0).at[1:, 0].set(jnp.array([-1.0, 0.5, 1.0]))
+    control = jnp.array([0.0, 0.1], jnp.float32)
+    kept, replaced = escape(state, control)
+    assert not replaced
+    np.testing.assert_array_equal(kept, control)
