@@ -5,7 +5,7 @@ as nothing.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from ms_highway.experiments.batch import EpisodeBatch, Key, checked_environment,
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CROWD_COLUMNS
 from ms_highway.game.crowd_scenario import REACHED
-from ms_highway.metareasoning.crowd.rule import CrowdCosts
+from ms_highway.metareasoning.crowd.rule import CrowdCosts, CrowdRule
 from ms_highway.planning.crowd import RUNGS
 from ms_highway.simulation.crowd import CrowdEpisodes, CrowdLoop, CrowdRecords, simulate_crowd
 from ms_highway.simulation.records import DECIDES
@@ -57,10 +57,13 @@ class CrowdBatch(EpisodeBatch[CrowdRecords]):
         """Every controller is simulated alone."""
         return controller
 
+    def rule(self, controller: str) -> CrowdRule:
+        """Return how a controller chooses models."""
+        return _settings(controller).rule(self.plan_costs)
+
     def simulate(self, keys: Sequence[Key], mesh: Mesh | None = None) -> CrowdRecords:
         """See `EpisodeBatch.simulate`."""
-        rule = _settings(keys[0][0]).rule(self.plan_costs)
-        return simulate_crowd(CrowdLoop(self.loop.crowd, rule, self.loop.way_out), self.episodes(keys), mesh)
+        return simulate_crowd(replace(self.loop, rule=self.rule(keys[0][0])), self.episodes(keys), mesh)
 
     def episodes(self, keys: Sequence[Key]) -> CrowdEpisodes:
         """Return what the simulation is given for these episodes, drawn as the environment draws it."""
@@ -123,7 +126,9 @@ def make_crowd_batch(comparison: Comparison, scenario: str) -> CrowdBatch:
         remedy = "give seconds by model, of plans in which one human is predicted by it and the others naively"
         raise ValueError(f"costs are {comparison.costs!r}, and a simulation cannot measure plans; {remedy}")
     if settings.beliefs == "true":
-        raise ValueError(f"{scenario} is configured with beliefs 'true'; a simulation's robot believes one reward")
+        raise ValueError(
+            f"{scenario} is configured with beliefs 'true'; a simulation's robot believes one reward; use `compare`"
+        )
     loop = CrowdLoop(settings.crowd(environment.scenario), way_out=bool(configs[0]["way_out"]))
     return CrowdBatch(comparison, environment.scenario, settings.costs, environment, loop)
 
