@@ -118,11 +118,11 @@ def _bench_crowds(options: argparse.Namespace, scenarios: list[str]) -> None:
     for scenario in scenarios:
         if options.responses:
             results[scenario] = compare_responses(scenario, crowd[-1], options.responses)
-            print_tables([_responses(scenario, crowd[-1], results[scenario])])
+            print_tables(_responses(scenario, crowd[-1], results[scenario]))
             continue
         measured = {f"{number} humans, K = {k}": one for (number, k), one in crowd_latency(scenario, crowd, horizons)}
         results[scenario] = measured
-        print_tables([_crowd_plans(scenario, measured)])
+        print_tables(_crowd_plans(scenario, measured))
     if options.json:
         with replacing(options.json) as path:
             path.write_text(json.dumps(results, indent=2) + "\n")

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 __all__ = ["learn_crowd_values"]
 
-DECIDED = 5 / 8  # of an episode's steps, from which states are drawn
-COSTS = {"naive": 0.003, "turn": 0.0036, "tom": 0.005}  # s, as measured on one core
+DECIDED = 0.4  # of an episode, in which it is decided whether the robot merges; states are drawn from it
+COSTS = {"naive": 0.002, "turn": 0.003, "tom": 0.0036}  # s, of a plan with this model for one human, on one core
 
 
 def learn_crowd_values(options: argparse.Namespace) -> None:
@@ -47,7 +47,7 @@ def _courses(options: argparse.Namespace) -> tuple["CrowdLearning", list["CrowdC
     import numpy as np
 
     from ms_highway.envs import ENVIRONMENTS, is_crowd
-    from ms_highway.envs.crowd.settings import CrowdSettings
+    from ms_highway.envs.crowd.settings import CrowdEnvSettings
     from ms_highway.experiments.comparison import episode_steps
     from ms_highway.experiments.provenance import this_run
     from ms_highway.experiments.values.crowd import CrowdCourse, CrowdLearning
@@ -65,7 +65,7 @@ def _courses(options: argparse.Namespace) -> tuple["CrowdLearning", list["CrowdC
     config = planning(options) | ({} if reward is None else {"human_reward": reward})
     courses = []
     for name in names:
-        settings = CrowdSettings.read(ENVIRONMENTS[name].checked_config(config))
+        settings = CrowdEnvSettings.read(ENVIRONMENTS[name].checked_config(config))
         scenario = cast(CrowdScenario, ENVIRONMENTS[name].scenario)
         crowd = settings.crowd(scenario)
         draw = partial(draw_crowd, scenario, settings.humans, driver=crowd.game.human)

@@ -218,9 +218,23 @@ def _show(options: argparse.Namespace) -> None:
     from rich.box import SIMPLE
     from rich.table import Table
 
+    from ms_highway.metareasoning.crowd.values import load_crowd_values
     from ms_highway.metareasoning.values import load_values
 
-    values = load_values(options.file)
+    try:
+        values = load_values(options.file)
+        facts = {
+            "ladder": ", ".join(f"{name} {seconds:g} s" for name, seconds in values.costs.items()),
+            "lambda": f"{values.prices[0]:g} to {values.prices[1]:g}",
+            **values.provenance,
+        }
+    except ValueError as error:
+        try:
+            facts = {"of": "each of several humans", **load_crowd_values(options.file).provenance}
+        except ValueError:
+            raise error from None
+        if options.scenario is not None:
+            raise ValueError(f"{options.file} holds values per human, which are not drawn") from None
     if (options.scenario is None) != (options.out is None):
         raise ValueError("--scenario and --out go together: name a scenario, and the .png file to draw it to")
     if options.out is not None:
@@ -229,9 +243,7 @@ def _show(options: argparse.Namespace) -> None:
     grid = Table(box=SIMPLE, title=f"values of computation: {options.file}", title_justify="left", title_style="bold")
     grid.add_column("")
     grid.add_column("", overflow="fold")
-    grid.add_row("ladder", ", ".join(f"{name} {seconds:g} s" for name, seconds in values.costs.items()))
-    grid.add_row("lambda", f"{values.prices[0]:g} to {values.prices[1]:g}")
-    for name, value in values.provenance.items():
+    for name, value in facts.items():
         grid.add_row(name, str(value))
     print_tables(grid)
 

@@ -102,7 +102,7 @@ DENSE_MERGE = CrowdScenario(
     prices=(10.0, 1.0),
     robot_weights=COMMON_WEIGHTS | {"target_lane": 150, "merged": 5},
     human_weights=COMMON_WEIGHTS,
-    cones=_cones(1.5, 0.0),
+    cones=_cones(2.0, 0.0),
     streams=(Stream(-0.1),),
 )
 """The robot's lane ends, and most gaps of the stream beside it are too short for a car unless somebody yields."""

@@ -173,7 +173,7 @@ def measure_crowd_costs(
 
     def once(rung: int) -> float:
         plan, seconds = plans.plan(now, [rung] * crowd.humans)
-        return seconds + plans.keep_way_out(now, plan.robot[0])[2]
+        return seconds + plans.keep_way_out(now, np.asarray(plan.robot[0]))[2]
 
     seconds = [[once(rung) for _ in range(repeats)] for rung in range(len(RUNGS))]
     whole = np.quantile(seconds, quantile, axis=1)

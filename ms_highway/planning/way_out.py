@@ -6,11 +6,12 @@ safety against velocity-keepers, as in contingency planning.
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.crowd import along_others
@@ -21,7 +22,7 @@ from ms_highway.planning.manoeuvres import manoeuvres
 __all__ = ["ESCAPE_STEPS", "Escape", "keep_way_out"]
 
 ESCAPE_STEPS = 25  # steps of an escape: 2.5 s at 0.1 s, a full stop from 20 m/s
-MARGIN = 1.25  # size of obstacles in these checks, relative to their own: cars stop short of them
+MARGIN = 0.15  # m between bodies that is wanted, as others do not keep their velocity exactly
 
 
 class Escape(NamedTuple):
@@ -37,9 +38,10 @@ class Escape(NamedTuple):
 
 
 def keep_way_out(game: Game, state: Float[jax.Array, "cars 4"], control: Float[jax.Array, "2"]) -> Escape:
-    """Return the robot's control if it leaves a way out, else the first of the escape that earns most.
+    """Return the robot's control if it leaves as good a way out as any, else the first control of the best escape.
 
-    Where there is no escape either, the control stays: nothing better is known.
+    A way out is better if it keeps `MARGIN` to all others than if it only does not collide. Of equally good escapes,
+    that which earns most is the best. Where nothing is free of collisions, the control stays.
 
     Args:
         game: of the robot.
@@ -48,26 +50,27 @@ def keep_way_out(game: Game, state: Float[jax.Array, "cars 4"], control: Float[j
     """
     after = step(game.dynamics, state[0], control * game.planner.control_scale)
     others = coast(game.dynamics, state[1:], ESCAPE_STEPS + 1)
-    next_steps = Motion(*(field[:, 1:] for field in others))
+    first, later, now = (_during(others, *steps) for steps in ((0, 1), (1, None), (0, -1)))
+    clearance = jax.vmap(partial(_clearance, game), in_axes=(0, None))
     _, ways = manoeuvres(game, after, ESCAPE_STEPS)
-    first = Motion(*(field[:, :1] for field in others))
-    hits_now = _collides(game, after[None], first)
-    free = ~jax.vmap(lambda way: _collides(game, way, next_steps))(ways) & ~hits_now
+    kept = jnp.minimum(clearance(ways, later).max(), _clearance(game, after[None], first))
     controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS)
-    now = Motion(*(field[:, :-1] for field in others))
-    escaping = ~jax.vmap(lambda way: _collides(game, way, now))(escapes)
-    paths = jnp.stack(now, axis=1)
-    earned = jax.vmap(lambda way: along_others(game.scene, game.robot, jnp.stack(observe(way)), paths), in_axes=0)(
-        escapes
-    )
-    best = jnp.argmax(jnp.where(escaping, earned, -jnp.inf))
-    replaced = ~free.any() & escaping.any()
+    clear, paths = clearance(escapes, now), jnp.stack(now, axis=1)
+    earned = jax.vmap(lambda way: along_others(game.scene, game.robot, jnp.stack(observe(way)), paths))(escapes)
+    best = jnp.argmax(jnp.where(clear == clear.max(), earned, -jnp.inf))
+    replaced = clear.max() > kept
     return Escape(jnp.where(replaced, controls[best, 0], control), replaced)
 
 
-def _collides(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Bool[jax.Array, ""]:
-    """Return whether a car on its way collides with others, or leaves the road."""
-    scene = game.scene
-    wider = replace(scene, obstacle_size=MARGIN * jnp.asarray(scene.obstacle_size))
-    _, collision = collision_risk(wider, observe(way), others)
-    return (collision > 0).any()
+def _during(others: Motion, first: int, last: int | None) -> Motion:
+    """Return a part of a motion."""
+    return Motion(*(field[:, first:last] for field in others))
+
+
+def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Int[jax.Array, ""]:
+    """Return 2 if a car keeps the margin to all others and obstacles on its way, 1 if it collides with none, else 0."""
+    scene, own = game.scene, observe(way)
+    sizes = {"car_size": scene.car_size, "obstacle_size": scene.obstacle_size}
+    wider = replace(scene, **{name: jnp.asarray(size) + MARGIN for name, size in sizes.items()})
+    free = [~(collision_risk(checked, own, others)[1] > 0).any() for checked in (scene, wider)]
+    return jnp.sum(jnp.stack(free))

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from itertools import cycle
 from textwrap import wrap
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -50,12 +51,24 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
             **{heading: f"{row[name]:.2f}" for name, heading in MEASURED.items() if name in row},
             f"{' / '.join(models)} %": " / ".join(f"{100 * row[share_column(name)]:.0f}" for name in models),
             "collisions": f"{row['collision_episodes']} of {row['episodes']}",
-            **({"success": f"{100 * row['success']:.0f} %"} if succeeded else {}),
+            **(_among_several(row) if succeeded else {}),
             **({"fallback steps": f"{row['fallbacks']}"} if failed else {}),
         }
         for row in chosen.to_dict("records")
     ]
     return pd.DataFrame(rows)
+
+
+def _among_several(row: dict[str, Any]) -> dict[str, str]:
+    """Return texts under headings of what is summarised among several humans, as far as a summary has it."""
+    texts = {"success": f"{100 * row['success']:.0f} %"}
+    if "cycle_ms_p99" in row:
+        texts |= {
+            "humans under tom": f"{row['humans_tom']:.1f}",
+            "cycle ms p50, p99": f"{row['cycle_ms_p50']:.1f}, {row['cycle_ms_p99']:.1f}",
+            "late %": f"{100 * row['late']:.1f}",
+        }
+    return texts
 
 
 def table(summaries: pd.DataFrame, scenario: str) -> Table:

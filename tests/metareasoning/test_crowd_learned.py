@@ -1,29 +1,24 @@
-"""The learned value of computation per human: what it looks at, what it chooses, how it is learned, and its file."""
+"""The learned value of computation per human: what it looks at, what it chooses, and its file."""
 
 from dataclasses import replace
-from functools import partial
-from itertools import islice
+from importlib import resources
 
 import jax
 import numpy as np
 import pytest
 
-from ms_highway.experiments.values.crowd import CrowdCourse, CrowdLearning, learn_crowd
 from ms_highway.game.crowd_scenario import DENSE_MERGE, crowd_game, draw_crowd
 from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.metareasoning.crowd.learned import LearnedCrowdValue
 from ms_highway.metareasoning.crowd.rule import CrowdCosts, CrowdOutcome, first_crowd_memory
 from ms_highway.metareasoning.crowd.situation import describe_humans, human_description_names
-from ms_highway.metareasoning.crowd.values import load_crowd_values, save_crowd_values
+from ms_highway.metareasoning.crowd.values import CrowdValues, load_crowd_values, save_crowd_values
 from ms_highway.planning.crowd import NAIVE, TOM, CrowdPlan
-from ms_highway.simulation.devices import device_mesh, use_devices
 
 HUMANS = 2
 CROWD = crowd_game(DENSE_MERGE, HUMANS, planning=PlanningSettings(horizon=5))
 START, _ = draw_crowd(DENSE_MERGE, HUMANS, np.random.default_rng(0), CROWD.game.human)
 COSTS = CrowdCosts(0.003, np.array([0.0, 0.0006, 0.002], np.float32))
-COURSE = CrowdCourse("dense_merge", CROWD, partial(draw_crowd, DENSE_MERGE, HUMANS, driver=CROWD.game.human), 6)
-LEARNING = CrowdLearning(COSTS, rounds=2, states=6, horizon=5, seed=1)
 INPUTS = len(human_description_names())
 describe_quickly = jax.jit(describe_humans)
 
@@ -78,40 +73,24 @@ def test_in_doubt_and_without_finite_estimates_a_human_is_predicted_naively():
     assert failed.memory.rungs.tolist() == [NAIVE, NAIVE]
 
 
-def same(one, other):
-    pairs = zip(jax.tree.leaves(one.network), jax.tree.leaves(other.network), strict=True)
-    return all(np.array_equal(first, second) for first, second in pairs)
-
-
-@pytest.fixture(scope="module")
-def learned():
-    return list(learn_crowd(LEARNING, [COURSE], None, device_mesh(jax.local_devices()[:1])))
-
-
-def test_each_round_ends_in_values_of_all_examples_so_far(learned):
-    assert [(step.round, step.course) for step in learned] == [(1, "dense_merge"), (1, ""), (2, "dense_merge"), (2, "")]
-    assert [step.values.provenance["examples"] for step in learned[1::2]] == [12, 24]  # two humans in each state
-
-
-def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_devices(learned, tmp_path):
-    kept = tmp_path / "kept.npz"
-    list(islice(learn_crowd(LEARNING, [COURSE], kept, use_devices()), 1))
-    *_, last = learn_crowd(LEARNING, [COURSE], kept, use_devices())
-    assert same(last.values, learned[-1].values)
-    with pytest.raises(ValueError, match="other settings"):
-        next(learn_crowd(replace(LEARNING, seed=2), [COURSE], kept, use_devices()))
-
-
-def test_values_are_read_as_they_were_written(learned, tmp_path):
-    file = tmp_path / "values.npz"
-    save_crowd_values(learned[-1].values, file)
+def test_values_are_read_as_they_were_written(tmp_path):
+    rule, file = rule_with((0.5, 1.0)), tmp_path / "values.npz"
+    save_crowd_values(
+        CrowdValues(rule.network, rule.centre, rule.spread, human_description_names(), {"rounds": 2}), file
+    )
     read = load_crowd_values(file)
-    assert same(read, learned[-1].values)
-    assert read.provenance["rounds"] == 2
+    assert read.provenance == {"rounds": 2}
+    same = jax.tree.map(np.array_equal, read.rule(COSTS, 0.0), rule)
+    assert all(jax.tree.leaves(same))
+
+
+def test_files_that_hold_something_else_or_only_a_part_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="kind 'of one human'"):
+        load_crowd_values(resources.files("ms_highway") / "data" / "values.npz")
+    rule, file = rule_with((0.5, 1.0)), tmp_path / "values.npz"
+    save_crowd_values(CrowdValues(rule.network, rule.centre, rule.spread, human_description_names(), {}), file)
+    file.write_bytes(file.read_bytes()[:-100])
     with pytest.raises(ValueError, match="damaged or no values of crowds"):
-        load_crowd_values(_damaged(file))
-
-
-def _damaged(file):
-    file.write_bytes(file.read_bytes()[:100])
-    return file
+        load_crowd_values(file)
+    with pytest.raises(ValueError, match="shapes"):
+        CrowdValues(rule.network[:0], rule.centre, rule.spread, human_description_names(), {})

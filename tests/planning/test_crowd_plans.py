@@ -105,10 +105,10 @@ def test_plans_start_from_zero_controls_or_from_keeping_the_velocity(six):
 
 def test_measured_times_are_additive_and_grow_up_the_ladder(six):
     crowd, state = six
-    costs = measure_crowd_costs(crowd, state, repeats=5)
+    costs = measure_crowd_costs(crowd, state, repeats=9, quantile=0.0)
     assert costs.base > 0
     assert costs.each[NAIVE] == 0
     assert costs.each[TOM] > 0
     plans = CompiledCrowdPlans(crowd)
-    seconds = np.median([plans.plan(state, [TOM] * 3 + [NAIVE] * 3)[1] for _ in range(5)])
+    seconds = min(plans.plan(state, [TOM] * 3 + [NAIVE] * 3)[1] for _ in range(9))
     assert costs.base < seconds < costs.base + 6 * costs.each[TOM]

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ms_highway.control.fallback import BRAKING, PREVIOUS_PLAN, STATUSES
+from ms_highway.control.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
 from ms_highway.envs.crowd.controllers import any_controller
 from ms_highway.experiments.records import share_column
 from ms_highway.planning.human_models import known_models
@@ -24,8 +24,11 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     ``reward_low`` and ``reward_high``, the 90 % interval of the mean over episodes (Student's t), and ``reward_std``
     over episodes; ``planning_ms`` and ``decision_ms`` per step as measured; ``counted_ms`` per step, planning at the
     seconds T(M) that decisions count, empty where one is not known; ``share_MODEL`` of steps; ``collision_episodes``,
-    in which the robot collided at least once; ``success``, the share of the episodes in which it succeeded, empty with
-    one human; ``fallbacks``, steps whose plan failed, of all episodes together.
+    in which the robot collided at least once; ``fallbacks``, steps whose plan failed, of all episodes together. Among
+    several humans, and empty with one: ``success``, the share of the episodes in which the robot succeeded;
+    ``humans_turn`` and ``humans_tom``, how many are predicted by these models in a step; ``cycle_ms_p50`` and
+    ``cycle_ms_p99``, quantiles of planning and deciding together; ``late`` and ``way_out``, shares of the steps that
+    the robot drove with an old plan because the new one was late, and to keep a way out.
 
     Raises:
         ValueError: for an unknown controller.
@@ -41,18 +44,23 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
                 "decision_ms": 1e3 * steps["decision_seconds"].mean(),
                 **{share_column(model): (steps["model"] == model).mean() for model in models},
                 "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
-                "success": _success(steps),
                 "fallbacks": int(steps["status"].isin(FAILED).sum()),
+                **_among_several(steps),
             }
         )
     return pd.DataFrame(rows)
 
 
-def _success(steps: pd.DataFrame) -> float:
-    """Return the share of the episodes that end with success; NaN where that is not known."""
-    if "success" not in steps:
-        return np.nan
-    return steps.sort_values("step").groupby("seed")["success"].last().astype(float).mean()
+def _among_several(steps: pd.DataFrame) -> dict[str, float]:
+    """Return what is summarised of steps among several humans; NaN with one human."""
+    names = ("success", "humans_turn", "humans_tom", "cycle_ms_p50", "cycle_ms_p99", "late", "way_out")
+    if "success" not in steps or steps["success"].isna().all():
+        return dict.fromkeys(names, np.nan)
+    success = steps.sort_values("step").groupby("seed")["success"].last().astype(float).mean()
+    cycles = 1e3 * (steps["planning_seconds"] + steps["decision_seconds"])
+    shares = [(steps["status"] == STATUSES[number]).mean() for number in (LATE, WAY_OUT)]
+    counts = [steps[name].mean() for name in names[1:3]]
+    return dict(zip(names, [success, *counts, cycles.median(), cycles.quantile(0.99), *shares], strict=True))
 
 
 def earned(controller: str, rewards: pd.Series) -> dict[str, Any]:

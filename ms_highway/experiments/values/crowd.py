@@ -76,7 +76,7 @@ class CrowdLearning:
     """
 
     costs: CrowdCosts
-    price: float = 100.0
+    price: float = 30.0
     rounds: int = 2
     states: int = 100
     horizon: int = HORIZON
@@ -98,7 +98,13 @@ class CrowdLearning:
             chosen = random.integers(len(gains.gains), size=(STEPS, NETWORKS, BATCH))
             standard = Gains((gains.descriptions - centre) / spread, gains.gains)
             network = jax.tree.map(np.asarray, _fit(network, standard, chosen))
-        provenance = {**self.settings, "examples": sum(len(part.gains) for part in done), "rounds": number}
+        provenance = {
+            **self.settings,
+            "examples": sum(len(part.gains) for part in done),
+            "rounds": number,
+            "horizon": self.horizon,
+            "price": self.price,
+        }
         return CrowdValues(network, centre, spread, names, provenance)
 
     def stream(self, *place: int) -> np.random.Generator:
