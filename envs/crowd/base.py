@@ -104,6 +104,13 @@ class CrowdEnv(InteractionEnv):
         starts, self.weights = draw_crowd(self.scenario, self.settings.humans, random, self.game.human)
         return starts
 
+    def draw_episode(
+        self, random: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "cars 4"], Float[np.ndarray, "humans features"], int]:
+        """Draw an episode as a reset does: `draw_starts`, what every human drives for, and the seed of its rule."""
+        starts = self.draw_starts(random)
+        return starts, self.weights, _draw_seed(random)
+
     def _reset(self) -> None:
         """Draw what the humans drive for, also where their starts are given, and start the episode."""
         if self._initial_states is not None:
@@ -124,8 +131,8 @@ class CrowdEnv(InteractionEnv):
             seconds = self.costs(states)  # to be measured now, if at all, and not within a step
             costs = CrowdCosts(float(seconds[0]), seconds - seconds[0])
         crowd = self.settings.crowd(self.scenario, self.weights if self.settings.beliefs == "true" else None)
-        seed = int(self.np_random.integers(np.iinfo(np.int32).max))
-        return CrowdDriver(crowd, controller.rule(costs), controller.budget, seed, bool(self.config["way_out"]))
+        rule, seed = controller.rule(costs), _draw_seed(self.np_random)
+        return CrowdDriver(crowd, rule, controller.budget, seed, bool(self.config["way_out"]))
 
     def _measured_costs(self, states: Float[np.ndarray, "cars 4"]) -> list[float]:
         quantile = self.settings.controller.quantile
@@ -178,3 +185,8 @@ class CrowdEnv(InteractionEnv):
                 base = self._costs[RUNGS[0]]
                 info["counted_seconds"] = base + sum(self._costs[name] - base for name in step.rungs)
         return info
+
+
+def _draw_seed(random: np.random.Generator) -> int:
+    """Draw the seed of a rule."""
+    return int(random.integers(np.iinfo(np.int32).max))

@@ -215,7 +215,6 @@ def add_costs(parser: argparse.ArgumentParser, measured: bool = True) -> None:
     """Add ``--costs``, which says what T(M) is, to a command; a simulation cannot measure it."""
     parser.add_argument(
         "--costs",
-        default=None if measured else "published",
         help="seconds per plan that controllers decide with: published (0.09, 0.17, 0.37; default), "
         + ("measured on this machine (default among several humans), " if measured else "")
         + "or given like naive=0.1,turn=0.2,tom=0.5",

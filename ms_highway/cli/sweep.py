@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, count_episodes, print_tables
 from ms_highway.cli.options import (
+    CROWD_CONTROLLERS,
+    CROWD_NAMES,
     MOST,
     MOST_PROCESSES,
     MOST_SEEDS,
@@ -13,6 +15,7 @@ from ms_highway.cli.options import (
     add_controllers,
     add_costs,
     add_devices,
+    add_humans,
     add_ladder,
     add_out,
     add_planning,
@@ -28,12 +31,16 @@ if TYPE_CHECKING:
 
 __all__ = ["add_sweep"]
 
-HELP = """\
+HELP = f"""\
 Simulate very many episodes of a scenario, all in JAX and many at a time, and compare reward and computation.
 
 Episodes are those of `ms-highway compare`: the same seed gives the same start, and what happens is the same up to
 rounding. Nothing is timed: planning counts the seconds of --costs. Controllers are those of --controllers, by default
 the scenario's ladder, and switching with every lambda of --lambdas.
+
+Controllers of {" and ".join(CROWD_NAMES)} are those of `ms-highway compare`: {CROWD_CONTROLLERS}.
+Their number of humans is --humans. They need --costs in seconds by model, each of a plan in which one human is
+predicted by it and the others naively. A budget counts these seconds, and deciding as nothing: no plan is late.
 
 Results go to --out, as parts of --part episodes each, which are written as they are done; if stopped or killed and
 started again with the same --out, the sweep computes the missing parts. pandas.read_parquet("OUT/episodes") reads all
@@ -54,6 +61,8 @@ of 0.1 kB. Needs the extra "sweep"."""
 EXAMPLES = """\
 examples:
   ms-highway sweep merger --episodes 10000 --lambdas 0.001:10:25 --out results/sweep
+  ms-highway sweep dense_merge --episodes 100 --controllers naive tom nearest:1 \\
+    --costs naive=0.001,turn=0.002,tom=0.01 --out results/crowd
   ms-highway sweep give_way --episodes 1000 --controllers tom schedule:tom={4,6,8},naive --out results/schedules
 
 on two machines:
@@ -64,7 +73,7 @@ on two machines:
 def add_sweep(commands: Any) -> None:
     """Add the command ``sweep`` to a parser's subparsers."""
     parser = add_command(commands, "sweep", "simulate thousands of episodes at once", HELP, EXAMPLES)
-    parser.add_argument("scenario", metavar="SCENARIO", help=", ".join(SCENARIO_NAMES))
+    parser.add_argument("scenario", metavar="SCENARIO", help=", ".join((*SCENARIO_NAMES, *CROWD_NAMES)))
     parser.add_argument("--episodes", type=int, default=1000, help="episodes per controller (default: 1000)")
     parser.add_argument(
         "--lambdas",
@@ -78,6 +87,7 @@ def add_sweep(commands: Any) -> None:
     add_semantics(parser)
     add_costs(parser, measured=False)
     add_planning(parser)
+    add_humans(parser)
     parser.add_argument("--steps", action="store_true", help="keep a row per step as well, about 40 times as much")
     parser.add_argument("--part", type=int, default=1024, help="episodes per part, of any controller (default: 1024)")
     add_devices(parser)
@@ -151,10 +161,11 @@ def _comparison(options: argparse.Namespace) -> "Comparison":
     Raises:
         ValueError: naming what cannot be simulated.
     """
-    from ms_highway.envs import two_player_scenario
+    from ms_highway.envs import ENVIRONMENTS, environment_id
     from ms_highway.planning.human_models import rung_names
 
-    scenario = two_player_scenario(options.scenario)
+    environment_id(options.scenario)
+    scenario = ENVIRONMENTS[options.scenario].scenario
     prices = lambdas(options.lambdas) if options.lambdas is not None else [] if options.controllers else scenario.prices
     controllers = [
         *(options.controllers or rung_names(options.ladder or scenario.ladder)),

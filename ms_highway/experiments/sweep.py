@@ -16,11 +16,12 @@ from jax.sharding import Mesh
 from pyarrow import parquet
 
 from ms_highway.experiments.analysis.summary import earned
+from ms_highway.experiments.batch import EpisodeBatch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.experiments.resuming import check_settings
 from ms_highway.experiments.settings import SETTINGS_FILE, write_settings
-from ms_highway.experiments.simulated import Batch, make_batch, run_episodes, summarised, tabulated
+from ms_highway.experiments.simulated import any_batch, run_episodes, summarised, tabulated
 from ms_highway.runtime.files import replacing
 
 __all__ = [
@@ -130,7 +131,7 @@ def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: W
     Raises:
         ValueError: if the sweep is impossible, or the directory holds something else.
     """
-    batch = make_batch(sweep.comparison, sweep.scenario)
+    batch = any_batch(sweep.comparison, sweep.scenario)
     _take_up(sweep, directory, worker)
     mine, together = worker.parts(sweep), 1 if mesh is None else mesh.size
     lacking = [part for part in missing_parts(sweep, directory) if part in mine]
@@ -142,7 +143,9 @@ def run_sweep(sweep: Sweep, directory: Path, mesh: Mesh | None = None, worker: W
             yield count
 
 
-def _compute(sweep: Sweep, batch: Batch, parts: list[int], directory: Path, mesh: Mesh | None) -> Iterator[int]:
+def _compute(
+    sweep: Sweep, batch: EpisodeBatch[Any], parts: list[int], directory: Path, mesh: Mesh | None
+) -> Iterator[int]:
     """Compute parts, one on each device, and write them, the row per episode last: then the part is done."""
     shares = [batch.keys(part * sweep.part, (part + 1) * sweep.part) for part in parts]
     keys = [key for share in shares for key in share]  # only the sweep's last part is smaller, and it comes last
@@ -215,7 +218,7 @@ def read_sweep(sweep: Sweep, directory: Path) -> pd.DataFrame:
 
 def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
     """Return one row per scenario and controller: the columns of `ms_highway.experiments.analysis.summary` that are
-    not measured.
+    not measured, ``success`` only with several humans.
 
     Args:
         episodes: a row per episode, of `read_sweep`.
@@ -229,6 +232,7 @@ def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
                 "counted_ms": 1e3 * some["counted_seconds"].mean(skipna=False),
                 **{name: some[name].mean() for name in some if name in shares},
                 "collision_episodes": int((some["collisions"] > 0).sum()),
+                **({"success": some["success"].mean()} if "success" in some else {}),
                 "fallbacks": int(some["fallbacks"].sum()),
             }
         )
