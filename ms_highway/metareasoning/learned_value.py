@@ -18,7 +18,7 @@ from ms_highway.metareasoning.situation import describe
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["LearnedValue", "Network", "advantages", "estimate", "network_inputs", "scale"]
+__all__ = ["LearnedValue", "Network", "advantages", "network_inputs", "noise", "outputs", "scale"]
 
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
@@ -97,22 +97,27 @@ def advantages(
     They estimate what is earned more and what is planned later, in units of `scale`; this step's planning is known:
     ``scale(lambda) (n_m - n_top) - lambda (T_m - T_top)``.
     """
-    estimates, noise = estimate(network, inputs)
+    estimates, spreads = outputs(network, inputs)
     size = scale(price, span)
     over_top = size * (estimates - estimates[:, -1:]) - price * (costs - costs[-1])
-    return over_top, size * noise
+    return over_top, size * noise(spreads)
 
 
-def estimate(
+def outputs(
     network: Network, inputs: Float[jax.Array, "inputs"]
 ) -> tuple[Float[jax.Array, "networks means"], Float[jax.Array, "networks means"]]:
-    """Return what each of the networks expects of the same inputs, and its standard deviation."""
+    """Return what each of the networks expects of the same inputs, and what `noise` computes its spread from."""
     *hidden, (weights, biases) = network
     inputs = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
     for layer_weights, layer_biases in hidden:
         inputs = jnp.tanh(jnp.einsum("ni,nio->no", inputs, layer_weights) + layer_biases)
     means, spreads = jnp.split(jnp.einsum("ni,nio->no", inputs, weights) + biases, 2, axis=-1)
-    return means, LEAST_NOISE + jax.nn.softplus(spreads)
+    return means, spreads
+
+
+def noise(spreads: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
+    """Return standard deviations of outcomes from the second half of a network's `outputs`."""
+    return LEAST_NOISE + jax.nn.softplus(spreads)
 
 
 def scale(price: Float[jax.Array, "*batch"], span: Float[jax.Array, ""]) -> Float[jax.Array, "*batch"]:

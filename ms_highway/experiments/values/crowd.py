@@ -20,13 +20,13 @@ from jax.sharding import Mesh
 from jaxtyping import Float, Int
 
 from ms_highway.experiments.resuming import cannot_resume
-from ms_highway.experiments.values.fitting import BATCH, NETWORKS, descend, new_network, surprises
+from ms_highway.experiments.values.fitting import BATCH, NETWORKS, SOFTENING, descend, new_network
 from ms_highway.game.crowd import Crowd
 from ms_highway.metareasoning.crowd.learned import LearnedCrowdValue
 from ms_highway.metareasoning.crowd.rule import CrowdCosts
 from ms_highway.metareasoning.crowd.situation import describe_humans, human_description_names
 from ms_highway.metareasoning.crowd.values import CrowdValues
-from ms_highway.metareasoning.learned_value import Network, estimate
+from ms_highway.metareasoning.learned_value import Network, noise, outputs
 from ms_highway.planning.crowd import NAIVE, RUNGS
 from ms_highway.runtime.files import replacing
 from ms_highway.simulation.crowd import CrowdEpisodes, CrowdLoop, CrowdRecords, simulate_crowd
@@ -279,13 +279,15 @@ def _fit(network: Network, gains: Gains, chosen: Int[jax.Array, "steps networks 
     """Fit gains and their spread, by the likelihood of normal errors, see `ms_highway.experiments.values.fitting`."""
 
     def one(network: Network, inputs: jax.Array) -> tuple[jax.Array, jax.Array]:
-        means, noise = estimate(jax.tree.map(lambda part: part[None], network), inputs)
-        return means[0], noise[0]
+        means, spreads = outputs(jax.tree.map(lambda part: part[None], network), inputs)
+        return means[0], noise(spreads[0])
 
     def loss(network: Network, chosen: Int[jax.Array, "networks batch"]) -> Float[jax.Array, ""]:
         inputs, targets = (jnp.asarray(part)[chosen] for part in gains)
-        means, noise = jax.vmap(jax.vmap(one, in_axes=(None, 0)))(network, inputs)
-        return surprises(means - targets, noise).sum(axis=-1).mean(axis=-1).sum()
+        means, apart = jax.vmap(jax.vmap(one, in_axes=(None, 0)))(network, inputs)
+        surprise = (means - targets) ** 2 / (2 * apart**2) + jnp.log(apart)
+        surprise *= jax.lax.stop_gradient(apart) ** SOFTENING
+        return surprise.sum(axis=-1).mean(axis=-1).sum()
 
     return descend(loss, network, (chosen,))
 

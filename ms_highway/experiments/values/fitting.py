@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from ms_highway.experiments.values.rollouts import Rollouts, draw_prices
 from ms_highway.metareasoning.learned_value import Network, advantages, network_inputs, scale
 
-__all__ = ["BATCH", "NETWORKS", "descend", "fit", "new_network", "surprises"]
+__all__ = ["BATCH", "NETWORKS", "SOFTENING", "descend", "fit", "new_network"]
 
 NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
 HIDDEN = (32, 32)
@@ -90,7 +90,8 @@ def _fit(
         inputs = (network_inputs(jnp.asarray(picked.descriptions), price) - centre) / spread
         over_top, noise = jax.vmap(partial(_one, costs))(network, inputs, price)
         errors = (over_top - jnp.take_along_axis(over_top, top, axis=-1)) / size - targets
-        surprise = surprises(errors, noise / size)
+        surprise = errors**2 / (2 * (noise / size) ** 2) + jnp.log(noise / size)
+        surprise *= jax.lax.stop_gradient(noise / size) ** SOFTENING
         below_top = known & (jnp.arange(known.shape[-1]) < top)
         return jnp.where(below_top, surprise, 0).sum(axis=-1).mean(axis=-1).sum()
 
@@ -116,12 +117,6 @@ def descend(loss: Callable[..., Float[jax.Array, ""]], network: Network, batches
 
     (network, _), _ = jax.lax.scan(step, (network, optimizer.init(network)), batches)
     return network
-
-
-def surprises(errors: Float[jax.Array, "*shape"], noise: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
-    """Return the negative logarithm of the likelihood of normal errors, weighed by a power of their noise."""
-    surprise = errors**2 / (2 * noise**2) + jnp.log(noise)
-    return surprise * jax.lax.stop_gradient(noise) ** SOFTENING
 
 
 def _one(

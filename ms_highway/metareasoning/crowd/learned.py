@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ms_highway.game.crowd import Crowd
 from ms_highway.metareasoning.crowd.rule import CrowdCosts, CrowdDecision, CrowdMemory, CrowdOutcome
 from ms_highway.metareasoning.crowd.situation import describe_humans
-from ms_highway.metareasoning.learned_value import Network, estimate
+from ms_highway.metareasoning.learned_value import Network, outputs
 from ms_highway.planning.crowd import NAIVE
 from ms_highway.runtime.arrays import Array
 
@@ -46,7 +46,7 @@ class LearnedCrowdValue:
         A gain counts less `CAUTION` standard deviations among the networks: in doubt, a human is predicted naively.
         """
         inputs = (describe_humans(crowd, outcome.after) - self.centre) / self.spread
-        means, _ = jax.vmap(lambda one: estimate(self.network, one))(inputs)  # [humans, networks, rungs - 1]
+        means, _ = jax.vmap(lambda one: outputs(self.network, one))(inputs)  # [humans, networks, rungs - 1]
         nothing = jnp.zeros((crowd.humans, 1))
         gains = jnp.concatenate([nothing, jnp.mean(means, axis=1)], axis=1)
         doubts = jnp.concatenate([nothing, jnp.std(means, axis=1)], axis=1)
