@@ -12,6 +12,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Bool, Float, Int
 
+from ms_highway.control.fallback import WAY_OUT
 from ms_highway.envs.crowd.base import CrowdEnv
 from ms_highway.envs.crowd.controllers import CrowdSettings, crowd_controller_config, crowd_settings
 from ms_highway.experiments.batch import EpisodeBatch, Key, checked_environment, configurations, random_of
@@ -23,7 +24,10 @@ from ms_highway.planning.crowd import RUNGS
 from ms_highway.simulation.crowd import CrowdEpisodes, CrowdLoop, CrowdRecords, simulate_crowd
 from ms_highway.simulation.records import DECIDES
 
-__all__ = ["CrowdBatch", "make_crowd_batch"]
+__all__ = ["OUTCOMES", "CrowdBatch", "make_crowd_batch"]
+
+OUTCOMES = ("success", "humans_turn", "humans_tom", "way_out")
+"""Columns of episodes: success, how many humans are predicted by the dearer models, steps driven to keep a way out."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +101,10 @@ class CrowdBatch(EpisodeBatch[CrowdRecords]):
         return dict(zip(CROWD_COLUMNS, (*counts, self._success(records)), strict=True))
 
     def outcomes(self, records: CrowdRecords) -> dict[str, Any]:
-        """Return ``humans_turn`` and ``humans_tom``, means over the steps, and ``success``, 0 or 1."""
-        *counts, success = self.details(records).items()
-        return {name: count.mean(axis=1) for name, count in counts} | {success[0]: success[1][:, -1].astype(int)}
+        """Return `OUTCOMES`: means over the steps, and ``success``, 0 or 1."""
+        *counts, success = self.details(records).values()
+        means = [part.mean(axis=1) for part in (*counts, np.equal(records.status, WAY_OUT))]
+        return dict(zip(OUTCOMES, (success[:, -1].astype(int), *means), strict=True))
 
     def _success(self, records: CrowdRecords) -> Bool[np.ndarray, "episodes steps"]:
         """Return whether the robot is in the target lane and has not collided so far."""

@@ -22,6 +22,7 @@ from ms_highway.experiments.records import models_of, share_column
 from ms_highway.experiments.resuming import check_settings
 from ms_highway.experiments.settings import SETTINGS_FILE, write_settings
 from ms_highway.experiments.simulated import any_batch, run_episodes, summarised, tabulated
+from ms_highway.experiments.simulated_crowd import OUTCOMES
 from ms_highway.runtime.files import replacing
 
 __all__ = [
@@ -218,7 +219,7 @@ def read_sweep(sweep: Sweep, directory: Path) -> pd.DataFrame:
 
 def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
     """Return one row per scenario and controller: the columns of `ms_highway.experiments.analysis.summary` that are
-    not measured, ``success`` only with several humans.
+    not measured, those of `ms_highway.experiments.simulated_crowd.OUTCOMES` only with several humans.
 
     Args:
         episodes: a row per episode, of `read_sweep`.
@@ -232,8 +233,8 @@ def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
                 "counted_ms": 1e3 * some["counted_seconds"].mean(skipna=False),
                 **{name: some[name].mean() for name in some if name in shares},
                 "collision_episodes": int((some["collisions"] > 0).sum()),
-                **({"success": some["success"].mean()} if "success" in some else {}),
                 "fallbacks": int(some["fallbacks"].sum()),
+                **{name: some[name].mean() for name in OUTCOMES if name in some},
             }
         )
     return pd.DataFrame(rows)

@@ -14,11 +14,12 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, columns, state_columns
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.simulated import any_batch, columns_simulated, run_episodes, summarised, tabulated
+from ms_highway.experiments.simulated_crowd import OUTCOMES
 from ms_highway.experiments.sweep import sweep_summary
 from ms_highway.planning.crowd import NAIVE, RUNGS, TOM
 
 COSTS = {"naive": 0.001, "turn": 0.002, "tom": 0.005}
-CONTROLLERS = ["tom", "nearest:1", "random:naive=0.7,tom=0.3"]
+CONTROLLERS = ["nearest:2", "nearest:1", "random:naive=0.7,tom=0.3"]  # theory of mind about both, one, some
 STEPS = 10
 SHORT = {"humans": 2, "horizon": 5}
 COMPARISON = Comparison({"dense_merge": CONTROLLERS}, seeds=1, costs=COSTS, planning=SHORT)
@@ -77,7 +78,7 @@ def test_rows_of_episodes_and_steps_say_what_the_records_hold(batch, records):
         episodes["success"].tolist() == steps.groupby("controller", sort=False)["success"].last().astype(int).tolist()
     )
     assert episodes["counted_seconds"].iloc[0] == pytest.approx(0.001 + 2 * 0.004)
-    assert sweep_summary(episodes)["success"].tolist() == episodes["success"].tolist()
+    assert sweep_summary(episodes)[list(OUTCOMES)].to_numpy().tolist() == episodes[list(OUTCOMES)].to_numpy().tolist()
 
 
 def test_a_robot_that_collided_does_not_succeed_though_it_ends_in_its_lane(batch, records):
@@ -94,7 +95,9 @@ def test_fallbacks_are_plans_that_failed_and_not_ways_out(batch, records):
     status = np.zeros_like(records.status)
     status[0, :3] = STATUSES.index("way out")
     status[1, :2] = STATUSES.index("previous plan")
-    assert summarised(batch, batch.keys(), records._replace(status=status))["fallbacks"].tolist() == [0, 2, 0]
+    episodes = summarised(batch, batch.keys(), records._replace(status=status))
+    assert episodes["fallbacks"].tolist() == [0, 2, 0]
+    np.testing.assert_allclose(episodes["way_out"], [3 / batch.steps, 0, 0])
 
 
 def test_budgets_count_the_seconds_that_are_given(batch):
