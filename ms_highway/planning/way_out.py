@@ -70,7 +70,10 @@ def _during(others: Motion, first: int, last: int | None) -> Motion:
 def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Int[jax.Array, ""]:
     """Return 2 if a car keeps the margin to all others and obstacles on its way, 1 if it collides with none, else 0."""
     scene, own = game.scene, observe(way)
-    sizes = {"car_size": scene.car_size, "obstacle_size": scene.obstacle_size}
-    wider = replace(scene, **{name: jnp.asarray(size) + MARGIN for name, size in sizes.items()})
+    wider = replace(
+        scene,
+        car_size=jnp.asarray(scene.car_size) + MARGIN,
+        obstacle_size=jnp.asarray(scene.obstacle_size) + MARGIN,
+    )
     free = [~(collision_risk(checked, own, others)[1] > 0).any() for checked in (scene, wider)]
     return jnp.sum(jnp.stack(free))

@@ -87,11 +87,6 @@ def test_the_sentences_of_the_readme_are_those_of_the_summaries_they_come_from()
         f"{100 * kept:.0f} % of what always-`tom` gains over `naive`, with theory of mind in {100 * thinking:.0f} % of"
         in text
     )
-    order = shares(COLLECTED.comparison("curve").summaries, "merger").loc["schedule:tom=7,naive"]
-    told = (
-        f"{100 * order['reward']:.0f} % of the reward in Merger for {100 * order['computation']:.0f} % of the planning"
-    )
-    assert told in text
 
 
 def test_collisions_in_the_text_are_those_that_were_counted():
