@@ -61,7 +61,7 @@ class CrowdEnv(InteractionEnv):
         """The configuration of environments with one human, changed to suit several."""
         config = super().default_config()
         return {key: value for key, value in config.items() if key not in LEFT_OUT} | {
-            "controller": {"type": "switching", "lambda": cls.scenario.prices[1]},
+            "controller": {"type": "learned", "lambda": cls.scenario.prices[1]},
             "costs": "measured",
             "human_reward": "learned",
             "humans": cls.scenario.humans,

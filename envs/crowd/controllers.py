@@ -173,7 +173,7 @@ class BudgetSettings(CrowdSettings):
 
     Attributes:
         milliseconds: of a cycle, decision and plan.
-        values: that tell the gains: `ONE_STEP` or what `LearnedCrowdSettings` takes; None means `ONE_STEP`.
+        values: that tell the gains: `ONE_STEP` or what `LearnedCrowdSettings` takes; None means shipped.
     """
 
     milliseconds: float
@@ -188,11 +188,11 @@ class BudgetSettings(CrowdSettings):
             )
 
         if self._is_learned:
-            _loaded(self.values)
+            _loaded(self.values or SHIPPED_VALUES)
 
     @property
     def _is_learned(self) -> bool:
-        return (self.values or ONE_STEP) != ONE_STEP
+        return self.values != ONE_STEP
 
     @property
     def budget(self) -> float:
@@ -202,7 +202,7 @@ class BudgetSettings(CrowdSettings):
     def rule(self, costs: CrowdCosts) -> CrowdRule:
         """See `CrowdSettings.rule`."""
         one_step = OneStepGains(crowd_switching(costs, 0.0).switching)
-        gains: CrowdRule = _loaded(self.values).rule(costs, 0.0) if self._is_learned else one_step
+        gains: CrowdRule = _loaded(self.values or SHIPPED_VALUES).rule(costs, 0.0) if self._is_learned else one_step
         return Budget(gains, costs, self.budget)
 
 
