@@ -25,6 +25,7 @@ def add_command(commands: Any, name: str, summary: str, description: str, epilog
         description=description,
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,  # --seed is no short form of --seeds
     )
 
 

@@ -20,7 +20,7 @@ from ms_highway.visualization.overview import markdown, overview
 
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
-RUNS = "compare", "released", "published", "curve", "worth", "crowd", "frontier", "safety"  # directories in results/
+RUNS = "compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", "safety"  # directories in results/
 TABLES = "summary", "regrets", "safety"  # what some of them hold, and what is kept with a column ``run``
 SHOWN = {  # in the project's README
     "stay_back": ["naive", "turn"],
@@ -84,6 +84,7 @@ def tables(kept: Path = KEPT) -> dict[str, str]:
         "human rewards": markdown(overview([compare, comparison("published", kept)])),
         "worth": markdown(overview([comparison("worth", kept)])),
         "crowd": markdown(overview([comparison("crowd", kept)])),
+        "crowd peers": markdown(overview([comparison("crowd_peers", kept)])),
         "safety": markdown(safety_cells(safety(kept))),
         "regrets": markdown(regret_cells(kept_table("regrets", "frontier", kept))),
     }

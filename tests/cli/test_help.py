@@ -63,3 +63,9 @@ def test_the_names_in_help_texts_are_those_that_are_known():
     assert REAL.learned == irl_options.REAL_WEIGHTS
     assert SIMULATED.learned == irl_options.SIMULATED_WEIGHTS
     assert tuple(options.CONTROLLERS.split(", ")[: len(PAPER_MODELS)]) == tuple(PAPER_MODELS)
+
+
+def test_an_option_is_not_taken_for_another_that_begins_alike(capsys):
+    with pytest.raises(SystemExit):
+        main(["compare", "merger", "--seed", "1000"])
+    assert "--seed" in capsys.readouterr().err
