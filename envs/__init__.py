@@ -123,6 +123,7 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
         others = ", ".join(taken)
         raise ValueError(f"a scenario cannot be called {name!r}; choose one word in lower case other than {others}")
     ENVIRONMENTS[name] = environment
+    SCENARIOS.pop(name, None)
     if not issubclass(environment, CrowdEnv):
         SCENARIOS[name] = environment.scenario
     bare_id = environment_id(name).removeprefix("ms_highway:")

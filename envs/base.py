@@ -1,4 +1,4 @@
-"""The environment that the three scenarios share: a road, a human, a robot, and who drives it."""
+"""The environment that the scenarios share: a road, a human, a robot, and who drives it."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -194,7 +194,7 @@ class InteractionEnv(StageEnv):
         unknown = sorted(set(options) - {"initial_states", "config"})
         if unknown:
             raise ValueError(f"unknown reset options {unknown}; the options are 'initial_states' and 'config'")
-        self._initial_states = self._checked_states(options.get("initial_states"))
+        self._initial_states = options.get("initial_states")
         before = self.config, self.settings, self.game, self._costs
         try:
             return super().reset(seed=seed, options=options)
@@ -214,6 +214,7 @@ class InteractionEnv(StageEnv):
 
     def _reset(self) -> None:
         """Build the road, place the cars, and say who drives them."""
+        self._initial_states = self._checked_states(self._initial_states)  # by now, the configuration is the new one
         states = self.draw_starts(self.np_random) if self._initial_states is None else self._initial_states
         self.road = Road(straight_road(self.game), np_random=self.np_random)
         for x, y in np.asarray(self.game.scene.obstacles, dtype=float):

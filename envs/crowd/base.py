@@ -113,6 +113,7 @@ class CrowdEnv(InteractionEnv):
 
     def _reset(self) -> None:
         """Draw what the humans drive for, also where their starts are given, and start the episode."""
+        self._initial_states = self._checked_states(self._initial_states)
         if self._initial_states is not None:
             self.draw_starts(self.np_random)
         super()._reset()

@@ -36,7 +36,8 @@ class CrowdViewer(InteractionViewer):
     def _rungs(self) -> tuple[str, ...]:
         """Return the names of the models of the last step, the cheapest before the first."""
         history = self.env.history
-        return history[-1]["rungs"] if history else (RUNGS[NAIVE],) * self.env.settings.humans
+        shown = history[-1]["rungs"] if history else ()  # none where the agent drives
+        return shown or (RUNGS[NAIVE],) * self.env.settings.humans
 
     def _names(self) -> None:
         """Draw the robot's name at the roadside, and every human's number on its roof."""

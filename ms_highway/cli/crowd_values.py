@@ -60,6 +60,8 @@ def _courses(options: argparse.Namespace) -> tuple["CrowdLearning", list["CrowdC
         raise ValueError(f"{one[0]} has one human, other scenarios several; learn them in a file each")
     if options.generated or options.without or options.ladder:
         raise ValueError("--generated, --without and --ladder are for scenarios with one human")
+    if options.solvers or options.semantics != "paper":
+        raise ValueError("--solver and --semantics are for scenarios with one human; leave them out")
     seconds = COSTS if isinstance(told := costs(options.costs), str) else {**COSTS, **(told or {})}
     reward = human_reward(options.human_reward)
     config = planning(options) | ({} if reward is None else {"human_reward": reward})

@@ -102,7 +102,6 @@ def add_values(commands: Any) -> None:
         dest="solvers",
         nargs="+",
         choices=SOLVERS,
-        default=["gradient"],
         help="of the robot's plans; each scenario is learned with each of them (default: gradient)",
     )
     add_planning(parser)
@@ -175,7 +174,8 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     for name in names:
         two_player_scenario(name)
     first = asked_comparison(options, {name: list(SCENARIOS[name].ladder[:1]) for name in names}, 1)
-    comparisons = [replace(first, solver=solver) for solver in dict.fromkeys(options.solvers)]
+    solvers = list(dict.fromkeys(options.solvers or ["gradient"]))
+    comparisons = [replace(first, solver=solver) for solver in solvers]
     for comparison in comparisons:
         comparison.check()
     batches = [make_batch(comparison, name) for comparison in comparisons for name in names]
@@ -196,7 +196,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         )
         for batch in batches
     ]
-    told = {**first.common_config(), "solver": options.solvers, "scenarios": names, "generated": options.generated}
+    told = {**first.common_config(), "solver": solvers, "scenarios": names, "generated": options.generated}
     learning = Learning(
         {name: costs[name] for name in models},
         rounds=options.rounds,

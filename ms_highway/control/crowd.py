@@ -91,6 +91,7 @@ class CrowdDriver:
     def reset(self) -> None:
         """Forget the past, before a new episode."""
         self._memory = first_crowd_memory(self.crowd.humans, self.seed)
+        self._checking = 0.0  # seconds of the last look for a way out, which comes after the plan
         self._rest: CrowdPlan | None = None  # scaled controls of the coming steps, as last planned
         self._seen: CrowdObservation | None = None  # the last step, not yet its outcome
 
@@ -115,10 +116,12 @@ class CrowdDriver:
         decision, deciding = self._decision.decide(self._memory, self._outcome(now, before))
         rungs = [int(rung) for rung in decision.memory.rungs]
         plan, planning = self._plans.plan(now, rungs, self._rest and self._whole(self._rest))
-        late = self.budget is not None and perf_counter() - start > self.budget
+        elapsed = perf_counter() - start + self._checking
+        late = self.budget is not None and elapsed > self.budget
         self._memory, gains = decision.memory, np.asarray(decision.gains)
         followed, status = self._follow(plan, late, state)
         control, status, checking = self._executed(followed, status, now)
+        self._checking = checking
         self._seen = CrowdObservation(now, now, control, self._whole(followed))
         scale = np.asarray(self.game.planner.control_scale, dtype=float)
         robot, humans = (np.asarray(side) * scale for side in followed)
@@ -179,12 +182,15 @@ class CrowdDriver:
     def _executed(
         self, followed: CrowdPlan, status: Status, state: Float[np.ndarray, "cars 4"]
     ) -> tuple[Float[np.ndarray, "2"], Status, float]:
-        """Return the scaled control to execute, its status, and the seconds of looking for a way out."""
+        """Return the scaled control to execute, its status, and the seconds of looking for a way out.
+
+        Late and failed plans keep their status, also where their control is replaced.
+        """
         control = np.asarray(followed.robot[0])
         if not self.way_out:
             return control, status, 0.0
         kept, replaced, seconds = self._plans.keep_way_out(state, control)
-        return (kept, "way out", seconds) if replaced else (control, status, seconds)
+        return kept, "way out" if replaced and status == "planned" else status, seconds
 
     def _whole(self, plan: CrowdPlan) -> CrowdPlan:
         """Return a plan over the whole horizon, its last controls repeated."""

@@ -25,7 +25,8 @@ __all__ = [
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
 """Source of a control: this step's plan; where that is not finite, the rest of the last finite plan; where nothing is
 left of it, braking in lane. Where the plan is late for its step, ``late``: again the rest of the last plan, or braking.
-``way out``: what keeps free of collisions whatever the humans do, instead of this step's plan."""
+``way out``: the first control of an escape from cars that keep their velocity, instead of a planned one that leaves no
+such escape."""
 
 STATUSES: tuple[Status, ...] = get_args(Status)
 """All statuses, in the order of their numbers."""

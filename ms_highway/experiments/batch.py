@@ -27,7 +27,7 @@ Key: TypeAlias = tuple[str, int]
 
 Recorded = TypeVar("Recorded", Records, CrowdRecords)
 
-OVERRIDABLE = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render"}
+OVERRIDABLE = {"scenario", "default_config", "configure", "draw_starts", "define_spaces", "render", "viewer_class"}
 """Names that a scenario's environment may override; a simulation calls these and no others."""
 
 

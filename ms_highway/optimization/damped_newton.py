@@ -46,8 +46,9 @@ def damped_factor(hessian: Float[jax.Array, "n n"]) -> Float[jax.Array, "n n"]:
 
 
 def damped_solve(factor: Float[jax.Array, "n n"], vector: Float[jax.Array, "n"]) -> Float[jax.Array, "n"]:
-    """Return ``(d I - H)^-1 vector`` by the factor of `damped_factor`."""
-    return cho_solve((factor, True), vector)
+    """Return ``(d I - H)^-1 vector`` by the factor of `damped_factor`; zero where that is not finite."""
+    solved = cho_solve((factor, True), vector)
+    return jnp.where(jnp.isfinite(solved).all(), solved, 0.0)
 
 
 def best_of(candidates: Float[jax.Array, "n *shape"], earned: Float[jax.Array, "n"]) -> Float[jax.Array, "*shape"]:

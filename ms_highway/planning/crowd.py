@@ -88,16 +88,19 @@ def predict_human(
         crowd: the game.
         state: all cars now.
         human: number of the human.
-        start: scaled controls to improve; by default, those that keep the velocity.
+        start: scaled controls to improve; by default, zero (``gradient``) or those that keep the velocity.
     """
     game, car = human_game(crowd, human), state[1 + human]
+    if start is None:
+        start = constant_velocity(game, car)
+        start = jnp.zeros_like(start) if game.planner.solver == "gradient" else start
     around = coasting(game, state)[jnp.asarray(others_of(len(state)))[1 + human]]
     return optimize_controls(
         game.planner,
         partial(move, game, car),
         lambda own: along_others(game.scene, game.robot, own, around),
         partial(discomfort, game, car),
-        constant_velocity(game, car) if start is None else start,
+        start,
         partial(bounded, game, car),
     )
 

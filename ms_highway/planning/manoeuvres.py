@@ -33,7 +33,8 @@ def manoeuvres(
         aside = -(FREQUENCY**2) * (y - lane) - 2 * FREQUENCY * speed * jnp.sin(heading)
         omega = jnp.clip(aside, -SIDEWAYS, SIDEWAYS) / jnp.maximum(speed, SLOWEST)
         omega = omega / jnp.maximum(speed, SLOWEST) if game.dynamics.steering == "curvature" else omega
-        control = jnp.stack([omega, acceleration + keep_velocity(game.dynamics, car)[1]])
+        wanted = jnp.maximum(acceleration, -speed / game.dynamics.time_step)  # never backwards
+        control = jnp.stack([omega, wanted + keep_velocity(game.dynamics, car)[1]])
         control = jnp.clip(control, -limit, limit)
         if game.planner.grip is not None:
             control = within_grip(game.dynamics, jnp.asarray(game.planner.grip), speed, control)
@@ -42,8 +43,7 @@ def manoeuvres(
     def one(lane: Float[jax.Array, ""], acceleration: Float[jax.Array, ""]) -> tuple[jax.Array, jax.Array]:
         def go(car: Float[jax.Array, "4"], _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
             control = drive(car, lane, acceleration)
-            stopped = (acceleration < 0) & (car[3] <= -acceleration * game.dynamics.time_step)
-            moved = jnp.where(stopped, car.at[3].set(0.0), step(game.dynamics, car, control))
+            moved = step(game.dynamics, car, control)
             return moved, (control / game.planner.control_scale, moved)
 
         return jax.lax.scan(go, car, None, steps)[1]

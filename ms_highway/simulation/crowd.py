@@ -13,7 +13,7 @@ from jax import numpy as jnp
 from jax.sharding import Mesh
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.control.fallback import WAY_OUT
+from ms_highway.control.fallback import PLANNED, WAY_OUT
 from ms_highway.game.crowd import Crowd, others_of
 from ms_highway.game.dynamics import keep_velocity, recover_control, step, within_grip
 from ms_highway.game.features import features
@@ -163,7 +163,7 @@ def _step(loop: CrowdLoop, truth: Crowd, now: _Now, scheduled: Int[jax.Array, "h
     robot, status, robot_rest = follow(game, state[0], plan, now.robot)
     if loop.way_out:
         robot, replaced = keep_way_out(game, state, robot)
-        status = jnp.where(replaced, WAY_OUT, status)
+        status = jnp.where(replaced & (status == PLANNED), WAY_OUT, status)
 
     def drive(given: tuple[Int[jax.Array, ""], Rest[JointPlan]]) -> tuple[Float[jax.Array, "2"], Rest[JointPlan]]:
         human, rest = given

@@ -20,7 +20,9 @@ from ms_highway.visualization.overview import markdown, overview
 
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
-RUNS = "compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", "safety"  # directories in results/
+RUNS = ("compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", "safety")
+"""Directories in results/."""
+
 TABLES = "summary", "regrets", "safety"  # what some of them hold, and what is kept with a column ``run``
 SHOWN = {  # in the project's README
     "stay_back": ["naive", "turn"],

@@ -203,3 +203,20 @@ def test_scenarios_with_one_human_and_with_several_are_compared_apart():
     assert Comparison({"merger": ["naive"]}).solver == "gradient"
     assert Comparison({"merger": ["naive"]}).costs == "published"
     assert Comparison({"dense_merge": ["naive"]}).costs == "measured"
+
+
+def test_starts_of_another_number_of_humans_belong_to_the_configuration_that_comes_with_them():
+    env = gym.make("ms-highway/dense-merge-v0", config={"humans": 3, "controller": {"type": "fixed", "model": "naive"}})
+    starts = env.unwrapped.draw_starts(np.random.default_rng(0))[:3]
+    env.reset(options={"config": {"humans": 2}, "initial_states": starts})
+    np.testing.assert_allclose(env.unwrapped.car_states, starts)
+    with pytest.raises(ValueError, match="initial_states"):
+        env.reset(options={"config": {"humans": 3}, "initial_states": starts})
+
+
+def test_a_picture_is_drawn_where_the_agent_drives():
+    config = {"humans": 2, "action": {"type": "ContinuousAction"}}
+    env = gym.make("ms-highway/dense-merge-v0", render_mode="rgb_array", config=config)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    assert env.render().std() > 0

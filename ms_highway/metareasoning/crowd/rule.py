@@ -57,7 +57,8 @@ class CrowdDecision(NamedTuple):
 
     Attributes:
         memory: with the rungs of the coming step.
-        gains: estimated gain of each rung over the cheapest, for each human; NaN where none was estimated.
+        gains: estimated gain of each rung over the cheapest, for each human; NaN where none was estimated. Those of
+            Algorithm 1 are over the rung in use, and less the price.
         failed: whether the rule could not estimate what it needs.
     """
 
