@@ -246,8 +246,8 @@ def crowd_controller_config(text: str) -> dict[str, Any]:
     ``learned:0.1`` and ``learned:0.1:FILE`` with a lambda; ``budget:20``, with the milliseconds of a cycle and learned
     gains, ``budget:20:FILE`` with those of a file, and ``budget:20:one_step`` with Algorithm 1's; ``nearest:2``,
     ``ttc:2`` and ``influence:2``, theory of mind about the two nearest humans, those with the shortest time to
-    collision, or those that influence the plan most; and ``random:naive=0.7,tom=0.3``, for every human and step a model that is drawn with
-    these shares.
+    collision, or those that influence the plan most; and ``random:naive=0.7,tom=0.3``, for every human and step a model
+    that is drawn with these shares.
 
     Raises:
         ValueError: if it stands for none.
