@@ -52,8 +52,10 @@ def damped_solve(factor: Float[jax.Array, "n n"], vector: Float[jax.Array, "n"])
 
 
 def best_of(candidates: Float[jax.Array, "n *shape"], earned: Float[jax.Array, "n"]) -> Float[jax.Array, "*shape"]:
-    """Return the candidate that earns most; what is not finite earns nothing."""
-    return candidates[jnp.argmax(jnp.where(jnp.isfinite(earned), earned, -jnp.inf))]
+    """Return the candidate that earns most of those that earn something finite; NaN where none does."""
+    known = jnp.isfinite(earned)
+    best = candidates[jnp.argmax(jnp.where(known, earned, -jnp.inf))]
+    return jnp.where(known.any(), best, jnp.nan)
 
 
 def damped_newton_steps(

@@ -65,3 +65,4 @@ def test_steps_keep_within_the_limits():
 def test_what_is_not_finite_is_never_the_best():
     candidates = jnp.arange(3.0)[:, None]
     assert best_of(candidates, jnp.array([jnp.nan, -1.0, jnp.inf])) == 1.0
+    assert np.isnan(best_of(candidates, jnp.full(3, jnp.nan))).all()  # so that a plan fails, and says so
