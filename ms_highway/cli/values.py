@@ -223,11 +223,11 @@ def _show(options: argparse.Namespace) -> None:
 
     try:
         values = load_values(options.file)
-        facts = {
+        own = {
             "ladder": ", ".join(f"{name} {seconds:g} s" for name, seconds in values.costs.items()),
             "lambda": f"{values.prices[0]:g} to {values.prices[1]:g}",
-            **values.provenance,
         }
+        facts = {**own, **values.provenance, **own}  # what was asked for may name the ladder, too
     except ValueError as error:
         try:
             facts = {"of": "each of several humans", **load_crowd_values(options.file).provenance}
