@@ -1,12 +1,10 @@
 """Learned values of computation and their file: the network, and what it was learned on."""
 
-import json
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -16,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.metareasoning.learned_value import LearnedValue, Network
+from ms_highway.metareasoning.network_file import NetworkFile, check_network, read_network, write_network
 from ms_highway.metareasoning.situation import description_names
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.files import replacing
 
 __all__ = ["SHIPPED_VALUES", "Values", "load_values", "save_values"]
 
@@ -64,13 +62,8 @@ class Values:
             raise ValueError(f"the ladder has the models {list(self.costs)}; there must be two at least")
         if self.inputs != input_names():
             raise ValueError("the inputs of the network are those of another version")
-        sizes = [len(self.inputs), *(np.shape(biases)[-1] for _, biases in self.network)]
-        shapes = [np.shape(weights)[1:] for weights, _ in self.network]
-        if shapes != list(pairwise(sizes)) or sizes[-1] != 2 * len(self.costs):
-            raise ValueError(f"the layers of the network are of shapes {shapes}, for {len(self.costs)} models")
-        numbers = [self.centre, self.spread, *(part for layer in self.network for part in layer)]
-        if {np.shape(part) for part in numbers[:2]} != {(sizes[0],)} or not all(np.isfinite(n).all() for n in numbers):
-            raise ValueError("the numbers of the network are not finite, or not as many as its inputs")
+        models = len(self.costs)
+        check_network(self.network, self.centre, self.spread, len(self.inputs), 2 * models, f", for {models} models")
         if not (self.spread > 0).all() or not 0 < self.prices[0] <= self.prices[1] < np.inf:
             raise ValueError(f"spreads and prices must be positive; the prices are {self.prices}")
 
@@ -114,11 +107,7 @@ def save_values(values: Values, path: Path) -> None:
         "inputs": list(values.inputs),
         "provenance": dict(values.provenance),
     }
-    arrays: dict[str, Any] = {"about": np.array(json.dumps(about)), "centre": values.centre, "spread": values.spread}
-    for number, (weights, biases) in enumerate(values.network):
-        arrays |= {f"weights_{number}": np.asarray(weights), f"biases_{number}": np.asarray(biases)}
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **arrays)
+    write_network(path, NetworkFile(about, values.network, values.centre, values.spread))
 
 
 def load_values(which: str | PathLike[str]) -> Values:
@@ -145,16 +134,13 @@ def _shipped() -> Values:
 def _read(path: Path, changed: int) -> Values:
     """Read a file, once for every time that it was ``changed``."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        about = json.loads(str(arrays["about"]))
+        about, network, centre, spread = read_network(path)
         if about["version"] != VERSION:
             raise ValueError(f"it is of version {about['version']}, not {VERSION}")
-        layers = range((len(arrays) - 3) // 2)
         return Values(
-            tuple((arrays[f"weights_{number}"], arrays[f"biases_{number}"]) for number in layers),
-            arrays["centre"],
-            arrays["spread"],
+            network,
+            centre,
+            spread,
             about["costs"],
             tuple(about["prices"]),
             tuple(about["inputs"]),

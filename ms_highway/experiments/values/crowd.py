@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import jax
 import numpy as np
@@ -19,8 +18,8 @@ from jax import numpy as jnp
 from jax.sharding import Mesh
 from jaxtyping import Float, Int
 
-from ms_highway.experiments.resuming import cannot_resume
 from ms_highway.experiments.values.fitting import BATCH, NETWORKS, SOFTENING, descend, new_network
+from ms_highway.experiments.values.kept import keep, read_kept
 from ms_highway.game.crowd import Crowd
 from ms_highway.metareasoning.crowd.learned import LearnedCrowdValue
 from ms_highway.metareasoning.crowd.rule import CrowdCosts
@@ -28,7 +27,6 @@ from ms_highway.metareasoning.crowd.situation import describe_humans, human_desc
 from ms_highway.metareasoning.crowd.values import CrowdValues
 from ms_highway.metareasoning.learned_value import Network, noise, outputs
 from ms_highway.planning.crowd import NAIVE, RUNGS
-from ms_highway.runtime.files import replacing
 from ms_highway.simulation.crowd import CrowdEpisodes, CrowdLoop, CrowdRecords, simulate_crowd
 from ms_highway.simulation.records import DECIDES
 
@@ -157,14 +155,14 @@ def learn_crowd(
         ValueError: if the file is there and holds something else.
     """
     about = json.dumps([asdict(learning), [course.name for course in courses]], default=np.ndarray.tolist)
-    done = {} if kept is None or not kept.exists() else _read(kept, about)
+    done = {} if kept is None or not kept.exists() else read_kept(kept, about, Gains)
     values: CrowdValues | None = None
     for number in range(1, learning.rounds + 1):
         for place, course in enumerate(courses):
             if (number, place) not in done:
                 done[number, place] = _gains(learning, course, values, learning.stream(number, COURSE, place), mesh)
                 if kept is not None:
-                    _keep(kept, done, about)
+                    keep(kept, done, about)
             yield CrowdProgress(number, course.name, None)
         values = learning.values([gains for (one, _), gains in sorted(done.items()) if one <= number], number)
         yield CrowdProgress(number, "", values)
@@ -290,24 +288,3 @@ def _fit(network: Network, gains: Gains, chosen: Int[jax.Array, "steps networks 
         return surprise.sum(axis=-1).mean(axis=-1).sum()
 
     return descend(loss, network, (chosen,))
-
-
-def _keep(file: Path, done: Mapping[tuple[int, int], Gains], about: str) -> None:
-    arrays = {"about": np.array(about)} | {
-        f"{number}/{place}/{name}": array
-        for (number, place), gains in done.items()
-        for name, array in gains._asdict().items()
-    }
-    with replacing(file) as path, path.open("wb") as opened:
-        np.savez(opened, **arrays)
-
-
-def _read(file: Path, about: str) -> dict[tuple[int, int], Gains]:
-    try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as archive:
-            if str(archive["about"]) != about:
-                raise ValueError("it holds gains of other settings")
-            places = dict.fromkeys(tuple(map(int, name.split("/")[:2])) for name in archive.files if name != "about")
-            return {(a, b): Gains(*(archive[f"{a}/{b}/{name}"] for name in Gains._fields)) for a, b in places}
-    except (BadZipFile, EOFError, KeyError, OSError, TypeError, ValueError) as error:
-        raise cannot_resume(file, error, "remove it, or choose another --out") from error

@@ -10,21 +10,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 from zlib import crc32
 
 import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Float
 
-from ms_highway.experiments.resuming import cannot_resume
 from ms_highway.experiments.values.course import Course, drive
 from ms_highway.experiments.values.fitting import fit, new_network
+from ms_highway.experiments.values.kept import keep, read_kept
 from ms_highway.experiments.values.rollouts import HORIZON, Rollouts, joined, roll_out, visited
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.values import Values, input_names
 from ms_highway.planning.human_models import human_model
-from ms_highway.runtime.files import replacing
 from ms_highway.runtime.packing import pack
 from ms_highway.simulation.records import DECIDES
 
@@ -136,7 +134,7 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path | None, mesh
     """
     places = [(course.name, course.steps, course.rungs, _digest(course)) for course in courses]
     about = json.dumps([asdict(learning), places])
-    done = {} if kept is None or not kept.exists() else _read(kept, about)
+    done = {} if kept is None or not kept.exists() else read_kept(kept, about, Rollouts)
     yardsticks = {course.name: _yardstick(learning, course, mesh) for course in courses if course.share == 1}
     values: Values | None = None
     for number in range(1, learning.rounds + 1):
@@ -144,7 +142,7 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path | None, mesh
             if (number, place) not in done:
                 done[number, place] = _rollouts(learning, course, values, number, place, mesh)
                 if kept is not None and (course.share == 1 or place == len(courses) - 1):
-                    _keep(kept, done, about)
+                    keep(kept, done, about)
             yield Progress(number, course.name, None, {})
         so_far = [rollouts for (one, _), rollouts in sorted(done.items()) if one <= number]
         values = learning.values(so_far, number)
@@ -204,28 +202,3 @@ def _regret(learning: Learning, course: Course, values: Values, yardstick: _Yard
     earned = records.reward.mean(axis=1) - prices * seconds
     known = np.concatenate([(yardstick.rewards - price * yardstick.seconds).max(axis=0) for price in HELD_OUT_PRICES])
     return float(np.mean(np.maximum(known - earned, 0)))
-
-
-def _keep(file: Path, done: Mapping[tuple[int, int], Rollouts], about: str) -> None:
-    arrays = {"about": np.array(about)} | {
-        f"{number}/{place}/{name}": array
-        for (number, place), rollouts in done.items()
-        for name, array in rollouts._asdict().items()
-    }
-    with replacing(file) as path, path.open("wb") as opened:
-        np.savez(opened, **arrays)
-
-
-def _read(file: Path, about: str) -> dict[tuple[int, int], Rollouts]:
-    try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as archive:
-            if str(archive["about"]) != about:
-                raise ValueError("it holds rollouts of other settings")
-            names = [name.split("/") for name in archive.files if name != "about"]
-            places = dict.fromkeys((int(number), int(place)) for number, place, _ in names)
-            return {
-                (number, place): Rollouts(*(archive[f"{number}/{place}/{name}"] for name in Rollouts._fields))
-                for number, place in places
-            }
-    except (BadZipFile, EOFError, KeyError, OSError, TypeError, ValueError) as error:
-        raise cannot_resume(file, error, "remove it, or choose another --out") from error

@@ -1,11 +1,9 @@
 """Learned values of computation per human and their file: the network, and what it was learned on."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,9 +15,9 @@ from ms_highway.metareasoning.crowd.learned import LearnedCrowdValue
 from ms_highway.metareasoning.crowd.rule import CrowdCosts
 from ms_highway.metareasoning.crowd.situation import human_description_names
 from ms_highway.metareasoning.learned_value import Network
+from ms_highway.metareasoning.network_file import NetworkFile, check_network, read_network, write_network
 from ms_highway.metareasoning.values import DAMAGES, SHIPPED_VALUES
 from ms_highway.planning.crowd import RUNGS
-from ms_highway.runtime.files import replacing
 
 __all__ = ["CrowdValues", "load_crowd_values", "save_crowd_values"]
 
@@ -51,13 +49,7 @@ class CrowdValues:
         """
         if self.inputs != human_description_names():
             raise ValueError("the inputs of the network are those of another version")
-        sizes = [len(self.inputs), *(np.shape(biases)[-1] for _, biases in self.network)]
-        shapes = [np.shape(weights)[1:] for weights, _ in self.network]
-        if shapes != list(pairwise(sizes)) or sizes[-1] != 2 * (len(RUNGS) - 1):
-            raise ValueError(f"the layers of the network are of shapes {shapes}")
-        numbers = [self.centre, self.spread, *(part for layer in self.network for part in layer)]
-        if {np.shape(part) for part in numbers[:2]} != {(sizes[0],)} or not all(np.isfinite(n).all() for n in numbers):
-            raise ValueError("the numbers of the network are not finite, or not as many as its inputs")
+        check_network(self.network, self.centre, self.spread, len(self.inputs), 2 * (len(RUNGS) - 1))
         if not (self.spread > 0).all():
             raise ValueError("the spreads of the inputs must be positive")
 
@@ -74,11 +66,7 @@ def save_crowd_values(values: CrowdValues, path: Path) -> None:
         "inputs": list(values.inputs),
         "provenance": dict(values.provenance),
     }
-    arrays: dict[str, Any] = {"about": np.array(json.dumps(about)), "centre": values.centre, "spread": values.spread}
-    for number, (weights, biases) in enumerate(values.network):
-        arrays |= {f"weights_{number}": np.asarray(weights), f"biases_{number}": np.asarray(biases)}
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **arrays)
+    write_network(path, NetworkFile(about, values.network, values.centre, values.spread))
 
 
 def load_crowd_values(which: str | PathLike[str]) -> CrowdValues:
@@ -105,18 +93,9 @@ def _shipped() -> CrowdValues:
 def _read(path: Path, changed: int) -> CrowdValues:
     """Read a file, once for every time that it was ``changed``."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        about = json.loads(str(arrays["about"]))
+        about, network, centre, spread = read_network(path)
         if (about.get("kind"), about["version"]) != (KIND, VERSION):
             raise ValueError(f"it is of version {about['version']} and kind {about.get('kind', 'of one human')!r}")
-        layers = range((len(arrays) - 3) // 2)
-        return CrowdValues(
-            tuple((arrays[f"weights_{number}"], arrays[f"biases_{number}"]) for number in layers),
-            arrays["centre"],
-            arrays["spread"],
-            tuple(about["inputs"]),
-            about["provenance"],
-        )
+        return CrowdValues(network, centre, spread, tuple(about["inputs"]), about["provenance"])
     except DAMAGES as error:
         raise ValueError(f"{path} is damaged or no values of crowds: {error}; {REMEDY} --out {path}") from error
