@@ -15,7 +15,7 @@ from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.crowd.budget import Budget
 from ms_highway.metareasoning.crowd.compiled_decision import CompiledCrowdDecision, CrowdObservation
-from ms_highway.metareasoning.crowd.rule import CrowdRule, first_crowd_memory
+from ms_highway.metareasoning.crowd.rule import CrowdRule, first_crowd_memory, highest_gains
 from ms_highway.planning.compiled_crowd import CompiledCrowdPlans, first_crowd_plan
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.crowd import RUNGS, CrowdPlan
@@ -133,7 +133,7 @@ class CrowdDriver:
             planning + checking,
             deciding,
             compiling,
-            _highest(gains),
+            {name: float(gain) for name, gain in zip(RUNGS, highest_gains(gains), strict=True) if np.isfinite(gain)},
             bool(decision.failed),
             status,
             humans=humans,
@@ -201,13 +201,6 @@ class CrowdDriver:
 def _after_first(plan: CrowdPlan) -> CrowdPlan | None:
     """Return what is left of a plan after its first step; None where nothing is."""
     return CrowdPlan(plan.robot[1:], plan.humans[:, 1:]) if len(plan.robot) > 1 else None
-
-
-def _highest(gains: Float[np.ndarray, "humans rungs"]) -> dict[str, float]:
-    """Return the highest gain of each rung over all humans, by name, where any was estimated."""
-    found = np.isfinite(gains)
-    best = np.where(found, gains, -np.inf).max(axis=0)
-    return {name: float(gain) for name, gain, known in zip(RUNGS, best, found.any(axis=0), strict=True) if known}
 
 
 class HumanDriver(FixedModel):

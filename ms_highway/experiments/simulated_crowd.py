@@ -19,7 +19,7 @@ from ms_highway.experiments.batch import EpisodeBatch, Key, checked_environment,
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CROWD_COLUMNS
 from ms_highway.game.crowd_scenario import REACHED
-from ms_highway.metareasoning.crowd.rule import CrowdCosts, CrowdRule
+from ms_highway.metareasoning.crowd.rule import CrowdCosts, CrowdRule, highest_gains
 from ms_highway.planning.crowd import RUNGS
 from ms_highway.simulation.crowd import CrowdEpisodes, CrowdLoop, CrowdRecords, simulate_crowd
 from ms_highway.simulation.records import DECIDES
@@ -91,9 +91,7 @@ class CrowdBatch(EpisodeBatch[CrowdRecords]):
 
     def gains(self, records: CrowdRecords) -> dict[str, Float[np.ndarray, "episodes steps"]]:
         """Return the highest gain of each rung over all humans."""
-        known = np.isfinite(records.gains)
-        highest = np.where(known, records.gains, -np.inf).max(axis=2)
-        return dict(zip(RUNGS, np.moveaxis(np.where(known.any(axis=2), highest, np.nan), -1, 0), strict=True))
+        return dict(zip(RUNGS, np.moveaxis(highest_gains(np.asarray(records.gains)), -1, 0), strict=True))
 
     def details(self, records: CrowdRecords) -> dict[str, Any]:
         """Return `ms_highway.experiments.records.CROWD_COLUMNS`."""

@@ -81,7 +81,8 @@ class CompiledCrowdPlans:
 
     def predict(self, state: Float[np.ndarray, "cars 4"], human: int) -> tuple[Float[np.ndarray, "steps 2"], float]:
         """Return a human's scaled plan for its own reward, and the seconds that it took; humans drive by it."""
-        return _in_numpy(timed(human_plan_function(self._layout), *self._human_arguments(state, human)))
+        plan, seconds = timed(human_plan_function(self._layout), self._numbers, state, np.asarray(human, np.int32))
+        return np.asarray(plan), seconds
 
     def warm_up(self, state: Float[np.ndarray, "cars 4"]) -> float:
         """Compile and run the plans if they have not run before; return the seconds spent."""
@@ -91,16 +92,7 @@ class CompiledCrowdPlans:
 
     def warm_up_humans(self, state: Float[np.ndarray, "cars 4"]) -> float:
         """Compile and run the humans' plans if they have not run before; return the seconds spent."""
-        return warm_up(human_plan_function(self._layout), *self._human_arguments(state, 0))
-
-    def _human_arguments(self, state: Float[np.ndarray, "cars 4"], human: int) -> tuple[np.ndarray, ...]:
-        """Return the arguments of a `human_plan_function`."""
-        begin = np.asarray(first_crowd_plan(self.crowd, state).humans[human])
-        return self._numbers, state, np.asarray(human, np.int32), begin
-
-
-def _in_numpy(result: tuple[jax.Array, float]) -> tuple[np.ndarray, float]:
-    return np.asarray(result[0]), result[1]
+        return warm_up(human_plan_function(self._layout), self._numbers, state, np.zeros((), np.int32))
 
 
 def first_crowd_plan(crowd: Crowd, state: Float[np.ndarray, "cars 4"]) -> CrowdPlan:
@@ -143,12 +135,11 @@ def way_out_function(layout: Layout) -> jax.stages.Wrapped:
 def human_plan_function(layout: Layout) -> jax.stages.Wrapped:
     """Compile `predict_human` once for all humans of all crowds of a layout.
 
-    The compiled function takes the numbers of a packed crowd, all cars now, the number of the human, and the scaled
-    controls to start from.
+    The compiled function takes the numbers of a packed crowd, all cars now, and the number of the human.
     """
 
-    def plan(numbers: jax.Array, state: jax.Array, human: jax.Array, start: jax.Array) -> jax.Array:
-        return predict_human(layout.unpack(numbers), state, human, start)
+    def plan(numbers: jax.Array, state: jax.Array, human: jax.Array) -> jax.Array:
+        return predict_human(layout.unpack(numbers), state, human)
 
     return jax.jit(plan, compiler_options=known_options(QUICKLY))
 

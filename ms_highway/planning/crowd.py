@@ -22,7 +22,7 @@ from ms_highway.optimization.solvers import optimize_controls, projected_ascent
 from ms_highway.planning.human_models import PAPER_MODELS
 from ms_highway.planning.manoeuvres import manoeuvres
 
-__all__ = ["NAIVE", "RUNGS", "TOM", "TURN", "CrowdPlan", "plan_crowd", "predict_human"]
+__all__ = ["NAIVE", "RUNGS", "TOM", "TURN", "CrowdPlan", "cold_crowd_start", "plan_crowd", "predict_human"]
 
 RUNGS = PAPER_MODELS
 """Names of the models that humans of a crowd are predicted by, cheapest first."""
@@ -63,9 +63,7 @@ def plan_crowd(crowd: Crowd, state: State, rungs: Rungs, start: CrowdPlan | None
     game, humans = crowd.game, crowd.humans
     kept = jax.vmap(partial(constant_velocity, game))(state[1 : 1 + humans])
     paper = game.planner.solver == "gradient"
-    if start is None:
-        begin = CrowdPlan(constant_velocity(game, state[0]), kept)
-        start = jax.tree.map(jnp.zeros_like, begin) if paper else begin
+    start = cold_crowd_start(crowd, state) if start is None else start
     ranks = jnp.argsort(-rungs, stable=True)  # humans, those under theory of mind first
     responding, turning = jnp.sum(rungs == TOM), jnp.sum(rungs == TURN)
 
@@ -77,6 +75,13 @@ def plan_crowd(crowd: Crowd, state: State, rungs: Rungs, start: CrowdPlan | None
     first = CrowdPlan(start.robot, jnp.where((rungs == TOM)[:, None, None], start.humans, predicted))
     climb = _Climb(crowd, state, rungs, ranks, responding)
     return _climb_by_gradients(climb, first) if paper else _or_manoeuvre(climb, _climb_by_newton_steps(climb, first))
+
+
+def cold_crowd_start(crowd: Crowd, state: State) -> CrowdPlan:
+    """Return the plan that plans start from without a last one: zero (``gradient``), or what keeps the velocity."""
+    kept = jax.vmap(partial(constant_velocity, crowd.game))(state[: 1 + crowd.humans])
+    controls = jnp.zeros_like(kept) if crowd.game.planner.solver == "gradient" else kept
+    return CrowdPlan(controls[0], controls[1:])
 
 
 def predict_human(

@@ -17,9 +17,8 @@ from ms_highway.control.fallback import PLANNED, WAY_OUT
 from ms_highway.game.crowd import Crowd, others_of
 from ms_highway.game.dynamics import keep_velocity, recover_control, step, within_grip
 from ms_highway.game.features import features
-from ms_highway.game.game import constant_velocity
 from ms_highway.metareasoning.crowd.rule import CrowdMemory, CrowdOutcome, CrowdRule, first_crowd_memory
-from ms_highway.planning.crowd import RUNGS, CrowdPlan, plan_crowd, predict_human
+from ms_highway.planning.crowd import RUNGS, CrowdPlan, cold_crowd_start, plan_crowd, predict_human
 from ms_highway.planning.human_models import JointPlan
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import Array
@@ -208,14 +207,9 @@ def _plan(
     loop: CrowdLoop, state: Float[jax.Array, "cars 4"], rungs: Int[jax.Array, "humans"], rest: Rest[CrowdPlan]
 ) -> CrowdPlan:
     """Plan from the rest of the last plan, or where nothing is left, as without one."""
-    crowd = loop.crowd
-    if crowd.game.planner.solver == "gradient":  # starts from zero
-        cold = jax.tree.map(jnp.zeros_like, rest.plan)
-    else:
-        kept = jax.vmap(partial(constant_velocity, crowd.game))(state[: 1 + crowd.humans])
-        cold = CrowdPlan(kept[0], kept[1:])
+    cold = cold_crowd_start(loop.crowd, state)
     start = jax.tree.map(lambda warm, cold: jnp.where(rest.steps > 0, warm, cold), warm_plan(rest), cold)
-    return plan_crowd(crowd, state, rungs, start)
+    return plan_crowd(loop.crowd, state, rungs, start)
 
 
 def _humans_collide(crowd: Crowd, state: Float[jax.Array, "cars 4"]) -> Bool[jax.Array, ""]:

@@ -14,7 +14,15 @@ from ms_highway.planning.compiled_crowd import CrowdCosts
 from ms_highway.planning.crowd import RUNGS, CrowdPlan
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["CrowdCosts", "CrowdDecision", "CrowdMemory", "CrowdOutcome", "CrowdRule", "first_crowd_memory"]
+__all__ = [
+    "CrowdCosts",
+    "CrowdDecision",
+    "CrowdMemory",
+    "CrowdOutcome",
+    "CrowdRule",
+    "first_crowd_memory",
+    "highest_gains",
+]
 
 
 class CrowdMemory(NamedTuple):
@@ -74,6 +82,12 @@ class CrowdRule(Protocol):
 
     def choose(self, crowd: Crowd, memory: CrowdMemory, outcome: CrowdOutcome) -> CrowdDecision:
         """Choose from the outcome of the last step; before the first step, from the start."""
+
+
+def highest_gains(gains: Float[np.ndarray, "*steps humans rungs"]) -> Float[np.ndarray, "*steps rungs"]:
+    """Return the highest gain of each rung over all humans, NaN where none was estimated."""
+    known = np.isfinite(gains)
+    return np.where(known.any(axis=-2), np.where(known, gains, -np.inf).max(axis=-2), np.nan)
 
 
 def first_crowd_memory(humans: int, seed: int = 0) -> CrowdMemory:

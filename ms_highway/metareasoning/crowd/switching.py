@@ -26,9 +26,7 @@ class _Turn(Turn):
     def predict(
         self, game: Game, state: Float[jax.Array, "cars 4"], start: JointPlan | None = None
     ) -> Float[jax.Array, "steps 2"]:
-        crowd = Crowd(game, jnp.asarray(game.human.weights)[None])
-        begin = jnp.zeros((game.planner.horizon, 2)) if game.planner.solver == "gradient" else None
-        return predict_human(crowd, state, jnp.int32(0), begin)
+        return predict_human(Crowd(game, jnp.asarray(game.human.weights)[None]), state, jnp.int32(0))
 
 
 def crowd_switching(costs: CrowdCosts, price: float, tolerance: float = TRUST_TOLERANCE) -> "CrowdSwitching":
