@@ -1,0 +1,132 @@
+"""A stretch of any road as arrays of fixed shapes: the robot's route, its lanes and edges, and the traffic on it.
+
+Road coordinates are (s, d): s along a path, d to its right [m]. A state is ``(s, d, heading, speed)``, the heading
+relative to the path. World coordinates are highway-env's: y points to the right of x.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.runtime.arrays import Array
+
+__all__ = [
+    "BEHIND",
+    "KNOTS",
+    "LANES",
+    "SPACING",
+    "TRAFFIC",
+    "TRAFFIC_KNOTS",
+    "Path",
+    "RoadScene",
+    "interpolate",
+    "place",
+]
+
+SPACING = 2.0
+"""Distance between knots of a path [m]."""
+
+BEHIND = 20.0
+"""Length of a path behind the car that follows it [m]; the car is near s = 0."""
+
+KNOTS, TRAFFIC_KNOTS = 96, 64
+"""Number of knots of the robot's route, 20 m behind to 170 m ahead, and of the paths of others, to 106 m ahead."""
+
+LANES = 3
+"""Lanes that the robot can choose: left of its own, its own, right of it."""
+
+TRAFFIC = 12
+"""Number of paths of others that plans look at."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Path:
+    """A curve, sampled every `SPACING` metres from s = -`BEHIND` on.
+
+    Attributes:
+        x, y: position [m], world coordinates.
+        heading: of the curve, unwrapped [rad].
+        curvature: of the curve, positive to the right [1/m].
+    """
+
+    x: Float[Array, "*paths knots"]
+    y: Float[Array, "*paths knots"]
+    heading: Float[Array, "*paths knots"]
+    curvature: Float[Array, "*paths knots"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RoadScene:
+    """What the robot sees of a road.
+
+    Attributes:
+        route: centre of the lane that the robot follows.
+        lanes: lateral positions of the centres of `LANES` lanes at the knots of the route: left, own, right [m].
+        open: where each of them may be driven on.
+        edges: lateral positions of the left and the right edge of the road at the knots [m].
+        speed_limit: at the knots, of the own lane [m/s].
+        changes: changes of lane to the right that the goal asks for from each lane, negative to the left.
+        room: distance left for them [m]; infinite where the goal asks for none.
+        robot: state of the middle of the robot's rear axle.
+        size: length and width of the robot [m].
+        applied: curvature and acceleration that the robot has applied last [1/m, m/s^2].
+        paths: of others, one for each way that they may take, `TRAFFIC` of them.
+        states: of others on these paths: their centres.
+        sizes: length and width of others [m].
+        present: which of the paths are in use.
+        limits: speed limits of others [m/s].
+        leaders: place of the car ahead of each other car on its path, -1 without one.
+        gaps: distance of centres to that car [m].
+        owners: number of the car that each path belongs to, in the order of distance; -1 where none does.
+        moving: which of the others can move; obstacles cannot.
+        priority: which of the others the robot has to give way to where their ways cross.
+    """
+
+    route: Path
+    lanes: Float[Array, "lanes knots"]
+    open: Bool[Array, "lanes knots"]
+    edges: Float[Array, "2 knots"]
+    speed_limit: Float[Array, "knots"]
+    changes: Float[Array, "lanes"]
+    room: Float[Array, ""] | float
+    robot: Float[Array, "4"]
+    size: Float[Array, "2"]
+    applied: Float[Array, "2"]
+    paths: Path
+    states: Float[Array, "traffic 4"]
+    sizes: Float[Array, "traffic 2"]
+    present: Bool[Array, "traffic"]
+    limits: Float[Array, "traffic"]
+    leaders: Int[Array, "traffic"]
+    gaps: Float[Array, "traffic"]
+    owners: Int[Array, "traffic"]
+    moving: Bool[Array, "traffic"]
+    priority: Bool[Array, "traffic"]
+
+
+def interpolate(values: Float[Array, "knots"], s: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
+    """Interpolate values at the knots of a path linearly; beyond its ends, the outermost are kept."""
+    knots = np.shape(values)[-1]
+    position = jnp.clip((s + BEHIND) / SPACING, 0.0, knots - 1.0)
+    low = jnp.minimum(position.astype(int), knots - 2)
+    share = position - low
+    values = jnp.asarray(values)
+    return values[low] * (1 - share) + values[low + 1] * share
+
+
+def place(
+    path: Path, s: Float[jax.Array, "*shape"], d: Float[jax.Array, "*shape"]
+) -> tuple[Float[jax.Array, "*shape"], Float[jax.Array, "*shape"], Float[jax.Array, "*shape"]]:
+    """Return x, y and the path's heading at road coordinates; beyond its ends, the path goes straight on."""
+    knots = np.shape(path.x)[-1]
+    heading = interpolate(path.heading, s)
+    beyond = s - jnp.clip(s, -BEHIND, (knots - 1) * SPACING - BEHIND)
+    cosine, sine = jnp.cos(heading), jnp.sin(heading)
+    x = interpolate(path.x, s) + beyond * cosine - d * sine
+    y = interpolate(path.y, s) + beyond * sine + d * cosine
+    return x, y, heading
