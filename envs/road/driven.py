@@ -17,6 +17,7 @@ from highway_env.envs.common.action import (
 )
 from jaxtyping import Float
 
+from ms_highway.control.road import RoadDriver
 from ms_highway.envs.road.ego import replace_ego
 from ms_highway.envs.road.goals import desired_speed_of, destination_of, success
 from ms_highway.envs.road.graphics import show
@@ -30,7 +31,7 @@ __all__ = ["Driven", "check_drivable", "drive"]
 WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
 
 
-def drive(env: gym.Env, config: Mapping[str, Any] | None = None) -> "Driven":
+def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
     """Return a stock highway-env environment in which a robot drives the controlled vehicles.
 
     Args:
@@ -43,7 +44,7 @@ def drive(env: gym.Env, config: Mapping[str, Any] | None = None) -> "Driven":
     return Driven(env, config)
 
 
-def check_drivable(env: gym.Env) -> None:
+def check_drivable(env: Any) -> None:
     """Check that an environment is one of highway-env's, with roads to follow.
 
     Raises:
@@ -60,13 +61,15 @@ def check_drivable(env: gym.Env) -> None:
 
 
 class Driven(gym.Wrapper, RecordConstructorArgs):
-    """Lets a robot drive the controlled vehicles of a stock environment, which keeps its spaces, reward and time limits.
+    """Lets a robot drive the controlled vehicles of a stock environment.
+
+    The environment keeps its spaces, reward and time limits.
 
     Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
     control in between. ``info["road"]`` says how, for the first controlled vehicle:
 
-    * ``rungs``, ``gains``, ``source``, ``planning_seconds``, ``decision_seconds``, ``compile_seconds`` of the last plan,
-      see `ms_highway.control.road.RoadStep`;
+    * ``rungs``, ``gains``, ``source``, ``planning_seconds``, ``decision_seconds``, ``compile_seconds`` of the last
+      plan, see `ms_highway.control.road.RoadStep`;
     * ``decisions``: seconds of every plan within this step, without compilation;
     * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
     * ``destination``: node of the road network, None without one;
@@ -77,12 +80,13 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         robots: that drive the controlled vehicles of this episode.
     """
 
-    def __init__(self, env: gym.Env, config: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, env: Any, config: Mapping[str, Any] | None = None) -> None:
         RecordConstructorArgs.__init__(self, config=config)
         gym.Wrapper.__init__(self, env)
         check_drivable(env)
         self.settings = RoadSettings.read(config)
         self.robots: list[RoadRobot] = []
+        self._drivers: list[RoadDriver] = []  # kept, as each measures the costs of its models once
         show(env)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -90,12 +94,17 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         restore_traffic(self.env)
         show(self.env)
         observation, info = self.env.reset(seed=seed, options=options)
-        base, speed = self.unwrapped, desired_speed_of(self.unwrapped)
+        base = self._base
+        planning = self.settings.planning(desired_speed_of(base))
+        cars = len(base.controlled_vehicles)
+        self._drivers += [self.settings.build(planning) for _ in range(cars - len(self._drivers))]
         self.robots = []
-        for number in range(len(base.controlled_vehicles)):
+        for number, driver in enumerate(self._drivers[:cars]):
+            driver.planning = planning
+            driver.reset()
             goal = destination_of(base, number)
             robot = replace_ego(base, RoadRobot.create_from, number)
-            robot.drive_with(self.settings.build(speed), goal, self.settings.acceleration)
+            robot.drive_with(driver, goal, self.settings.acceleration)
             self.robots.append(robot)
         return observation, {**info, "road": self._told()}
 
@@ -103,13 +112,17 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         """Let the robot drive for a step; the action is ignored."""
         for robot in self.robots:
             robot.forget()
-        observation, reward, terminated, truncated, info = self.env.step(_harmless(self.unwrapped.action_type))
+        observation, reward, terminated, truncated, info = self.env.step(_harmless(self._base.action_type))
         return observation, reward, terminated, truncated, {**info, "road": self._told()}
 
     def render(self) -> Any:
         """Show the road, the plan, the predictions and the rungs."""
         show(self.env)
         return self.env.render()
+
+    @property
+    def _base(self) -> Any:
+        return self.unwrapped
 
     def _told(self) -> dict[str, Any]:
         robot = self.robots[0]
@@ -136,7 +149,7 @@ def _harmless(action_type: ActionType) -> Any:
     if isinstance(action_type, DiscreteMetaAction):
         return action_type.actions_indexes["IDLE"]
     robot = action_type.controlled_vehicle
-    action = normalised(action_type, *robot.applied.tolist(), robot.LENGTH)
+    action = normalised(action_type, robot.applied, robot.LENGTH)
     if isinstance(action_type, DiscreteAction):
         places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(int)
         return int(np.ravel_multi_index(tuple(places), (action_type.actions_per_axis,) * action_type.size))
@@ -144,17 +157,16 @@ def _harmless(action_type: ActionType) -> Any:
 
 
 def normalised(
-    action_type: ContinuousAction, curvature: float, acceleration: float, length: float
+    action_type: ContinuousAction, control: Float[np.ndarray, "2"], length: float
 ) -> Float[np.ndarray, "axes"]:
     """Return a continuous action of highway-env for a control, throttle first, as far as it has both.
 
     Args:
         action_type: says which ranges [-1, 1] stands for.
-        curvature: of the rear axle's path [1/m].
-        acceleration: [m/s^2].
+        control: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
         length: of the vehicle [m].
     """
-    wanted = []
+    (curvature, acceleration), wanted = control.tolist(), []
     if action_type.longitudinal:
         wanted.append((acceleration, action_type.acceleration_range))
     if action_type.lateral:

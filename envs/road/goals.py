@@ -1,4 +1,4 @@
-"""Say what a highway-env environment asks of the car that it controls: where to go, how fast, and whether it is there."""
+"""Say what a highway-env environment asks of its controlled car: where to go, how fast, and whether it is there."""
 
 from typing import Any
 

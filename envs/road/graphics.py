@@ -27,6 +27,8 @@ def show(env: Any) -> None:
 class RoadViewer(Viewer):
     """Draws a stock environment as highway-env does, with the robot's thoughts on it and a line of text below."""
 
+    offscreen: bool
+
     def __init__(self, env: Any) -> None:
         super().__init__(env)
         width, height = self.sim_surface.get_size()
@@ -61,9 +63,10 @@ class RoadViewer(Viewer):
             if not rung:
                 continue
             color = model_color(rung)
-            near = min(others, key=lambda car, start=path[0]: np.linalg.norm(car.position - start), default=None)
-            if near is not None and np.linalg.norm(near.position - path[0]) < NEAR:
-                pygame.draw.polygon(self.sim_surface, color, [self._place(corner) for corner in near.polygon()])
+            distances = [float(np.linalg.norm(car.position - path[0])) for car in others]
+            if min(distances, default=NEAR) < NEAR:
+                body = others[int(np.argmin(distances))].polygon()
+                pygame.draw.polygon(self.sim_surface, color, [self._place(corner) for corner in body])
             for point in path[1::2]:
                 pygame.draw.circle(self.sim_surface, PAPER, self._place(point), 3)
                 pygame.draw.circle(self.sim_surface, color, self._place(point), 2)

@@ -76,13 +76,14 @@ class RoadSettings:
         text = self.driver if isinstance(self.driver, str) else ""
         kind, _, rest = text.partition(":")
         if kind == "switching" and not rest and self.budget is not None:
-            return BudgetedRungs(float(self.budget))
+            return BudgetedRungs(float(self.budget), self.ladder)
         if self.budget is not None:
             raise ValueError(f"config['budget'] is {self.budget!r}, but config['driver'] is {text!r}; say 'switching'")
         if kind == "switching":
-            return PricedRungs(_number(text, rest, "its price, such as switching:0.1") if rest else float(self.price))
+            price = _number(text, rest, "its price, such as switching:0.1") if rest else float(self.price)
+            return PricedRungs(price, self.ladder)
         if kind == "budget":
-            return BudgetedRungs(_number(text, rest, "its milliseconds, such as budget:5"))
+            return BudgetedRungs(_number(text, rest, "its milliseconds, such as budget:5"), self.ladder)
         if kind == "fixed" and rest in self.ladder:
             return FixedRung(rest)
         if text == "proposals":
@@ -101,9 +102,9 @@ class RoadSettings:
             curvature=float(self.curvature),
         )
 
-    def build(self, desired_speed: float) -> RoadDriver:
-        """Return a driver, for the speed that the scene rewards [m/s]."""
-        return RoadDriver(self.planning(desired_speed), self.choice(), refines=self.driver != "proposals")
+    def build(self, planning: RoadPlanning) -> RoadDriver:
+        """Return a driver with these limits and wishes."""
+        return RoadDriver(planning, self.choice(), refines=self.driver != "proposals")
 
 
 def _number(text: str, part: str, wanted: str) -> float:

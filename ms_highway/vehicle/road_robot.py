@@ -182,16 +182,15 @@ class RoadRobot(Vehicle):
         self.applied = np.array(held(self._wanted, now, before, self.LENGTH, dt, MARGIN * self.grip))
         curvature, acceleration = self.applied.tolist()
         self.action = {"steering": steering_of(curvature, self.LENGTH), "acceleration": acceleration}
-        self._before = Motion(now.speed, now.course + _slip(curvature, self.LENGTH))
+        self._before = sliding = Motion(now.speed, now.course + _slip(curvature, self.LENGTH))
         super().step(dt)
         self._elapsed, self._frame = self._elapsed + dt, dt
-        self._record(now, before, dt)
+        changed = max(sliding.change(before), Motion(self.speed, self.heading).change(now))
+        self._record(acceleration, now.speed**2 * curvature, changed / dt, dt)
 
-    def _record(self, now: Motion, before: Motion, dt: float) -> None:
-        curvature, acceleration = self.applied.tolist()
-        lateral = now.speed**2 * curvature
-        changes = self._before.change(before) / dt, Motion(self.speed, self.heading).change(now) / dt
-        self.accelerations.append(max(hypot(acceleration, lateral), *changes))
+    def _record(self, acceleration: float, lateral: float, changed: float, dt: float) -> None:
+        """Record a frame: the control's acceleration, along and across, and how fast the velocity has changed."""
+        self.accelerations.append(max(hypot(acceleration, lateral), changed))
         self._executed = [*self._executed, (acceleration, lateral)][-round(PERIOD / dt + 1) :]
         (along, across), span = self._executed[0], dt * max(len(self._executed) - 1, 1)
         self.jerks.append(hypot(acceleration - along, lateral - across) / span)
