@@ -127,19 +127,19 @@ def _table(scene: str, drivers: dict[str, dict[str, Any]], episodes: int) -> "Ta
     grid = Table(box=SIMPLE, title=f"{scene}: {episodes} episodes", title_justify="left")
     names = (
         "success",
-        "collisions (at fault)",
-        "off road",
-        "reward/step",
+        "crashes\n(at fault)",
+        "off\nroad",
+        "reward\n/step",
         "return",
         "m/s",
         "|a|",
         "jerk",
-        "ms p50 / p99",
+        "ms p50\n(p99)",
     )
     for column in ("driver", "", *names):
         grid.add_column(column, justify="right" if column in names else "left", no_wrap=True)
     for driver, figures in drivers.items():
-        times = [figures["p50_ms"], figures["p99_ms"]]
+        times = "" if figures["p50_ms"] is None else f"{figures['p50_ms']:.2f} ({figures['p99_ms']:.2f})"
         grid.add_row(
             driver,
             figures["label"],
@@ -147,10 +147,10 @@ def _table(scene: str, drivers: dict[str, dict[str, Any]], episodes: int) -> "Ta
             f"{figures['collisions']} ({figures['at_fault']})",
             f"{figures['off_road']:.0%}",
             f"{figures['reward_per_step']:.3f}",
-            f"{figures['return']:.2f}",
+            f"{figures['return']:.1f}",
             f"{figures['mean_speed']:.1f}",
             f"{figures['max_acceleration']:.1f}",
             f"{figures['jerk']:.1f}",
-            " / ".join("-" if time is None else f"{time:.2f}" for time in times),
+            times,
         )
     return grid

@@ -58,6 +58,11 @@ class Peer(gym.Wrapper):
         """The environment without wrappers."""
         return self.unwrapped
 
+    @property
+    def target_speeds(self) -> np.ndarray:
+        """Those of the environment's actions [m/s]."""
+        return np.array(self.inner.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS))
+
     def _told(self) -> dict[str, Any]:
         return {"decisions": list(self.decisions), "source": type(self).__name__.lower()}
 
@@ -73,7 +78,11 @@ class Idle(Peer):
     def begin(self, seed: int | None) -> None:
         """Put an `MDPVehicle` in the place of a vehicle that does not keep its lane by itself."""
         if not isinstance(self.inner.vehicle, MDPVehicle):
-            replace_ego(self.env, lambda old: MDPVehicle(old.road, old.position, old.heading, old.speed))
+            speeds = self.target_speeds
+            replace_ego(
+                self.env,
+                lambda old: MDPVehicle(old.road, old.position, old.heading, old.speed, target_speeds=speeds),
+            )
 
     def choose(self) -> Any:
         """Return the action that changes nothing."""
@@ -129,16 +138,15 @@ class Idm(Peer):
 
     def begin(self, seed: int | None) -> None:
         """Put an `IdmEgo` in the place of the ego."""
-        env = self.inner
-        speeds = env.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS)
+        speeds = self.target_speeds
 
         def make(old: Vehicle) -> Vehicle:
             ego = IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=float(max(speeds)))
-            ego.target_speeds = np.array(speeds)
+            ego.target_speeds = speeds
             return ego
 
         ego = replace_ego(self.env, make)
-        ego.route = route_to_goal(self.scene, env)
+        ego.route = route_to_goal(self.scene, self.inner)
         ego.decisions = self.decisions
 
     def choose(self) -> Any:
