@@ -9,7 +9,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.road import RoadScene, interpolate, on_path, place
+from ms_highway.game.road import RoadScene, interpolate, place, project
 
 __all__ = ["Ways", "follow", "positions", "ways_of"]
 
@@ -34,9 +34,9 @@ class Ways(NamedTuple):
 
 def ways_of(scene: RoadScene) -> Ways:
     """Project the paths of traffic on the robot's route."""
-    s, d = on_path(scene.route, jnp.asarray(scene.paths.x), jnp.asarray(scene.paths.y))
-    heading = jax.vmap(lambda s: interpolate(scene.route.heading, s))(s)
-    return Ways(s, d, jnp.cos(jnp.asarray(scene.paths.heading) - heading))
+    paths = scene.paths
+    s, d, turn = project(scene.route, *(jnp.asarray(field) for field in (paths.x, paths.y, paths.heading)))
+    return Ways(s, d, jnp.cos(turn))
 
 
 def follow(
