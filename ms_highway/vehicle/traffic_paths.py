@@ -1,6 +1,7 @@
 """Find the ways that other vehicles may take, and who follows whom and who gives way on them."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from math import sin
 
 import numpy as np
@@ -224,13 +225,13 @@ def _gives_way(roads: RoadMap, robot: _Progress, way: Way, conflict: tuple[float
     mine = min(_priority(roads, index) for index in robot.chain[robot.leg() : mine_until + 1])
     if theirs != mine:
         return theirs > mine
-    for number in range(robot.leg() + 1, len(robot.chain)):
-        lane = robot.chain[number]
-        if lane in way.chain:
-            if roads.continues_best(robot.chain[number - 1], lane):
+    meeting = way.chain[: until + 2]
+    for before, lane in pairwise(robot.chain[robot.leg() :]):
+        if lane in meeting:
+            if roads.continues_best(before, lane):
                 return False
-            place = way.chain.index(lane)
-            return place == 0 or roads.continues_best(way.chain[place - 1], lane)
+            place = meeting.index(lane)
+            return place == 0 or roads.continues_best(meeting[place - 1], lane)
     return False
 
 
