@@ -228,7 +228,7 @@ def test_videos_have_every_frame_of_the_simulation(outside, tmp_path):
     pytest.importorskip("moviepy", reason="moviepy, which Gymnasium records with, is not installed")
 
     def record(env):
-        return gym.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda episode: True)
+        return gym.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda episode: True)
 
     env = gym.make("merge-v0", render_mode="rgb_array")
     env = record(ms_highway.drive(env)) if outside else ms_highway.drive(record(env))
@@ -239,7 +239,7 @@ def test_videos_have_every_frame_of_the_simulation(outside, tmp_path):
     env.step(1)
     assert len(recorder.recorded_frames) == 1 + 2 * 15
     env.close()
-    assert list(tmp_path.glob("*.mp4"))
+    assert list(tmp_path.glob("films/*.mp4"))
 
 
 def test_vector_environments_are_driven():
