@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ms_highway.cli.bench_road import add_bench_road
 from ms_highway.cli.console import add_command, print_tables
 from ms_highway.cli.options import MOST, add_devices, add_planning, add_scenarios, planning
 
@@ -24,7 +25,9 @@ switching. MiB is the most memory that the batches have taken until then.
 
 For scenarios with several humans, measure plans by number of humans (--crowd) and horizon (--horizons), a process each;
 or, with --responses, compare the humans' block-diagonal response with their full joint one, in random situations among
-the last number of --crowd."""
+the last number of --crowd.
+
+`ms-highway bench road` measures how drivers fare in stock scenes of highway-env; it has its own --help."""
 
 EXAMPLES = """\
 examples:
@@ -32,7 +35,8 @@ examples:
   ms-highway bench --peer casadi --json bench.json
   ms-highway bench merger --batches 1 16 64 256 1024 8192
   ms-highway bench dense_merge --crowd 1 2 4 6 8 12 --horizons 20
-  ms-highway bench dense_merge --crowd 6 --responses 1000"""
+  ms-highway bench dense_merge --crowd 6 --responses 1000
+  ms-highway bench road merge --drivers switching idm"""
 
 
 def add_bench(commands: Any) -> None:
@@ -50,6 +54,7 @@ def add_bench(commands: Any) -> None:
     add_planning(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
     parser.set_defaults(run=_bench)
+    add_bench_road(parser)
 
 
 def _bench(options: argparse.Namespace) -> None:

@@ -10,23 +10,45 @@ from typing import TYPE_CHECKING, Any, TypeVar
 if TYPE_CHECKING:
     from rich.table import Table
 
-__all__ = ["add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "telling"]
+__all__ = ["Command", "add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "telling"]
 
 TABLE_WIDTH = 120  # characters
+
+FORM: dict[str, Any] = {
+    "formatter_class": argparse.RawDescriptionHelpFormatter,
+    "allow_abbrev": False,  # --seed is no short form of --seeds
+}
+"""What the parsers of all commands have in common."""
 
 Result = TypeVar("Result")
 
 
-def add_command(commands: Any, name: str, summary: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
+class Command(argparse.ArgumentParser):
+    """Parse the arguments of a command, or of a command of its own that its first argument names.
+
+    argparse's subparsers do the latter only where such a name is required; here, the first argument may also be the
+    first of many.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._branches: dict[str, argparse.ArgumentParser] = {}
+
+    def add_branch(self, name: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
+        """Add a command of its own; its description and epilog are printed as they are."""
+        self._branches[name] = Command(prog=f"{self.prog} {name}", description=description, epilog=epilog, **FORM)
+        return self._branches[name]
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse arguments, without the first if that names a command of its own."""
+        if args and args[0] in self._branches:
+            return self._branches[args[0]].parse_known_args(args[1:], namespace)
+        return super().parse_known_args(args, namespace)
+
+
+def add_command(commands: Any, name: str, summary: str, description: str, epilog: str = "") -> Command:
     """Add a command to a parser's subparsers; its description and epilog are printed as they are."""
-    return commands.add_parser(
-        name,
-        help=summary,
-        description=description,
-        epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,  # --seed is no short form of --seeds
-    )
+    return commands.add_parser(name, help=summary, description=description, epilog=epilog, **FORM)
 
 
 def draw_unseen() -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from ms_highway.cli.bench import add_bench
 from ms_highway.cli.compare import add_compare
-from ms_highway.cli.console import printing
+from ms_highway.cli.console import Command, printing
 from ms_highway.cli.frontier import add_frontier
 from ms_highway.cli.irl import add_irl
 from ms_highway.cli.learners import add_learners
@@ -111,7 +111,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")
     parser.set_defaults(simulates=False)
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=Command)
     everyday = add_compare, add_sweep, add_frontier, add_safety, add_video, add_report, add_bench, add_validate
     for add in (*everyday, add_learners, add_irl, add_values):
         add(commands)

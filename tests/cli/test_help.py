@@ -19,10 +19,10 @@ from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import PAPER_MODELS
 
 COMMANDS = ["compare", "sweep", "frontier", "safety", "video", "report", "bench", "validate", "learners", "irl"]
-IRL_COMMANDS = [["irl", name] for name in ("record", "fit", "evaluate", "recover", "report")]
+SUBCOMMANDS = [["bench", "road"], *(["irl", name] for name in ("record", "fit", "evaluate", "recover", "report"))]
 
 
-@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS), *IRL_COMMANDS])
+@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS), *SUBCOMMANDS])
 def test_help_teaches_the_command(command, capsys):
     with pytest.raises(SystemExit) as ended:
         main([*command, "--help"])
@@ -46,7 +46,7 @@ print(f"loaded: {sorted({'highway_env', 'jax', 'matplotlib', 'pandas', 'rich', '
 
 
 def test_help_loads_neither_jax_nor_highway_env_nor_what_draws():
-    commands = [*COMMANDS, *(" ".join(command) for command in IRL_COMMANDS)]
+    commands = [*COMMANDS, *(" ".join(command) for command in SUBCOMMANDS)]
     run = subprocess.run([sys.executable, "-c", HELP, *commands], capture_output=True, text=True, check=True)
     assert run.stdout.count("usage: ms-highway") == 1 + len(commands)
     assert run.stdout.endswith("loaded: []\n")

@@ -7,7 +7,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.game.road import RoadScene, interpolate, on_path
+from ms_highway.game.road import RoadScene, interpolate, project
 from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.proposals import PROPOSALS, Manners, Rollouts, profiles, simulate, speed_caps
 from ms_highway.planning.road.scoring import RoadWeights, Scores, score
@@ -84,7 +84,7 @@ def first_memory(planning: RoadPlanning) -> Memory:
 
 def last_lane(scene: RoadScene, memory: Memory) -> Int[jax.Array, ""]:
     """Return the lane that the last plan ends in, 0 to 2; the own one without a last plan."""
-    s, d = on_path(scene.route, *memory.goal)
+    s, d, _ = project(scene.route, *memory.goal, 0.0)
     lane = jnp.argmin(jnp.abs(jax.vmap(interpolate, in_axes=(0, None))(jnp.asarray(scene.lanes), s) - d))
     return jnp.where(jnp.isfinite(d), lane, 1)
 

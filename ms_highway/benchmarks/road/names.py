@@ -1,0 +1,56 @@
+"""What scenes and drivers are called."""
+
+import re
+from collections.abc import Iterable
+
+__all__ = ["DRIVERS", "PEERS", "SCENES", "check_driver", "known_scenes"]
+
+SCENES = (
+    "highway-fast-v0",
+    "merge-v0",
+    "roundabout-v0",
+    "exit-v0",
+    "intersection-v0",
+    "intersection-v2",
+    "two-way-v0",
+    "u-turn-v0",
+    "racetrack-v0",
+)
+"""Stock scenes that are measured by default."""
+
+OTHER_SCENES = ("highway-v0", "merge-v1", "roundabout-v1", "exit-v1", "u-turn-v1", "racetrack-v1", "racetrack-oval-v0")
+
+PEERS = ("idm", "idle", "random", "dqn")
+"""Drivers that are not this package's."""
+
+DRIVERS = (
+    *("switching", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", "proposals"),
+    *("idm", "idle", "random"),
+)
+"""Drivers that are measured by default."""
+
+OWN = re.compile(r"switching(:[0-9.e+-]+)?|budget:[0-9.e+-]+|fixed:(naive|idm|turn|tom)|proposals")
+
+
+def known_scenes(names: Iterable[str]) -> list[str]:
+    """Return identifiers of scenes, each once; a name without a version stands for version 0.
+
+    Raises:
+        ValueError: for one that is not known.
+    """
+    scenes = list(dict.fromkeys(name if re.search(r"-v\d+$", name) else f"{name}-v0" for name in names))
+    for name in scenes:
+        if name not in SCENES + OTHER_SCENES:
+            raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(SCENES + OTHER_SCENES)}")
+    return scenes
+
+
+def check_driver(name: str) -> None:
+    """Refuse a driver that is not known.
+
+    Raises:
+        ValueError: naming those that are.
+    """
+    if name not in PEERS and not OWN.fullmatch(name):
+        known = f"{', '.join(DRIVERS)}, dqn, switching:LAMBDA, budget:MILLISECONDS"
+        raise ValueError(f"unknown driver {name!r}; the drivers are {known}")
