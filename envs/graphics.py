@@ -40,6 +40,7 @@ __all__ = [
 Color = tuple[int, int, int]
 
 MODEL_COLORS: dict[str, Color] = {"naive": (112, 178, 214), "turn": (240, 180, 50), "tom": (214, 68, 140)}
+ROAD_COLORS: dict[str, Color] = {"idm": (120, 170, 90)}  # of models that predict on roads only
 PALEST, DARKER = 0.6, 0.8  # shares: of white in the shade of the fewest steps, and of light from the last plan
 FULL = 20  # steps, from which on a shade is the model's own colour
 OTHER_COLORS = ((120, 170, 90), (150, 110, 200), (160, 120, 90))
@@ -61,6 +62,8 @@ def model_color(name: str | None) -> Color:
 
     A model with an effort has a shade of its own: the fewer steps, the lighter, and darker from the last plan.
     """
+    if name in ROAD_COLORS:
+        return ROAD_COLORS[name]
     if name is None or not is_model(name):
         return FAINT
     model = human_model(name)

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from ms_highway.envs import add_scenario as add_scenario
     from ms_highway.envs.actions import Autopilot as Autopilot
     from ms_highway.envs.base import InteractionEnv as InteractionEnv
+    from ms_highway.envs.road.driven import drive as drive
+    from ms_highway.envs.road.policy import RoadPolicy as RoadPolicy
     from ms_highway.game.game import Game as Game
     from ms_highway.game.reward import add_feature as add_feature
     from ms_highway.game.scenario import COMMON_WEIGHTS as COMMON_WEIGHTS
@@ -54,6 +56,7 @@ if TYPE_CHECKING:
     from ms_highway.vehicle import HumanVehicle as HumanVehicle
     from ms_highway.vehicle import PlanningVehicle as PlanningVehicle
     from ms_highway.vehicle import RobotVehicle as RobotVehicle
+    from ms_highway.vehicle.road_robot import RoadRobot as RoadRobot
 
 __version__ = version("ms-highway")
 
@@ -61,11 +64,14 @@ _HOMES = {
     name: home
     for home, names in {
         "vehicle": ["BicycleVehicle", "CommuterVehicle", "HumanVehicle", "PlanningVehicle", "RobotVehicle"],
+        "vehicle.road_robot": ["RoadRobot"],
         "control.fixed": ["FixedModel", "ScheduledModels"],
         "control.switching": ["ModelSwitching"],
         "envs": ["SCENARIOS", "add_scenario"],
         "envs.base": ["InteractionEnv"],
         "envs.actions": ["Autopilot"],
+        "envs.road.driven": ["drive"],
+        "envs.road.policy": ["RoadPolicy"],
         "game.game": ["Game"],
         "game.scene": ["Scene"],
         "game.scenario": ["COMMON_WEIGHTS", "PAPER_UNIT", "Scenario", "build_game", "driving_game"],

@@ -130,3 +130,15 @@ def place(
     x = interpolate(path.x, s) + beyond * cosine - d * sine
     y = interpolate(path.y, s) + beyond * sine + d * cosine
     return x, y, heading
+
+
+def on_path(
+    path: Path, x: Float[jax.Array, "*shape"], y: Float[jax.Array, "*shape"]
+) -> tuple[Float[jax.Array, "*shape"], Float[jax.Array, "*shape"]]:
+    """Return s and d of world positions: projected on the tangent of the nearest knot."""
+    dx, dy = jnp.asarray(x)[..., None] - path.x, jnp.asarray(y)[..., None] - path.y
+    nearest = jnp.argmin(dx**2 + dy**2, axis=-1, keepdims=True)
+    dx, dy = (jnp.take_along_axis(values, nearest, axis=-1)[..., 0] for values in (dx, dy))
+    heading = jnp.asarray(path.heading)[nearest[..., 0]]
+    cosine, sine = jnp.cos(heading), jnp.sin(heading)
+    return nearest[..., 0] * SPACING - BEHIND + dx * cosine + dy * sine, dy * cosine - dx * sine

@@ -1,0 +1,175 @@
+"""Let a robot drive the controlled vehicles of a stock highway-env environment."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import RecordConstructorArgs
+from highway_env.envs import LaneKeepingEnv, ParkingEnv
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import (
+    ActionType,
+    ContinuousAction,
+    DiscreteAction,
+    DiscreteMetaAction,
+    MultiAgentAction,
+)
+from jaxtyping import Float
+
+from ms_highway.control.road import RoadDriver
+from ms_highway.envs.road.ego import replace_ego
+from ms_highway.envs.road.goals import desired_speed_of, destination_of, success
+from ms_highway.envs.road.graphics import show
+from ms_highway.envs.road.settings import RoadSettings
+from ms_highway.envs.road.traffic import restore_traffic
+from ms_highway.envs.stage import StageEnv
+from ms_highway.vehicle.road_robot import RoadRobot, steering_of
+
+__all__ = ["Driven", "check_drivable", "drive"]
+
+WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
+
+
+def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
+    """Return a stock highway-env environment in which a robot drives the controlled vehicles.
+
+    Args:
+        env: of highway-env, such as ``gym.make("roundabout-v0")``.
+        config: see `ms_highway.envs.road.settings.RoadSettings`.
+
+    Raises:
+        ValueError: for an environment without roads to follow, an unknown key or an impossible value.
+    """
+    return Driven(env, config)
+
+
+def check_drivable(env: Any) -> None:
+    """Check that an environment is one of highway-env's, with roads to follow.
+
+    Raises:
+        ValueError: naming what works.
+    """
+    base = env.unwrapped
+    name = base.spec.id if base.spec else type(base).__name__
+    if isinstance(base, ParkingEnv):
+        raise ValueError(f"{name} has no road to follow; the robot drives {WORKS}")
+    if isinstance(base, LaneKeepingEnv):
+        raise ValueError(f"{name} observes the inner state of its own vehicle; the robot drives {WORKS}")
+    if not isinstance(base, AbstractEnv) or isinstance(base, StageEnv):
+        raise ValueError(f"{name} is none of highway-env's own environments; the robot drives {WORKS}")
+
+
+class Driven(gym.Wrapper, RecordConstructorArgs):
+    """Lets a robot drive the controlled vehicles of a stock environment.
+
+    The environment keeps its spaces, reward and time limits.
+
+    Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
+    control in between. ``info["road"]`` says how, for the first controlled vehicle:
+
+    * ``rungs``, ``gains``, ``source``, ``planning_seconds``, ``decision_seconds``, ``compile_seconds`` of the last
+      plan, see `ms_highway.control.road.RoadStep`;
+    * ``decisions``: seconds of every plan within this step, without compilation;
+    * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
+    * ``destination``: node of the road network, None without one;
+    * ``success``: whether the goal is reached now, None without one.
+
+    Attributes:
+        settings: of the robot.
+        robots: that drive the controlled vehicles of this episode.
+    """
+
+    def __init__(self, env: Any, config: Mapping[str, Any] | None = None) -> None:
+        RecordConstructorArgs.__init__(self, config=config)
+        gym.Wrapper.__init__(self, env)
+        check_drivable(env)
+        self.settings = RoadSettings.read(config)
+        self.robots: list[RoadRobot] = []
+        self._drivers: list[RoadDriver] = []  # kept, as each measures the costs of its models once
+        show(env)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode, and put a robot in the place of every controlled vehicle."""
+        restore_traffic(self.env)
+        show(self.env)
+        observation, info = self.env.reset(seed=seed, options=options)
+        base = self._base
+        planning = self.settings.planning(desired_speed_of(base))
+        cars = len(base.controlled_vehicles)
+        self._drivers += [self.settings.build(planning) for _ in range(cars - len(self._drivers))]
+        self.robots = []
+        for number, driver in enumerate(self._drivers[:cars]):
+            driver.planning = planning
+            driver.reset()
+            goal = destination_of(base, number)
+            robot = replace_ego(base, RoadRobot.create_from, number)
+            robot.drive_with(driver, goal, self.settings.acceleration)
+            self.robots.append(robot)
+        return observation, {**info, "road": self._told()}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Let the robot drive for a step; the action is ignored."""
+        for robot in self.robots:
+            robot.forget()
+        observation, reward, terminated, truncated, info = self.env.step(_harmless(self._base.action_type))
+        return observation, reward, terminated, truncated, {**info, "road": self._told()}
+
+    def render(self) -> Any:
+        """Show the road, the plan, the predictions and the rungs."""
+        show(self.env)
+        return self.env.render()
+
+    @property
+    def _base(self) -> Any:
+        return self.unwrapped
+
+    def _told(self) -> dict[str, Any]:
+        robot = self.robots[0]
+        last = robot.last_step
+        return {
+            "rungs": list(last.rungs) if last else [],
+            "gains": np.asarray(last.gains) if last else np.zeros(0),
+            "source": last.source if last else "",
+            "planning_seconds": last.planning_seconds if last else 0.0,
+            "decision_seconds": last.decision_seconds if last else 0.0,
+            "compile_seconds": last.compile_seconds if last else 0.0,
+            "decisions": [step.planning_seconds + step.decision_seconds for step in robot.steps],
+            "acceleration": max(robot.accelerations, default=0.0),
+            "jerk": max(robot.jerks, default=0.0),
+            "destination": robot.goal,
+            "success": success(self.unwrapped),
+        }
+
+
+def _harmless(action_type: ActionType) -> Any:
+    """Return an action that the environment's reward takes for what the robot does: idle, or what it applies now."""
+    if isinstance(action_type, MultiAgentAction):
+        return tuple(_harmless(each) for each in action_type.agents_action_types)
+    if isinstance(action_type, DiscreteMetaAction):
+        return action_type.actions_indexes["IDLE"]
+    robot = action_type.controlled_vehicle
+    action = normalised(action_type, robot.applied, robot.LENGTH)
+    if isinstance(action_type, DiscreteAction):
+        places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(int)
+        return int(np.ravel_multi_index(tuple(places), (action_type.actions_per_axis,) * action_type.size))
+    return action
+
+
+def normalised(
+    action_type: ContinuousAction, control: Float[np.ndarray, "2"], length: float
+) -> Float[np.ndarray, "axes"]:
+    """Return a continuous action of highway-env for a control, throttle first, as far as it has both.
+
+    Args:
+        action_type: says which ranges [-1, 1] stands for.
+        control: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
+        length: of the vehicle [m].
+    """
+    (curvature, acceleration), wanted = control.tolist(), []
+    if action_type.longitudinal:
+        wanted.append((acceleration, action_type.acceleration_range))
+    if action_type.lateral:
+        wanted.append((steering_of(curvature, length), action_type.steering_range))
+    values = [2 * (value - low) / (high - low) - 1 for value, (low, high) in wanted]
+    return np.clip(values, -1, 1).astype(np.float32)

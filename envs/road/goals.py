@@ -1,0 +1,70 @@
+"""Say what a highway-env environment asks of its controlled car: where to go, how fast, and whether it is there."""
+
+from typing import Any
+
+from highway_env.envs import (
+    ExitEnv,
+    IntersectionEnv,
+    MergeEnv,
+    RoundaboutEnv,
+    UTurnEnv,
+)
+
+__all__ = ["desired_speed_of", "destination_of", "success"]
+
+USUAL_SPEED = 30.0  # m/s
+MERGED = 370.0  # m, where merge-v0 ends
+
+
+def destination_of(env: Any, number: int = 0) -> str | None:
+    """Return the node of the road network that a controlled vehicle has to reach; None without one.
+
+    Args:
+        env: a highway-env environment, or a wrapper of one, after a reset.
+        number: of the controlled vehicle.
+    """
+    env = env.unwrapped
+    if isinstance(env, RoundaboutEnv):
+        return "nxs"
+    if isinstance(env, ExitEnv):
+        return "exit"
+    if isinstance(env, UTurnEnv):
+        return "d"
+    if isinstance(env, IntersectionEnv):
+        route = getattr(env.controlled_vehicles[number], "route", None) or []
+        return route[-1][1] if len(route) > 1 else env.config["destination"] if number == 0 else None
+    return None
+
+
+def desired_speed_of(env: Any) -> float:
+    """Return the speed that a highway-env environment rewards most [m/s]."""
+    config = env.unwrapped.config
+    action = config["action"].get("action_config", config["action"])
+    if config.get("reward_speed_range"):
+        return float(config["reward_speed_range"][1])
+    if action.get("target_speeds") is not None:
+        return float(max(action["target_speeds"]))
+    return float(config.get("speed_limit") or USUAL_SPEED)
+
+
+def success(env: Any) -> bool | None:
+    """Return whether the goal of a highway-env environment is reached now; None where it has no goal.
+
+    exit: on the exit or its lane; intersection: every controlled car has arrived; roundabout: it has left the ring to
+    the north; merge: it has passed the ramp; u-turn: it is on the road back. A car that has crashed has no success.
+    """
+    env = env.unwrapped
+    if not isinstance(env, (ExitEnv, IntersectionEnv, RoundaboutEnv, MergeEnv, UTurnEnv)):
+        return None
+    if any(vehicle.crashed for vehicle in env.controlled_vehicles):
+        return False
+    road = env.vehicle.lane_index[:2]
+    if isinstance(env, ExitEnv):
+        return bool(env._is_success())
+    if isinstance(env, IntersectionEnv):
+        return all(bool(env.has_arrived(vehicle)) for vehicle in env.controlled_vehicles)
+    if isinstance(env, RoundaboutEnv):
+        return road in (("nx", "nxs"), ("nxs", "nxr"))
+    if isinstance(env, MergeEnv):
+        return bool(env.vehicle.position[0] > getattr(env, "end_position", MERGED))
+    return road == ("c", "d")

@@ -1,0 +1,129 @@
+"""Drive a stock environment from outside, as a policy of stable-baselines3 would: by continuous actions."""
+
+from collections.abc import Mapping
+from math import atan, sin, tan
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from highway_env.envs.common.action import ContinuousAction, DiscreteAction
+from highway_env.vehicle.kinematics import Vehicle
+from jaxtyping import Bool, Float
+
+from ms_highway.control.road import RoadStep
+from ms_highway.envs.road.driven import check_drivable, normalised
+from ms_highway.envs.road.goals import desired_speed_of, destination_of
+from ms_highway.envs.road.settings import RoadSettings
+from ms_highway.vehicle.road_robot import MARGIN, PERIOD, Motion, held
+from ms_highway.vehicle.road_scene import observe_road
+
+__all__ = ["RoadPolicy"]
+
+SLOWEST = 4.0  # Hz, of actions
+
+
+class RoadPolicy:
+    """Policy of environments that stay stock, with the interface of stable-baselines3's models.
+
+    It reads the road from the environment, not from observations, and answers with ``[throttle, steering]``. It plans
+    every 0.2 s, or in every step where these are longer, and holds its control in between. Where the vehicle is
+    ``dynamical`` (``intersection-v1``), it slides as the planner does not expect.
+
+    Args:
+        env: with continuous actions, longitudinal and lateral, at 4 Hz or more: a highway-env environment, a wrapper
+            of one, or a vector environment with a list ``envs`` of them.
+        config: see `ms_highway.envs.road.settings.RoadSettings`.
+
+    Attributes:
+        steps: last step of the driver of each environment, None before the first.
+
+    Raises:
+        ValueError: for an environment of another kind, an unknown key or an impossible value.
+    """
+
+    def __init__(self, env: Any, config: Mapping[str, Any] | None = None) -> None:
+        self.settings = RoadSettings.read(config)
+        self.single = isinstance(env, gym.Env) and not isinstance(env, gym.vector.VectorEnv)
+        if not self.single and not isinstance(getattr(env, "envs", None), (list, tuple)):
+            told = "its environments are in other processes"
+            raise ValueError(f"{type(env).__name__}: {told}; use one that keeps them in a list, such as SyncVectorEnv")
+        self._pilots = [_Pilot(each, self.settings) for each in ([env] if self.single else env.envs)]
+
+    @property
+    def steps(self) -> list[RoadStep | None]:
+        """Last step of the driver of each environment."""
+        return [pilot.last_step for pilot in self._pilots]
+
+    def predict(
+        self,
+        observation: Any = None,
+        state: Any = None,
+        episode_start: Bool[np.ndarray, "envs"] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Float[np.ndarray, "*envs 2"], Any]:
+        """Return the action of each environment now, and the state as it was given.
+
+        Args:
+            observation: not looked at.
+            state: not looked at.
+            episode_start: which environments have just been reset; noticed anyway, by their new vehicles.
+            deterministic: the policy is, either way.
+        """
+        starts = np.broadcast_to(False if episode_start is None else episode_start, len(self._pilots))
+        actions = [pilot.act(bool(start)) for pilot, start in zip(self._pilots, starts, strict=True)]
+        return (actions[0] if self.single else np.stack(actions)), state
+
+
+class _Pilot:
+    """Drives one environment."""
+
+    def __init__(self, env: Any, settings: RoadSettings) -> None:
+        check_drivable(env)
+        _check(env)
+        self.env, self.settings = env, settings
+        self.vehicle: Vehicle | None = None
+        self.driver = settings.build(settings.planning(0.0))
+        self.last_step: RoadStep | None = None
+        self._planned_at = 0.0
+
+    def act(self, start: bool) -> Float[np.ndarray, "2"]:
+        """Return the action for the coming step."""
+        base = self.env.unwrapped
+        if start or base.vehicle is not self.vehicle or self.last_step is None:
+            self._begin()
+        vehicle, frame = base.vehicle, 1 / base.config["simulation_frequency"]
+        applied, before = _past(vehicle, frame)
+        if self.last_step is None or base.time - self._planned_at > PERIOD - 0.5 / base.config["policy_frequency"]:
+            self.last_step = self.driver.step(observe_road(vehicle, destination_of(base), applied))
+            self._planned_at = base.time
+        now, grip = Motion(vehicle.speed, vehicle.heading), MARGIN * self.settings.acceleration
+        control = held(self.last_step.control, now, before, vehicle.LENGTH, frame, grip)
+        return normalised(base.action_type, np.array(control), vehicle.LENGTH)
+
+    def _begin(self) -> None:
+        """Start an episode."""
+        _check(self.env)
+        self.driver.planning = self.settings.planning(desired_speed_of(self.env))
+        self.driver.reset()
+        self.vehicle, self.last_step = self.env.unwrapped.vehicle, None
+
+
+def _past(vehicle: Vehicle, frame: float) -> tuple[tuple[float, float], Motion]:
+    """Return curvature and acceleration of a vehicle in its last frame, and how its centre moved in it."""
+    slip = atan(tan(float(vehicle.action["steering"])) / 2)
+    curvature, acceleration = 2 * sin(slip) / vehicle.LENGTH, float(vehicle.action["acceleration"])
+    speed = vehicle.speed - acceleration * frame
+    return (curvature, acceleration), Motion(speed, vehicle.heading - speed * curvature * frame + slip)
+
+
+def _check(env: Any) -> None:
+    """Check that an environment can be driven by actions."""
+    base = env.unwrapped
+    action_type, rate = base.action_type, base.config["policy_frequency"]
+    remedy = "make it with config={'action': {'type': 'ContinuousAction'}, 'policy_frequency': 5}, or use drive(env)"
+    if not isinstance(action_type, ContinuousAction) or isinstance(action_type, DiscreteAction):
+        raise ValueError(f"a RoadPolicy needs continuous actions, not {type(action_type).__name__}; {remedy}")
+    if not (action_type.longitudinal and action_type.lateral):
+        raise ValueError(f"a RoadPolicy needs longitudinal and lateral actions; {remedy}")
+    if rate < SLOWEST:
+        raise ValueError(f"a RoadPolicy needs {SLOWEST:g} actions per second or more, not {rate:g}; {remedy}")

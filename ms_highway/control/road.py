@@ -1,0 +1,166 @@
+"""Drive on a road: choose how to predict each car, plan, and fall back where a plan is none."""
+
+from dataclasses import dataclass
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from ms_highway.game.road import TRAFFIC, RoadScene
+from ms_highway.metareasoning.road import RoadCosts, RungChoice
+from ms_highway.planning.road.plan import LAST_PLAN, Memory, RoadPlan, first_memory, highest_gains, plan_road, propose
+from ms_highway.planning.road.scoring import RoadWeights
+from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+from ms_highway.runtime.timing import timed, warm_up
+
+__all__ = ["RoadDriver", "RoadStep"]
+
+REPEATS = 5  # plans that are timed for the costs of models
+
+
+@dataclass(frozen=True)
+class RoadStep:
+    """Record of one step of a driver.
+
+    Attributes:
+        control: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
+        path: x, y and heading of the robot's centre, as planned, world coordinates.
+        predictions: x and y of others, world coordinates.
+        rungs: name of the model that predicts each path of others; empty where none is in use.
+        owners: number of the car that each path belongs to, -1 without one.
+        gains: bounds on what each answer is worth [reward].
+        planning_seconds: wall time of the plan, without compilation.
+        decision_seconds: wall time of choosing the models.
+        compile_seconds: wall time of compiling and measuring costs in this step.
+        source: what drives: ``refined``, ``proposal``, ``last plan`` or ``braking``.
+    """
+
+    control: Float[np.ndarray, "2"]
+    path: Float[np.ndarray, "steps 3"]
+    predictions: Float[np.ndarray, "traffic steps 2"]
+    rungs: tuple[str, ...]
+    owners: Int[np.ndarray, "traffic"]
+    gains: Float[np.ndarray, "traffic"]
+    planning_seconds: float
+    decision_seconds: float
+    compile_seconds: float
+    source: str
+
+
+@jax.jit
+def _look(
+    scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, rungs: jax.Array, memory: Memory
+) -> jax.Array:
+    return highest_gains(propose(scene, planning, weights, rungs, memory).scores)
+
+
+@partial(jax.jit, static_argnames="refines")
+def _plan(
+    scene: RoadScene,
+    planning: RoadPlanning,
+    weights: RoadWeights,
+    rungs: jax.Array,
+    memory: Memory,
+    refines: bool,
+) -> RoadPlan:
+    return plan_road(scene, planning, weights, rungs, memory)
+
+
+class RoadDriver:
+    """Drive a robot on any road, one step at a time.
+
+    Args:
+        planning: limits and wishes; may be replaced between steps.
+        choice: of the models that predict others.
+        refines: whether the best proposal is refined.
+        weights: what counts.
+    """
+
+    def __init__(
+        self,
+        planning: RoadPlanning,
+        choice: RungChoice,
+        refines: bool = True,
+        weights: RoadWeights | None = None,
+    ) -> None:
+        self.planning, self.choice, self.refines = planning, choice, refines
+        self.weights = weights or RoadWeights()
+        self.costs: RoadCosts | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last plan, before a new episode."""
+        self._memory = first_memory(self.planning)
+        self._left = 0  # controls of the last plan that are left
+
+    def step(self, scene: RoadScene) -> RoadStep:
+        """Return what to do now."""
+        begin = perf_counter()
+        if self.costs is None:
+            self.costs = self._measured(scene)
+        compiling = perf_counter() - begin
+        start = perf_counter()
+        gains = np.zeros(TRAFFIC, np.float32)
+        if self.choice.looks:
+            gains = np.asarray(_look(scene, self.planning, self.weights, np.zeros(TRAFFIC, np.int32), self._memory))
+        deciding = perf_counter() - start
+        rungs = np.where(scene.moving & scene.present, self.choice.choose(gains, self.costs, deciding), 0)
+        deciding = perf_counter() - start
+        plan, seconds = timed(self._planned, scene, rungs.astype(np.int32))
+        plan = jax.tree.map(np.asarray, plan)
+        return self._taken(scene, plan, rungs, gains, seconds, deciding, compiling)
+
+    def _planned(self, scene: RoadScene, rungs: Int[np.ndarray, "traffic"]) -> RoadPlan:
+        return _plan(scene, self.planning, self.weights, rungs, self._memory, self.refines)
+
+    def _taken(
+        self,
+        scene: RoadScene,
+        plan: RoadPlan,
+        rungs: Any,
+        gains: Any,
+        seconds: float,
+        deciding: float,
+        compiling: float,
+    ) -> RoadStep:
+        """Remember a plan, or fall back where it is not finite."""
+        controls = np.asarray(plan.controls)
+        source = "refined" if plan.chosen < 0 else "last plan" if plan.chosen == LAST_PLAN else "proposal"
+        if np.isfinite(controls).all():
+            self._left = len(controls)
+        elif self._left > 0:
+            controls, source = np.asarray(self._memory.controls), "last plan"
+        else:
+            controls, source = np.tile(np.array([0.0, -self.planning.grip], np.float32), (len(controls), 1)), "braking"
+        self._left -= 1
+        self._memory = Memory(np.concatenate([controls[1:], controls[-1:]]), np.asarray(plan.path)[-1, :2])
+        names = tuple(RUNGS[rung] if there else "" for rung, there in zip(rungs, scene.present, strict=True))
+        return RoadStep(
+            controls[0].astype(float),
+            np.asarray(plan.path),
+            np.asarray(plan.predictions),
+            names,
+            np.asarray(scene.owners),
+            gains,
+            seconds,
+            deciding,
+            compiling,
+            source,
+        )
+
+    def _measured(self, scene: RoadScene) -> RoadCosts:
+        """Compile, and measure what plans cost under each model."""
+        everybody = np.asarray(scene.present) | True
+        if self.choice.looks:
+            warm_up(_look, scene, self.planning, self.weights, np.zeros(TRAFFIC, np.int32), self._memory)
+
+        def median(rung: int) -> float:
+            rungs = np.where(everybody, rung, 0).astype(np.int32)
+            self._planned(scene, rungs)
+            return float(np.median([timed(self._planned, scene, rungs)[1] for _ in range(REPEATS)]))
+
+        whole = np.array([median(rung) for rung in range(len(RUNGS))])
+        return RoadCosts(float(whole[0]), np.maximum(whole - whole[0], 0.0) / TRAFFIC)

@@ -1,0 +1,188 @@
+"""Propose plans: to the centre of each lane, by speed profiles, simulated against traffic that answers."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.game.road import LANES, SPACING, RoadScene, interpolate
+from ms_highway.planning.road.motion import advance, within_limits
+from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.traffic import Ways, aside, follow, on_route, wanted_speeds
+
+__all__ = ["PROPOSALS", "Manners", "Profiles", "Rollouts", "as_given", "profiles", "simulate", "speed_caps"]
+
+FOLLOWING = np.array([1.0, 0.75, 0.5, 0.25], np.float32)  # shares of the desired speed, in profiles that follow by IDM
+STEADY = np.array([-5.0, -3.0, -1.5, 0.0, 1.5, 3.0], np.float32)  # m/s^2, of profiles of constant acceleration
+PROFILES = len(FOLLOWING) + len(STEADY)
+PROPOSALS = LANES * PROFILES + 1
+"""Number of proposals, the last plan among them."""
+
+FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
+SIDEWAYS = 3.0  # m/s^2, of lateral acceleration for it at most
+CORNERING = 0.85  # share of the grip that bends may take
+SLOWING = 2.5  # m/s^2, before bends
+EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
+HASTE = 3.0  # m/s^2, of accelerations for the desired speed
+SLOWEST = 3.0  # m/s, below which steering is not sharper than at this speed
+SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
+COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
+ROOM = 0.4  # m, lateral, between bodies that pass
+FAR = 1e3  # m
+
+
+class Manners(NamedTuple):
+    """How others move.
+
+    Attributes:
+        follows: whether each follows by the Intelligent Driver Model.
+        told: whether its accelerations are given.
+        accelerations: those, for every plan [m/s^2].
+    """
+
+    follows: Bool[jax.Array, "traffic"]
+    told: Bool[jax.Array, "traffic"]
+    accelerations: Float[jax.Array, "plans traffic steps"]
+
+
+class Profiles(NamedTuple):
+    """What plans do.
+
+    Attributes:
+        lane: that each goes to, 0 to 2.
+        share: of the desired speed that it follows the traffic at.
+        rate: its acceleration if it does not follow [m/s^2].
+        follows: whether it follows the traffic.
+        given: whether its controls are given.
+        controls: those.
+    """
+
+    lane: Int[jax.Array, "plans"]
+    share: Float[jax.Array, "plans"]
+    rate: Float[jax.Array, "plans"]
+    follows: Bool[jax.Array, "plans"]
+    given: Bool[jax.Array, "plans"]
+    controls: Float[jax.Array, "plans steps 2"]
+
+
+class Rollouts(NamedTuple):
+    """Plans as they turn out.
+
+    Attributes:
+        states: of the robot after each step, road coordinates.
+        controls: that it executed.
+        along, across: positions of others on their paths after each step [m].
+        speeds: of others [m/s].
+        s, d: of others on the robot's route [m].
+        cosine: of the angle between the others' paths and the route.
+    """
+
+    states: Float[jax.Array, "plans steps 4"]
+    controls: Float[jax.Array, "plans steps 2"]
+    along: Float[jax.Array, "plans traffic steps"]
+    across: Float[jax.Array, "plans traffic steps"]
+    speeds: Float[jax.Array, "plans traffic steps"]
+    s: Float[jax.Array, "plans traffic steps"]
+    d: Float[jax.Array, "plans traffic steps"]
+    cosine: Float[jax.Array, "plans traffic steps"]
+
+
+def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Float[jax.Array, "knots"]:
+    """Return the highest speed at each knot of the route from which gentle braking suffices for all bends ahead."""
+    bends = jnp.maximum(jnp.abs(jnp.asarray(scene.route.curvature)), 1e-4)
+    allowed = jnp.minimum(CORNERING * planning.grip / bends, planning.desired_speed**2)
+    ahead = 2 * SLOWING * SPACING * jnp.arange(len(bends))
+    return jnp.sqrt(jnp.maximum(jax.lax.cummin(allowed + ahead, reverse=True) - ahead, 1.0))
+
+
+def profiles(last: Float[jax.Array, "steps 2"], last_lane: Int[jax.Array, ""]) -> Profiles:
+    """Return the profiles of all proposals: each lane at each speed, and the rest of the last plan."""
+    kinds = np.tile(np.arange(PROFILES), LANES)
+    shares, rates = (np.append(FOLLOWING, np.ones_like(STEADY)), np.append(np.zeros_like(FOLLOWING), STEADY))
+    return Profiles(
+        jnp.append(jnp.repeat(jnp.arange(LANES), PROFILES), last_lane),
+        jnp.append(shares[kinds], 1.0),
+        jnp.append(rates[kinds], 0.0),
+        jnp.append(kinds < len(FOLLOWING), False),
+        jnp.arange(PROPOSALS) == PROPOSALS - 1,
+        jnp.broadcast_to(last, (PROPOSALS, *last.shape)),
+    )
+
+
+def as_given(controls: Float[jax.Array, "plans steps 2"], lane: Int[jax.Array, "plans"]) -> Profiles:
+    """Return the profiles of plans whose controls are given."""
+    ones = jnp.ones(len(controls))
+    return Profiles(lane, ones, 0 * ones, ones < 0, ones > 0, controls)
+
+
+def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Manners, plans: Profiles) -> Rollouts:
+    """Drive plans among others who answer each of them.
+
+    Args:
+        scene: the road.
+        planning: limits and wishes.
+        ways: `ways_of` the scene.
+        manners: how others move.
+        plans: what the robot does.
+    """
+    caps, wanted, now = speed_caps(scene, planning), wanted_speeds(scene), jnp.asarray(scene.states)
+    across = aside(scene, planning.time_step * jnp.arange(1, planning.steps + 1))
+    length, width = scene.size
+    lengths, widths = jnp.asarray(scene.sizes).T
+    apart, reach = (width + widths) / 2 + ROOM, (length + lengths) / 2
+    leaders, present = jnp.asarray(scene.leaders), jnp.asarray(scene.present)
+    led = (leaders >= 0) & present
+
+    def steer(car: jax.Array, goal: jax.Array) -> jax.Array:
+        """Return the curvature towards the centre of a lane."""
+        s, d, heading, speed = car
+        bend = interpolate(scene.route.curvature, s + 0.5 * speed * planning.time_step)
+        back = -(FREQUENCY**2) * (d - goal) - 2 * FREQUENCY * speed * jnp.sin(heading)
+        squared = jnp.maximum(speed, SLOWEST) ** 2
+        return bend / jnp.maximum(1 - d * bend, 0.2) + jnp.clip(back, -SIDEWAYS, SIDEWAYS) / squared
+
+    def behind_leader(car: jax.Array, goal: jax.Array, traffic: tuple[jax.Array, ...]) -> jax.Array:
+        """Return the acceleration of following whoever is ahead, here or in the lane that the robot goes to."""
+        (s, d, _, speed), (others_s, others_d, cosine, speeds) = car, traffic
+        front = s + length / 2
+        low, high = jnp.minimum(d, goal), jnp.maximum(d, goal)
+        ahead = (others_s > front) & (others_d > low - apart) & (others_d < high + apart) & present
+        gap = jnp.where(ahead, others_s - front - reach, FAR)
+        return jnp.minimum(EAGERNESS * follow(speed, FAR, gap, speeds * cosine).min(), HASTE)
+
+    def choose(plan: Profiles, car: jax.Array, held: jax.Array, traffic: tuple[jax.Array, ...]) -> jax.Array:
+        """Return the robot's control in a step of a plan."""
+        s, speed = car[0], car[3]
+        goal, cap = interpolate(jnp.asarray(scene.lanes)[plan.lane], s), interpolate(caps, s)
+        free = COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed)
+        kept = jnp.minimum(jnp.clip(free, -HASTE, HASTE), behind_leader(car, goal, traffic))
+        acceleration = jnp.where(plan.follows, kept, plan.rate)
+        acceleration = jnp.minimum(acceleration, jnp.maximum(COMFORT_GAIN * (cap - speed), -planning.grip))
+        told = jnp.stack([steer(car, goal), acceleration])
+        return within_limits(planning, speed, jnp.where(plan.given, held, told))
+
+    def one(plan: Profiles, order: Float[jax.Array, "traffic steps"]) -> tuple[jax.Array, ...]:
+        def go(carry: tuple[jax.Array, ...], step: tuple[jax.Array, ...]) -> tuple[tuple, tuple]:
+            (car, along, speeds), (held, sideways, told) = carry, step
+            where = on_route(ways, along, sideways)
+            control = choose(plan, car, held, (*where, speeds))
+            gap = jnp.where(led, jnp.asarray(scene.gaps) + along[leaders] - along - lengths, FAR)
+            front = car[0] + length / 2
+            before = (where[0] < front) & (jnp.abs(where[1] - car[1]) < apart) & (where[2] > SAME_WAY)
+            to_robot = jnp.where(before, front - where[0] - reach, FAR)
+            answer = jnp.minimum(follow(speeds, wanted, gap, speeds[leaders]), follow(speeds, wanted, to_robot, car[3]))
+            acceleration = jnp.where(manners.told, told, jnp.where(manners.follows, answer, 0.0))
+            acceleration = jnp.maximum(acceleration, -speeds / planning.time_step)
+            moved = along + speeds * planning.time_step
+            after = speeds + acceleration * planning.time_step
+            ahead = advance(scene, planning, car, control)
+            return (ahead, moved, after), (ahead, control, moved, after, *on_route(ways, moved, sideways))
+
+        start = jnp.asarray(scene.robot), now[:, 0], now[:, 3]
+        return jax.lax.scan(go, start, (plan.controls, across.T, order.T))[1]
+
+    states, controls, *others = jax.vmap(one)(plans, manners.accelerations)
+    along, speeds, s, d, cosine = (jnp.swapaxes(field, 1, 2) for field in others)
+    return Rollouts(states, controls, along, jnp.broadcast_to(across, along.shape), speeds, s, d, cosine)

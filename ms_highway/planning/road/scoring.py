@@ -1,0 +1,226 @@
+"""Judge proposals and refined plans: what they earn, and which constraints they break."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.game.road import RoadScene, interpolate
+from ms_highway.planning.road.motion import bodies
+from ms_highway.planning.road.proposals import Rollouts
+from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.traffic import positions
+from ms_highway.runtime.arrays import Array
+
+__all__ = ["RoadWeights", "Scores", "score", "separation"]
+
+FAR = 1e3  # m
+SECONDS_PER_CHANGE = 4.0  # s, that a change of lane may take
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RoadWeights:
+    """What a plan is worth, per second unless told otherwise.
+
+    Attributes:
+        speed: of the share of the desired speed that is reached.
+        prospect: of the share that the car ahead allows after the plan [for the whole plan].
+        centre: of the squared distance to the centre of the lane [1/m^2].
+        change: of leaving the lane, once [for the whole plan].
+        right: of each lane further to the right [for the whole plan].
+        goal: of each change of lane that is left to the goal, where the room for it is short [for the whole plan].
+        acceleration: of squared acceleration [s^4/m^2].
+        jerk: of squared jerk [s^6/m^2].
+        near: of being nearer than `comfortable` to others, squared share.
+        comfortable: distance between bodies [m].
+        collision: of hitting somebody at once; less, the later [for the whole plan].
+        off_road: of leaving the road or an open lane [for the whole plan].
+        stopping: of each metre that is missing to stop behind the car ahead [1/m, for the whole plan].
+    """
+
+    speed: float | Float[Array, ""] = 1.0
+    prospect: float | Float[Array, ""] = 1.5
+    centre: float | Float[Array, ""] = 0.02
+    change: float | Float[Array, ""] = 0.25
+    right: float | Float[Array, ""] = 0.15
+    goal: float | Float[Array, ""] = 8.0
+    acceleration: float | Float[Array, ""] = 0.01
+    jerk: float | Float[Array, ""] = 0.002
+    near: float | Float[Array, ""] = 3.0
+    comfortable: float | Float[Array, ""] = 1.0
+    collision: float | Float[Array, ""] = 100.0
+    off_road: float | Float[Array, ""] = 40.0
+    stopping: float | Float[Array, ""] = 1.0
+
+
+class Scores(NamedTuple):
+    """What plans earn.
+
+    Attributes:
+        own: without others.
+        others: cost of each of the others.
+        collides: whether a plan hits somebody.
+        leaves: whether it leaves the road.
+        missing: metres that are missing to stop behind the car ahead, after the plan.
+    """
+
+    own: Float[jax.Array, "plans"]
+    others: Float[jax.Array, "plans traffic"]
+    collides: Bool[jax.Array, "plans"]
+    leaves: Bool[jax.Array, "plans"]
+    missing: Float[jax.Array, "plans"]
+
+    @property
+    def total(self) -> Float[jax.Array, "plans"]:
+        """What each plan earns in all."""
+        return self.own - self.others.sum(axis=-1)
+
+    @property
+    def broken(self) -> Bool[jax.Array, "plans"]:
+        """Whether a plan breaks a constraint."""
+        return self.collides | self.leaves | (self.missing > 0)
+
+
+def separation(
+    own: tuple[jax.Array, jax.Array, jax.Array],
+    size: Float[Array, "2"],
+    other: tuple[jax.Array, jax.Array, jax.Array],
+    sizes: Float[jax.Array, "*shape 2"],
+) -> Float[jax.Array, "*shape"]:
+    """Return the distance between two rectangles along the axis that separates them best [m]; negative if they overlap.
+
+    Args:
+        own: x, y and heading of one.
+        size: its length and width [m].
+        other: x, y and heading of the other.
+        sizes: its length and width [m].
+    """
+    dx, dy, turn = other[0] - own[0], other[1] - own[1], other[2] - own[2]
+    c, s = jnp.abs(jnp.cos(turn)), jnp.abs(jnp.sin(turn))
+    (a, b), (e, f) = (size[0] / 2, size[1] / 2), (sizes[..., 0] / 2, sizes[..., 1] / 2)
+
+    def along(heading: jax.Array) -> tuple[jax.Array, jax.Array]:
+        cosine, sine = jnp.cos(heading), jnp.sin(heading)
+        return jnp.abs(dx * cosine + dy * sine), jnp.abs(dy * cosine - dx * sine)
+
+    (u, v), (p, q) = along(own[2]), along(other[2])
+    gaps = u - a - e * c - f * s, v - b - e * s - f * c, p - e - a * c - b * s, q - f - a * s - b * c
+    return jnp.maximum(jnp.maximum(gaps[0], gaps[1]), jnp.maximum(gaps[2], gaps[3]))
+
+
+def score(
+    scene: RoadScene,
+    planning: RoadPlanning,
+    weights: RoadWeights,
+    rollouts: Rollouts,
+    lanes: Int[jax.Array, "plans"],
+    caps: Float[jax.Array, "knots"],
+) -> Scores:
+    """Judge plans.
+
+    Args:
+        scene: the road.
+        planning: limits and wishes.
+        weights: what counts.
+        rollouts: of the plans.
+        lanes: that each goes to, 0 to 2.
+        caps: see `ms_highway.planning.road.proposals.speed_caps`.
+    """
+    dt, states, controls = planning.time_step, rollouts.states, rollouts.controls
+    s, d, heading, speed = jnp.moveaxis(states, -1, 0)
+    wanted = jnp.minimum(interpolate(caps, s), planning.desired_speed)
+    reached = 1 - jnp.abs(speed - wanted) / planning.desired_speed
+    centres = jnp.asarray(scene.lanes)
+    goal = jax.vmap(lambda lane, s: interpolate(centres[lane], s))(lanes, s)
+    before = jnp.concatenate([jnp.full_like(speed[:, :1], scene.robot[3]), speed[:, :-1]], axis=1)
+    lateral = before**2 * controls[..., 0]
+    sideways = jnp.concatenate([jnp.full_like(lateral[:, :1], scene.robot[3] ** 2 * scene.applied[0]), lateral], axis=1)
+    pushed = jnp.concatenate([jnp.full_like(lateral[:, :1], scene.applied[1]), controls[..., 1]], axis=1)
+    jerk = (jnp.diff(sideways, axis=1) ** 2 + jnp.diff(pushed, axis=1) ** 2) / dt**2
+    per_second = (
+        weights.speed * reached
+        - weights.centre * (d - goal) ** 2
+        - weights.acceleration * (controls[..., 1] ** 2 + (lateral - before**2 * _bend(scene, s)) ** 2)
+        - weights.jerk * jerk
+    )
+    x, y, course = bodies(scene, states)
+    left, right = (interpolate(jnp.asarray(scene.edges)[side], s + scene.size[0] / 2) for side in range(2))
+    middle = d + scene.size[0] / 2 * jnp.sin(heading)
+    reach = (scene.size[1] * jnp.cos(heading) + scene.size[0] * jnp.abs(jnp.sin(heading))) / 2
+    beyond = jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)
+    already = jnp.maximum(beyond[:, :1], 0.0)  # what cannot be helped any more does not count
+    leaves = (beyond > already + 0.1).any(axis=1)
+    opened = jax.vmap(lambda lane, s: interpolate(jnp.asarray(scene.open, float)[lane], s))(lanes, s[:, -1])
+    closed = (opened < 0.5) & (lanes != 1)
+    per_plan = (
+        weights.right * (lanes - 1.0)
+        - weights.change * (lanes != 1)
+        - weights.goal * _urgency(scene, planning, lanes)
+        - weights.off_road * (leaves | closed)
+    )
+    clear = separation(
+        (x[:, None], y[:, None], course[:, None]),
+        scene.size,
+        jax.vmap(lambda a, b: jnp.stack(positions(scene, a, b)))(rollouts.along, rollouts.across).swapaxes(0, 1),
+        jnp.asarray(scene.sizes)[:, None],
+    )
+    counts = jnp.asarray(scene.present)[:, None] & ~_pushes_from_behind(scene, rollouts, s, d, lanes)
+    clear = jnp.where(counts, clear, FAR)
+    hit, fading = clear < 0.1, 0.93 ** jnp.arange(planning.steps)
+    near = jnp.maximum(1 - jnp.maximum(clear, 0.0) / weights.comfortable, 0.0) ** 2
+    closeness = dt * weights.near * jnp.sum(near * fading, axis=-1)
+    others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
+    missing, prospect = _ahead(scene, planning, rollouts, s[:, -1], goal[:, -1], d[:, -1], speed[:, -1])
+    lost = weights.prospect * jnp.maximum(1 - prospect / jnp.minimum(wanted[:, -1:], planning.desired_speed), 0.0)
+    others = others + jnp.where(lost == lost.max(axis=1, keepdims=True), lost, 0.0)  # whoever is slowest
+    others = others + weights.stopping * missing
+    own = dt * per_second.sum(axis=1) + per_plan
+    return Scores(own, others, hit.any(axis=(1, 2)), leaves | closed, missing.max(axis=1))
+
+
+def _bend(scene: RoadScene, s: jax.Array) -> jax.Array:
+    return interpolate(scene.route.curvature, s)
+
+
+def _urgency(scene: RoadScene, planning: RoadPlanning, lanes: jax.Array) -> jax.Array:
+    """Return how short the room is for the changes of lane that are left from each lane: none 0, far too short 1."""
+    left = jnp.abs(jnp.asarray(scene.changes))[lanes]
+    needed = left * jnp.maximum(scene.robot[3], 8.0) * SECONDS_PER_CHANGE
+    return jnp.minimum(left, 2.0) * jnp.exp(-jnp.maximum(scene.room - needed, 0.0) / 100.0)
+
+
+def _pushes_from_behind(
+    scene: RoadScene, rollouts: Rollouts, s: jax.Array, d: jax.Array, lanes: jax.Array
+) -> Bool[jax.Array, "plans traffic steps"]:
+    """Return where a follower in the robot's own lane would run into it while it keeps its lane."""
+    behind = rollouts.s < s[:, None] - 1.0
+    mine = jnp.abs(rollouts.d - d[:, None]) < scene.size[1]
+    follower = behind[..., :1] & mine[..., :1] & (rollouts.cosine > 0.5)
+    return follower & behind & (lanes == 1)[:, None, None]
+
+
+def _ahead(
+    scene: RoadScene,
+    planning: RoadPlanning,
+    rollouts: Rollouts,
+    s: jax.Array,
+    goal: jax.Array,
+    d: jax.Array,
+    speed: jax.Array,
+) -> tuple[Float[jax.Array, "plans traffic"], Float[jax.Array, "plans traffic"]]:
+    """Return what is missing to stop behind each car ahead after the plan [m], and the speed that it allows later."""
+    there, across, cosine = rollouts.s[..., -1], rollouts.d[..., -1], rollouts.cosine[..., -1]
+    apart = (scene.size[1] + jnp.asarray(scene.sizes)[:, 1]) / 2 + 0.2
+    middle = s + scene.size[0] / 2
+    low, high = jnp.minimum(goal, d)[:, None] - apart, jnp.maximum(goal, d)[:, None] + apart
+    front = (there > middle[:, None]) & (across > low) & (across < high) & jnp.asarray(scene.present)
+    gap = there - middle[:, None] - (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
+    onward = jnp.maximum(rollouts.speeds[..., -1] * cosine, 0.0)
+    stopping = 0.9 * planning.grip
+    needed = 1.0 + 0.2 * speed[:, None] + (speed[:, None] ** 2 - onward**2) / (2 * stopping)
+    missing = jnp.where(front & (onward < speed[:, None]), jnp.maximum(needed - gap, 0.0), 0.0)
+    later = onward + jnp.maximum(gap - speed[:, None] * 1.0, 0.0) / 5.0
+    return missing, jnp.where(front, later, FAR)

@@ -1,0 +1,88 @@
+"""Predict traffic along its paths: keeping its speed, or following by the Intelligent Driver Model (Treiber 2000).
+
+All predictions run together with the robot's proposals, step by step, so that cars that follow answer the robot.
+"""
+
+from typing import NamedTuple
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.road import RoadScene, interpolate, on_path, place
+
+__all__ = ["Ways", "follow", "positions", "ways_of"]
+
+COMFORTABLE, BRAKING, HEADWAY, STANDSTILL = 3.0, 5.0, 1.5, 5.0  # m/s^2, m/s^2, s, m between bumpers: highway-env's
+HARDEST = 6.0  # m/s^2, of braking
+SETTLING = 1.0  # s, in which cars move to the middle of their path
+SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
+
+
+class Ways(NamedTuple):
+    """Paths of traffic in the coordinates of the robot's route, at the knots of the paths.
+
+    Attributes:
+        s, d: position on the route [m].
+        along: cosine of the angle between the path and the route.
+    """
+
+    s: Float[jax.Array, "traffic knots"]
+    d: Float[jax.Array, "traffic knots"]
+    along: Float[jax.Array, "traffic knots"]
+
+
+def ways_of(scene: RoadScene) -> Ways:
+    """Project the paths of traffic on the robot's route."""
+    s, d = on_path(scene.route, jnp.asarray(scene.paths.x), jnp.asarray(scene.paths.y))
+    heading = jax.vmap(lambda s: interpolate(scene.route.heading, s))(s)
+    return Ways(s, d, jnp.cos(jnp.asarray(scene.paths.heading) - heading))
+
+
+def follow(
+    speed: Float[jax.Array, "*shape"],
+    wanted: Float[jax.Array, "*shape"],
+    gap: Float[jax.Array, "*shape"],
+    ahead: Float[jax.Array, "*shape"],
+) -> Float[jax.Array, "*shape"]:
+    """Return the acceleration of the Intelligent Driver Model, with highway-env's parameters.
+
+    Args:
+        speed: of the follower [m/s].
+        wanted: its desired speed [m/s].
+        gap: between bumpers to the car ahead [m]; infinite without one.
+        ahead: speed of that car [m/s].
+    """
+    closing = speed * (speed - ahead) / (2 * (COMFORTABLE * BRAKING) ** 0.5)
+    desired = STANDSTILL + jnp.maximum(speed * HEADWAY + closing, 0.0)
+    free = 1 - (speed / jnp.maximum(wanted, 0.1)) ** 4
+    return jnp.clip(COMFORTABLE * (free - (desired / jnp.maximum(gap, 0.5)) ** 2), -HARDEST, COMFORTABLE)
+
+
+def wanted_speeds(scene: RoadScene) -> Float[jax.Array, "traffic"]:
+    """Return the speeds that others seem to want: their own; the limit if they are much slower than that."""
+    speed = jnp.asarray(scene.states)[:, 3]
+    return jnp.where(speed < SLOWLY * jnp.asarray(scene.limits), scene.limits, speed)
+
+
+def aside(scene: RoadScene, times: Float[jax.Array, "steps"]) -> Float[jax.Array, "traffic steps"]:
+    """Return the lateral positions of others on their paths, to the middle of which they settle."""
+    now, heading, speed = (jnp.asarray(scene.states)[:, field, None] for field in (1, 2, 3))
+    rate = 1 / SETTLING
+    drift = speed * jnp.sin(heading) + rate * now
+    return (now + drift * times) * jnp.exp(-rate * times)
+
+
+def positions(
+    scene: RoadScene, along: Float[jax.Array, "traffic steps"], across: Float[jax.Array, "traffic steps"]
+) -> tuple[Float[jax.Array, "traffic steps"], Float[jax.Array, "traffic steps"], Float[jax.Array, "traffic steps"]]:
+    """Return x, y and heading of others in world coordinates from where they are on their paths."""
+    return jax.vmap(place)(scene.paths, along, across)
+
+
+def on_route(
+    ways: Ways, along: Float[jax.Array, "traffic"], across: Float[jax.Array, "traffic"]
+) -> tuple[Float[jax.Array, "traffic"], Float[jax.Array, "traffic"], Float[jax.Array, "traffic"]]:
+    """Return s and d on the robot's route of others on their paths, and the cosine of the angle between the two."""
+    s, d, cosine = (jax.vmap(interpolate)(field, along) for field in ways)
+    return s, d + across * cosine, cosine
