@@ -18,7 +18,6 @@ class Dqn(Peer):
 
     Args:
         env: the environment, with discrete actions.
-        scene: its identifier.
         steps: number of steps of the training.
         models: directory in which trained agents are kept, one file per scene and number of steps.
 
@@ -27,8 +26,9 @@ class Dqn(Peer):
         ValueError: if the environment's actions are continuous.
     """
 
-    def __init__(self, env: gym.Env, scene: str, steps: int, models: Path) -> None:
-        super().__init__(env, scene)
+    def __init__(self, env: gym.Env, steps: int, models: Path) -> None:
+        super().__init__(env)
+        scene = env.spec.id if env.spec else type(env.unwrapped).__name__
         if not isinstance(env.action_space, gym.spaces.Discrete):
             raise ValueError(f"the driver dqn needs discrete actions; {scene} has none")
         self.steps = steps
