@@ -67,7 +67,7 @@ class Peer(gym.Wrapper):
         return {"decisions": list(self.decisions), "source": type(self).__name__.lower()}
 
     def _unheeded(self) -> Any:
-        """Return an action for an ego that steers itself, which rewards take for what it does: idle, or its steering."""
+        """Return an action for an ego that steers by itself, which rewards take for what it does."""
         action_type = self.inner.action_type
         if isinstance(action_type, DiscreteMetaAction):
             return action_type.actions_indexes["IDLE"]
