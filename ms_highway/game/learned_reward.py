@@ -12,9 +12,10 @@ from jaxtyping import Float
 
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.reward_model import RewardModel
+from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.runtime.files import read_json, replacing
 
-__all__ = ["SHIPPED", "VERSION", "LearnedReward", "load", "save", "shipped"]
+__all__ = ["SHIPPED", "VERSION", "LearnedReward", "commuter_weights", "load", "save", "shipped"]
 
 VERSION = 2
 """Version of the file format; files of version 1 can be read, others are refused."""
@@ -128,6 +129,16 @@ def shipped(name: str) -> LearnedReward:
     if name not in SHIPPED:
         raise ValueError(f"no learned reward {name!r} comes with ms_highway; there are {', '.join(SHIPPED)}")
     return _checked(json.loads((resources.files("ms_highway") / "data" / f"{name}.json").read_text()), name)
+
+
+def commuter_weights() -> dict[str, float]:
+    """Return weights, by name, of who drives with the traffic: learned on US-101, in units of log-probability.
+
+    Those of leaving the lane, the road, and of collisions are the paper's: the recordings tell little about them.
+    """
+    learned = shipped("us101")
+    kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}
+    return {name: weight / learned.temperature for name, weight in (learned.weights | kept).items()}
 
 
 def _checked(content: Any, place: str) -> LearnedReward:

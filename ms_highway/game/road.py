@@ -24,6 +24,7 @@ __all__ = [
     "RoadScene",
     "interpolate",
     "place",
+    "project",
 ]
 
 SPACING = 2.0
@@ -132,13 +133,30 @@ def place(
     return x, y, heading
 
 
-def on_path(
-    path: Path, x: Float[jax.Array, "*shape"], y: Float[jax.Array, "*shape"]
-) -> tuple[Float[jax.Array, "*shape"], Float[jax.Array, "*shape"]]:
-    """Return s and d of world positions: projected on the tangent of the nearest knot."""
-    dx, dy = jnp.asarray(x)[..., None] - path.x, jnp.asarray(y)[..., None] - path.y
-    nearest = jnp.argmin(dx**2 + dy**2, axis=-1, keepdims=True)
-    dx, dy = (jnp.take_along_axis(values, nearest, axis=-1)[..., 0] for values in (dx, dy))
-    heading = jnp.asarray(path.heading)[nearest[..., 0]]
-    cosine, sine = jnp.cos(heading), jnp.sin(heading)
-    return nearest[..., 0] * SPACING - BEHIND + dx * cosine + dy * sine, dy * cosine - dx * sine
+def project(
+    path: Path, x: Float[jax.Array, "*shape"], y: Float[jax.Array, "*shape"], heading: Float[jax.Array, "*shape"]
+) -> tuple[Float[jax.Array, "*shape"], Float[jax.Array, "*shape"], Float[jax.Array, "*shape"]]:
+    """Return s, d and the heading relative to the path of poses in world coordinates: the inverse of `place`.
+
+    From the nearest knot, two Newton steps find where the normal of the path passes through the position. The heading
+    is wrapped to [-pi, pi).
+    """
+    x, y = jnp.asarray(x), jnp.asarray(y)
+    nearest = jnp.argmin((x[..., None] - path.x) ** 2 + (y[..., None] - path.y) ** 2, axis=-1)
+    s = nearest * SPACING - BEHIND
+    last = (np.shape(path.x)[-1] - 1) * SPACING - BEHIND
+    for _ in range(2):
+        ahead, aside, _ = _offset(path, s, x, y)
+        bend = jnp.where((s > -BEHIND) & (s < last), interpolate(path.curvature, s), 0.0)
+        s = s + ahead / jnp.maximum(1 - aside * bend, 0.2)
+    _, d, along = _offset(path, s, x, y)
+    return s, d, (heading - along + np.pi) % (2 * np.pi) - np.pi
+
+
+def _offset(
+    path: Path, s: Float[jax.Array, "*shape"], x: Float[jax.Array, "*shape"], y: Float[jax.Array, "*shape"]
+) -> tuple[Float[jax.Array, "*shape"], Float[jax.Array, "*shape"], Float[jax.Array, "*shape"]]:
+    """Return how far positions are ahead and to the right of the path at s [m], and the path's heading there."""
+    from_x, from_y, along = place(path, s, jnp.zeros_like(s))
+    dx, dy, cosine, sine = x - from_x, y - from_y, jnp.cos(along), jnp.sin(along)
+    return dx * cosine + dy * sine, dy * cosine - dx * sine, along

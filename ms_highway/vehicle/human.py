@@ -6,9 +6,9 @@ from typing import Any, ClassVar
 from highway_env.road.road import Road
 
 from ms_highway.control.fixed import FixedModel
-from ms_highway.game.learned_reward import shipped
+from ms_highway.game.learned_reward import commuter_weights, shipped
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings
-from ms_highway.game.scenario import COMMON_WEIGHTS, driving_game
+from ms_highway.game.scenario import driving_game
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import Naive
 from ms_highway.vehicle.planning import PlanningVehicle
@@ -71,13 +71,6 @@ class HumanVehicle(PlanningVehicle):
         super().act(action)
 
 
-def _commuting() -> dict[str, float]:
-    """Return the weights of `CommuterVehicle`."""
-    learned = shipped("us101")
-    kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}
-    return {name: weight / learned.temperature for name, weight in (learned.weights | kept).items()}
-
-
 class CommuterVehicle(HumanVehicle):
     """Drive with the traffic, like the drivers recorded on US-101.
 
@@ -88,5 +81,5 @@ class CommuterVehicle(HumanVehicle):
     """
 
     COLOR = (150, 90, 200)
-    weights = _commuting()
+    weights = commuter_weights()
     solver = "newton"

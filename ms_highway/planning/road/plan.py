@@ -7,7 +7,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.game.road import RoadScene, interpolate, on_path
+from ms_highway.game.road import RoadScene, interpolate, project
 from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.proposals import PROPOSALS, Manners, Rollouts, profiles, simulate, speed_caps
 from ms_highway.planning.road.scoring import RoadWeights, Scores, score
@@ -84,7 +84,7 @@ def first_memory(planning: RoadPlanning) -> Memory:
 
 def last_lane(scene: RoadScene, memory: Memory) -> Int[jax.Array, ""]:
     """Return the lane that the last plan ends in, 0 to 2; the own one without a last plan."""
-    s, d = on_path(scene.route, *memory.goal)
+    s, d, _ = project(scene.route, *memory.goal, 0.0)
     lane = jnp.argmin(jnp.abs(jax.vmap(interpolate, in_axes=(0, None))(jnp.asarray(scene.lanes), s) - d))
     return jnp.where(jnp.isfinite(d), lane, 1)
 
@@ -104,8 +104,9 @@ def propose(
     plans = profiles(memory.controls, last_lane(scene, memory))
     nothing = jnp.zeros((PROPOSALS, len(rungs), planning.steps))
     manners = Manners((rungs >= IDM) & jnp.asarray(scene.moving), jnp.zeros_like(rungs, bool), nothing)
-    rollouts = simulate(scene, planning, ways_of(scene), manners, plans)
-    return Proposed(rollouts, score(scene, planning, weights, rollouts, plans.lane, speed_caps(scene, planning)))
+    ways = ways_of(scene)
+    rollouts = simulate(scene, planning, ways, manners, plans)
+    return Proposed(rollouts, score(scene, planning, weights, ways, rollouts, plans.lane, speed_caps(scene, planning)))
 
 
 def highest_gains(scores: Scores) -> Float[jax.Array, "traffic"]:

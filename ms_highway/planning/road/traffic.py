@@ -9,7 +9,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.road import RoadScene, interpolate, on_path, place
+from ms_highway.game.road import RoadScene, interpolate, place, project
 
 __all__ = ["Ways", "follow", "positions", "ways_of"]
 
@@ -24,19 +24,19 @@ class Ways(NamedTuple):
 
     Attributes:
         s, d: position on the route [m].
-        along: cosine of the angle between the path and the route.
+        cosine: of the angle between the path and the route.
     """
 
     s: Float[jax.Array, "traffic knots"]
     d: Float[jax.Array, "traffic knots"]
-    along: Float[jax.Array, "traffic knots"]
+    cosine: Float[jax.Array, "traffic knots"]
 
 
 def ways_of(scene: RoadScene) -> Ways:
     """Project the paths of traffic on the robot's route."""
-    s, d = on_path(scene.route, jnp.asarray(scene.paths.x), jnp.asarray(scene.paths.y))
-    heading = jax.vmap(lambda s: interpolate(scene.route.heading, s))(s)
-    return Ways(s, d, jnp.cos(jnp.asarray(scene.paths.heading) - heading))
+    paths = scene.paths
+    s, d, turn = project(scene.route, *(jnp.asarray(field) for field in (paths.x, paths.y, paths.heading)))
+    return Ways(s, d, jnp.cos(turn))
 
 
 def follow(
@@ -44,17 +44,21 @@ def follow(
     wanted: Float[jax.Array, "*shape"],
     gap: Float[jax.Array, "*shape"],
     ahead: Float[jax.Array, "*shape"],
+    headway: float = HEADWAY,
+    standstill: float = STANDSTILL,
 ) -> Float[jax.Array, "*shape"]:
-    """Return the acceleration of the Intelligent Driver Model, with highway-env's parameters.
+    """Return the acceleration of the Intelligent Driver Model, by default with highway-env's parameters.
 
     Args:
         speed: of the follower [m/s].
         wanted: its desired speed [m/s].
         gap: between bumpers to the car ahead [m]; infinite without one.
         ahead: speed of that car [m/s].
+        headway: desired time gap [s].
+        standstill: desired gap of standing cars [m].
     """
     closing = speed * (speed - ahead) / (2 * (COMFORTABLE * BRAKING) ** 0.5)
-    desired = STANDSTILL + jnp.maximum(speed * HEADWAY + closing, 0.0)
+    desired = standstill + jnp.maximum(speed * headway + closing, 0.0)
     free = 1 - (speed / jnp.maximum(wanted, 0.1)) ** 4
     return jnp.clip(COMFORTABLE * (free - (desired / jnp.maximum(gap, 0.5)) ** 2), -HARDEST, COMFORTABLE)
 

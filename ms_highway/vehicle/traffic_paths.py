@@ -1,0 +1,256 @@
+"""Find the ways that other vehicles may take, and who follows whom and who gives way on them."""
+
+from dataclasses import dataclass
+from math import sin
+
+import numpy as np
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Landmark, RoadObject
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.game.road import SPACING, TRAFFIC, TRAFFIC_KNOTS, Path
+from ms_highway.vehicle.lane_paths import wrapped
+from ms_highway.vehicle.road_map import Chain, LaneIndex, RoadMap
+
+__all__ = ["Traffic", "Way", "traffic_of"]
+
+AHEAD, BEHIND_SIGHT = 120.0, 60.0  # m, in which others are seen
+MOST_VEHICLES, MOST_WAYS = 16, 3
+BRANCHES = 60.0  # m ahead, up to which all ways are told apart
+LENGTH = 140.0  # m, of ways
+CROOKED = 0.8  # widths of a lane: others take joints, such as exits from inner lanes, that the robot does not
+ON_LANE, ALONG = 1.0, 0.3  # m aside and rad, up to which a vehicle may follow a lane that begins where its own does
+NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, and conflict
+IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m aside and ahead, in which a vehicle leads another
+NO_GAP = 1e3  # m, without a leader
+FAR = -1e4  # m, coordinates of unused paths
+EVERY = 2  # knots, compared
+LIMIT = 20.0  # m/s, where a lane has no limit
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way that a vehicle may take: lanes that follow each other, and the place on the first one [m]."""
+
+    car: RoadObject
+    owner: int
+    chain: Chain
+    place: float
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """The fields of `RoadScene` that tell of others."""
+
+    paths: Path
+    states: Float[np.ndarray, "traffic 4"]
+    sizes: Float[np.ndarray, "traffic 2"]
+    present: Bool[np.ndarray, "traffic"]
+    limits: Float[np.ndarray, "traffic"]
+    leaders: Int[np.ndarray, "traffic"]
+    gaps: Float[np.ndarray, "traffic"]
+    owners: Int[np.ndarray, "traffic"]
+    moving: Bool[np.ndarray, "traffic"]
+    priority: Bool[np.ndarray, "traffic"]
+
+
+def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, chain: Chain, way: float) -> Traffic:
+    """Return the paths of others around a vehicle, those that come near its route first, then by distance.
+
+    Args:
+        vehicle: the robot.
+        roads: of its network.
+        route: its path.
+        chain: lanes of its path.
+        way: at which it is along them [m].
+    """
+    ways = [way for number, car in enumerate(_seen(vehicle)) for way in _ways(car, number, roads)]
+    drawn = [_draw(way, roads) for way in ways]
+    conflicts = [_conflict(path, route) for path, _ in drawn]
+    order = sorted(range(len(ways)), key=lambda number: (conflicts[number] is None, ways[number].owner))[:TRAFFIC]
+    count, unused = len(order), TRAFFIC - len(order)
+    line = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
+    nowhere = Path(line + np.float32(FAR), np.full_like(line, FAR), np.zeros_like(line), np.zeros_like(line))
+    paths = [drawn[number][0] for number in order] + [nowhere] * unused
+    cars = [ways[number].car for number in order]
+    owners = np.array([ways[number].owner for number in order] + [-1] * unused, dtype=np.int32)
+    present = np.arange(TRAFFIC) < count
+    stacked = Path(*(np.stack([getattr(path, name) for path in paths]) for name in ("x", "y", "heading", "curvature")))
+    leaders, gaps = _leaders(stacked, cars, owners)
+    starts = roads.starts(chain)
+    robot = _Progress(chain, starts, way)
+    priority = [
+        _gives_way(roads, robot, ways[number], conflicts[number]) and isinstance(ways[number].car, Vehicle)
+        for number in order
+    ]
+    return Traffic(
+        paths=stacked,
+        states=np.array([drawn[number][1] for number in order] + [(0.0,) * 4] * unused, dtype=np.float32),
+        sizes=np.array([(car.LENGTH, car.WIDTH) for car in cars] + [(5.0, 2.0)] * unused, dtype=np.float32),
+        present=present,
+        limits=np.array(
+            [roads.lanes[ways[number].chain[0]].speed_limit or LIMIT for number in order] + [LIMIT] * unused,
+            dtype=np.float32,
+        ),
+        leaders=leaders,
+        gaps=gaps,
+        owners=owners,
+        moving=np.array([isinstance(car, Vehicle) for car in cars] + [False] * unused),
+        priority=np.array(priority + [False] * unused),
+    )
+
+
+def _seen(vehicle: Vehicle) -> list[RoadObject]:
+    """Return vehicles and solid objects in sight, nearest first."""
+    others = [car for car in vehicle.road.vehicles if car is not vehicle]
+    others += [item for item in vehicle.road.objects if not isinstance(item, Landmark)]
+    if not others:
+        return []
+    delta = np.array([car.position for car in others]) - vehicle.position
+    distances = np.hypot(delta[:, 0], delta[:, 1])
+    in_sight = distances < np.where(delta @ vehicle.direction > 0, AHEAD, BEHIND_SIGHT)
+    nearest = [number for number in np.argsort(distances, kind="stable") if in_sight[number]]
+    return [others[number] for number in nearest[:MOST_VEHICLES]]
+
+
+def _ways(car: RoadObject, owner: int, roads: RoadMap) -> list[Way]:
+    """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane."""
+    index = car.lane_index
+    begun = [index]
+    lane = roads.lanes[index]
+    place, aside = lane.local_coordinates(car.position)
+    if not isinstance(car, Vehicle):
+        return [Way(car, owner, _onward(roads, index, 0.0)[0], place)]
+    places = {index: place}
+    for end in roads.graph[index[0]]:
+        other = (index[0], end, min(index[2], len(roads.graph[index[0]][end]) - 1))
+        if end != index[1]:
+            s, d = roads.lanes[other].local_coordinates(car.position)
+            turned = wrapped(car.heading - roads.lanes[other].heading_at(s))
+            if s >= -1.0 and abs(d) < max(ON_LANE, abs(aside)) and abs(turned) < ALONG:
+                begun.append(other)
+                places[other] = s
+    drift = aside + car.speed * sin(wrapped(car.heading - lane.heading_at(place)))
+    if abs(drift) > lane.width_at(place) / 2:
+        neighbour = roads.beside(index, 1 if drift > 0 else -1)
+        if neighbour:
+            begun.append(neighbour)
+            places[neighbour] = roads.lanes[neighbour].local_coordinates(car.position)[0]
+    found = [Way(car, owner, chain, places[first]) for first in begun for chain in _onward(roads, first, places[first])]
+    return found[:MOST_WAYS]
+
+
+def _onward(roads: RoadMap, index: LaneIndex, place: float) -> tuple[Chain, ...]:
+    """Return the chains of lanes from a place on a lane on, one for each way within `BRANCHES`."""
+    left = roads.lanes[index].length - place
+    return _chains(roads, index, int(max(left, 0.0) // 10))
+
+
+def _chains(roads: RoadMap, index: LaneIndex, tens: int) -> tuple[Chain, ...]:
+    key = ("chains", index, tens)
+    if key not in roads.kept:
+        found: list[Chain] = []
+        open_ends: list[tuple[Chain, float]] = [((index,), 10.0 * tens)]
+        while open_ends:
+            chain, covered = open_ends.pop(0)
+            nexts = roads.following(chain[-1], CROOKED) if covered < LENGTH else ()
+            if not nexts:
+                found.append(chain)
+            for following in nexts if covered < BRANCHES else nexts[:1]:
+                open_ends.append(((*chain, following), covered + float(roads.lanes[following].length)))
+        roads.kept[key] = tuple(found)
+    return roads.kept[key]  # type: ignore[return-value]
+
+
+def _draw(way: Way, roads: RoadMap) -> tuple[Path, tuple[float, float, float, float]]:
+    """Return the path of a way and the vehicle's state on it."""
+    curve = roads.curve(way.chain, way.place)
+    s, d, heading = curve.project(way.car.position, way.car.heading, way.place)
+    return curve.path(s, TRAFFIC_KNOTS), (0.0, d, heading, float(way.car.speed))
+
+
+def _conflict(path: Path, route: Path) -> tuple[float, float, float] | None:
+    """Return distances along a path and along the route to where they first come near, and how near; None if never."""
+    ahead = slice(int(20.0 / SPACING) - 2, None, EVERY)
+    x = path.x[ahead, None] - route.x[None, ahead]
+    y = path.y[ahead, None] - route.y[None, ahead]
+    distances = np.hypot(x, y)
+    near = distances.min(axis=1) < NEAR_ROUTE
+    if not near.any():
+        return None
+    crossing = distances.min(axis=1) < CROSSING
+    first = int(np.argmax(crossing)) if crossing.any() else int(np.argmax(near))
+    on_route = int(np.argmin(distances[first]))
+    return first * EVERY * SPACING, on_route * EVERY * SPACING, float(distances[first, on_route])
+
+
+@dataclass(frozen=True)
+class _Progress:
+    """How far along a chain of lanes a vehicle is."""
+
+    chain: Chain
+    starts: list[float]
+    way: float
+
+    def leg(self, ahead: float = 0.0) -> int:
+        """Return the number of the lane some metres ahead."""
+        number = int(np.searchsorted(self.starts, self.way + ahead, side="right")) - 1
+        return min(max(number, 0), len(self.chain) - 1)
+
+
+def _gives_way(roads: RoadMap, robot: _Progress, way: Way, conflict: tuple[float, float, float] | None) -> bool:
+    """Return whether the robot has to give way to a vehicle.
+
+    It has to
+
+    * where their ways come within 3 m and the lowest `priority` of the vehicle's lanes from here to there is higher
+      than that of the robot's lanes;
+    * with equal priorities, where their ways join in a lane that another lane than the robot's continues into more
+      evenly, such as the ring of a roundabout from its entry, and the vehicle comes from there.
+    """
+    if conflict is None or conflict[2] > CROSSING:
+        return False
+    other = _Progress(way.chain, roads.starts(way.chain), way.place)
+    until, mine_until = other.leg(conflict[0]), robot.leg(conflict[1])
+    theirs = min(_priority(roads, index) for index in way.chain[: until + 1])
+    mine = min(_priority(roads, index) for index in robot.chain[robot.leg() : mine_until + 1])
+    if theirs != mine:
+        return theirs > mine
+    for number in range(robot.leg() + 1, len(robot.chain)):
+        lane = robot.chain[number]
+        if lane in way.chain:
+            if roads.continues_best(robot.chain[number - 1], lane):
+                return False
+            place = way.chain.index(lane)
+            return place == 0 or roads.continues_best(way.chain[place - 1], lane)
+    return False
+
+
+def _priority(roads: RoadMap, index: LaneIndex) -> int:
+    return getattr(roads.lanes[index], "priority", 0)
+
+
+def _leaders(
+    paths: Path, cars: list[RoadObject], owners: Int[np.ndarray, "traffic"]
+) -> tuple[Int[np.ndarray, "traffic"], Float[np.ndarray, "traffic"]]:
+    """Return the place of the car ahead on each path, -1 without one, and the distance to it."""
+    leaders, gaps = np.full(TRAFFIC, -1, dtype=np.int32), np.full(TRAFFIC, NO_GAP, dtype=np.float32)
+    if not cars:
+        return leaders, gaps
+    count = len(cars)
+    positions = np.array([car.position for car in cars])  # [cars, 2]
+    x = positions[None, :, None, 0] - paths.x[:count, None, :]  # [paths, cars, knots]
+    y = positions[None, :, None, 1] - paths.y[:count, None, :]
+    nearest = np.argmin(x**2 + y**2, axis=-1)
+    rows, columns = np.arange(count)[:, None], np.arange(count)[None, :]
+    x, y, heading = x[rows, columns, nearest], y[rows, columns, nearest], paths.heading[rows, nearest]
+    s = SPACING * nearest - 20.0 + np.cos(heading) * x + np.sin(heading) * y
+    d = np.cos(heading) * y - np.sin(heading) * x
+    other = owners[:count, None] != owners[None, :count]
+    ahead = other & (np.abs(d) < IN_FRONT) & (s > 0) & (s < LEADER_AHEAD)
+    distance = np.where(ahead, s, NO_GAP)
+    leader = np.argmin(distance, axis=1)  # the first path of a car comes before its others
+    found = ahead.any(axis=1)
+    leaders[:count] = np.where(found, leader, -1)
+    gaps[:count] = distance[np.arange(count), leader]
+    return leaders, gaps

@@ -1,0 +1,165 @@
+"""How humans answer the robot on any road."""
+
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+from roads import arc, keeping_velocity, scene_of
+
+from ms_highway.game.crowd import along_others
+from ms_highway.game.learned_reward import commuter_weights
+from ms_highway.game.reward import linear_reward
+from ms_highway.game.road import place, project
+from ms_highway.game.scenario import PAPER_UNIT
+from ms_highway.game.scene import Scene
+from ms_highway.planning.road.answers import UNIT, Driver, answer, cruise, driver_of, follow, within_reach
+from ms_highway.planning.road.settings import RoadPlanning
+
+PLANNING = RoadPlanning()
+TIMES = np.arange(1, PLANNING.steps + 1) * PLANNING.time_step
+NOTHING = jnp.zeros(PLANNING.steps)
+
+
+def robot_at(s, speed, d=0.0):
+    """World trajectory on a straight road."""
+    return jnp.stack(jnp.broadcast_arrays(*map(jnp.float32, (s, d, 0.0)), jnp.asarray(speed, jnp.float32)))
+
+
+AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)
+
+
+def answered(scene, robot, start=NOTHING):
+    return np.asarray(jax.jit(answer)(scene, PLANNING, 0, robot, keeping_velocity(scene, PLANNING), start))
+
+
+@pytest.mark.parametrize("bend", [0.0, 1 / 30, -1 / 60])
+def test_projecting_undoes_placing(bend):
+    path = arc(64, bend)
+    random = np.random.default_rng(0)
+    s, d, turned = (jnp.asarray(random.uniform(-a, a, 500), jnp.float32) for a in (19.0, 6.0, 3.0))
+    s = s + 40.0 * (np.arange(500) % 2)
+    x, y, along = jax.jit(place)(path, s, d)
+    for found, true, within in zip(
+        project(path, x, y, along + turned), (s, d, turned), (0.02, 0.02, 0.005), strict=True
+    ):
+        np.testing.assert_allclose(found, true, atol=within)
+
+
+def test_beyond_its_ends_a_path_goes_straight_on_in_both_directions_of_conversion():
+    path = arc(64, 1 / 30)
+    s, d = jnp.array([-60.0, 150.0]), jnp.array([3.0, -5.0])
+    x, y, along = jax.jit(place)(path, s, d)
+    for found, true in zip(jax.jit(project)(path, x, y, along), (s, d, 0 * s), strict=True):
+        np.testing.assert_allclose(found, true, atol=1e-3)
+
+
+def test_headings_are_relative_to_the_path_and_wrapped():
+    path = arc(64, 1 / 10)
+    x, y, along = jax.jit(place)(path, jnp.float32(80.0), jnp.float32(0.0))
+    assert float(along) > 2 * np.pi
+    assert abs(float(jax.jit(project)(path, x, y, along - 2 * np.pi + 0.1)[2]) - 0.1) < 1e-4
+
+
+BUSY = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1, 20.0)])
+
+
+def busy_driver():
+    cut_in = robot_at(8 + 20 * TIMES, 20.0 + 0 * TIMES, jnp.asarray(np.minimum(-4 + 2 * TIMES, 0)))
+    return jax.jit(driver_of)(BUSY, PLANNING, 0, cut_in, keeping_velocity(BUSY, PLANNING))
+
+
+def test_the_reward_is_the_commuters_on_a_straight_road():
+    driver = busy_driver()
+    learned = linear_reward(commuter_weights(), 30.0)
+    scene = Scene(jnp.zeros(1), 4.0, jnp.zeros((0, 2)), jnp.ones(2), jnp.array([5.0, 2.0]), 0.5, 0.0, PAPER_UNIT)
+
+    def earned(scaled):
+        a = scaled * UNIT
+        speed = 22 + jnp.cumsum(a) * 0.2
+        s = jnp.cumsum(jnp.concatenate([jnp.full(1, 22.0), speed[:-1]]) + speed) * 0.1
+        own = jnp.stack([s, 0 * s, 0 * s + 1, 0 * s, speed])
+        comfort = learned.comfort[1] * jnp.sum((a / PAPER_UNIT) ** 2) / 2
+        return along_others(scene, learned, own, jnp.moveaxis(driver.others, 1, 0)) - comfort
+
+    random = np.random.default_rng(0)
+    first, second = (jnp.asarray(random.normal(size=15) / 10, jnp.float32) for _ in range(2))
+    difference = float(earned(first) - earned(second))
+    assert abs(difference) > 10
+    assert float(driver.earned(first) - driver.earned(second)) == pytest.approx(difference, rel=1e-3)
+
+
+def test_its_derivatives_are_exact():
+    driver, at = busy_driver(), jnp.full(15, -0.1)
+    expansion = jax.jit(Driver.expand)(driver, at)
+    gradient, hessian = (jax.jit(of(driver.earned))(at) for of in (jax.grad, jax.hessian))
+    np.testing.assert_allclose(expansion.gradient, gradient, atol=1e-4 * np.abs(gradient).max())
+    np.testing.assert_allclose(expansion.hessian, hessian, atol=1e-4 * np.abs(hessian).max())
+    for k in (0, 7):
+        moved = at.at[k].add(1e-2), at.at[k].add(-1e-2)
+        change = float(driver.earned(moved[0]) - driver.earned(moved[1])) / 2e-2
+        assert float(gradient[k]) == pytest.approx(change, rel=0.02, abs=0.01 * float(jnp.abs(gradient).max()))
+
+
+def test_a_free_human_approaches_the_speed_limit_gently():
+    slow = answered(scene_of(cars=[(0.0, 0, 20.0)], limit=30.0), AWAY)
+    fast = answered(scene_of(cars=[(0.0, 0, 30.0)], limit=20.0), AWAY)
+    assert ((slow > 0) & (slow < 1)).all()
+    assert ((fast < 0) & (fast > -1.5)).all()
+
+
+def test_a_human_behind_a_braking_robot_brakes_and_one_beside_a_cut_in_slows():
+    scene = scene_of(cars=[(0.0, 0, 20.0)])
+    braking = robot_at(20 + 20 * TIMES - 2 * TIMES**2, 20 - 4 * TIMES)
+    assert answered(scene, braking).mean() < -1.0
+    cut_in = robot_at(10 + 20 * TIMES, 20.0 + 0 * TIMES, jnp.asarray(np.minimum(-4 + 2 * TIMES, 0)))
+    beside = robot_at(10 + 20 * TIMES, 20.0 + 0 * TIMES, -4.0)
+    assert -6.0 < answered(scene, cut_in)[:5].mean() < answered(scene, beside)[:5].mean() - 0.5
+
+
+def test_a_human_stops_behind_a_standing_car_even_from_a_start_that_drives_through_it():
+    scene = scene_of(cars=[(-30.0, 0, 15.0), (2.0, 0, 0.0)])
+    found = answered(scene, AWAY)
+    x, _, _, speed = jax.jit(follow)(scene, PLANNING, 0, jnp.asarray(found))
+    assert float(x[-1]) < 2.0 - 5.0
+    assert float(speed.min()) >= 0.0
+
+
+def test_a_human_does_not_look_at_itself_nor_at_its_other_way():
+    scene = scene_of(cars=[(0.0, 0, 20.0), (0.0, 0, 20.0), (15.0, 0, 15.0)])
+    alone = answered(scene_of(cars=[(0.0, 0, 20.0)]), AWAY)
+    owned = scene.__class__(**{**vars(scene), "owners": np.array([0, 0, *[-1] * 10])})
+    owned.present[2:] = False
+    np.testing.assert_allclose(answered(owned, AWAY), alone, atol=1e-3)
+
+
+def test_humans_stop_and_never_reverse():
+    held = np.asarray(within_reach(PLANNING, jnp.float32(2.0), jnp.array([[-9.0, -9, -9, 9], [-1, -20, 5, -1]])))
+    np.testing.assert_allclose(held, [[-6, -4, 0, 3], [-1, -6, 3, -1]], atol=1e-5)
+
+
+def test_a_human_follows_its_path_and_comes_to_its_middle():
+    scene = scene_of(bend=1 / 30, cars=[(0.0, 1, 8.0)])
+    scene.states[0, 1] = 1.0
+    x, y, heading, speed = jax.jit(follow)(scene, PLANNING, 0, NOTHING)
+    distance = np.hypot(x, y - 30)
+    np.testing.assert_allclose(np.diff(distance) > 0, True)
+    assert abs(distance[-1] - 26.0) < 0.05
+    np.testing.assert_allclose(speed, 8.0)
+    np.testing.assert_allclose(heading, 8 * TIMES / 26, atol=1e-3)
+
+
+def test_many_trajectories_are_answered_at_once():
+    scene = scene_of(cars=[(0.0, 0, 20.0), (40.0, 0, 20.0)])
+    robots = jnp.stack([robot_at(ahead + 20 * TIMES, 20.0 + 0 * TIMES) for ahead in (12.0, 30.0)])
+    others = keeping_velocity(scene, PLANNING)
+    together = jax.jit(jax.vmap(partial(answer, scene, PLANNING, 0), (0, None, None)))(robots, others, NOTHING)
+    np.testing.assert_allclose(together, [answered(scene, robot) for robot in robots], atol=0.01)
+
+
+def test_the_robot_cruises_along_a_circle():
+    x, y, heading, speed = jax.jit(cruise)(scene_of(bend=1 / 30, robot=(0.0, 2.0, 0.0, 7.0)), PLANNING)
+    np.testing.assert_allclose(np.hypot(x, y - 30), 28.0, atol=0.05)
+    np.testing.assert_allclose(np.diff(heading), 7 * 0.2 / 28, atol=1e-3)
+    np.testing.assert_allclose(speed, 7.0)
