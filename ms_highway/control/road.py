@@ -11,7 +11,16 @@ from jaxtyping import Float, Int
 
 from ms_highway.game.road import TRAFFIC, RoadScene
 from ms_highway.metareasoning.road import RoadCosts, RungChoice
-from ms_highway.planning.road.plan import LAST_PLAN, Memory, RoadPlan, first_memory, highest_gains, plan_road, propose
+from ms_highway.planning.road.plan import (
+    LAST_PLAN,
+    REFINED,
+    Memory,
+    RoadPlan,
+    first_memory,
+    highest_gains,
+    plan_road,
+    propose,
+)
 from ms_highway.planning.road.scoring import RoadWeights
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
 from ms_highway.runtime.timing import timed, warm_up
@@ -66,7 +75,7 @@ def _plan(
     memory: Memory,
     refines: bool,
 ) -> RoadPlan:
-    return plan_road(scene, planning, weights, rungs, memory)
+    return plan_road(scene, planning, weights, rungs, memory, refines)
 
 
 class RoadDriver:
@@ -128,7 +137,7 @@ class RoadDriver:
     ) -> RoadStep:
         """Remember a plan, or fall back where it is not finite."""
         controls = np.asarray(plan.controls)
-        source = "refined" if plan.chosen < 0 else "last plan" if plan.chosen == LAST_PLAN else "proposal"
+        source = "refined" if plan.chosen == REFINED else "last plan" if plan.chosen == LAST_PLAN else "proposal"
         if np.isfinite(controls).all():
             self._left = len(controls)
         elif self._left > 0:

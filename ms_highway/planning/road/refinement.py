@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.game.road import RoadScene
 from ms_highway.optimization.damped_newton import SHARES, best_of, damped_factor, damped_solve
 from ms_highway.optimization.second_derivatives import Trajectory
-from ms_highway.planning.road.answers import UNIT, Accelerations, World, driver_of, follow
+from ms_highway.planning.road.answers import UNIT, World, along_path, driver_of, follow, onward, pull, push
 from ms_highway.planning.road.motion import advance, bodies, drive
 from ms_highway.planning.road.reward import RoadReward, efforts, reward_along
 from ms_highway.planning.road.settings import RoadPlanning
@@ -111,18 +111,13 @@ class _Climb(NamedTuple):
 
         return jax.lax.fori_loop(0, self.responding, put, others)
 
-    def slope(
-        self, i: Int[jax.Array, ""], others: Traffic, accelerations: Accelerations, robot: World
-    ) -> Accelerations:
-        """Return the derivative of car i's reward in its scaled accelerations."""
-        return driver_of(self.scene, self.planning, i, robot, others).slope(accelerations / UNIT)
-
 
 class _Answers(NamedTuple):
     """What the loop over the cars that answer collects."""
 
     slope: World  # of the robot's reward through them, in its trajectory
     factors: Float[jax.Array, "traffic n n"]  # of the damped Hessians
+    influences: Float[jax.Array, "traffic 4 2 steps"]  # of the robot, see `Driver.influence`
     accelerations: Float[jax.Array, "traffic steps"]  # improved
 
 
@@ -138,35 +133,40 @@ def _improve(climb: _Climb, plan: _Plan) -> _Plan:
     by_motion, by_others = jax.grad(climb.earned, argnums=(0, 1))(motion, plan.others)
     gradient = jnp.tensordot(by_motion, along, 2)
     hessian = _curvature(climb, motion, plan.others, along)
-    robot, pull = jax.vjp(climb.world, motion)
+    robot, to_motion = jax.vjp(climb.world, motion)
 
     def answer(place: Int[jax.Array, ""], answers: _Answers) -> _Answers:
         i = climb.ranks[place]
-        accelerations = plan.accelerations[i]
-        driver = driver_of(climb.scene, climb.planning, i, robot, plan.others)
-        own = driver.expand(accelerations / UNIT)
+        driver, scaled = driver_of(climb.scene, climb.planning, i, robot, plan.others), plan.accelerations[i] / UNIT
+        own = driver.expand(scaled)
         factor = damped_factor(own.hessian)
-        _, by_accelerations = jax.vjp(partial(follow, climb.scene, climb.planning, i), accelerations)
-        pushed = damped_solve(factor, UNIT * by_accelerations(by_others[i])[0])
-        _, through = jax.vjp(partial(climb.slope, i, plan.others, accelerations), robot)
-        improved = driver.toward(accelerations / UNIT, damped_solve(factor, own.gradient)) * UNIT
+        influence = driver.influence(scaled, partial(along_path, climb.scene, i), robot)
+        _, back = jax.vjp(partial(onward, climb.scene, climb.planning, i), driver.move(scaled))
+        pushed = damped_solve(factor, pull(climb.planning, back(by_others[i])[0]))
+        improved = driver.toward(scaled, damped_solve(factor, own.gradient)) * UNIT
         return _Answers(
-            answers.slope + through(pushed)[0],
+            answers.slope + jnp.sum(influence * push(climb.planning, pushed), axis=1),
             answers.factors.at[i].set(factor),
+            answers.influences.at[i].set(influence),
             answers.accelerations.at[i].set(improved),
         )
 
-    none = _Answers(jnp.zeros_like(robot), jnp.zeros((len(plan.others), steps, steps)), plan.accelerations)
+    cars = len(plan.others)
+    none = _Answers(
+        jnp.zeros_like(robot),
+        jnp.zeros((cars, steps, steps)),
+        jnp.zeros((cars, 4, 2, steps)),
+        plan.accelerations,
+    )
     answers = jax.lax.fori_loop(0, climb.responding, answer, none)
-    gradient = gradient + jnp.tensordot(pull(answers.slope)[0], along, 2)
+    gradient = gradient + jnp.tensordot(to_motion(answers.slope)[0], along, 2)
     step = damped_solve(damped_factor(hessian), gradient)
     moved = jax.jvp(climb.world, (motion,), (along @ step,))[1]
 
     def react(place: Int[jax.Array, ""], reactions: Float[jax.Array, "traffic steps"]) -> jax.Array:
         i = climb.ranks[place]
-        slope = partial(climb.slope, i, plan.others, plan.accelerations[i])
-        pushed = jax.jvp(slope, (robot,), (moved,))[1]
-        return reactions.at[i].set(UNIT * damped_solve(answers.factors[i], pushed))
+        slopes = jnp.sum(answers.influences[i] * moved[:, None], axis=0)
+        return reactions.at[i].set(UNIT * damped_solve(answers.factors[i], pull(climb.planning, slopes)))
 
     reactions = jax.lax.fori_loop(0, climb.responding, react, jnp.zeros_like(plan.accelerations))
 
@@ -184,9 +184,14 @@ def _curvature(
     climb: _Climb, motion: Trajectory, others: Traffic, along: Float[jax.Array, "fields steps n"]
 ) -> Float[jax.Array, "n n"]:
     """Return the Hessian in the scaled controls, with the motion taken as linear in them (Gauss-Newton)."""
-    fields = len(motion)
-    directions = jnp.broadcast_to(jnp.eye(fields)[..., None], (fields, *motion.shape))
-    slope = partial(jax.grad(climb.earned), others=others)
-    blocks = jax.vmap(lambda direction: jax.jvp(slope, (motion,), (direction,))[1])(directions)
-    bent = jnp.einsum("dfk,dkn->fkn", blocks, along)
+    states, spent = motion[:4], motion[4:]
+    directions = jnp.broadcast_to(jnp.eye(4)[..., None], (4, *states.shape))
+
+    def slope(states: Float[jax.Array, "4 steps"]) -> Float[jax.Array, "4 steps"]:
+        return jax.grad(lambda states: climb.earned(jnp.concatenate([states, spent]), others))(states)
+
+    blocks = jax.vmap(lambda direction: jax.jvp(slope, (states,), (direction,))[1])(directions)
+    bent = jnp.einsum("dfk,dkn->fkn", blocks, along[:4])
+    weights = -2 * climb.planning.time_step * climb.weights.of_efforts
+    bent = jnp.concatenate([bent, weights[:, None, None] * along[4:]])
     return along.reshape(-1, along.shape[-1]).T @ bent.reshape(-1, along.shape[-1])

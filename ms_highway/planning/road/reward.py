@@ -37,7 +37,7 @@ class RoadReward:
         heading: of the squared angle to the route [1/rad^2].
         acceleration: of its square [s^4/m^2].
         jerk: of its square, along and across [s^6/m^2].
-        edges: of each corner's squared intrusion on the 0.3 m beside the road's edge, as a share of them.
+        edges: of each corner's squared intrusion on the 0.3 m beside the road's edge [1/(0.3 m)^2]; linear beyond.
         collision: of the squared depth in another car's surroundings, 1/2 where bodies nearly touch.
         following: of the squared lack of a distance of 2 m and 1 s to cars ahead [1/(10 m)^2].
     """
@@ -51,6 +51,11 @@ class RoadReward:
     edges: Scalar = 50.0
     collision: Scalar = 200.0
     following: Scalar = 2.0
+
+    @property
+    def of_efforts(self) -> Float[jax.Array, "3"]:
+        """Weights of the squared `efforts`."""
+        return jnp.stack([jnp.float32(weight) for weight in (self.acceleration, self.jerk, self.jerk)])
 
 
 def stage_rewards(
@@ -98,7 +103,7 @@ def reward_along(
     lane: int | Int[jax.Array, ""],
 ) -> Float[jax.Array, "steps"]:
     """Compute the reward after each step of a motion: the robot's state and its `efforts`, see `stage_rewards`."""
-    s, d, heading, speed, acceleration, along, across = motion
+    s, d, heading, speed = motion[:4]
     wish, bend = _wished_speed(planning, scene, s, d), interpolate(scene.route.curvature, s)
     aside = d - interpolate(jnp.asarray(scene.lanes)[lane], s)
     cost = (
@@ -106,8 +111,7 @@ def reward_along(
         + weights.excess * jnp.maximum(speed - wish, 0.0) ** 2
         + weights.lateral * _flattened(aside, LATERAL_SCALE)
         + weights.heading * heading**2
-        + weights.acceleration * acceleration**2
-        + weights.jerk * (along**2 + across**2)
+        + weights.of_efforts @ motion[4:] ** 2
         + weights.edges * _off_road(scene, s, d, heading, bend)
     )
     states = jnp.stack([s, d, heading, speed], axis=-1)
@@ -137,7 +141,7 @@ def _off_road(
     heading: Float[jax.Array, "steps"],
     bend: Float[jax.Array, "steps"],
 ) -> Float[jax.Array, "steps"]:
-    """Sum the squared intrusions of the corners on the margins of the edges, as shares of them."""
+    """Sum the cost of the corners' intrusions on the margins of the edges: squared shares of them, linear beyond 1."""
     length, width = jnp.asarray(scene.size)
     left, right = jnp.asarray(scene.edges)
     total = jnp.zeros_like(s)
@@ -145,7 +149,7 @@ def _off_road(
         middle = d + ahead * jnp.sin(heading) - bend * ahead**2 / 2
         half = width / 2 * jnp.cos(heading)
         for room in (middle - half - interpolate(left, s + ahead), interpolate(right, s + ahead) - middle - half):
-            total = total + jnp.maximum(1 - room / EDGE_MARGIN, 0.0) ** 2
+            total = total + _flattened(jnp.maximum(1 - room / EDGE_MARGIN, 0.0), 1.0)
     return total
 
 
