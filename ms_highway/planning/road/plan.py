@@ -127,9 +127,9 @@ def propose(
 
 
 def highest_gains(scores: Scores) -> Float[jax.Array, "traffic"]:
-    """Return what the best plan would gain without each of the others: a bound on what its answer is worth."""
+    """Return what the best plan would gain if each of the others made way: a bound on what its answer is worth."""
     total = scores.total
-    return (total[:, None] + scores.others).max(axis=0) - total.max()
+    return (total[:, None] + scores.answerable).max(axis=0) - total.max()
 
 
 def plan_road(
