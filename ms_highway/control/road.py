@@ -14,6 +14,7 @@ from ms_highway.metareasoning.road import RoadCosts, RungChoice
 from ms_highway.planning.road.plan import LAST_PLAN, Memory, RoadPlan, first_memory, highest_gains, plan_road, propose
 from ms_highway.planning.road.scoring import RoadWeights
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
 __all__ = ["RoadDriver", "RoadStep"]
@@ -98,6 +99,7 @@ class RoadDriver:
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Return what to do now."""
+        refuse_after_fork()
         begin = perf_counter()
         if self.costs is None:
             self.costs = self._measured(scene)

@@ -271,6 +271,38 @@ if __name__ == "__main__":
 """
 
 
+FORKED = """
+import multiprocessing
+import warnings
+
+import gymnasium as gym
+import ms_highway
+from jax import numpy as jnp
+
+jnp.ones(3).sum()
+env = ms_highway.drive(gym.make("highway-fast-v0"))
+env.reset(seed=0)
+warnings.simplefilter("ignore")  # JAX and Python warn of the fork
+
+
+def work():
+    try:
+        env.step(1)
+    except RuntimeError as error:
+        print(error, flush=True)
+
+
+worker = multiprocessing.get_context("fork").Process(target=work)
+worker.start()
+worker.join()
+"""
+
+
+def test_a_worker_that_was_forked_after_jax_had_begun_says_so_instead_of_waiting_for_ever():
+    done = subprocess.run([sys.executable, "-c", FORKED], timeout=120, capture_output=True, text=True)
+    assert "start it with context='forkserver' or 'spawn'" in done.stdout
+
+
 @pytest.mark.slow
 def test_workers_of_a_vector_environment_drive(tmp_path):
     script = tmp_path / "vector.py"
@@ -294,6 +326,16 @@ def test_a_policy_drives_an_environment_that_stays_stock():
             assert env.unwrapped.vehicle.action["acceleration"] == pytest.approx(control[1], abs=0.2)
         assert state is None
         assert env.unwrapped.vehicle.on_road
+
+
+def test_a_policy_answers_a_batch_of_one_with_a_batch_of_one():
+    env = gym.make("highway-fast-v0", config=CONTINUOUS)
+    policy = ms_highway.RoadPolicy(env, {"driver": "fixed:naive"})
+    observation, _ = env.reset(seed=0)
+    action, _ = policy.predict(observation)
+    actions, _ = policy.predict(observation[None], episode_start=np.ones(1, dtype=bool))
+    assert actions.shape == (1, 2)
+    np.testing.assert_array_equal(actions[0], action)
 
 
 def test_a_policy_of_several_environments_answers_with_one_action_each():

@@ -88,7 +88,7 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
         env = gym.make(block.scene, config=config, disable_env_checker=True, **options)
     if block.driver not in PEERS:
-        from ms_highway.envs.road import drive  # type: ignore[attr-defined]
+        from ms_highway.envs.road import drive
 
         return drive(env, {"driver": block.driver})
     if block.driver == "dqn":
