@@ -65,7 +65,7 @@ class RoadViewer(Viewer):
                 continue
             color = model_color(rung)
             distances = [float(np.linalg.norm(car.position - path[0])) for car in others]
-            if min(distances, default=NEAR) < NEAR:
+            if min(distances, default=NEAR) < NEAR and not others[int(np.argmin(distances))].crashed:
                 body = others[int(np.argmin(distances))].polygon()
                 pygame.draw.polygon(self.sim_surface, color, [self._place(corner) for corner in body])
             for point in path[1::2]:
