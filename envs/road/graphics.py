@@ -59,13 +59,13 @@ class RoadViewer(Viewer):
 
     def _think(self, step: RoadStep) -> None:
         """Draw the plan as a line, predictions as dots and the cars that they are of, in the colours of the rungs."""
-        others = [car for car in self.env.road.vehicles if car is not self.env.vehicle]
+        others = [car for car in self.env.road.vehicles if car is not self.env.vehicle and not car.crashed]
         for rung, path in zip(step.rungs, np.asarray(step.predictions, dtype=float), strict=True):
             if not rung:
                 continue
             color = model_color(rung)
             distances = [float(np.linalg.norm(car.position - path[0])) for car in others]
-            if min(distances, default=NEAR) < NEAR and not others[int(np.argmin(distances))].crashed:
+            if min(distances, default=NEAR) < NEAR:
                 body = others[int(np.argmin(distances))].polygon()
                 pygame.draw.polygon(self.sim_surface, color, [self._place(corner) for corner in body])
             for point in path[1::2]:

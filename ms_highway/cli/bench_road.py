@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.benchmarks.road.names import DRIVERS, SCENES, check_driver, known_scenes
+from ms_highway.benchmarks.road.names import DRIVERS, SCENES, check_drivers, known_scenes
 from ms_highway.cli.console import Command, draw_unseen, print_tables
 from ms_highway.cli.options import MOST, MOST_PROCESSES, MOST_SEEDS, check_least, check_most
 
@@ -79,8 +79,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     check_least(options, seeds=1, seed=0, jobs=1, dqn_steps=1)
     check_most(options, seeds=MOST, seed=MOST_SEEDS - MOST, jobs=MOST_PROCESSES, dqn_steps=MOST)
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
-    for driver in drivers:
-        check_driver(driver)
+    check_drivers(drivers, scenes)
     draw_unseen()
     blocks = [
         Block(scene, driver, options.traffic, options.dqn_steps, options.models)

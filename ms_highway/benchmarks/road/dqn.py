@@ -18,19 +18,16 @@ class Dqn(Peer):
 
     Args:
         env: the environment, with discrete actions.
-        scene: its identifier.
         steps: number of steps of the training.
         models: directory in which trained agents are kept, one file per scene and number of steps.
 
     Raises:
         ImportError: without stable-baselines3.
-        ValueError: if the environment's actions are continuous.
     """
 
-    def __init__(self, env: gym.Env, scene: str, steps: int, models: Path) -> None:
-        super().__init__(env, scene)
-        if not isinstance(env.action_space, gym.spaces.Discrete):
-            raise ValueError(f"the driver dqn needs discrete actions; {scene} has none")
+    def __init__(self, env: gym.Env, steps: int, models: Path) -> None:
+        super().__init__(env)
+        scene = env.spec.id if env.spec else type(env.unwrapped).__name__
         self.steps = steps
         traffic = str(env.unwrapped.config["other_vehicles_type"]).rpartition(".")[2]  # type: ignore[attr-defined]
         self.file = models / f"{scene}_{traffic}_{steps}_steps.zip"
@@ -39,11 +36,9 @@ class Dqn(Peer):
     @cached_property
     def agent(self) -> Any:
         """The trained agent, from its file if there is one."""
-        try:
-            import torch
-            from stable_baselines3 import DQN
-        except ImportError:
-            raise ImportError('the driver dqn needs stable-baselines3: pip install "ms-highway[learning]"') from None
+        import torch
+        from stable_baselines3 import DQN
+
         torch.set_num_threads(1)  # more are slower for networks of this size
         if not self.file.exists():
             agent = DQN("MlpPolicy", OwnStarts(self.env, 0), seed=0, device="cpu", **SETTINGS["highway-env"])

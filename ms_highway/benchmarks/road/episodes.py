@@ -88,12 +88,12 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
         env = gym.make(block.scene, config=config, disable_env_checker=True, **options)
     if block.driver not in PEERS:
-        from ms_highway.envs.road import drive
+        from ms_highway.envs.road.driven import drive
 
         return drive(env, {"driver": block.driver})
     if block.driver == "dqn":
-        return Dqn(env, block.scene, block.dqn_steps, block.models)
-    return {"idm": Idm, "idle": Idle, "random": Random}[block.driver](env, block.scene)
+        return Dqn(env, block.dqn_steps, block.models)
+    return {"idm": Idm, "idle": Idle, "random": Random}[block.driver](env)
 
 
 @cache
@@ -124,7 +124,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         done = terminated or truncated or inner.time >= max(LONGEST, inner.config.get("duration", 0.0))
     return Episode(
         seed=seed,
-        success=is_reached(block.scene, inner, info, watch.crashed, watch.off_road),
+        success=is_reached(inner, watch.crashed, watch.off_road),
         crashed=watch.crashed,
         at_fault=watch.at_fault,
         off_road=watch.off_road,

@@ -2,8 +2,9 @@
 
 import re
 from collections.abc import Iterable
+from importlib.util import find_spec
 
-__all__ = ["DRIVERS", "PEERS", "SCENES", "check_driver", "known_scenes"]
+__all__ = ["DRIVERS", "PEERS", "SCENES", "check_drivers", "known_scenes"]
 
 SCENES = (
     "highway-fast-v0",
@@ -45,12 +46,24 @@ def known_scenes(names: Iterable[str]) -> list[str]:
     return scenes
 
 
-def check_driver(name: str) -> None:
-    """Refuse a driver that is not known.
+def check_drivers(drivers: Iterable[str], scenes: Iterable[str]) -> None:
+    """Refuse drivers that are not known, or that cannot drive.
+
+    Args:
+        drivers: their names.
+        scenes: identifiers of the scenes that they are to drive in.
 
     Raises:
-        ValueError: naming those that are.
+        ValueError: for an unknown one, or where ``dqn`` is to drive with continuous actions.
+        ImportError: for ``dqn`` without stable-baselines3.
     """
-    if name not in PEERS and not OWN.fullmatch(name):
-        known = f"{', '.join(DRIVERS)}, dqn, switching:LAMBDA, budget:MILLISECONDS"
-        raise ValueError(f"unknown driver {name!r}; the drivers are {known}")
+    for name in drivers:
+        if name not in PEERS and not OWN.fullmatch(name):
+            known = f"{', '.join(DRIVERS)}, dqn, switching:LAMBDA, budget:MILLISECONDS"
+            raise ValueError(f"unknown driver {name!r}; the drivers are {known}")
+        if name == "dqn":
+            continuous = [scene for scene in scenes if scene.startswith("racetrack")]
+            if continuous:
+                raise ValueError(f"dqn needs discrete actions; leave out {', '.join(continuous)}")
+            if find_spec("stable_baselines3") is None:
+                raise ImportError('dqn needs stable-baselines3: pip install "ms-highway[learning]"')

@@ -5,12 +5,14 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.benchmarks.road.goals import route_to_goal
 from ms_highway.envs.road.ego import replace_ego
+from ms_highway.envs.road.goals import desired_speed_of
 
 __all__ = ["Idle", "Idm", "IdmEgo", "Peer", "Random"]
 
@@ -22,12 +24,10 @@ class Peer(gym.Wrapper):
 
     Args:
         env: the environment.
-        scene: its identifier.
     """
 
-    def __init__(self, env: gym.Env, scene: str) -> None:
+    def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
-        self.scene = scene
         self.decisions: list[float] = []
         self.observation: Any = None
 
@@ -66,10 +66,12 @@ class Peer(gym.Wrapper):
     def _told(self) -> dict[str, Any]:
         return {"decisions": list(self.decisions), "source": type(self).__name__.lower()}
 
-    def _do_nothing(self) -> Any:
-        """Return the action that changes nothing."""
-        actions = getattr(self.inner.action_type, "actions_indexes", None)
-        return np.zeros(self.action_space.shape) if actions is None else actions["IDLE"]
+    def _unheeded(self) -> Any:
+        """Return an action for an ego that steers by itself, which rewards take for what it does."""
+        action_type = self.inner.action_type
+        if isinstance(action_type, DiscreteMetaAction):
+            return action_type.actions_indexes["IDLE"]
+        return np.interp([self.inner.vehicle.action["steering"]], action_type.steering_range, [-1.0, 1.0])
 
 
 class Idle(Peer):
@@ -86,7 +88,7 @@ class Idle(Peer):
 
     def choose(self) -> Any:
         """Return the action that changes nothing."""
-        return self._do_nothing()
+        return self._unheeded()
 
 
 class Random(Peer):
@@ -105,7 +107,7 @@ class IdmEgo(IDMVehicle):
     """highway-env's IDM and MOBIL in the place of the ego, with what rewards look for in an `MDPVehicle`.
 
     Attributes:
-        target_speeds: of the environment's actions [m/s]; the highest is the desired speed.
+        target_speeds: of the environment's actions [m/s].
         decisions: where it notes the duration of each of its decisions [s].
     """
 
@@ -132,26 +134,25 @@ class IdmEgo(IDMVehicle):
 class Idm(Peer):
     """Let highway-env's IDM and MOBIL drive the ego, as they drive the others: on a route to the goal, if there is one.
 
-    They decide in every frame. The desired speed is the highest of the environment's target speeds; IDM keeps the speed
-    limits of lanes by itself.
+    They decide in every frame. The desired speed is that of `ms_highway.envs.road.goals.desired_speed_of`, as for this
+    package's drivers; IDM keeps the speed limits of lanes by itself.
     """
 
     def begin(self, seed: int | None) -> None:
         """Put an `IdmEgo` in the place of the ego."""
-        speeds = self.target_speeds
 
         def make(old: Vehicle) -> Vehicle:
-            ego = IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=float(max(speeds)))
-            ego.target_speeds = speeds
+            ego = IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=desired_speed_of(self.env))
+            ego.target_speeds = self.target_speeds
             return ego
 
         ego = replace_ego(self.env, make)
-        ego.route = route_to_goal(self.scene, self.inner)
+        ego.route = route_to_goal(self.inner)
         ego.decisions = self.decisions
 
     def choose(self) -> Any:
-        """Return an action that the ego ignores and no reward punishes."""
-        return self._do_nothing()
+        """Return an action that the ego ignores."""
+        return self._unheeded()
 
     def _told(self) -> dict[str, Any]:
         return super()._told() | {"decisions": self.decisions[1:]}  # the first is that of `choose`

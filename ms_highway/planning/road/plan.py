@@ -104,8 +104,9 @@ def propose(
     plans = profiles(memory.controls, last_lane(scene, memory))
     nothing = jnp.zeros((PROPOSALS, len(rungs), planning.steps))
     manners = Manners((rungs >= IDM) & jnp.asarray(scene.moving), jnp.zeros_like(rungs, bool), nothing)
-    rollouts = simulate(scene, planning, ways_of(scene), manners, plans)
-    return Proposed(rollouts, score(scene, planning, weights, rollouts, plans.lane, speed_caps(scene, planning)))
+    ways = ways_of(scene)
+    rollouts = simulate(scene, planning, ways, manners, plans)
+    return Proposed(rollouts, score(scene, planning, weights, ways, rollouts, plans.lane, speed_caps(scene, planning)))
 
 
 def highest_gains(scores: Scores) -> Float[jax.Array, "traffic"]:

@@ -29,6 +29,7 @@ CLOSE = 0.7, 2.0  # s and m, time gap and standstill gap of the robot
 HASTE = 3.0  # m/s^2, of accelerations for the desired speed
 SLOWEST = 3.0  # m/s, below which steering is not sharper than at this speed
 SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
+PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
 ROOM = 0.4  # m, lateral, between bodies that pass
 FAR = 1e3  # m
@@ -156,11 +157,12 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
     def choose(plan: Profiles, car: jax.Array, held: jax.Array, traffic: tuple[jax.Array, ...]) -> jax.Array:
         """Return the robot's control in a step of a plan."""
         s, speed = car[0], car[3]
-        goal, cap = interpolate(jnp.asarray(scene.lanes)[plan.lane], s), interpolate(caps, s)
+        goal = interpolate(jnp.asarray(scene.lanes)[plan.lane], s)
+        cap = interpolate(caps, s + PREVIEW * speed)
         free = COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed)
         kept = jnp.minimum(jnp.clip(free, -HASTE, HASTE), behind_leader(car, goal, traffic))
         acceleration = jnp.where(plan.follows, kept, plan.rate)
-        acceleration = jnp.minimum(acceleration, jnp.maximum(COMFORT_GAIN * (cap - speed), -planning.grip))
+        acceleration = jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))
         told = jnp.stack([steer(car, goal), acceleration])
         return within_limits(planning, speed, jnp.where(plan.given, held, told))
 

@@ -8,11 +8,11 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.road import RoadScene, interpolate
+from ms_highway.game.road import BEHIND, SPACING, RoadScene, interpolate
 from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.proposals import Rollouts
 from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import positions
+from ms_highway.planning.road.traffic import Ways, positions
 from ms_highway.runtime.arrays import Array
 
 __all__ = ["RoadWeights", "Scores", "score", "separation"]
@@ -28,8 +28,13 @@ FADING = 0.95  # of what is expected later, per step
 TOLERATED = 1.5  # m/s^2, of braking of others that costs nothing
 REACTION = 0.2  # s
 SLOWING_DOWN = 2.0  # m/s^2, with which a car ahead may brake
+CROSSING = 0.5  # cosine of the angle up to which cars cross the robot's way rather than share it
+STANDING = 1.0  # m/s
+SHARED = 0.85  # cosine of the angle from which cars share a lane
+CORRIDOR, CLEARANCE = 3.0, 1.0  # m, of the robot's way to each side, and around where others cross it
+AWAITED = 6.0  # s, in which a crossing car has to come to count
 STOPPING = 0.9  # share of the grip that a full stop may take
-SECONDS_PER_CHANGE = 4.0  # s, that a change of lane may take
+SECONDS_PER_CHANGE = 2.0  # s, that a change of lane may take
 
 
 @jax.tree_util.register_dataclass
@@ -50,6 +55,7 @@ class RoadWeights:
         near: of being nearer than `comfortable` to others, squared share.
         comfortable: distance between bodies [m].
         collision: of hitting somebody at once; less, the later [for the whole plan].
+        blocking: of being in the way of a car that crosses, after a plan [for the whole plan].
         off_road: of leaving the road or an open lane [for the whole plan].
         stopping: of each metre that is missing to stop behind the car ahead [1/m, for the whole plan].
     """
@@ -59,14 +65,15 @@ class RoadWeights:
     centre: float | Float[Array, ""] = 0.005
     change: float | Float[Array, ""] = 0.1
     right: float | Float[Array, ""] = 0.1
-    goal: float | Float[Array, ""] = 8.0
+    goal: float | Float[Array, ""] = 6.0
     acceleration: float | Float[Array, ""] = 0.01
     jerk: float | Float[Array, ""] = 0.002
     imposed: float | Float[Array, ""] = 0.3
     near: float | Float[Array, ""] = 8.0
     comfortable: float | Float[Array, ""] = 1.0
     collision: float | Float[Array, ""] = 100.0
-    off_road: float | Float[Array, ""] = 40.0
+    blocking: float | Float[Array, ""] = 40.0
+    off_road: float | Float[Array, ""] = 200.0
     stopping: float | Float[Array, ""] = 1.0
 
 
@@ -129,6 +136,7 @@ def score(
     scene: RoadScene,
     planning: RoadPlanning,
     weights: RoadWeights,
+    ways: Ways,
     rollouts: Rollouts,
     lanes: Int[jax.Array, "plans"],
     caps: Float[jax.Array, "knots"],
@@ -139,6 +147,7 @@ def score(
         scene: the road.
         planning: limits and wishes.
         weights: what counts.
+        ways: see `ms_highway.planning.road.traffic.ways_of`.
         rollouts: of the plans.
         lanes: that each goes to, 0 to 2.
         caps: see `ms_highway.planning.road.proposals.speed_caps`.
@@ -198,6 +207,7 @@ def score(
     lost = weights.prospect * (1 - prospect / limit)
     per_plan = per_plan - jnp.where(charged.any(axis=-1), 0.0, lost)
     others = others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
+    others = others + weights.blocking * _blocks(scene, ways, rollouts)
     own = dt * per_second.sum(axis=1) + per_plan
     return Scores(own, others, hit.any(axis=(1, 2)), leaves | closed, missing.max(axis=1))
 
@@ -207,10 +217,10 @@ def _bend(scene: RoadScene, s: jax.Array) -> jax.Array:
 
 
 def _urgency(scene: RoadScene, planning: RoadPlanning, lanes: jax.Array) -> jax.Array:
-    """Return how short the room is for the changes of lane that are left from each lane: none 0, far too short 1."""
-    left = jnp.abs(jnp.asarray(scene.changes))[lanes]
+    """Return the number of changes of lane that are left from each lane, less where there is room for them."""
+    left = jnp.abs(jnp.asarray(scene.changes))
     needed = left * jnp.maximum(scene.robot[3], 8.0) * SECONDS_PER_CHANGE
-    return jnp.minimum(left, 2.0) * jnp.exp(-jnp.maximum(scene.room - needed, 0.0) / 100.0)
+    return (left * jnp.exp(-jnp.maximum(scene.room - needed, 0.0) / 40.0))[lanes]
 
 
 def _pushes_from_behind(
@@ -233,11 +243,31 @@ def _missing(
     middle = (s + scene.size[0] / 2)[:, None]
     low, high = jnp.minimum(goal, d)[:, None] - apart, jnp.maximum(goal, d)[:, None] + apart
     front = (there > middle) & (across > low) & (across < high) & jnp.asarray(scene.present)
+    front = front & ((jnp.abs(cosine) > CROSSING) | (rollouts.speeds[..., -1] < STANDING))
     gap = there - middle - (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
-    onward = jnp.maximum(rollouts.speeds[..., -1] * cosine, 0.0)
+    onward = rollouts.speeds[..., -1] * cosine
     closing = jnp.maximum(speed[:, None] - onward, 0.0)
     needed = 1.0 + REACTION * speed[:, None] + closing**2 / (2 * (STOPPING * planning.grip - SLOWING_DOWN))
     return jnp.where(front & (onward < speed[:, None]), jnp.maximum(needed - gap, 0.0), 0.0)
+
+
+def _blocks(scene: RoadScene, ways: Ways, rollouts: Rollouts) -> Bool[jax.Array, "plans traffic"]:
+    """Return whether the robot, after a plan, is still where a car crosses its route when that car comes.
+
+    The robot goes on as fast as it is then, and faster; the car at its speed.
+    """
+    crossed = (jnp.abs(ways.d) < CORRIDOR) & (jnp.abs(ways.cosine) < SHARED)  # [traffic, knots]
+    knots = SPACING * jnp.arange(ways.s.shape[-1]) - BEHIND
+    low, first = (jnp.where(crossed, values, FAR).min(axis=-1) for values in (ways.s, knots))
+    high = jnp.where(crossed, ways.s, -FAR).max(axis=-1)
+    s, speed = rollouts.states[:, -1, 0, None], rollouts.states[:, -1, 3, None]
+    entered = (s + scene.size[0] > low - CLEARANCE) & (s < high + CLEARANCE)
+    leaving = (high + CLEARANCE - s) / (speed + 1.0)
+    lengths = jnp.asarray(scene.sizes)[:, 0]
+    coming = (first - lengths - rollouts.along[..., -1]) / jnp.maximum(rollouts.speeds[..., -1], 1.0)
+    still = rollouts.along[..., -1] < jnp.where(crossed, knots, -FAR).max(axis=-1)
+    moving = jnp.asarray(scene.present) & jnp.asarray(scene.moving)
+    return entered & still & moving & (coming < leaving + 0.5) & (coming < AWAITED)
 
 
 def _prospects(
@@ -255,7 +285,8 @@ def _prospects(
     onward = jnp.maximum(rollouts.speeds[..., -1] * rollouts.cosine[..., -1], 0.0)
     reach = (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
     inside = jnp.abs(rollouts.d[..., -1][:, None] - lanes[..., None]) < WIDTH / 2 + 0.5  # [plans, lanes, traffic]
-    inside = inside & jnp.asarray(scene.present)
+    along = (jnp.abs(rollouts.cosine[..., -1]) > CROSSING) | (rollouts.speeds[..., -1] < STANDING)
+    inside = inside & (along & jnp.asarray(scene.present))[:, None]
 
     def allow(gaps: jax.Array) -> jax.Array:
         """Return the speed that each car allows [plans, traffic]."""

@@ -31,4 +31,4 @@ class RoadPlanning:
     grip: float | Float[Array, ""] = 5.0
     curvature: float | Float[Array, ""] = 0.2
     time_step: float | Float[Array, ""] = 0.2
-    steps: int = field(default=15, metadata={"static": True})
+    steps: int = field(default=20, metadata={"static": True})

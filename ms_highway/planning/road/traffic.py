@@ -24,12 +24,12 @@ class Ways(NamedTuple):
 
     Attributes:
         s, d: position on the route [m].
-        along: cosine of the angle between the path and the route.
+        cosine: of the angle between the path and the route.
     """
 
     s: Float[jax.Array, "traffic knots"]
     d: Float[jax.Array, "traffic knots"]
-    along: Float[jax.Array, "traffic knots"]
+    cosine: Float[jax.Array, "traffic knots"]
 
 
 def ways_of(scene: RoadScene) -> Ways:
