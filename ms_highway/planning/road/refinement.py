@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.game.road import RoadScene
 from ms_highway.optimization.damped_newton import SHARES, best_of, damped_factor, damped_solve
 from ms_highway.optimization.second_derivatives import Trajectory
-from ms_highway.planning.road.answers import UNIT, Accelerations, World, driver_of, follow, within_reach
+from ms_highway.planning.road.answers import UNIT, Accelerations, World, driver_of, follow
 from ms_highway.planning.road.motion import advance, bodies, drive
 from ms_highway.planning.road.reward import RoadReward, efforts, reward_along
 from ms_highway.planning.road.settings import RoadPlanning
@@ -111,7 +111,9 @@ class _Climb(NamedTuple):
 
         return jax.lax.fori_loop(0, self.responding, put, others)
 
-    def slope(self, i: Int[jax.Array, ""], others: Traffic, accelerations: Accelerations, robot: World) -> Accelerations:
+    def slope(
+        self, i: Int[jax.Array, ""], others: Traffic, accelerations: Accelerations, robot: World
+    ) -> Accelerations:
         """Return the derivative of car i's reward in its scaled accelerations."""
         return driver_of(self.scene, self.planning, i, robot, others).slope(accelerations / UNIT)
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import jax
-import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
