@@ -21,7 +21,7 @@ UNDRIVABLE = ("parking-v0", "parking-ActionRepeat-v0", "parking-parked-v0", "lan
         ("roundabout-v0", "nxs", 16.0),
         ("exit-v0", "exit", 30.0),
         ("u-turn-v0", "d", 24.0),
-        ("intersection-v0", "o1", 9.0),
+        ("intersection-v0", "o1", 10.0),
         ("merge-v0", None, 30.0),
         ("two-way-v0", None, 30.0),
         ("racetrack-v0", None, 10.0),
