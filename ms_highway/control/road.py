@@ -23,6 +23,7 @@ from ms_highway.planning.road.plan import (
 )
 from ms_highway.planning.road.scoring import RoadWeights
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
 __all__ = ["RoadDriver", "RoadStep"]
@@ -107,6 +108,7 @@ class RoadDriver:
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Return what to do now."""
+        refuse_after_fork()
         begin = perf_counter()
         if self.costs is None:
             self.costs = self._measured(scene)
