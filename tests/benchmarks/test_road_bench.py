@@ -74,7 +74,8 @@ def test_a_car_that_stands_on_the_road_and_is_hit_is_at_fault(road):
 
 
 def test_a_crash_far_behind_does_not_excuse_the_ego(road):
-    road.road.objects.append(Obstacle(road.road, [140.0, 4.0]))
+    road.vehicle.speed = road.vehicle.target_speed = 35.0
+    road.road.objects.append(Obstacle(road.road, [131.0, 4.0]))  # which stops the ego, but does not call itself crashed
     add(road, 60.0, 4.0, 0.0)
     road.road.vehicles[-1].crashed = True
     assert watched(road, ["IDLE"] * 3).at_fault
