@@ -13,6 +13,7 @@ from ms_highway.benchmarks.road.fault import Place, is_at_fault
 __all__ = ["Motion", "Watch", "measured"]
 
 LOOK_BACK = 1.0  # s before a collision
+GAP = 0.5  # m between lanes where roads meet, at most
 REACH = 2.0  # m between cars that have just collided, at most: highway-env pushes them apart
 
 
@@ -125,7 +126,7 @@ class Watch:
 
 def _place(ego: Any) -> Place:
     _, offset = ego.lane.local_coordinates(ego.position)
-    return Place(ego.lane_index, float(offset), float(ego.speed), bool(ego.on_road))
+    return Place(ego.lane_index, float(offset), float(ego.speed), bool(ego.lane.on_lane(ego.position, margin=GAP)))
 
 
 def _gap(one: Any, other: Any) -> float:
