@@ -1,5 +1,6 @@
 """Show what the robot thinks on a stock environment's picture: plan, predictions, rungs, and a line of text below."""
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -86,9 +87,11 @@ class RoadViewer(Viewer):
         if step is None:
             self._write("the episode starts", INK, place)
             return
-        for rung in dict.fromkeys(filter(None, step.rungs)):
+        cars = dict.fromkeys(zip(step.rungs, np.asarray(step.owners).tolist(), strict=True))  # each of them once
+        counts = Counter(rung for rung, _ in cars if rung)
+        for rung, count in counts.items():
             pygame.draw.circle(self.picture, model_color(rung), (place + 4, height - PANEL // 2), 5)
-            place = self._write(f"{rung} {step.rungs.count(rung)}", INK, place + 14)
+            place = self._write(f"{rung} {count}", INK, place + 14)
         seconds = step.planning_seconds + step.decision_seconds
         self._write(f"{step.source}, {1e3 * seconds:.1f} ms, {self.env.vehicle.speed:.1f} m/s", INK, place)
 

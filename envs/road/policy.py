@@ -64,14 +64,18 @@ class RoadPolicy:
         """Return the action of each environment now, and the state as it was given.
 
         Args:
-            observation: not looked at.
+            observation: not looked at, but for its shape: a batch of one is answered by a batch of one.
             state: not looked at.
             episode_start: which environments have just been reset; noticed anyway, by their new vehicles.
             deterministic: the policy is, either way.
         """
         starts = np.broadcast_to(False if episode_start is None else episode_start, len(self._pilots))
         actions = [pilot.act(bool(start)) for pilot, start in zip(self._pilots, starts, strict=True)]
-        return (actions[0] if self.single else np.stack(actions)), state
+        return (actions[0] if self.single and not self._is_batch(observation) else np.stack(actions)), state
+
+    def _is_batch(self, observation: Any) -> bool:
+        space = self._pilots[0].env.observation_space
+        return isinstance(space, gym.spaces.Box) and np.shape(observation) == (1, *space.shape)
 
 
 class _Pilot:

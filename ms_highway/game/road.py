@@ -39,7 +39,7 @@ KNOTS, TRAFFIC_KNOTS = 96, 64
 LANES = 3
 """Lanes that the robot can choose: left of its own, its own, right of it."""
 
-TRAFFIC = 12
+TRAFFIC = 20
 """Number of paths of others that plans look at."""
 
 

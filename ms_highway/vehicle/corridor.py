@@ -80,13 +80,12 @@ def _sections(roads: RoadMap, chain: Chain, goal: Goal, until: float) -> list[_S
                 onward = sibling
             sides[side] = onward
         sections.append(_Section(starts[number], starts[number + 1], (sides[0], own, sides[1])))
-    own_goes_on = None if roads.ends(chain[-1]) else chain[-1]
+    own_goes_on = None if roads.refuge(chain[-1]) else chain[-1]
     way = starts[-1]
     while way < until:
-        sides = [roads.following_towards(side, goal) if side else None for side in sides]
-        if own_goes_on:
-            sides = [None, None]
-        length = min((roads.lanes[side].length for side in sides if side), default=np.inf)
+        nexts = [roads.following_towards(side, goal) if side else None for side in sides]
+        sides = sides if own_goes_on else nexts
+        length = min((roads.lanes[side].length for side in nexts if side), default=np.inf)
         sections.append(_Section(way, way + length, (sides[0], own_goes_on, sides[1])))
         way += length
     return sections

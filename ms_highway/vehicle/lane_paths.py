@@ -49,9 +49,11 @@ class Curve:
         return rows[:, low] * (1 - share) + rows[:, low + 1] * share
 
     def path(self, s: float, knots: int) -> Path:
-        """Return the path whose s = 0 is at a distance from the curve's beginning [m]."""
+        """Return the path whose s = 0, with a heading between -pi and pi, is at a distance from the curve's beginning [m]."""
         along = s - BEHIND + SPACING * np.arange(knots)
-        return Path(*self.gather(self.samples[:4], along).astype(np.float32))
+        x, y, heading, curvature = self.gather(self.samples[:4], along)
+        here = heading[int(BEHIND / SPACING)]
+        return Path(*np.stack([x, y, heading + wrapped(here) - here, curvature]).astype(np.float32))
 
     def project(
         self, position: Float[np.ndarray, "2"], heading: float, way: float, reach: float = 20.0

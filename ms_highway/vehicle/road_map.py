@@ -38,6 +38,8 @@ class RoadMap:
         self.following = cache(self._following)
         self.towards = cache(self._towards)
         self.demand = cache(self._demand)
+        self.refuge = cache(self._refuge)
+        self.starts = cache(self._starts)
         self.joined = cache(self._joined)
 
     @cached_property
@@ -144,9 +146,12 @@ class RoadMap:
             covered += float(self.lanes[before].length)
         return tuple(chain[:-1])
 
-    def ends(self, index: LaneIndex) -> bool:
-        """Return whether nothing follows a lane while the road goes on beside it."""
-        return not self.following(index) and any(self.following(other) for other in self._road(index))
+    def _refuge(self, index: LaneIndex) -> LaneIndex | None:
+        """Return the nearest lane of the same road that goes on where this one ends, None if it does not."""
+        if self.following(index):
+            return None
+        onward = [other for other in self._road(index) if self.following(other)]
+        return min(onward, key=lambda other: abs(other[2] - index[2]), default=None)
 
     def _road(self, index: LaneIndex) -> Chain:
         return tuple((*index[:2], number) for number in range(len(self.graph[index[0]][index[1]])))
@@ -176,7 +181,7 @@ class RoadMap:
             index = following
         return 0, inf
 
-    def starts(self, chain: Chain) -> list[float]:
+    def _starts(self, chain: Chain) -> list[float]:
         """Return the way along a chain at which each of its lanes begins, and its end [m]."""
         return starts_of([self.lanes[index] for index in chain])
 

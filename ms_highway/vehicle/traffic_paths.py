@@ -1,6 +1,7 @@
 """Find the ways that other vehicles may take, and who follows whom and who gives way on them."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from math import sin
 
 import numpy as np
@@ -115,38 +116,42 @@ def _seen(vehicle: Vehicle) -> list[RoadObject]:
 
 def _ways(car: RoadObject, owner: int, roads: RoadMap) -> list[Way]:
     """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane."""
+    found = []
+    for index in _begun(car, roads) if isinstance(car, Vehicle) else [car.lane_index]:
+        place = float(roads.lanes[index].local_coordinates(car.position)[0])
+        for number, chain in enumerate(_chains(roads, index, place)):
+            found.append((number, Way(car, owner, chain, place)))
+    found.sort(key=lambda item: item[0])
+    return [way for _, way in found[: MOST_WAYS if isinstance(car, Vehicle) else 1]]
+
+
+def _begun(car: Vehicle, roads: RoadMap) -> list[LaneIndex]:
+    """Return the lanes that a vehicle may be following.
+
+    These are its lane; those that begin at the same node, as long as it cannot be told apart which one it takes; the
+    neighbour that it moves to within a second, and that beside a lane that ends.
+    """
     index = car.lane_index
-    begun = [index]
-    lane = roads.lanes[index]
+    lane, found = roads.lanes[index], [index]
     place, aside = lane.local_coordinates(car.position)
-    if not isinstance(car, Vehicle):
-        return [Way(car, owner, _onward(roads, index, 0.0)[0], place)]
-    places = {index: place}
-    for end in roads.graph[index[0]]:
-        other = (index[0], end, min(index[2], len(roads.graph[index[0]][end]) - 1))
+    for end, lanes in roads.graph[index[0]].items():
+        other = (index[0], end, min(index[2], len(lanes) - 1))
         if end != index[1]:
             s, d = roads.lanes[other].local_coordinates(car.position)
             turned = wrapped(car.heading - roads.lanes[other].heading_at(s))
             if s >= -1.0 and abs(d) < max(ON_LANE, abs(aside)) and abs(turned) < ALONG:
-                begun.append(other)
-                places[other] = s
+                found.append(other)
     drift = aside + car.speed * sin(wrapped(car.heading - lane.heading_at(place)))
     if abs(drift) > lane.width_at(place) / 2:
         neighbour = roads.beside(index, 1 if drift > 0 else -1)
-        if neighbour:
-            begun.append(neighbour)
-            places[neighbour] = roads.lanes[neighbour].local_coordinates(car.position)[0]
-    found = [Way(car, owner, chain, places[first]) for first in begun for chain in _onward(roads, first, places[first])]
-    return found[:MOST_WAYS]
+    else:
+        neighbour = roads.refuge(index)
+    return [*found, neighbour] if neighbour else found
 
 
-def _onward(roads: RoadMap, index: LaneIndex, place: float) -> tuple[Chain, ...]:
+def _chains(roads: RoadMap, index: LaneIndex, place: float) -> tuple[Chain, ...]:
     """Return the chains of lanes from a place on a lane on, one for each way within `BRANCHES`."""
-    left = roads.lanes[index].length - place
-    return _chains(roads, index, int(max(left, 0.0) // 10))
-
-
-def _chains(roads: RoadMap, index: LaneIndex, tens: int) -> tuple[Chain, ...]:
+    tens = int(max(roads.lanes[index].length - place, 0.0) // 10)
     key = ("chains", index, tens)
     if key not in roads.kept:
         found: list[Chain] = []
@@ -170,15 +175,19 @@ def _draw(way: Way, roads: RoadMap) -> tuple[Path, tuple[float, float, float, fl
 
 
 def _conflict(path: Path, route: Path) -> tuple[float, float, float] | None:
-    """Return distances along a path and along the route to where they first come near, and how near; None if never."""
+    """Return distances along a path and along the route to where they first come near, and how near; None if never.
+
+    Oncoming traffic that keeps to its own lane does not come near.
+    """
     ahead = slice(int(20.0 / SPACING) - 2, None, EVERY)
     x = path.x[ahead, None] - route.x[None, ahead]
     y = path.y[ahead, None] - route.y[None, ahead]
     distances = np.hypot(x, y)
-    near = distances.min(axis=1) < NEAR_ROUTE
+    oncoming = np.cos(path.heading[ahead, None] - route.heading[None, ahead]) < 0
+    crossing = (distances < CROSSING).any(axis=1)
+    near = crossing | ((distances < NEAR_ROUTE) & ~oncoming).any(axis=1)
     if not near.any():
         return None
-    crossing = distances.min(axis=1) < CROSSING
     first = int(np.argmax(crossing)) if crossing.any() else int(np.argmax(near))
     on_route = int(np.argmin(distances[first]))
     return first * EVERY * SPACING, on_route * EVERY * SPACING, float(distances[first, on_route])
@@ -216,13 +225,13 @@ def _gives_way(roads: RoadMap, robot: _Progress, way: Way, conflict: tuple[float
     mine = min(_priority(roads, index) for index in robot.chain[robot.leg() : mine_until + 1])
     if theirs != mine:
         return theirs > mine
-    for number in range(robot.leg() + 1, len(robot.chain)):
-        lane = robot.chain[number]
-        if lane in way.chain:
-            if roads.continues_best(robot.chain[number - 1], lane):
+    meeting = way.chain[: until + 2]
+    for before, lane in pairwise(robot.chain[robot.leg() :]):
+        if lane in meeting:
+            if roads.continues_best(before, lane):
                 return False
-            place = way.chain.index(lane)
-            return place == 0 or roads.continues_best(way.chain[place - 1], lane)
+            place = meeting.index(lane)
+            return place == 0 or roads.continues_best(meeting[place - 1], lane)
     return False
 
 

@@ -81,18 +81,23 @@ class Driver:
         """
         s, speed = self._move(scaled)
         one, zero = jnp.ones_like(s), jnp.zeros_like(s)
-
-        def slopes(s: jax.Array, speed: jax.Array) -> tuple[jax.Array, jax.Array]:
-            along = partial(jax.jvp, self._along, (s, speed))
-            return along((one, zero))[1], along((zero, one))[1]
-
-        (along_s, along_speed), (twice_s, mixed) = jax.jvp(slopes, (s, speed), (one, zero))
-        _, twice_speed = jax.jvp(partial(slopes, s), (speed,), (one,))[1]
+        (along_s, along_speed), (twice_s, mixed) = jax.jvp(self._slopes, (s, speed), (one, zero))
+        _, twice_speed = jax.jvp(partial(self._slopes, s), (speed,), (one,))[1]
         by_s, by_speed = self._weights
         cross = by_s.T @ (mixed[:, None] * by_speed)
         hessian = by_s.T @ (twice_s[:, None] * by_s) + cross + cross.T + by_speed.T @ (twice_speed[:, None] * by_speed)
         gradient = along_s @ by_s + along_speed @ by_speed - self._comfort * scaled
         return Expansion(gradient, hessian - self._comfort * jnp.eye(len(s)))
+
+    def slope(self, scaled: Accelerations) -> Accelerations:
+        """Return the gradient of `earned`."""
+        along_s, along_speed = self._slopes(*self._move(scaled))
+        by_s, by_speed = self._weights
+        return along_s @ by_s + along_speed @ by_speed - self._comfort * scaled
+
+    def toward(self, scaled: Accelerations, step: Accelerations) -> Accelerations:
+        """Return accelerations after the share of a step that earns most."""
+        return self._best_of(scaled + SHARES[:, None] * step)
 
     def best(self, start: Accelerations) -> Accelerations:
         """Improve accelerations by damped Newton steps, from the best of them and of steady braking.
@@ -103,8 +108,7 @@ class Driver:
 
         def improve(_: int, scaled: Accelerations) -> Accelerations:
             expansion = self.expand(scaled)
-            step = damped_solve(damped_factor(expansion.hessian), expansion.gradient)
-            return self._best_of(scaled + SHARES[:, None] * step)
+            return self.toward(scaled, damped_solve(damped_factor(expansion.hessian), expansion.gradient))
 
         return jax.lax.fori_loop(0, STEPS, improve, self._best_of(jnp.concatenate([start[None], braking])))
 
@@ -127,6 +131,14 @@ class Driver:
         by_s, by_speed = self._weights
         s = self.state[0] + self.state[3] * _times(self.planning) + jnp.sum(by_s * scaled, axis=-1)
         return s, self.state[3] + jnp.sum(by_speed * scaled, axis=-1)
+
+    def _slopes(
+        self, s: Float[jax.Array, "steps"], speed: Float[jax.Array, "steps"]
+    ) -> tuple[Float[jax.Array, "steps"], Float[jax.Array, "steps"]]:
+        """Return the derivatives of the reward after each step in s and speed there."""
+        one, zero = jnp.ones_like(s), jnp.zeros_like(s)
+        along = partial(jax.jvp, self._along, (s, speed))
+        return along((one, zero))[1], along((zero, one))[1]
 
     def _along(self, s: Float[jax.Array, "steps"], speed: Float[jax.Array, "steps"]) -> Float[jax.Array, "steps"]:
         """Compute the reward after each step: the formulas of `ms_highway.game.features`, on one straight lane."""

@@ -4,37 +4,24 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
-import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.road import BEHIND, SPACING, RoadScene, interpolate
+from ms_highway.game.road import RoadScene, interpolate
+from ms_highway.planning.road.junctions import blocks, occupied
 from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.proposals import Rollouts
+from ms_highway.planning.road.prospects import missing_room, prospects, pushes_from_behind, urgency
 from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.planning.road.traffic import Ways, positions
 from ms_highway.runtime.arrays import Array
 
 __all__ = ["RoadWeights", "Scores", "score", "separation"]
 
-FAR = 1e3  # m
-WIDTH = 4.0  # m, of lanes
-SIDE_LANES = np.arange(-2.0, 3.0, dtype=np.float32)  # to the right of the one that a plan ends in
-SECONDS_AFTER = 8  # s, of what follows a plan
-SECONDS_TO_CLOSE_UP, KEPT, CHANGING = 3.0, 5.0, 0.7  # s, m, m/s: see `_prospects`
-ROOM_BEHIND, ROOM_AHEAD = 5.0, 3.0  # m, that a change of lane needs
 MARGIN = 0.35  # m between bodies that counts as a collision
 FADING = 0.95  # of what is expected later, per step
 TOLERATED = 1.5  # m/s^2, of braking of others that costs nothing
-REACTION = 0.2  # s
-SLOWING_DOWN = 2.0  # m/s^2, with which a car ahead may brake
-CROSSING = 0.5  # cosine of the angle up to which cars cross the robot's way rather than share it
-STANDING = 1.0  # m/s
-SHARED = 0.85  # cosine of the angle from which cars share a lane
-CORRIDOR, CLEARANCE = 3.0, 1.0  # m, of the robot's way to each side, and around where others cross it
-AWAITED = 6.0  # s, in which a crossing car has to come to count
-STOPPING = 0.9  # share of the grip that a full stop may take
-SECONDS_PER_CHANGE = 2.0  # s, that a change of lane may take
+FAR = 1e3  # m
 
 
 @jax.tree_util.register_dataclass
@@ -181,16 +168,16 @@ def score(
     per_plan = (
         weights.right * (lanes - 1.0)
         - weights.change * (lanes != 1)
-        - weights.goal * _urgency(scene, planning, lanes)
+        - weights.goal * urgency(scene, planning, lanes)
         - weights.off_road * (leaves | closed)
     )
     clear = separation(
         (x[:, None], y[:, None], course[:, None]),
         scene.size,
         jax.vmap(lambda a, b: jnp.stack(positions(scene, a, b)))(rollouts.along, rollouts.across).swapaxes(0, 1),
-        jnp.asarray(scene.sizes)[:, None],
+        occupied(scene, rollouts),
     )
-    counts = jnp.asarray(scene.present)[:, None] & ~_pushes_from_behind(scene, rollouts, s, d, lanes)
+    counts = jnp.asarray(scene.present)[:, None] & ~pushes_from_behind(scene, rollouts, s, d, lanes)
     clear = jnp.where(counts, clear, FAR)
     hit, fading = clear < MARGIN, FADING ** jnp.arange(planning.steps)
     near = jnp.maximum(1 - jnp.maximum(clear, 0.0) / weights.comfortable, 0.0) ** 2
@@ -201,110 +188,16 @@ def score(
     imposed = jnp.where(rollouts.s < s[:, None], jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
     closeness = closeness + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
     others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
-    missing = _missing(scene, planning, rollouts, goal[:, -1])
+    missing = missing_room(scene, planning, rollouts, goal[:, -1])
     limit = jnp.minimum(wanted[:, -1], planning.desired_speed)
-    prospect, charged = _prospects(scene, rollouts, goal[:, -1], limit)
+    prospect, charged = prospects(scene, rollouts, goal[:, -1], limit)
     lost = weights.prospect * (1 - prospect / limit)
     per_plan = per_plan - jnp.where(charged.any(axis=-1), 0.0, lost)
     others = others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
-    others = others + weights.blocking * _blocks(scene, ways, rollouts)
+    others = others + weights.blocking * blocks(scene, ways, rollouts)
     own = dt * per_second.sum(axis=1) + per_plan
     return Scores(own, others, hit.any(axis=(1, 2)), leaves | closed, missing.max(axis=1))
 
 
 def _bend(scene: RoadScene, s: jax.Array) -> jax.Array:
     return interpolate(scene.route.curvature, s)
-
-
-def _urgency(scene: RoadScene, planning: RoadPlanning, lanes: jax.Array) -> jax.Array:
-    """Return the number of changes of lane that are left from each lane, less where there is room for them."""
-    left = jnp.abs(jnp.asarray(scene.changes))
-    needed = left * jnp.maximum(scene.robot[3], 8.0) * SECONDS_PER_CHANGE
-    return (left * jnp.exp(-jnp.maximum(scene.room - needed, 0.0) / 40.0))[lanes]
-
-
-def _pushes_from_behind(
-    scene: RoadScene, rollouts: Rollouts, s: jax.Array, d: jax.Array, lanes: jax.Array
-) -> Bool[jax.Array, "plans traffic steps"]:
-    """Return where a follower in the robot's own lane would run into it while it keeps its lane."""
-    behind = rollouts.s < s[:, None] - 1.0
-    mine = jnp.abs(rollouts.d - d[:, None]) < scene.size[1]
-    follower = behind[..., :1] & mine[..., :1] & (rollouts.cosine > 0.5)
-    return follower & behind & (lanes == 1)[:, None, None]
-
-
-def _missing(
-    scene: RoadScene, planning: RoadPlanning, rollouts: Rollouts, goal: Float[jax.Array, "plans"]
-) -> Float[jax.Array, "plans traffic"]:
-    """Return what is missing to stop behind each car ahead after a plan [m]."""
-    s, d, _, speed = jnp.moveaxis(rollouts.states[:, -1], -1, 0)
-    there, across, cosine = rollouts.s[..., -1], rollouts.d[..., -1], rollouts.cosine[..., -1]
-    apart = (scene.size[1] + jnp.asarray(scene.sizes)[:, 1]) / 2 + 0.2
-    middle = (s + scene.size[0] / 2)[:, None]
-    low, high = jnp.minimum(goal, d)[:, None] - apart, jnp.maximum(goal, d)[:, None] + apart
-    front = (there > middle) & (across > low) & (across < high) & jnp.asarray(scene.present)
-    front = front & ((jnp.abs(cosine) > CROSSING) | (rollouts.speeds[..., -1] < STANDING))
-    gap = there - middle - (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
-    onward = rollouts.speeds[..., -1] * cosine
-    closing = jnp.maximum(speed[:, None] - onward, 0.0)
-    needed = 1.0 + REACTION * speed[:, None] + closing**2 / (2 * (STOPPING * planning.grip - SLOWING_DOWN))
-    return jnp.where(front & (onward < speed[:, None]), jnp.maximum(needed - gap, 0.0), 0.0)
-
-
-def _blocks(scene: RoadScene, ways: Ways, rollouts: Rollouts) -> Bool[jax.Array, "plans traffic"]:
-    """Return whether the robot, after a plan, is still where a car crosses its route when that car comes.
-
-    The robot goes on as fast as it is then, and faster; the car at its speed.
-    """
-    crossed = (jnp.abs(ways.d) < CORRIDOR) & (jnp.abs(ways.cosine) < SHARED)  # [traffic, knots]
-    knots = SPACING * jnp.arange(ways.s.shape[-1]) - BEHIND
-    low, first = (jnp.where(crossed, values, FAR).min(axis=-1) for values in (ways.s, knots))
-    high = jnp.where(crossed, ways.s, -FAR).max(axis=-1)
-    s, speed = rollouts.states[:, -1, 0, None], rollouts.states[:, -1, 3, None]
-    entered = (s + scene.size[0] > low - CLEARANCE) & (s < high + CLEARANCE)
-    leaving = (high + CLEARANCE - s) / (speed + 1.0)
-    lengths = jnp.asarray(scene.sizes)[:, 0]
-    coming = (first - lengths - rollouts.along[..., -1]) / jnp.maximum(rollouts.speeds[..., -1], 1.0)
-    still = rollouts.along[..., -1] < jnp.where(crossed, knots, -FAR).max(axis=-1)
-    moving = jnp.asarray(scene.present) & jnp.asarray(scene.moving)
-    return entered & still & moving & (coming < leaving + 0.5) & (coming < AWAITED)
-
-
-def _prospects(
-    scene: RoadScene, rollouts: Rollouts, goal: Float[jax.Array, "plans"], limit: Float[jax.Array, "plans"]
-) -> tuple[Float[jax.Array, "plans"], Bool[jax.Array, "plans traffic"]]:
-    """Return the mean speed in the seconds after each plan [m/s], and who of the others limits it first.
-
-    All go on as points in their lanes, the others at the speed that they have then. Every second, the robot takes the
-    best lane that is free beside it, among those within two of the one that the plan ends in.
-    """
-    s, speed = rollouts.states[:, -1, 0] + scene.size[0] / 2, rollouts.states[:, -1, 3]
-    left, right = (interpolate(jnp.asarray(scene.edges)[side], s)[:, None] for side in range(2))
-    lanes = goal[:, None] + WIDTH * SIDE_LANES  # [plans, lanes]
-    there = ((lanes > left + WIDTH / 4) & (lanes < right - WIDTH / 4)) | (SIDE_LANES == 0)
-    onward = jnp.maximum(rollouts.speeds[..., -1] * rollouts.cosine[..., -1], 0.0)
-    reach = (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
-    inside = jnp.abs(rollouts.d[..., -1][:, None] - lanes[..., None]) < WIDTH / 2 + 0.5  # [plans, lanes, traffic]
-    along = (jnp.abs(rollouts.cosine[..., -1]) > CROSSING) | (rollouts.speeds[..., -1] < STANDING)
-    inside = inside & (along & jnp.asarray(scene.present))[:, None]
-
-    def allow(gaps: jax.Array) -> jax.Array:
-        """Return the speed that each car allows [plans, traffic]."""
-        return jnp.where(gaps > -reach, onward + jnp.maximum(gaps - KEPT, 0.0) / SECONDS_TO_CLOSE_UP, FAR)
-
-    def go(carry: tuple[jax.Array, ...], number: jax.Array) -> tuple[tuple[jax.Array, ...], jax.Array]:
-        place, speed, lane = carry
-        gaps = rollouts.s[..., -1] + onward * number - place[:, None] - reach
-        allowed = jnp.where(inside, allow(gaps)[:, None], FAR).min(axis=-1)
-        beside = (inside & ((gaps > -2 * reach - ROOM_BEHIND) & (gaps < ROOM_AHEAD))[:, None]).any(axis=-1)
-        away = jnp.abs(jnp.arange(len(SIDE_LANES)) - lane[:, None])
-        worth = jnp.minimum(allowed, limit[:, None]) - CHANGING * away
-        lane = jnp.argmax(jnp.where(there & ((away == 0) | ((away == 1) & ~beside)), worth, -jnp.inf), axis=1)
-        mine = jnp.minimum(jnp.take_along_axis(allowed, lane[:, None], axis=1)[:, 0], limit)
-        after = speed + jnp.clip(mine - speed, -4.0, 2.0)
-        return (place + after, after, lane), after
-
-    start = s, speed, jnp.full(len(s), len(SIDE_LANES) // 2)
-    (_, _, _), speeds = jax.lax.scan(go, start, jnp.arange(SECONDS_AFTER))
-    own = jnp.where(inside[:, len(SIDE_LANES) // 2], allow(rollouts.s[..., -1] - s[:, None] - reach), FAR)
-    return speeds.mean(axis=0), (own == own.min(axis=-1, keepdims=True)) & (own < limit[:, None])

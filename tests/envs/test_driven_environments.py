@@ -1,0 +1,320 @@
+"""The robot in highway-env's own environments."""
+
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import registry
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+import ms_highway
+from ms_highway.envs.graphics import PAPER, model_color
+from ms_highway.envs.road.ego import replace_ego
+from ms_highway.envs.road.goals import desired_speed_of, destination_of
+from ms_highway.envs.road.graphics import PANEL
+from ms_highway.vehicle.road_robot import RoadRobot
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+
+UNDRIVABLE = ("parking-v0", "parking-ActionRepeat-v0", "parking-parked-v0", "lane-keeping-v0")
+STOCK = [name for name, spec in registry.items() if "highway_env" in str(spec.entry_point) and name not in UNDRIVABLE]
+CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5}
+
+
+def total_accelerations(env):
+    """A list that fills with the total acceleration of the controlled vehicle in every frame in which it is whole."""
+    road, vehicle, found = env.unwrapped.road, env.unwrapped.vehicle, []
+    move = road.step
+
+    def watched(dt):
+        before = vehicle.velocity
+        move(dt)
+        if not vehicle.crashed:
+            found.append(np.linalg.norm(vehicle.velocity - before) / dt)
+
+    road.step = watched
+    return found
+
+
+def equal(one, other):
+    return all(map(np.array_equal, one, other)) if isinstance(one, tuple) else np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("name", STOCK)
+def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the_rest_as_it_is(name):
+    stock, env = gym.make(name), ms_highway.drive(gym.make(name))
+    assert (env.action_space, env.observation_space) == (stock.action_space, stock.observation_space)
+    observation, info = env.reset(seed=1)
+    assert equal(observation, stock.reset(seed=1)[0])
+    assert info["road"]["decisions"] == []
+    accelerations = total_accelerations(env)
+    frames = int(env.unwrapped.config["simulation_frequency"] // env.unwrapped.config["policy_frequency"])
+    for step in range(2):
+        observation, reward, terminated, _, info = env.step(env.action_space.sample())
+        assert env.observation_space.contains(observation)
+        assert np.isfinite(reward).all()
+        told = info["road"]
+        assert told["source"] in ("refined", "proposal", "last plan", "braking")
+        assert all(np.isfinite(told[key]) for key in ("planning_seconds", "decision_seconds", "acceleration", "jerk"))
+        assert set(told["rungs"]) <= {"", "naive", "idm", "turn", "tom"}
+        if np.any(terminated):
+            break
+        assert len(accelerations) == (step + 1) * frames
+        assert told["acceleration"] >= max(accelerations[-frames:]) - 1e-9
+    assert max(accelerations) <= 5.0
+    assert env.unwrapped.time * env.unwrapped.config["policy_frequency"] == pytest.approx(step + 1)
+
+
+def test_it_plans_five_times_a_second_whatever_the_policy_frequency_is():
+    for frequency in (1, 5):
+        env = ms_highway.drive(gym.make("merge-v0", config={"policy_frequency": frequency}))
+        env.reset(seed=0)
+        assert [len(env.step(0)[4]["road"]["decisions"]) for _ in range(2)] == [5 // frequency] * 2
+
+
+def test_actions_change_nothing():
+    episodes = []
+    for action in (0, 3):
+        env = ms_highway.drive(gym.make("highway-fast-v0"), {"driver": "fixed:naive"})
+        env.reset(seed=0)
+        episodes.append([env.step(action) for _ in range(3)])
+    for one, other in zip(*episodes, strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        assert (one[1], one[4]["action"]) == (other[1], 1)  # of which highway-env thinks that it is idle
+
+
+def test_a_time_limit_in_steps_is_kept():
+    env = ms_highway.drive(gym.make("two-way-v0"), {"driver": "proposals"})
+    env.reset(seed=0)
+    ends = [env.step(1)[2:4] for _ in range(15)]
+    assert ends == [(False, False)] * 14 + [(False, True)]
+
+
+@pytest.mark.parametrize(
+    ("name", "destination", "speed"),
+    [
+        ("roundabout-v0", "nxs", 16.0),
+        ("exit-v0", "exit", 30.0),
+        ("u-turn-v0", "d", 24.0),
+        ("intersection-v0", "o1", 9.0),
+        ("merge-v0", None, 30.0),
+        ("two-way-v0", None, 30.0),
+        ("racetrack-v0", None, 10.0),
+    ],
+)
+def test_where_to_and_how_fast_is_what_the_scene_asks_for(name, destination, speed):
+    env = gym.make(name)
+    env.reset(seed=0)
+    assert (destination_of(env), desired_speed_of(env)) == (destination, speed)
+
+
+def test_a_destination_that_is_drawn_is_the_end_of_the_route():
+    env = gym.make("intersection-v0", config={"destination": None})
+    found = set()
+    for seed in range(6):
+        env.reset(seed=seed)
+        assert destination_of(env) == env.unwrapped.vehicle.route[-1][1]
+        found.add(destination_of(env))
+    assert len(found) > 1
+
+
+def test_every_controlled_vehicle_is_driven():
+    env = ms_highway.drive(gym.make("intersection-multi-agent-v0"), {"driver": "fixed:naive"})
+    env.reset(seed=0)
+    base = env.unwrapped
+    assert env.robots == base.controlled_vehicles
+    assert [each.controlled_vehicle for each in base.action_type.agents_action_types] == env.robots
+    assert [each.observer_vehicle for each in base.observation_type.agents_observation_types] == env.robots
+    env.step((0, 0))
+    assert all(len(robot.steps) == 5 for robot in env.robots)
+
+
+@pytest.mark.parametrize("config", [{}, {"action": {"type": "ContinuousAction"}}])
+def test_another_vehicle_takes_the_place_of_the_controlled_one(config):
+    env = gym.make("intersection-v0", config=config).unwrapped
+    env.reset(seed=0)
+    old, place, observed = env.vehicle, env.road.vehicles.index(env.vehicle), env.observation_type.observe()
+    new = replace_ego(env, RoadRobot.create_from)
+    assert env.vehicle is env.road.vehicles[place] is env.action_type.controlled_vehicle is new
+    assert env.observation_type.observer_vehicle is new
+    assert old not in env.road.vehicles
+    assert (new.speed, new.heading, getattr(old, "route", None)) == (old.speed, old.heading, new.route)
+    np.testing.assert_array_equal(env.observation_type.observe(), observed)
+
+
+def test_what_an_intersection_does_to_highway_envs_drivers_is_undone_in_other_scenes():
+    values = "DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN"
+    env = ms_highway.drive(gym.make("intersection-v0"))
+    env.reset(seed=0)
+    assert [getattr(IDMVehicle, value) for value in values] == [7, 6, -3]
+    merge = ms_highway.drive(gym.make("merge-v0"))
+    merge.reset(seed=0)
+    assert [getattr(IDMVehicle, value) for value in values] == [10.0, 3.0, -5.0]
+
+
+def test_what_others_have_set_in_highway_envs_drivers_is_left_alone(monkeypatch):
+    monkeypatch.setattr(IDMVehicle, "DISTANCE_WANTED", 12.0)
+    monkeypatch.setattr(IDMVehicle, "COMFORT_ACC_MAX", 6)
+    ms_highway.drive(gym.make("merge-v0")).reset(seed=0)
+    assert (IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX) == (12.0, 6)
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"prize": 1.0}, "unknown key 'prize' in config; did you mean 'price'"),
+        ({"driver": "switching:cheap"}, "needs its price"),
+        ({"driver": "budget:-1"}, "needs its milliseconds"),
+        ({"driver": "fixed:nobody"}, "choose one of 'switching'"),
+        ({"driver": 3}, "choose one of 'switching'"),
+        ({"driver": "fixed:tom", "budget": 5}, "say 'switching'"),
+        ({"ladder": ("tom", "naive")}, "in this order"),
+        ({"ladder": "naive"}, "in this order"),
+        ({"price": -1}, "from 0"),
+        ({"acceleration": 0}, "above 0"),
+        ({"desired_speed": float("nan")}, "above 0"),
+        ("fast", "must be a dictionary"),
+    ],
+)
+def test_an_impossible_configuration_is_refused(config, message):
+    with pytest.raises(ValueError, match=message):
+        ms_highway.drive(gym.make("merge-v0"), config)
+
+
+@pytest.mark.parametrize("name", [*UNDRIVABLE, "ms-highway/merger-v0"])
+def test_where_there_is_no_road_to_follow_the_error_says_what_works(name):
+    with pytest.raises(ValueError, match=f"{name}.*the robot drives highway, merge, roundabout"):
+        ms_highway.drive(gym.make(name))
+
+
+def test_a_driven_environment_can_be_made_again_from_its_specification():
+    env = gym.make(ms_highway.drive(gym.make("merge-v0"), {"price": 0.5}).spec)
+    assert env.settings.price == 0.5
+    env.reset(seed=0)
+    env.step(1)
+
+
+@pytest.mark.parametrize("name", ["highway-fast-v0", "roundabout-v0"])
+def test_a_picture_shows_the_plan_and_the_cars_in_the_colours_of_their_rungs(name):
+    env = ms_highway.drive(gym.make(name, render_mode="rgb_array"), {"driver": "fixed:idm"})
+    env.reset(seed=0)
+    before = env.render()
+    _, _, _, _, info = env.step(1)
+    frame, height = env.render(), env.unwrapped.config["screen_height"]
+    assert before.shape == frame.shape == (height + PANEL, 600, 3)
+    assert "idm" in info["road"]["rungs"]
+    assert (frame[:height] == model_color("idm")).all(axis=-1).sum() > 100
+    assert (frame[height] == PAPER).all()
+    assert (frame[height:] != PAPER).any()
+    env.close()
+
+
+@pytest.mark.parametrize("outside", [True, False])
+def test_pictures_are_collected_inside_and_outside_of_the_wrapper(outside):
+    env = gym.make("merge-v0", render_mode="rgb_array")
+    collect = gym.wrappers.RenderCollection
+    env = collect(ms_highway.drive(env)) if outside else ms_highway.drive(collect(env))
+    env.reset(seed=0)
+    env.step(1)
+    shapes = {frame.shape for frame in env.render()}
+    assert shapes == {(150 + PANEL, 600, 3)}
+
+
+@pytest.mark.parametrize("outside", [True, False])
+def test_videos_have_every_frame_of_the_simulation(outside, tmp_path):
+    pytest.importorskip("moviepy", reason="moviepy, which Gymnasium records with, is not installed")
+
+    def record(env):
+        return gym.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda episode: True)
+
+    env = gym.make("merge-v0", render_mode="rgb_array")
+    env = record(ms_highway.drive(env)) if outside else ms_highway.drive(record(env))
+    recorder = env if outside else env.env
+    env.unwrapped.set_record_video_wrapper(recorder)
+    env.reset(seed=0)
+    env.step(1)
+    env.step(1)
+    assert len(recorder.recorded_frames) == 1 + 2 * 15
+    env.close()
+    assert list(tmp_path.glob("films/*.mp4"))
+
+
+def test_vector_environments_are_driven():
+    envs = gym.vector.SyncVectorEnv([lambda: ms_highway.drive(gym.make("highway-fast-v0"))] * 2)
+    envs.reset(seed=[5, 5])
+    for _ in range(2):
+        observations, rewards, _, _, infos = envs.step(envs.action_space.sample())
+    np.testing.assert_array_equal(*observations)
+    assert rewards[0] == rewards[1]
+    assert (infos["road"]["acceleration"] <= 5.0).all()
+
+
+VECTOR = """
+import gymnasium as gym
+import ms_highway
+
+
+def make():
+    return ms_highway.drive(gym.make("highway-fast-v0"), {"driver": "fixed:naive"})
+
+
+if __name__ == "__main__":
+    envs = gym.vector.AsyncVectorEnv([make, make], context="spawn")
+    envs.reset(seed=[5, 5])
+    observations, rewards, _, _, infos = envs.step(envs.action_space.sample())
+    envs.close()
+    assert (observations[0] == observations[1]).all()
+    assert (infos["road"]["planning_seconds"] > 0).all()
+"""
+
+
+@pytest.mark.slow
+def test_workers_of_a_vector_environment_drive(tmp_path):
+    script = tmp_path / "vector.py"
+    script.write_text(VECTOR)
+    done = subprocess.run([sys.executable, script], timeout=200, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_policy_drives_an_environment_that_stays_stock():
+    env = gym.make("highway-fast-v0", config=CONTINUOUS)
+    policy = ms_highway.RoadPolicy(env, {"driver": "fixed:idm"})
+    for seed in (0, 1):
+        observation, _ = env.reset(seed=seed)
+        assert type(env.unwrapped.vehicle) is Vehicle
+        for _ in range(20):
+            action, state = policy.predict(observation, deterministic=True)
+            assert env.action_space.contains(action)
+            observation, _, terminated, _, _ = env.step(action)
+            assert not terminated
+            control = policy.steps[0].control
+            assert env.unwrapped.vehicle.action["acceleration"] == pytest.approx(control[1], abs=0.2)
+        assert state is None
+        assert env.unwrapped.vehicle.on_road
+
+
+def test_a_policy_of_several_environments_answers_with_one_action_each():
+    envs = gym.vector.SyncVectorEnv([lambda: gym.make("highway-fast-v0", config=CONTINUOUS)] * 2)
+    policy = ms_highway.RoadPolicy(envs, {"driver": "fixed:naive"})
+    observations, _ = envs.reset(seed=[5, 5])
+    for _ in range(3):
+        actions, _ = policy.predict(observations, episode_start=np.zeros(2, dtype=bool))
+        assert actions.shape == (2, 2)
+        np.testing.assert_array_equal(*actions)
+        observations, *_ = envs.step(actions)
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"policy_frequency": 5}, "needs continuous actions, not DiscreteMetaAction; make it with"),
+        ({**CONTINUOUS, "policy_frequency": 1}, "needs 4 actions per second or more, not 1; make it with"),
+        ({**CONTINUOUS, "action": {"type": "ContinuousAction", "longitudinal": False}}, "longitudinal and lateral"),
+    ],
+)
+def test_a_policy_refuses_what_it_cannot_drive_and_says_how_to_make_it(config, message):
+    with pytest.raises(ValueError, match=message):
+        ms_highway.RoadPolicy(gym.make("highway-fast-v0", config=config))
