@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.benchmarks.road.episodes import TRAFFIC, Block, make_driver, run_episode
 from ms_highway.benchmarks.road.measures import Watch, measured
@@ -69,6 +70,14 @@ def test_a_car_that_stands_on_the_road_and_is_hit_is_at_fault(road):
     road.vehicle.speed = road.vehicle.target_speed = 0.0
     road.vehicle.target_speeds = np.zeros(3)
     add(road, 70.0, 4.0, 20.0)
+    assert watched(road, ["IDLE"] * 3).at_fault
+
+
+def test_a_crash_far_behind_does_not_excuse_the_ego(road):
+    road.vehicle.speed = road.vehicle.target_speed = 35.0
+    road.road.objects.append(Obstacle(road.road, [131.0, 4.0]))  # which stops the ego, but does not call itself crashed
+    add(road, 60.0, 4.0, 0.0)
+    road.road.vehicles[-1].crashed = True
     assert watched(road, ["IDLE"] * 3).at_fault
 
 

@@ -23,7 +23,7 @@ class Place:
         lane_index: of the closest lane.
         offset: from the centre of that lane [m].
         speed: [m/s].
-        on_road: whether the car is within that lane.
+        on_road: whether its centre is in that lane, or so close that it may be where two roads meet.
     """
 
     lane_index: tuple[str, str, int]

@@ -13,6 +13,8 @@ from ms_highway.benchmarks.road.fault import Place, is_at_fault
 __all__ = ["Motion", "Watch", "measured"]
 
 LOOK_BACK = 1.0  # s before a collision
+GAP = 0.5  # m between lanes where roads meet, at most
+REACH = 2.0  # m between cars that have just collided, at most: highway-env pushes them apart
 
 
 @dataclass(frozen=True)
@@ -114,8 +116,9 @@ class Watch:
         if ego.crashed:
             self.crashed = True
             others = [one for one in (*road.vehicles, *road.objects) if one is not ego and one.crashed]
-            closest = min(others, key=lambda one: np.linalg.norm(one.position - ego.position), default=None)
-            self.at_fault = is_at_fault(ego, closest, tuple(self._places))
+            distances = [_gap(ego, one) for one in others]
+            touched = others[int(np.argmin(distances))] if min(distances, default=np.inf) < REACH else None
+            self.at_fault = is_at_fault(ego, touched, tuple(self._places))
             return
         self._places.append(_place(ego))
         self.off_road |= not self._places[-1].on_road
@@ -123,4 +126,9 @@ class Watch:
 
 def _place(ego: Any) -> Place:
     _, offset = ego.lane.local_coordinates(ego.position)
-    return Place(ego.lane_index, float(offset), float(ego.speed), bool(ego.on_road))
+    return Place(ego.lane_index, float(offset), float(ego.speed), bool(ego.lane.on_lane(ego.position, margin=GAP)))
+
+
+def _gap(one: Any, other: Any) -> float:
+    """Return the distance of the circles around two cars [m], negative where they overlap."""
+    return float(np.linalg.norm(one.position - other.position) - (one.diagonal + other.diagonal) / 2)
