@@ -163,15 +163,17 @@ class RoadDriver:
         )
 
     def _measured(self, scene: RoadScene) -> RoadCosts:
-        """Compile, and measure what plans cost under each model."""
-        everybody = np.asarray(scene.present) | True
-        if self.choice.looks:
-            warm_up(_look, scene, self.planning, self.weights, np.zeros(TRAFFIC, np.int32), self._memory)
+        """Compile, and measure what plans cost under each model if the choice looks at costs."""
+        nobody = np.zeros(TRAFFIC, np.int32)
+        warm_up(self._planned, scene, nobody)
+        if not self.choice.looks:
+            return RoadCosts(0.0, np.zeros(len(RUNGS)))
+        warm_up(_look, scene, self.planning, self.weights, nobody, self._memory)
+        others = np.asarray(scene.moving & scene.present)
 
         def median(rung: int) -> float:
-            rungs = np.where(everybody, rung, 0).astype(np.int32)
-            self._planned(scene, rungs)
+            rungs = np.where(others, rung, 0).astype(np.int32)
             return float(np.median([timed(self._planned, scene, rungs)[1] for _ in range(REPEATS)]))
 
         whole = np.array([median(rung) for rung in range(len(RUNGS))])
-        return RoadCosts(float(whole[0]), np.maximum(whole - whole[0], 0.0) / TRAFFIC)
+        return RoadCosts(float(whole[0]), np.maximum(whole - whole[0], 0.0) / max(others.sum(), 1))

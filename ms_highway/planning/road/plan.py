@@ -30,6 +30,7 @@ from ms_highway.planning.road.refinement import refine
 from ms_highway.planning.road.scoring import RoadWeights, Scores, score
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
 from ms_highway.planning.road.traffic import positions, ways_of
+from ms_highway.runtime.arrays import Array
 
 __all__ = [
     "IDM",
@@ -61,8 +62,8 @@ class Memory(NamedTuple):
         goal: x and y of where the robot is after the last plan, world coordinates; NaN without one.
     """
 
-    controls: Float[jax.Array, "steps 2"]
-    goal: Float[jax.Array, "2"]
+    controls: Float[Array, "steps 2"]
+    goal: Float[Array, "2"]
 
 
 class Proposed(NamedTuple):
@@ -102,7 +103,7 @@ def first_memory(planning: RoadPlanning) -> Memory:
 
 def last_lane(scene: RoadScene, memory: Memory) -> Int[jax.Array, ""]:
     """Return the lane that the last plan ends in, 0 to 2; the own one without a last plan."""
-    s, d, _ = project(scene.route, *memory.goal, 0.0)
+    s, d, _ = project(scene.route, memory.goal[0], memory.goal[1], jnp.zeros(()))
     lane = jnp.argmin(jnp.abs(jax.vmap(interpolate, in_axes=(0, None))(jnp.asarray(scene.lanes), s) - d))
     return jnp.where(jnp.isfinite(d), lane, 1)
 
@@ -119,7 +120,7 @@ def propose(
         rungs: of each of the others, numbers of `RUNGS`.
         memory: of the last plan.
     """
-    plans = profiles(memory.controls, last_lane(scene, memory))
+    plans = profiles(jnp.asarray(memory.controls), last_lane(scene, memory))
     nothing = jnp.zeros((PROPOSALS, len(rungs), planning.steps))
     return _judged(
         scene, planning, weights, plans, Manners(_follows(scene, rungs), jnp.zeros_like(rungs, bool), nothing)
@@ -144,7 +145,7 @@ def plan_road(
     proposed = propose(scene, planning, weights, rungs, memory)
     _, numbers = jax.lax.top_k(proposed.scores.total, ANSWERED)
     few, plans = jax.tree.map(
-        lambda field: field[numbers], (proposed, profiles(memory.controls, last_lane(scene, memory)))
+        lambda field: field[numbers], (proposed, profiles(jnp.asarray(memory.controls), last_lane(scene, memory)))
     )
     rational = (rungs >= TURN) & jnp.asarray(scene.moving & scene.present)
     told = jnp.zeros((ANSWERED, len(rungs), planning.steps))

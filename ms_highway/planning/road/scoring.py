@@ -1,6 +1,7 @@
 """Judge proposals and refined plans: what they earn, and which constraints they break."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -177,7 +178,7 @@ def score(
     clear = separation(
         (x[:, None], y[:, None], course[:, None]),
         scene.size,
-        jax.vmap(lambda a, b: jnp.stack(positions(scene, a, b)))(rollouts.along, rollouts.across).swapaxes(0, 1),
+        jax.vmap(partial(positions, scene))(rollouts.along, rollouts.across),
         occupied(scene, rollouts),
     )
     counts = jnp.asarray(scene.present)[:, None] & ~pushes_from_behind(scene, rollouts, s, d, lanes)
@@ -200,7 +201,7 @@ def score(
     others = others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
     others = others + weights.blocking * blocks(scene, ways, rollouts)
     own = dt * per_second.sum(axis=1) + per_plan
-    return Scores(own, others, answerable, hit.any(axis=(1, 2)), leaves | closed, missing.max(axis=1))
+    return Scores(own, jnp.asarray(others), answerable, hit.any(axis=(1, 2)), leaves | closed, missing.max(axis=1))
 
 
 def _leads(scene: RoadScene, ways: Ways) -> Bool[jax.Array, "traffic"]:

@@ -41,7 +41,7 @@ def ways_of(scene: RoadScene) -> Ways:
 
 def follow(
     speed: Float[jax.Array, "*shape"],
-    wanted: Float[jax.Array, "*shape"],
+    wanted: float | Float[jax.Array, "*shape"],
     gap: Float[jax.Array, "*shape"],
     ahead: Float[jax.Array, "*shape"],
     headway: float = HEADWAY,
