@@ -27,8 +27,8 @@ class RoadSettings:
             without refinement.
         price: reward that a second of computation costs.
         budget: milliseconds of computation per plan, instead of a price; None for no budget.
-        costs: milliseconds that each rung adds to a plan per car, by name; None to measure them. Given ones make episodes
-            repeatable, as choices depend on them.
+        costs: milliseconds that each rung adds to a plan per car, by name; None to measure them. With given ones,
+            episodes can be repeated exactly.
         ladder: rungs to choose from, of `ms_highway.planning.road.settings.RUNGS` in their order.
         desired_speed: [m/s]; None for what the scene rewards.
         acceleration: total acceleration at most [m/s^2].
