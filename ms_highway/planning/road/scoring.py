@@ -185,7 +185,8 @@ def score(
     speeds = rollouts.speeds
     first = jnp.broadcast_to(jnp.asarray(scene.states)[:, 3:], (*speeds.shape[:-1], 1))
     slowed = jnp.diff(speeds, axis=-1, prepend=first) / dt
-    imposed = jnp.where(rollouts.s < s[:, None], jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
+    endangered = (rollouts.s < s[:, None]) & (speeds > speed[:, None])  # behind a faster robot, gaps open by themselves
+    imposed = jnp.where(endangered, jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
     closeness = closeness + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
     others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
     missing = missing_room(scene, planning, rollouts, goal[:, -1])
