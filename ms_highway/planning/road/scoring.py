@@ -190,9 +190,8 @@ def score(
     closeness = closeness + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
     others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
     missing = missing_room(scene, planning, rollouts, goal[:, -1])
-    limit = jnp.minimum(wanted[:, -1], planning.desired_speed)
-    prospect, charged = prospects(scene, rollouts, goal[:, -1], limit)
-    lost = weights.prospect * (1 - prospect / limit)
+    slower, charged = prospects(scene, planning, rollouts, lanes, caps)
+    lost = weights.prospect * slower / planning.desired_speed
     per_plan = per_plan - jnp.where(charged.any(axis=-1), 0.0, lost)
     others = others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
     others = others + weights.blocking * blocks(scene, ways, rollouts)
