@@ -30,13 +30,19 @@ SECONDS_PER_CHANGE = 2.0  # s, that a change of lane may take
 def missing_room(
     scene: RoadScene, planning: RoadPlanning, rollouts: Rollouts, goal: Float[jax.Array, "plans"]
 ) -> Float[jax.Array, "plans traffic"]:
-    """Return what is missing to stop behind each car ahead after a plan [m]."""
+    """Return what is missing to stop behind each car ahead after a plan [m].
+
+    A car that joins the road may go on into the next lane at once, without looking.
+    """
     s, d, _, speed = jnp.moveaxis(rollouts.states[:, -1], -1, 0)
     there, across, cosine = rollouts.s[..., -1], rollouts.d[..., -1], rollouts.cosine[..., -1]
     apart = (scene.size[1] + jnp.asarray(scene.sizes)[:, 1]) / 2 + 0.2
     middle = (s + scene.size[0] / 2)[:, None]
     low, high = jnp.minimum(goal, d)[:, None] - apart, jnp.maximum(goal, d)[:, None] + apart
-    front = (there > middle) & (across > low) & (across < high) & jnp.asarray(scene.present)
+    left, right = (interpolate(jnp.asarray(scene.edges)[side], rollouts.s[..., 0]) for side in range(2))
+    joins = (rollouts.d[..., 0] < left) | (rollouts.d[..., 0] > right)
+    beside = jnp.where(joins, WIDTH, 0.0)
+    front = (there > middle) & (across > low - beside) & (across < high + beside) & jnp.asarray(scene.present)
     front = front & ((cosine > CROSSING) | (rollouts.speeds[..., -1] < STANDING))
     gap = there - middle - (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
     onward = rollouts.speeds[..., -1] * cosine
