@@ -46,6 +46,7 @@ __all__ = [
     "is_crowd",
     "merger",
     "observations",
+    "road",
     "routes",
     "settings",
     "short_names",

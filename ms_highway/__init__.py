@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from ms_highway.envs import add_scenario as add_scenario
     from ms_highway.envs.actions import Autopilot as Autopilot
     from ms_highway.envs.base import InteractionEnv as InteractionEnv
-    from ms_highway.envs.road.driven import drive as drive
-    from ms_highway.envs.road.policy import RoadPolicy as RoadPolicy
+    from ms_highway.envs.road import RoadPolicy as RoadPolicy
+    from ms_highway.envs.road import drive as drive
     from ms_highway.game.game import Game as Game
     from ms_highway.game.reward import add_feature as add_feature
     from ms_highway.game.scenario import COMMON_WEIGHTS as COMMON_WEIGHTS
@@ -70,8 +70,7 @@ _HOMES = {
         "envs": ["SCENARIOS", "add_scenario"],
         "envs.base": ["InteractionEnv"],
         "envs.actions": ["Autopilot"],
-        "envs.road.driven": ["drive"],
-        "envs.road.policy": ["RoadPolicy"],
+        "envs.road": ["RoadPolicy", "drive"],
         "game.game": ["Game"],
         "game.scene": ["Scene"],
         "game.scenario": ["COMMON_WEIGHTS", "PAPER_UNIT", "Scenario", "build_game", "driving_game"],

@@ -1,4 +1,22 @@
 """Drive the stock environments of highway-env: a wrapper, a policy, and what they need to know of each scene.
 
-May import `ms_highway.vehicle` and what stands below it.
+Imports what `ms_highway.envs` does.
 """
+
+from ms_highway.envs.road.driven import Driven, drive
+from ms_highway.envs.road.ego import replace_ego
+from ms_highway.envs.road.policy import RoadPolicy
+
+__all__ = [
+    "Driven",
+    "RoadPolicy",
+    "drive",
+    "driven",
+    "ego",
+    "goals",
+    "graphics",
+    "policy",
+    "replace_ego",
+    "settings",
+    "traffic",
+]

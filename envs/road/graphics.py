@@ -59,7 +59,7 @@ class RoadViewer(Viewer):
 
     def _think(self, step: RoadStep) -> None:
         """Draw the plan as a line, predictions as dots and the cars that they are of, in the colours of the rungs."""
-        others = [car for car in self.env.road.vehicles if car is not self.env.vehicle]
+        others = [car for car in self.env.road.vehicles if car is not self.env.vehicle and not car.crashed]
         for rung, path in zip(step.rungs, np.asarray(step.predictions, dtype=float), strict=True):
             if not rung:
                 continue

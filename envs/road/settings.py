@@ -8,6 +8,7 @@ from ms_highway.control.road import RoadDriver
 from ms_highway.envs.checks import LARGEST, is_number, refuse_unknown
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+from ms_highway.vehicle.road_robot import MARGIN
 
 __all__ = ["RoadSettings"]
 
@@ -98,7 +99,7 @@ class RoadSettings:
         """
         return RoadPlanning(
             desired_speed=float(self.desired_speed or desired_speed),
-            grip=float(self.acceleration),
+            grip=MARGIN * float(self.acceleration),
             curvature=float(self.curvature),
         )
 

@@ -16,7 +16,7 @@ OVERWRITTEN = MappingProxyType({"DISTANCE_WANTED": 7, "COMFORT_ACC_MAX": 6, "COM
 
 @cache
 def _originals() -> dict[str, type]:
-    """Return the classes of `highway_env.vehicle.behavior` as they are before anything has changed them."""
+    """Return the classes of `behavior` as they are before anything has changed them."""
     fresh = runpy.run_path(behavior.__file__)
     return {name: kind for name, kind in fresh.items() if isinstance(kind, type) and kind.__module__ == "<run_path>"}
 

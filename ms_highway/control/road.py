@@ -11,9 +11,19 @@ from jaxtyping import Float, Int
 
 from ms_highway.game.road import TRAFFIC, RoadScene
 from ms_highway.metareasoning.road import RoadCosts, RungChoice
-from ms_highway.planning.road.plan import LAST_PLAN, Memory, RoadPlan, first_memory, highest_gains, plan_road, propose
+from ms_highway.planning.road.plan import (
+    LAST_PLAN,
+    REFINED,
+    Memory,
+    RoadPlan,
+    first_memory,
+    highest_gains,
+    plan_road,
+    propose,
+)
 from ms_highway.planning.road.scoring import RoadWeights
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
 __all__ = ["RoadDriver", "RoadStep"]
@@ -66,7 +76,7 @@ def _plan(
     memory: Memory,
     refines: bool,
 ) -> RoadPlan:
-    return plan_road(scene, planning, weights, rungs, memory)
+    return plan_road(scene, planning, weights, rungs, memory, refines)
 
 
 class RoadDriver:
@@ -98,6 +108,7 @@ class RoadDriver:
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Return what to do now."""
+        refuse_after_fork()
         begin = perf_counter()
         if self.costs is None:
             self.costs = self._measured(scene)
@@ -128,7 +139,7 @@ class RoadDriver:
     ) -> RoadStep:
         """Remember a plan, or fall back where it is not finite."""
         controls = np.asarray(plan.controls)
-        source = "refined" if plan.chosen < 0 else "last plan" if plan.chosen == LAST_PLAN else "proposal"
+        source = "refined" if plan.chosen == REFINED else "last plan" if plan.chosen == LAST_PLAN else "proposal"
         if np.isfinite(controls).all():
             self._left = len(controls)
         elif self._left > 0:
@@ -152,15 +163,17 @@ class RoadDriver:
         )
 
     def _measured(self, scene: RoadScene) -> RoadCosts:
-        """Compile, and measure what plans cost under each model."""
-        everybody = np.asarray(scene.present) | True
-        if self.choice.looks:
-            warm_up(_look, scene, self.planning, self.weights, np.zeros(TRAFFIC, np.int32), self._memory)
+        """Compile, and measure what plans cost under each model if the choice looks at costs."""
+        nobody = np.zeros(TRAFFIC, np.int32)
+        warm_up(self._planned, scene, nobody)
+        if not self.choice.looks:
+            return RoadCosts(0.0, np.zeros(len(RUNGS)))
+        warm_up(_look, scene, self.planning, self.weights, nobody, self._memory)
+        others = np.asarray(scene.moving & scene.present)
 
         def median(rung: int) -> float:
-            rungs = np.where(everybody, rung, 0).astype(np.int32)
-            self._planned(scene, rungs)
+            rungs = np.where(others, rung, 0).astype(np.int32)
             return float(np.median([timed(self._planned, scene, rungs)[1] for _ in range(REPEATS)]))
 
         whole = np.array([median(rung) for rung in range(len(RUNGS))])
-        return RoadCosts(float(whole[0]), np.maximum(whole - whole[0], 0.0) / TRAFFIC)
+        return RoadCosts(float(whole[0]), np.maximum(whole - whole[0], 0.0) / max(others.sum(), 1))

@@ -19,6 +19,8 @@ __all__ = [
     "bicycle",
     "human",
     "planning",
+    "road_robot",
+    "road_scene",
     "road_view",
     "states_of",
 ]

@@ -13,6 +13,8 @@ from ms_highway.vehicle.road_map import BLOCK, Chain, Goal, LaneIndex, RoadMap
 __all__ = ["Corridor", "corridor"]
 
 DEFAULT_LIMIT = 20.0  # m/s, where a lane has none
+AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
+BEYOND = 3.0  # m, up to which a lane is taken to go straight on
 NEARBY = 2.0  # widths of a lane, up to which a lane that leads elsewhere can be changed to
 
 
@@ -110,17 +112,28 @@ def _measure(roads: RoadMap, curve: Curve, chain: Chain, goal: Goal) -> Corridor
         for place, index in enumerate(section.lanes):
             if index is None:
                 continue
-            if place != 1:
-                lanes[place, here] = _beside(roads, curve, here, index)
-            is_open[place, here] = np.abs(lanes[place, here]) < NEARBY * width
-            found.append(lanes[place, here])
+            beside = _beside(roads, curve, here, index) if place != 1 else lanes[place, here]
+            lanes[place, here] = beside
+            is_open[place, here] = ~(np.abs(beside) >= NEARBY * width)
+            found.append(np.where(is_open[place, here], beside, 0.0))
         found += [_beside(roads, curve, here, index) for index in _outermost(roads, section)]
         found = found or [lanes[1, here]]
         edges[0, here] = np.min(found, axis=0) - width / 2
         edges[1, here] = np.max(found, axis=0) + width / 2
         reference = own or section.lanes[0] or section.lanes[2] or chain[-1]
         limit[here] = roads.lanes[reference].speed_limit or DEFAULT_LIMIT
-    return Corridor(curve, lanes, is_open, edges, limit)
+    return Corridor(curve, _bridged(lanes), is_open, _bridged(edges), limit)
+
+
+def _bridged(rows: Float[np.ndarray, "rows samples"]) -> Float[np.ndarray, "rows samples"]:
+    """Interpolate where numbers are missing; without any, return zeros."""
+    places, known = np.arange(rows.shape[1]), np.isfinite(rows)
+    return np.stack(
+        [
+            np.interp(places, places[there], row[there]) if there.any() else 0 * places
+            for row, there in zip(rows, known, strict=True)
+        ]
+    )
 
 
 def _outermost(roads: RoadMap, section: _Section) -> list[LaneIndex]:
@@ -136,17 +149,16 @@ def _outermost(roads: RoadMap, section: _Section) -> list[LaneIndex]:
 
 
 def _beside(roads: RoadMap, curve: Curve, here: slice, index: LaneIndex) -> Float[np.ndarray, "samples"]:
-    """Return lateral positions of a lane's centre at some of a curve's samples [m]."""
+    """Return lateral positions of a lane's centre at some of a curve's samples [m], NaN before and after it."""
     lane = roads.lanes[index]
     x, y, heading = curve.samples[:3, here]
     first, last = (lane.local_coordinates(np.array([x[end], y[end]]))[0] for end in (0, -1))
-    low, high = max(min(first, last) - 6.0, -20.0), min(max(first, last) + 6.0, lane.length + 20.0)
-    if high - low < 6.0:
-        low, high = min(low, lane.length / 2) - 3.0, max(high, lane.length / 2) + 3.0
-    _, points, along = samples(lane, low, high)
-    points_here = np.stack([x, y], axis=-1)
-    _, nearest = cKDTree(points).query(points_here)
-    delta = points[nearest] - points_here
+    low, high = max(min(first, last) - AROUND, 0.0), min(max(first, last) + AROUND, lane.length)
+    _, points, along = samples(lane, *((low, high) if high - low > AROUND else (0.0, lane.length)))
+    here_points = np.stack([x, y], axis=-1)
+    _, nearest = cKDTree(points).query(here_points)
+    delta = points[nearest] - here_points
     cosine, sine = np.cos(heading), np.sin(heading)
     ahead, aside = cosine * delta[:, 0] + sine * delta[:, 1], cosine * delta[:, 1] - sine * delta[:, 0]
-    return aside - ahead * np.clip(np.tan(along[nearest] - heading), -1.0, 1.0)
+    lateral = aside - ahead * np.clip(np.tan(along[nearest] - heading), -1.0, 1.0)
+    return np.where(np.abs(ahead) < BEYOND, lateral, np.nan)

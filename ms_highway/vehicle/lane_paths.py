@@ -49,7 +49,7 @@ class Curve:
         return rows[:, low] * (1 - share) + rows[:, low + 1] * share
 
     def path(self, s: float, knots: int) -> Path:
-        """Return the path whose s = 0, with a heading between -pi and pi, is at a distance from the curve's beginning [m]."""
+        """Return the path whose s = 0 is at a distance from the curve's beginning [m]; its heading there is wrapped."""
         along = s - BEHIND + SPACING * np.arange(knots)
         x, y, heading, curvature = self.gather(self.samples[:4], along)
         here = heading[int(BEHIND / SPACING)]

@@ -17,7 +17,7 @@ from ms_highway.game.road import RoadScene
 from ms_highway.vehicle.road_scene import observe_road
 from ms_highway.vehicle.road_view import along_route, remaining_route
 
-__all__ = ["GRIP", "PERIOD", "RoadRobot", "held", "steering_of"]
+__all__ = ["GRIP", "MARGIN", "PERIOD", "Motion", "RoadRobot", "held", "steering_of"]
 
 PERIOD = 0.2
 """Time between two plans [s], rounded to frames of the simulation."""
@@ -25,7 +25,9 @@ PERIOD = 0.2
 GRIP = 5.0
 """Largest total acceleration, by default [m/s^2]."""
 
-MARGIN = 0.98  # share of the grip that is used
+MARGIN = 0.98
+"""Share of the grip that is used."""
+
 SHARPEST = 0.9  # sine of the slip angle at most
 
 
@@ -159,7 +161,8 @@ class RoadRobot(Vehicle):
 
     def look(self) -> RoadScene:
         """Observe the road."""
-        return observe_road(self, self.goal, tuple(self.applied.tolist()))
+        curvature, acceleration = self.applied.tolist()
+        return observe_road(self, self.goal, (curvature, acceleration))
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan if it is time for it; ignore actions."""

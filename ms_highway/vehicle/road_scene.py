@@ -45,7 +45,7 @@ def observe_road(
     """See the road from a vehicle.
 
     Lanes once followed are remembered by vehicle, so that its route does not jump where lanes meet. Without a
-    destination it follows its `route`, as far as it has one, and then whichever road continues the present one best.
+    destination it follows its ``route``, as far as it has one, and then whichever road continues the present one best.
 
     Args:
         vehicle: the robot.

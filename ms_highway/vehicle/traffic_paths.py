@@ -23,6 +23,7 @@ CROOKED = 0.8  # widths of a lane: others take joints, such as exits from inner 
 ON_LANE, ALONG = 1.0, 0.3  # m aside and rad, up to which a vehicle may follow a lane that begins where its own does
 NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, and conflict
 IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m aside and ahead, in which a vehicle leads another
+JOINED = 5.0  # m after a joint, up to which a vehicle still has the right of way there
 NO_GAP = 1e3  # m, without a leader
 FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
@@ -41,7 +42,7 @@ class Way:
 
 @dataclass(frozen=True)
 class Traffic:
-    """The fields of `RoadScene` that tell of others."""
+    """The fields of a ``RoadScene`` that tell of others."""
 
     paths: Path
     states: Float[np.ndarray, "traffic 4"]
@@ -212,7 +213,7 @@ def _gives_way(roads: RoadMap, robot: _Progress, way: Way, conflict: tuple[float
 
     It has to
 
-    * where their ways come within 3 m and the lowest `priority` of the vehicle's lanes from here to there is higher
+    * where their ways come within 3 m and the lowest ``priority`` of the vehicle's lanes from here to there is higher
       than that of the robot's lanes;
     * with equal priorities, where their ways join in a lane that another lane than the robot's continues into more
       evenly, such as the ring of a roundabout from its entry, and the vehicle comes from there.
@@ -231,7 +232,7 @@ def _gives_way(roads: RoadMap, robot: _Progress, way: Way, conflict: tuple[float
             if roads.continues_best(before, lane):
                 return False
             place = meeting.index(lane)
-            return place == 0 or roads.continues_best(meeting[place - 1], lane)
+            return way.place < JOINED if place == 0 else roads.continues_best(meeting[place - 1], lane)
     return False
 
 

@@ -78,7 +78,7 @@ def lateral(path: Path, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_all_scenes_have_the_same_shapes_and_finite_numbers_all_along(scene: str) -> None:
-    for _, _, seen in episode(scene, 60):
+    for _, _, seen in episode(scene, 40):
         assert seen.route.x.shape == (KNOTS,)
         assert seen.lanes.shape == seen.open.shape == (LANES, KNOTS)
         assert seen.edges.shape == (2, KNOTS)
@@ -92,7 +92,7 @@ def test_all_scenes_have_the_same_shapes_and_finite_numbers_all_along(scene: str
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_route_can_be_driven_at_any_place(scene: str) -> None:
-    for _, _, seen in episode(scene, 60):
+    for _, _, seen in episode(scene, 40):
         route = seen.route
         assert np.abs(route.curvature).max() <= 0.2
         assert np.abs(np.diff(route.curvature)).max() < 0.1

@@ -4,6 +4,7 @@ A human decides on its acceleration only, held for each time step; its distance 
 the coordinates of its path.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import NamedTuple
@@ -23,7 +24,21 @@ from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.optimization.damped_newton import SHARES, best_of, damped_factor, damped_solve
 from ms_highway.planning.road.settings import RoadPlanning
 
-__all__ = ["Driver", "answer", "cruise", "driver_of", "follow", "within_reach"]
+__all__ = [
+    "UNIT",
+    "Accelerations",
+    "Driver",
+    "World",
+    "along_path",
+    "answer",
+    "cruise",
+    "driver_of",
+    "follow",
+    "onward",
+    "pull",
+    "push",
+    "within_reach",
+]
 
 STEPS = 3  # of Newton
 BRAKING, ACCELERATION = -6.0, 3.0  # m/s^2, what humans do at most
@@ -71,7 +86,7 @@ class Driver:
 
     def earned(self, scaled: Accelerations) -> Float[jax.Array, ""]:
         """Return the reward less the discomfort of accelerations."""
-        return jnp.sum(self._along(*self._move(scaled))) - self._comfort * jnp.sum(scaled**2) / 2
+        return jnp.sum(self._along(*self.move(scaled))) - self._comfort * jnp.sum(scaled**2) / 2
 
     def expand(self, scaled: Accelerations) -> Expansion:
         """Expand `earned` to second order.
@@ -79,21 +94,34 @@ class Driver:
         The reward at a step depends on s and speed there, and both are linear in the accelerations: second derivatives
         in two numbers at each step are all that is needed.
         """
-        s, speed = self._move(scaled)
+        s, speed = self.move(scaled)
         one, zero = jnp.ones_like(s), jnp.zeros_like(s)
         (along_s, along_speed), (twice_s, mixed) = jax.jvp(self._slopes, (s, speed), (one, zero))
         _, twice_speed = jax.jvp(partial(self._slopes, s), (speed,), (one,))[1]
-        by_s, by_speed = self._weights
+        by_s, by_speed = _weights(self.planning)
         cross = by_s.T @ (mixed[:, None] * by_speed)
         hessian = by_s.T @ (twice_s[:, None] * by_s) + cross + cross.T + by_speed.T @ (twice_speed[:, None] * by_speed)
-        gradient = along_s @ by_s + along_speed @ by_speed - self._comfort * scaled
+        gradient = pull(self.planning, jnp.stack([along_s, along_speed])) - self._comfort * scaled
         return Expansion(gradient, hessian - self._comfort * jnp.eye(len(s)))
 
-    def slope(self, scaled: Accelerations) -> Accelerations:
-        """Return the gradient of `earned`."""
-        along_s, along_speed = self._slopes(*self._move(scaled))
-        by_s, by_speed = self._weights
-        return along_s @ by_s + along_speed @ by_speed - self._comfort * scaled
+    def influence(
+        self, scaled: Accelerations, robot: Callable[[World], Float[jax.Array, "5 steps"]], at: World
+    ) -> Float[jax.Array, "4 2 steps"]:
+        """Return how the robot's trajectory changes the slopes of the reward in s and speed, field by field and step.
+
+        Args:
+            scaled: accelerations of the human.
+            robot: the robot's motion in the path's coordinates.
+            at: the robot's trajectory in the world.
+        """
+        moved = self.move(scaled)
+
+        def slopes(trajectory: World) -> Float[jax.Array, "2 steps"]:
+            alone = replace(self, others=robot(trajectory)[:, None])
+            return jnp.stack(alone._slopes(*moved))
+
+        directions = jnp.broadcast_to(jnp.eye(len(at))[..., None], (len(at), *at.shape))
+        return jax.vmap(lambda direction: jax.jvp(slopes, (at,), (direction,))[1])(directions)
 
     def toward(self, scaled: Accelerations, step: Accelerations) -> Accelerations:
         """Return accelerations after the share of a step that earns most."""
@@ -120,17 +148,10 @@ class Driver:
     def _comfort(self) -> Float[jax.Array, ""]:
         return jnp.asarray(self.reward.comfort)[1] * (UNIT / PAPER_UNIT) ** 2
 
-    @property
-    def _weights(self) -> tuple[Float[jax.Array, "steps n"], Float[jax.Array, "steps n"]]:
-        """Derivatives of s and speed after each step in the scaled accelerations."""
-        age, dt = np.arange(self.planning.steps)[:, None] - np.arange(self.planning.steps), self.planning.time_step
-        by_speed = jnp.asarray(age >= 0, jnp.float32) * (dt * UNIT)
-        return by_speed * (age + 0.5) * dt, by_speed
-
-    def _move(self, scaled: Accelerations) -> tuple[Float[jax.Array, "steps"], Float[jax.Array, "steps"]]:
-        by_s, by_speed = self._weights
-        s = self.state[0] + self.state[3] * _times(self.planning) + jnp.sum(by_s * scaled, axis=-1)
-        return s, self.state[3] + jnp.sum(by_speed * scaled, axis=-1)
+    def move(self, scaled: Accelerations) -> Float[jax.Array, "2 steps"]:
+        """Return s and speed after each step."""
+        kept = jnp.stack([self.state[0] + self.state[3] * _times(self.planning), jnp.full_like(scaled, self.state[3])])
+        return kept + push(self.planning, scaled)
 
     def _slopes(
         self, s: Float[jax.Array, "steps"], speed: Float[jax.Array, "steps"]
@@ -223,13 +244,17 @@ def follow(
     scene: RoadScene, planning: RoadPlanning, i: int | Int[jax.Array, ""], accelerations: Accelerations
 ) -> World:
     """Return the trajectory of other car i along its path under accelerations."""
+    s, _, _, speed = jnp.asarray(scene.states)[i]
+    kept = jnp.stack([s + speed * _times(planning), jnp.full_like(accelerations, speed)])
+    return onward(scene, planning, i, kept + push(planning, within_reach(planning, speed, accelerations) / UNIT))
+
+
+def onward(
+    scene: RoadScene, planning: RoadPlanning, i: int | Int[jax.Array, ""], motion: Float[jax.Array, "2 steps"]
+) -> World:
+    """Return the trajectory of other car i from s and speed after each step."""
     path = jax.tree.map(lambda field: jnp.asarray(field)[i], scene.paths)
-    state = jnp.asarray(scene.states)[i]
-    held = within_reach(planning, state[3], accelerations)
-    dt = planning.time_step
-    speed = state[3] + _sums(held) * dt
-    s = state[0] + _sums(jnp.concatenate([state[3:], speed[:-1]]) + speed) * (dt / 2)
-    return jnp.stack([*place(path, s, _settled(planning, state[1])), speed])
+    return jnp.stack([*place(path, motion[0], _settled(planning, jnp.asarray(scene.states)[i, 1])), motion[1]])
 
 
 def cruise(scene: RoadScene, planning: RoadPlanning) -> World:
@@ -256,10 +281,28 @@ def within_reach(
     return (held - before) / dt
 
 
+def push(planning: RoadPlanning, scaled: Accelerations) -> Float[jax.Array, "2 steps"]:
+    """Return the changes of s and speed after each step by a change of scaled accelerations."""
+    return jnp.stack([jnp.sum(weights * scaled, axis=-1) for weights in _weights(planning)])
+
+
+def pull(planning: RoadPlanning, slopes: Float[jax.Array, "2 steps"]) -> Accelerations:
+    """Return a slope in scaled accelerations from those in s and speed after each step: the transpose of `push`."""
+    by_s, by_speed = _weights(planning)
+    return slopes[0] @ by_s + slopes[1] @ by_speed
+
+
 @cache
 def _commuter() -> Reward:
     """Return the commuters' reward; its speed limit is that of the road."""
     return linear_reward(commuter_weights(), 1.0)
+
+
+def _weights(planning: RoadPlanning) -> tuple[Float[jax.Array, "steps n"], Float[jax.Array, "steps n"]]:
+    """Return the derivatives of s and speed after each step in the scaled accelerations."""
+    age, dt = np.arange(planning.steps)[:, None] - np.arange(planning.steps), planning.time_step
+    by_speed = jnp.asarray(age >= 0, jnp.float32) * (dt * UNIT)
+    return by_speed * (age + 0.5) * dt, by_speed
 
 
 def _sums(values: Float[jax.Array, "*batch steps"]) -> Float[jax.Array, "*batch steps"]:

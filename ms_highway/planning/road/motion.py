@@ -58,7 +58,7 @@ def drive(
         moved = advance(scene, planning, state, held)
         return moved, (moved, held)
 
-    return jax.lax.scan(go, jnp.asarray(scene.robot), controls, unroll=True)[1]
+    return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
 
 
 def bodies(

@@ -130,7 +130,7 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
         plans: what the robot does.
     """
     caps, wanted, now = speed_caps(scene, planning), wanted_speeds(scene), jnp.asarray(scene.states)
-    across = aside(scene, planning.time_step * jnp.arange(1, planning.steps + 1))
+    across = aside(scene, jnp.arange(1, planning.steps + 1) * jnp.asarray(planning.time_step))
     length, width = scene.size
     lengths, widths = jnp.asarray(scene.sizes).T
     apart, reach = (width + widths) / 2 + ROOM, (length + lengths) / 2

@@ -1,5 +1,7 @@
 """Judge what follows a plan: room to stop, the speed that the lanes allow, and the way to the goal's lane."""
 
+from typing import Any
+
 import jax
 import numpy as np
 from jax import numpy as jnp
@@ -65,7 +67,7 @@ def prospects(
         """Return the speed that each car allows [plans, traffic]."""
         return jnp.where(gaps > -reach, onward + jnp.maximum(gaps - KEPT, 0.0) / SECONDS_TO_CLOSE_UP, FAR)
 
-    def go(carry: tuple[jax.Array, ...], number: jax.Array) -> tuple[tuple[jax.Array, ...], jax.Array]:
+    def go(carry: Any, number: jax.Array) -> tuple[Any, jax.Array]:
         place, speed, lane = carry
         gaps = rollouts.s[..., -1] + onward * number - place[:, None] - reach
         allowed = jnp.where(inside, allow(gaps)[:, None], FAR).min(axis=-1)

@@ -14,14 +14,14 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.game.road import RoadScene
 from ms_highway.optimization.damped_newton import SHARES, best_of, damped_factor, damped_solve
 from ms_highway.optimization.second_derivatives import Trajectory
-from ms_highway.planning.road.answers import UNIT, Accelerations, World, driver_of, follow
+from ms_highway.planning.road.answers import UNIT, World, along_path, driver_of, follow, onward, pull, push
 from ms_highway.planning.road.motion import advance, bodies, drive
 from ms_highway.planning.road.reward import RoadReward, efforts, reward_along
 from ms_highway.planning.road.settings import RoadPlanning
 
-__all__ = ["refine"]
+__all__ = ["refine", "total_slope"]
 
-STEPS = 3
+STEPS = 4  # of Newton
 SLOWEST = 5.0  # m/s, below which curvature is scaled as at this speed
 REWARD = RoadReward()
 
@@ -53,10 +53,40 @@ def refine(
         lane: number of the lane to drive on.
         weights: of the reward.
     """
-    climb = _Climb(scene, planning, weights, lane, jnp.argsort(~tom, stable=True), jnp.sum(tom))
-    first = _Plan(climb.within_limits(jnp.asarray(start)), jnp.asarray(accelerations), jnp.asarray(others))
-    first = first._replace(others=climb.answered(first.others, first.accelerations))
+    climb, first = _begin(scene, planning, start, others, tom, accelerations, lane, weights)
+    first = first._replace(controls=drive(scene, planning, first.controls)[1])
     return jax.lax.fori_loop(0, STEPS, lambda _, plan: _improve(climb, plan), first).controls
+
+
+def total_slope(
+    scene: RoadScene,
+    planning: RoadPlanning,
+    controls: Controls,
+    others: Traffic,
+    tom: Bool[jax.Array, "traffic"],
+    accelerations: Float[jax.Array, "traffic steps"],
+    lane: int | Int[jax.Array, ""],
+    weights: RoadReward = REWARD,
+) -> Controls:
+    """Return the derivative of the robot's reward in its controls, the answers of others included; see `refine`."""
+    climb, plan = _begin(scene, planning, controls, others, tom, accelerations, lane, weights)
+    return _local(climb, plan).gradient.reshape(-1, 2) / climb.scale
+
+
+def _begin(
+    scene: RoadScene,
+    planning: RoadPlanning,
+    controls: Controls,
+    others: Traffic,
+    tom: Bool[jax.Array, "traffic"],
+    accelerations: Float[jax.Array, "traffic steps"],
+    lane: int | Int[jax.Array, ""],
+    weights: RoadReward,
+) -> tuple["_Climb", "_Plan"]:
+    """Return what all steps share, and the plan to improve."""
+    climb = _Climb(scene, planning, weights, lane, jnp.argsort(~tom, stable=True), jnp.sum(tom))
+    accelerations = jnp.asarray(accelerations)
+    return climb, _Plan(jnp.asarray(controls), accelerations, climb.answered(jnp.asarray(others), accelerations))
 
 
 class _Plan(NamedTuple):
@@ -81,9 +111,6 @@ class _Climb(NamedTuple):
     def scale(self) -> Float[jax.Array, "2"]:
         """Unit of the controls that are optimised: accelerations across and along of 5 m/s^2."""
         return jnp.stack([UNIT / jnp.maximum(jnp.asarray(self.scene.robot)[3], SLOWEST) ** 2, jnp.float32(UNIT)])
-
-    def within_limits(self, controls: Controls) -> Controls:
-        return drive(self.scene, self.planning, controls)[1]
 
     def motion(self, controls: Controls) -> Trajectory:
         """Return the robot's states and efforts [7, steps]; controls are taken as they are, so that none is flat."""
@@ -111,67 +138,80 @@ class _Climb(NamedTuple):
 
         return jax.lax.fori_loop(0, self.responding, put, others)
 
-    def slope(
-        self, i: Int[jax.Array, ""], others: Traffic, accelerations: Accelerations, robot: World
-    ) -> Accelerations:
-        """Return the derivative of car i's reward in its scaled accelerations."""
-        return driver_of(self.scene, self.planning, i, robot, others).slope(accelerations / UNIT)
-
 
 class _Answers(NamedTuple):
     """What the loop over the cars that answer collects."""
 
     slope: World  # of the robot's reward through them, in its trajectory
     factors: Float[jax.Array, "traffic n n"]  # of the damped Hessians
+    influences: Float[jax.Array, "traffic 4 2 steps"]  # of the robot, see `Driver.influence`
     accelerations: Float[jax.Array, "traffic steps"]  # improved
 
 
-def _improve(climb: _Climb, plan: _Plan) -> _Plan:
-    """Take the share of a Newton step that earns most once those who answer have answered it."""
-    scale, steps = climb.scale, len(plan.controls)
+class _Local(NamedTuple):
+    """The reward around a plan, in n scaled controls of the robot."""
+
+    gradient: Float[jax.Array, "n"]
+    hessian: Float[jax.Array, "n n"]
+    world: Float[jax.Array, "4 steps n"]  # derivative of the trajectory of the robot's centre
+    answers: _Answers
+
+
+def _local(climb: _Climb, plan: _Plan) -> _Local:
+    """Expand the reward around a plan: the gradient through those who answer, the Hessian of the robot's own part."""
+    scale, (cars, _, steps) = climb.scale, plan.others.shape
 
     def path(scaled: Float[jax.Array, "n"]) -> Trajectory:
         return climb.motion(scaled.reshape(-1, 2) * scale)
 
     point = (plan.controls / scale).ravel()
     motion, along = path(point), jax.jacfwd(path)(point)
-    by_motion, by_others = jax.grad(climb.earned, argnums=(0, 1))(motion, plan.others)
+    by_motion, by_others, hessian = _expansion(climb, motion, plan.others, along)
     gradient = jnp.tensordot(by_motion, along, 2)
-    hessian = _curvature(climb, motion, plan.others, along)
-    robot, pull = jax.vjp(climb.world, motion)
+    robot, onto_world = jax.linearize(climb.world, motion)
+    world = jax.vmap(onto_world, -1, -1)(along)
 
     def answer(place: Int[jax.Array, ""], answers: _Answers) -> _Answers:
         i = climb.ranks[place]
-        accelerations = plan.accelerations[i]
-        driver = driver_of(climb.scene, climb.planning, i, robot, plan.others)
-        own = driver.expand(accelerations / UNIT)
+        driver, scaled = driver_of(climb.scene, climb.planning, i, robot, plan.others), plan.accelerations[i] / UNIT
+        own = driver.expand(scaled)
         factor = damped_factor(own.hessian)
-        _, by_accelerations = jax.vjp(partial(follow, climb.scene, climb.planning, i), accelerations)
-        pushed = damped_solve(factor, UNIT * by_accelerations(by_others[i])[0])
-        _, through = jax.vjp(partial(climb.slope, i, plan.others, accelerations), robot)
-        improved = driver.toward(accelerations / UNIT, damped_solve(factor, own.gradient)) * UNIT
+        influence = driver.influence(scaled, partial(along_path, climb.scene, i), robot)
+        _, back = jax.vjp(partial(onward, climb.scene, climb.planning, i), driver.move(scaled))
+        pushed = damped_solve(factor, pull(climb.planning, back(by_others[i])[0]))
+        improved = driver.toward(scaled, damped_solve(factor, own.gradient)) * UNIT
         return _Answers(
-            answers.slope + through(pushed)[0],
+            answers.slope + jnp.sum(influence * push(climb.planning, pushed), axis=1),
             answers.factors.at[i].set(factor),
+            answers.influences.at[i].set(influence),
             answers.accelerations.at[i].set(improved),
         )
 
-    none = _Answers(jnp.zeros_like(robot), jnp.zeros((len(plan.others), steps, steps)), plan.accelerations)
+    none = _Answers(
+        jnp.zeros_like(robot),
+        jnp.zeros((cars, steps, steps)),
+        jnp.zeros((cars, 4, 2, steps)),
+        plan.accelerations,
+    )
     answers = jax.lax.fori_loop(0, climb.responding, answer, none)
-    gradient = gradient + jnp.tensordot(pull(answers.slope)[0], along, 2)
-    step = damped_solve(damped_factor(hessian), gradient)
-    moved = jax.jvp(climb.world, (motion,), (along @ step,))[1]
+    return _Local(gradient + jnp.tensordot(answers.slope, world, 2), hessian, world, answers)
+
+
+def _improve(climb: _Climb, plan: _Plan) -> _Plan:
+    """Take the share of a Newton step that earns most once those who answer have answered it."""
+    local = _local(climb, plan)
+    answers, step = local.answers, damped_solve(damped_factor(local.hessian), local.gradient)
+    moved = local.world @ step
 
     def react(place: Int[jax.Array, ""], reactions: Float[jax.Array, "traffic steps"]) -> jax.Array:
         i = climb.ranks[place]
-        slope = partial(climb.slope, i, plan.others, plan.accelerations[i])
-        pushed = jax.jvp(slope, (robot,), (moved,))[1]
-        return reactions.at[i].set(UNIT * damped_solve(answers.factors[i], pushed))
+        slopes = jnp.sum(answers.influences[i] * moved[:, None], axis=0)
+        return reactions.at[i].set(UNIT * damped_solve(answers.factors[i], pull(climb.planning, slopes)))
 
     reactions = jax.lax.fori_loop(0, climb.responding, react, jnp.zeros_like(plan.accelerations))
 
     def after(share: Float[jax.Array, ""]) -> tuple[_Plan, Float[jax.Array, ""]]:
-        controls = climb.within_limits(plan.controls + share * step.reshape(-1, 2) * scale)
+        _, controls = drive(climb.scene, climb.planning, plan.controls + share * step.reshape(-1, 2) * climb.scale)
         accelerations = answers.accelerations + share * reactions
         others = climb.answered(plan.others, accelerations)
         return _Plan(controls, accelerations, others), climb.earned(climb.motion(controls), others)
@@ -180,13 +220,22 @@ def _improve(climb: _Climb, plan: _Plan) -> _Plan:
     return jax.tree.map(lambda tried: best_of(tried, earned), candidates)
 
 
-def _curvature(
+def _expansion(
     climb: _Climb, motion: Trajectory, others: Traffic, along: Float[jax.Array, "fields steps n"]
-) -> Float[jax.Array, "n n"]:
-    """Return the Hessian in the scaled controls, with the motion taken as linear in them (Gauss-Newton)."""
-    fields = len(motion)
-    directions = jnp.broadcast_to(jnp.eye(fields)[..., None], (fields, *motion.shape))
-    slope = partial(jax.grad(climb.earned), others=others)
-    blocks = jax.vmap(lambda direction: jax.jvp(slope, (motion,), (direction,))[1])(directions)
-    bent = jnp.einsum("dfk,dkn->fkn", blocks, along)
-    return along.reshape(-1, along.shape[-1]).T @ bent.reshape(-1, along.shape[-1])
+) -> tuple[Trajectory, Traffic, Float[jax.Array, "n n"]]:
+    """Return the reward's derivatives in the robot's motion and in those of others, and its Hessian in n controls.
+
+    The Hessian takes the motion as linear in the controls (Gauss-Newton).
+    """
+    directions = jnp.broadcast_to(jnp.eye(len(motion))[:4, :, None], (4, *motion.shape))  # of the states
+
+    def slopes(motion: Trajectory) -> tuple[Trajectory, Traffic]:
+        return jax.grad(climb.earned, argnums=(0, 1))(motion, others)
+
+    bent_along = jax.vmap(lambda direction: jax.jvp(slopes, (motion,), (direction,)), out_axes=(None, 0))
+    (by_motion, by_others), (blocks, _) = bent_along(directions)
+    bent = jnp.einsum("dfk,dkn->fkn", blocks[:, :4], along[:4])
+    weights = -2 * climb.planning.time_step * climb.weights.of_efforts
+    bent = jnp.concatenate([bent, weights[:, None, None] * along[4:]])
+    size = along.shape[-1]
+    return by_motion, by_others, along.reshape(-1, size).T @ bent.reshape(-1, size)

@@ -18,7 +18,7 @@ SPEED_SCALE, LATERAL_SCALE = 5.0, 1.0  # m/s and m, from which on the cost of a 
 EDGE_MARGIN = 0.3  # m, between corners and edges
 LENGTH_MARGIN, CLOSING_TIME, WIDTH_MARGIN = 1.5, 0.2, 0.5  # m, s, m, by which bodies are enlarged
 INFLUENCE = 1.5  # times the enlarged bodies: the distance from which on collisions cost nothing
-TIME_GAP, STANDSTILL_GAP = 1.0, 2.0  # s, m
+TIME_GAP, STANDSTILL_GAP, BRAKING = 1.0, 2.0, 3.0  # s, m, m/s^2
 CORRIDOR = 1.2  # m, standard deviation of the lateral distance of cars ahead
 SHORTFALL = 10.0  # m
 
@@ -37,9 +37,10 @@ class RoadReward:
         heading: of the squared angle to the route [1/rad^2].
         acceleration: of its square [s^4/m^2].
         jerk: of its square, along and across [s^6/m^2].
-        edges: of each corner's squared intrusion on the 0.3 m beside the road's edge, as a share of them.
+        edges: of each corner's squared intrusion on the 0.3 m beside the road's edge [1/(0.3 m)^2]; linear beyond.
         collision: of the squared depth in another car's surroundings, 1/2 where bodies nearly touch.
-        following: of the squared lack of a distance of 2 m and 1 s to cars ahead [1/(10 m)^2].
+        following: of the squared lack of distance to cars ahead [1/(10 m)^2]: of 2 m, 1 s, and what it takes to brake
+            to their speed by 3 m/s^2.
     """
 
     speed: Scalar = 0.1
@@ -50,7 +51,12 @@ class RoadReward:
     jerk: Scalar = 0.01
     edges: Scalar = 50.0
     collision: Scalar = 200.0
-    following: Scalar = 2.0
+    following: Scalar = 10.0
+
+    @property
+    def of_efforts(self) -> Float[jax.Array, "3"]:
+        """Weights of the squared `efforts`."""
+        return jnp.stack([jnp.float32(weight) for weight in (self.acceleration, self.jerk, self.jerk)])
 
 
 def stage_rewards(
@@ -98,7 +104,7 @@ def reward_along(
     lane: int | Int[jax.Array, ""],
 ) -> Float[jax.Array, "steps"]:
     """Compute the reward after each step of a motion: the robot's state and its `efforts`, see `stage_rewards`."""
-    s, d, heading, speed, acceleration, along, across = motion
+    s, d, heading, speed = motion[:4]
     wish, bend = _wished_speed(planning, scene, s, d), interpolate(scene.route.curvature, s)
     aside = d - interpolate(jnp.asarray(scene.lanes)[lane], s)
     cost = (
@@ -106,8 +112,7 @@ def reward_along(
         + weights.excess * jnp.maximum(speed - wish, 0.0) ** 2
         + weights.lateral * _flattened(aside, LATERAL_SCALE)
         + weights.heading * heading**2
-        + weights.acceleration * acceleration**2
-        + weights.jerk * (along**2 + across**2)
+        + weights.of_efforts @ motion[4:] ** 2
         + weights.edges * _off_road(scene, s, d, heading, bend)
     )
     states = jnp.stack([s, d, heading, speed], axis=-1)
@@ -137,7 +142,7 @@ def _off_road(
     heading: Float[jax.Array, "steps"],
     bend: Float[jax.Array, "steps"],
 ) -> Float[jax.Array, "steps"]:
-    """Sum the squared intrusions of the corners on the margins of the edges, as shares of them."""
+    """Sum the cost of the corners' intrusions on the margins of the edges: squared shares of them, linear beyond 1."""
     length, width = jnp.asarray(scene.size)
     left, right = jnp.asarray(scene.edges)
     total = jnp.zeros_like(s)
@@ -145,7 +150,7 @@ def _off_road(
         middle = d + ahead * jnp.sin(heading) - bend * ahead**2 / 2
         half = width / 2 * jnp.cos(heading)
         for room in (middle - half - interpolate(left, s + ahead), interpolate(right, s + ahead) - middle - half):
-            total = total + jnp.maximum(1 - room / EDGE_MARGIN, 0.0) ** 2
+            total = total + _flattened(jnp.maximum(1 - room / EDGE_MARGIN, 0.0), 1.0)
     return total
 
 
@@ -173,13 +178,16 @@ def _crowding(
 ) -> Float[jax.Array, "traffic steps"]:
     """Return the squared lack of distance to cars ahead; the corridor bends as the road does where the robot is."""
     x, y, heading = bodies(scene, states)
-    other_x, other_y, other_heading, _ = jnp.moveaxis(others, 1, 0)
+    other_x, other_y, other_heading, other_speed = jnp.moveaxis(others, 1, 0)
     along = heading - states[:, 2]
     cosine, sine = jnp.cos(along), jnp.sin(along)
     dx, dy = other_x - x, other_y - y
     ahead, aside = dx * cosine + dy * sine, dy * cosine - dx * sine
     aside = aside - interpolate(scene.route.curvature, states[:, 0]) * ahead**2 / 2
-    inside = jnp.exp(-((aside / CORRIDOR) ** 2) / 2) * jnp.maximum(jnp.cos(other_heading - heading), 0.0)
+    onward = jnp.maximum(jnp.cos(other_heading - heading), 0.0)
+    inside = jnp.exp(-((aside / CORRIDOR) ** 2) / 2) * onward
     gap = ahead - (scene.size[0] + jnp.asarray(scene.sizes)[:, :1]) / 2
-    lack = jnp.maximum(TIME_GAP * states[:, 3] + STANDSTILL_GAP - gap, 0.0) / SHORTFALL
+    closing = jnp.maximum(states[:, 3] - other_speed * onward, 0.0)
+    wanted = STANDSTILL_GAP + TIME_GAP * states[:, 3] + closing**2 / (2 * BRAKING)
+    lack = jnp.maximum(wanted - gap, 0.0) / SHORTFALL
     return jnp.where(ahead > 0, inside * lack**2, 0.0)

@@ -1,6 +1,7 @@
 """Judge proposals and refined plans: what they earn, and which constraints they break."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -13,7 +14,7 @@ from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.proposals import Rollouts
 from ms_highway.planning.road.prospects import missing_room, prospects, pushes_from_behind, urgency
 from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import Ways, positions
+from ms_highway.planning.road.traffic import Ways, on_route, positions
 from ms_highway.runtime.arrays import Array
 
 __all__ = ["RoadWeights", "Scores", "score", "separation"]
@@ -70,6 +71,8 @@ class Scores(NamedTuple):
     Attributes:
         own: without others.
         others: cost of each of the others.
+        answerable: the part of it that may change if a car answers the robot: not that of cars ahead of it in its lane,
+            and not what happens after the plan.
         collides: whether a plan hits somebody.
         leaves: whether it leaves the road.
         missing: metres that are missing to stop behind the car ahead, after the plan.
@@ -77,6 +80,7 @@ class Scores(NamedTuple):
 
     own: Float[jax.Array, "plans"]
     others: Float[jax.Array, "plans traffic"]
+    answerable: Float[jax.Array, "plans traffic"]
     collides: Bool[jax.Array, "plans"]
     leaves: Bool[jax.Array, "plans"]
     missing: Float[jax.Array, "plans"]
@@ -174,7 +178,7 @@ def score(
     clear = separation(
         (x[:, None], y[:, None], course[:, None]),
         scene.size,
-        jax.vmap(lambda a, b: jnp.stack(positions(scene, a, b)))(rollouts.along, rollouts.across).swapaxes(0, 1),
+        jax.vmap(partial(positions, scene))(rollouts.along, rollouts.across),
         occupied(scene, rollouts),
     )
     counts = jnp.asarray(scene.present)[:, None] & ~pushes_from_behind(scene, rollouts, s, d, lanes)
@@ -188,6 +192,7 @@ def score(
     imposed = jnp.where(rollouts.s < s[:, None], jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
     closeness = closeness + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
     others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
+    answerable = jnp.where(_leads(scene, ways), 0.0, others)
     missing = missing_room(scene, planning, rollouts, goal[:, -1])
     limit = jnp.minimum(wanted[:, -1], planning.desired_speed)
     prospect, charged = prospects(scene, rollouts, goal[:, -1], limit)
@@ -196,7 +201,13 @@ def score(
     others = others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
     others = others + weights.blocking * blocks(scene, ways, rollouts)
     own = dt * per_second.sum(axis=1) + per_plan
-    return Scores(own, others, hit.any(axis=(1, 2)), leaves | closed, missing.max(axis=1))
+    return Scores(own, jnp.asarray(others), answerable, hit.any(axis=(1, 2)), leaves | closed, missing.max(axis=1))
+
+
+def _leads(scene: RoadScene, ways: Ways) -> Bool[jax.Array, "traffic"]:
+    """Return who is ahead of the robot in its lane, and does not look back."""
+    s, d, cosine = on_route(ways, jnp.asarray(scene.states)[:, 0], jnp.asarray(scene.states)[:, 1])
+    return (s > scene.robot[0]) & (jnp.abs(d - scene.robot[1]) < scene.size[1]) & (cosine > 0.5)
 
 
 def _bend(scene: RoadScene, s: jax.Array) -> jax.Array:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ms_highway.game.road import RoadScene, interpolate, place, project
 
-__all__ = ["Ways", "follow", "positions", "ways_of"]
+__all__ = ["Ways", "aside", "follow", "on_route", "positions", "wanted_speeds", "ways_of"]
 
 COMFORTABLE, BRAKING, HEADWAY, STANDSTILL = 3.0, 5.0, 1.5, 5.0  # m/s^2, m/s^2, s, m between bumpers: highway-env's
 HARDEST = 6.0  # m/s^2, of braking
@@ -41,7 +41,7 @@ def ways_of(scene: RoadScene) -> Ways:
 
 def follow(
     speed: Float[jax.Array, "*shape"],
-    wanted: Float[jax.Array, "*shape"],
+    wanted: float | Float[jax.Array, "*shape"],
     gap: Float[jax.Array, "*shape"],
     ahead: Float[jax.Array, "*shape"],
     headway: float = HEADWAY,

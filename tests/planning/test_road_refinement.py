@@ -1,0 +1,157 @@
+"""Refined plans of the robot on any road."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+from roads import keeping_velocity, scene_of
+
+from ms_highway.game.road import TRAFFIC
+from ms_highway.planning.road.answers import answer, follow
+from ms_highway.planning.road.motion import bodies, drive
+from ms_highway.planning.road.refinement import refine, total_slope
+from ms_highway.planning.road.reward import RoadReward, stage_rewards
+from ms_highway.planning.road.settings import RoadPlanning
+
+PLANNING, WEIGHTS, OWN = RoadPlanning(), RoadReward(), 1
+NOBODY, NOTHING = np.zeros(TRAFFIC, bool), np.zeros((TRAFFIC, PLANNING.steps), np.float32)
+STRAIGHT_ON = np.zeros((PLANNING.steps, 2), np.float32)
+
+refined = jax.jit(
+    lambda scene, start, others, tom, answers, lane: refine(scene, PLANNING, start, others, tom, answers, lane)
+)
+slope = jax.jit(
+    lambda scene, controls, others, tom, answers: total_slope(scene, PLANNING, controls, others, tom, answers, OWN)
+)
+
+
+@jax.jit
+def earned(scene, controls, others, lane=OWN):
+    states, held = drive(scene, PLANNING, controls)
+    return jnp.sum(stage_rewards(scene, PLANNING, WEIGHTS, states, held, others, lane))
+
+
+@jax.jit
+def driven(scene, controls):
+    return drive(scene, PLANNING, controls)[0]
+
+
+SCENES = {
+    "free": scene_of(),
+    "slow car ahead": scene_of(cars=[(40.0, 0, 10.0)]),
+    "car beside": scene_of(cars=[(3.0, 1, 20.0), (-20.0, -1, 25.0)]),
+    "curve": scene_of(bend=1 / 30, robot=(0.0, 0.3, 0.05, 12.0), cars=[(20.0, 0, 9.0)]),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("lane", [0, 1, 2])
+def test_refining_never_earns_less_and_keeps_within_limits(name, lane):
+    scene = SCENES[name]
+    others = keeping_velocity(scene, PLANNING)
+    start = jnp.asarray(np.random.default_rng(lane).normal(size=(PLANNING.steps, 2)) * [0.005, 1.0], jnp.float32)
+    found = refined(scene, start, others, NOBODY, NOTHING, lane)
+    assert float(earned(scene, found, others, lane)) > float(earned(scene, start, others, lane))
+    np.testing.assert_allclose(drive(scene, PLANNING, found)[1], found, atol=1e-4)
+
+
+def test_without_answers_the_slope_is_that_of_the_reward():
+    scene = SCENES["curve"]
+    others = keeping_velocity(scene, PLANNING)
+    controls = jnp.asarray(np.random.default_rng(0).normal(size=(PLANNING.steps, 2)) * [0.002, 0.3], jnp.float32)
+    found = np.asarray(slope(scene, controls, others, NOBODY, NOTHING))
+    np.testing.assert_allclose(found, jax.jit(jax.grad(earned, 1))(scene, controls, others), rtol=1e-3, atol=1e-2)
+    for step, control, change in ((0, 0, 1e-4), (5, 0, 1e-4), (0, 1, 0.02), (9, 1, 0.02)):
+        ends = (earned(scene, controls.at[step, control].add(way * change), others) for way in (1, -1))
+        difference = float(jnp.subtract(*ends)) / (2 * change)
+        assert found[step, control] == pytest.approx(difference, rel=0.03, abs=0.02 * np.abs(found[:, control]).max())
+
+
+def test_the_robot_keeps_to_its_lane_on_a_circle():
+    scene = scene_of(bend=1 / 30, robot=(0.0, 0.0, 0.0, 10.0), applied=(1 / 30, 0.0))
+    start = np.stack([np.full(PLANNING.steps, 1 / 30), np.zeros(PLANNING.steps)], -1).astype(np.float32)
+    _, d, heading, speed = np.asarray(
+        driven(scene, refined(scene, start, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, OWN))
+    ).T
+    assert np.abs(d).max() < 0.1
+    assert np.abs(heading).max() < 0.05
+    assert 10.5 < speed[-1] < 11.5  # sqrt(0.85 * 5 * 30) = 11.3
+
+
+def test_the_robot_changes_lanes():
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 25.0))
+    for lane, goal in ((0, -4.0), (2, 4.0)):
+        states = driven(scene, refined(scene, STRAIGHT_ON, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, lane))
+        assert abs(float(states[-1, 1]) - goal) < 0.3
+
+
+def test_the_robot_brakes_for_a_slow_car_ahead_and_waits_for_a_car_beside():
+    scene = SCENES["slow car ahead"]
+    found = refined(scene, STRAIGHT_ON, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, OWN)
+    assert float(driven(scene, found)[-1, 3]) < 15.0
+    scene = scene_of(cars=[(3.0, 1, 20.0)])
+    others = keeping_velocity(scene, PLANNING)
+    states = driven(scene, refined(scene, STRAIGHT_ON, others, NOBODY, NOTHING, 2))
+    x, y, _ = bodies(scene, states)
+    clear = (np.abs(x - others[0, 0]) > 5.5) | (np.abs(y - others[0, 1]) > 2.3)
+    assert clear.all()
+
+
+def test_cars_that_are_not_there_do_not_matter():
+    scene = SCENES["car beside"]
+    others = keeping_velocity(scene, PLANNING)
+    gone = others.at[5:].set(1.0)
+    assert float(earned(scene, STRAIGHT_ON, others)) == float(earned(scene, STRAIGHT_ON, gone))
+
+
+MERGING = scene_of(cars=[(-14.0, 1, 20.0), (40.0, 1, 22.0)])
+TOM = np.arange(TRAFFIC) < 1
+CUT_IN = np.zeros((PLANNING.steps, 2), np.float32)
+CUT_IN[:4, 0], CUT_IN[4:8, 0] = 0.004, -0.004
+
+
+@jax.jit
+def settled(controls, first):
+    """The answer of car 0 to controls, and all trajectories with it."""
+    states = drive(MERGING, PLANNING, controls)[0]
+    robot = jnp.stack([*bodies(MERGING, states), states[:, 3]])
+    others = keeping_velocity(MERGING, PLANNING)
+    found = jax.lax.fori_loop(0, 6, lambda _, a: answer(MERGING, PLANNING, 0, robot, others, a), first)
+    return found, others.at[0].set(follow(MERGING, PLANNING, 0, found))
+
+
+def test_the_slope_through_an_answer_is_that_of_answering_again():
+    base, others = settled(jnp.asarray(CUT_IN), jnp.zeros(PLANNING.steps))
+    assert base.min() > -5.9
+    answers = jnp.asarray(NOTHING).at[0].set(base)
+    through, alone = (slope(MERGING, CUT_IN, others, tom, answers) for tom in (TOM, NOBODY))
+    for control, change in ((0, 2e-4), (1, 0.05)):
+        direction = np.zeros_like(CUT_IN)
+        direction[:4, control] = 1.0
+
+        def after(way, change=change, direction=direction):
+            controls = jnp.asarray(CUT_IN + way * change * direction)
+            return float(earned(MERGING, controls, settled(controls, base)[1], OWN))
+
+        difference = (after(1) - after(-1)) / (2 * change)
+        share = float(jnp.sum((through - alone) * direction))
+        assert float(jnp.sum(through * direction)) == pytest.approx(
+            difference, abs=0.05 * abs(share) + 0.02 * abs(difference)
+        )
+        assert abs(share) > 1e-3
+
+
+def test_an_answering_car_is_counted_on():
+    others, tom = keeping_velocity(MERGING, PLANNING), TOM
+    with_answer = refined(MERGING, CUT_IN, others, tom, NOTHING, 2)
+    assert np.isfinite(np.asarray(with_answer)).all()
+    assert not np.allclose(with_answer, refined(MERGING, CUT_IN, others, NOBODY, NOTHING, 2), atol=1e-3)
+
+
+def test_weights_are_arguments():
+    scene, others = SCENES["free"], keeping_velocity(SCENES["free"], PLANNING)
+    cautious = jax.jit(lambda weights: refine(scene, PLANNING, STRAIGHT_ON, others, NOBODY, NOTHING, OWN, weights))
+    fast, slow = (driven(scene, cautious(replace(WEIGHTS, acceleration=weight)))[-1, 3] for weight in (0.02, 1.0))
+    assert float(slow) < float(fast) - 1.0
