@@ -4,9 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
+
 from ms_highway.control.road import RoadDriver
 from ms_highway.envs.checks import LARGEST, is_number, refuse_unknown
-from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs
+from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
 from ms_highway.vehicle.road_robot import MARGIN
 
@@ -25,6 +27,8 @@ class RoadSettings:
             without refinement.
         price: reward that a second of computation costs.
         budget: milliseconds of computation per plan, instead of a price; None for no budget.
+        costs: milliseconds that each rung adds to a plan per car, by name; None to measure them. With given ones,
+            episodes can be repeated exactly.
         ladder: rungs to choose from, of `ms_highway.planning.road.settings.RUNGS` in their order.
         desired_speed: [m/s]; None for what the scene rewards.
         acceleration: total acceleration at most [m/s^2].
@@ -34,6 +38,7 @@ class RoadSettings:
     driver: str = "switching"
     price: float = 1.0
     budget: float | None = None
+    costs: Mapping[str, float] | None = None
     ladder: tuple[str, ...] = RUNGS
     desired_speed: float | None = None
     acceleration: float = 5.0
@@ -47,6 +52,15 @@ class RoadSettings:
             if not is_number(value) or value < 0 or (value == 0 and name != "price"):
                 least = "from 0" if name == "price" else "above 0"
                 raise ValueError(f"config[{name!r}] is {value!r}; it must be a number {least} to {LARGEST:.2g}")
+        if self.costs is not None:
+            if not isinstance(self.costs, Mapping):
+                raise ValueError(
+                    f"config['costs'] is {self.costs!r}; give milliseconds by rung, such as {{'tom': 0.5}}"
+                )
+            refuse_unknown("config['costs']", self.costs, RUNGS)
+            for rung, cost in self.costs.items():
+                if not is_number(cost) or cost < 0:
+                    raise ValueError(f"config['costs'][{rung!r}] is {cost!r}; it must be milliseconds, a number from 0")
         names = self.ladder
         ordered = isinstance(names, (list, tuple)) and list(names) == [rung for rung in RUNGS if rung in names]
         if not ordered or RUNGS[0] not in names:
@@ -105,7 +119,10 @@ class RoadSettings:
 
     def build(self, planning: RoadPlanning) -> RoadDriver:
         """Return a driver with these limits and wishes."""
-        return RoadDriver(planning, self.choice(), refines=self.driver != "proposals")
+        costs = None
+        if self.costs is not None:
+            costs = RoadCosts(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in RUNGS]))
+        return RoadDriver(planning, self.choice(), refines=self.driver != "proposals", costs=costs)
 
 
 def _number(text: str, part: str, wanted: str) -> float:

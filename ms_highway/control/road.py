@@ -1,12 +1,13 @@
 """Drive on a road: choose how to predict each car, plan, and fall back where a plan is none."""
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from time import perf_counter
 from typing import Any
 
 import jax
 import numpy as np
+from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.game.road import TRAFFIC, RoadScene
@@ -23,6 +24,7 @@ from ms_highway.planning.road.plan import (
 )
 from ms_highway.planning.road.scoring import RoadWeights
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+from ms_highway.runtime.compilation import QUICKLY, known_options
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
@@ -60,23 +62,21 @@ class RoadStep:
     source: str
 
 
-@jax.jit
-def _look(
-    scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, rungs: jax.Array, memory: Memory
-) -> jax.Array:
-    return highest_gains(propose(scene, planning, weights, rungs, memory).scores)
+@cache
+def _look_function() -> jax.stages.Wrapped:
+    """Compile the gains, with others who keep their speed."""
+
+    def look(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, memory: Memory) -> jax.Array:
+        nobody = jnp.zeros(TRAFFIC, int)
+        return highest_gains(propose(scene, planning, weights, nobody, memory).scores)
+
+    return jax.jit(look, compiler_options=known_options(QUICKLY))
 
 
-@partial(jax.jit, static_argnames="refines")
-def _plan(
-    scene: RoadScene,
-    planning: RoadPlanning,
-    weights: RoadWeights,
-    rungs: jax.Array,
-    memory: Memory,
-    refines: bool,
-) -> RoadPlan:
-    return plan_road(scene, planning, weights, rungs, memory, refines)
+@cache
+def _plan_function(refines: bool) -> jax.stages.Wrapped:
+    """Compile `plan_road` once for all scenes, rungs, limits and weights."""
+    return jax.jit(partial(plan_road, refines=refines), compiler_options=known_options(QUICKLY))
 
 
 class RoadDriver:
@@ -87,6 +87,7 @@ class RoadDriver:
         choice: of the models that predict others.
         refines: whether the best proposal is refined.
         weights: what counts.
+        costs: of models; measured before the first step by default.
     """
 
     def __init__(
@@ -95,10 +96,11 @@ class RoadDriver:
         choice: RungChoice,
         refines: bool = True,
         weights: RoadWeights | None = None,
+        costs: RoadCosts | None = None,
     ) -> None:
         self.planning, self.choice, self.refines = planning, choice, refines
         self.weights = weights or RoadWeights()
-        self.costs: RoadCosts | None = None
+        self.costs = costs
         self.reset()
 
     def reset(self) -> None:
@@ -110,22 +112,21 @@ class RoadDriver:
         """Return what to do now."""
         refuse_after_fork()
         begin = perf_counter()
-        if self.costs is None:
-            self.costs = self._measured(scene)
+        costs = self._prepared(scene)
         compiling = perf_counter() - begin
         start = perf_counter()
         gains = np.zeros(TRAFFIC, np.float32)
         if self.choice.looks:
-            gains = np.asarray(_look(scene, self.planning, self.weights, np.zeros(TRAFFIC, np.int32), self._memory))
+            gains = np.asarray(_look_function()(scene, self.planning, self.weights, self._memory))
         deciding = perf_counter() - start
-        rungs = np.where(scene.moving & scene.present, self.choice.choose(gains, self.costs, deciding), 0)
+        rungs = np.where(scene.moving & scene.present, self.choice.choose(gains, costs, deciding), 0)
         deciding = perf_counter() - start
-        plan, seconds = timed(self._planned, scene, rungs.astype(np.int32))
+        plan, seconds = self._planned(scene, rungs.astype(np.int32))
         plan = jax.tree.map(np.asarray, plan)
         return self._taken(scene, plan, rungs, gains, seconds, deciding, compiling)
 
-    def _planned(self, scene: RoadScene, rungs: Int[np.ndarray, "traffic"]) -> RoadPlan:
-        return _plan(scene, self.planning, self.weights, rungs, self._memory, self.refines)
+    def _planned(self, scene: RoadScene, rungs: Int[np.ndarray, "traffic"]) -> tuple[RoadPlan, float]:
+        return timed(_plan_function(self.refines), scene, self.planning, self.weights, rungs, self._memory)
 
     def _taken(
         self,
@@ -162,18 +163,22 @@ class RoadDriver:
             source,
         )
 
+    def _prepared(self, scene: RoadScene) -> RoadCosts:
+        """Compile, and return what models cost, measured if the choice looks at it and nobody has told."""
+        given = scene, self.planning, self.weights
+        warm_up(_plan_function(self.refines), *given, np.zeros(TRAFFIC, np.int32), self._memory)
+        if self.choice.looks:
+            warm_up(_look_function(), *given, self._memory)
+        if self.costs is None:
+            self.costs = self._measured(scene) if self.choice.looks else RoadCosts(0.0, np.zeros(len(RUNGS)))
+        return self.costs
+
     def _measured(self, scene: RoadScene) -> RoadCosts:
-        """Compile, and measure what plans cost under each model if the choice looks at costs."""
-        nobody = np.zeros(TRAFFIC, np.int32)
-        warm_up(self._planned, scene, nobody)
-        if not self.choice.looks:
-            return RoadCosts(0.0, np.zeros(len(RUNGS)))
-        warm_up(_look, scene, self.planning, self.weights, nobody, self._memory)
         others = np.asarray(scene.moving & scene.present)
 
         def median(rung: int) -> float:
             rungs = np.where(others, rung, 0).astype(np.int32)
-            return float(np.median([timed(self._planned, scene, rungs)[1] for _ in range(REPEATS)]))
+            return float(np.median([self._planned(scene, rungs)[1] for _ in range(REPEATS)]))
 
         whole = np.array([median(rung) for rung in range(len(RUNGS))])
         return RoadCosts(float(whole[0]), np.maximum(whole - whole[0], 0.0) / max(others.sum(), 1))

@@ -113,6 +113,12 @@ def test_idm_reaches_goals_without_a_crash_where_doing_nothing_does_not(scene):
     assert 0 < results["idm"]["p50_ms"] <= results["idm"]["p99_ms"]
 
 
+def test_an_episode_that_ends_because_the_ego_leaves_the_road_is_no_success():
+    episodes = [run_episode(Block("racetrack-v0", "random"), seed) for seed in range(1000, 1005)]
+    assert not any(episode.crashed for episode in episodes)
+    assert all(episode.off_road and not episode.success for episode in episodes)
+
+
 @pytest.mark.parametrize("driver", ["idm", "random"])
 def test_the_same_seed_gives_the_same_episode(driver):
     block = Block("merge-v0", driver)

@@ -122,12 +122,13 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         source = info["road"].get("source", "")
         sources[source] = sources.get(source, 0) + 1
         done = terminated or truncated or inner.time >= max(LONGEST, inner.config.get("duration", 0.0))
+    off_road = watch.off_road or (terminated and not watch.crashed and not inner.vehicle.on_road)
     return Episode(
         seed=seed,
-        success=is_reached(inner, watch.crashed, watch.off_road),
+        success=is_reached(inner, watch.crashed, off_road),
         crashed=watch.crashed,
         at_fault=watch.at_fault,
-        off_road=watch.off_road,
+        off_road=bool(off_road),
         steps=len(rewards),
         reward=sum(rewards),
         motion=watch.motion(),

@@ -1,4 +1,4 @@
-"""Move the robot in road coordinates: its rear axle goes where it heads, as in highway-env's `Vehicle`."""
+"""Move the robot in road coordinates: its rear axle goes where it heads, as in highway-env."""
 
 import jax
 from jax import numpy as jnp

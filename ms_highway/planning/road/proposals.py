@@ -16,7 +16,8 @@ __all__ = ["PROPOSALS", "Manners", "Profiles", "Rollouts", "as_given", "profiles
 
 FOLLOWING = np.array([1.0, 0.75, 0.5, 0.25], np.float32)  # shares of the desired speed, in profiles that follow by IDM
 STEADY = np.array([-5.0, -3.0, -1.5, 0.0, 1.5, 3.0], np.float32)  # m/s^2, of profiles of constant acceleration
-PROFILES = len(FOLLOWING) + len(STEADY)
+CLOSING_UP = 1  # profiles that close up to the car ahead as late and as far as is safe
+PROFILES = len(FOLLOWING) + CLOSING_UP + len(STEADY)
 PROPOSALS = LANES * PROFILES + 1
 """Number of proposals, the last plan among them."""
 
@@ -26,6 +27,7 @@ CORNERING = 0.9  # share of the grip that bends may take
 SLOWING = 2.5  # m/s^2, before bends
 EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
 CLOSE = 0.7, 2.0  # s and m, time gap and standstill gap of the robot
+LATE, CLOSEST, REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
 HASTE = 3.0  # m/s^2, of accelerations for the desired speed
 SLOWEST = 3.0  # m/s, below which steering is not sharper than at this speed
 SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
@@ -57,6 +59,7 @@ class Profiles(NamedTuple):
         share: of the desired speed that it follows the traffic at.
         rate: its acceleration if it does not follow [m/s^2].
         follows: whether it follows the traffic.
+        closes: whether it closes up as it follows.
         given: whether its controls are given.
         controls: those.
     """
@@ -65,6 +68,7 @@ class Profiles(NamedTuple):
     share: Float[jax.Array, "plans"]
     rate: Float[jax.Array, "plans"]
     follows: Bool[jax.Array, "plans"]
+    closes: Bool[jax.Array, "plans"]
     given: Bool[jax.Array, "plans"]
     controls: Float[jax.Array, "plans steps 2"]
 
@@ -102,12 +106,14 @@ def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Float[jax.Array, "kn
 def profiles(last: Float[jax.Array, "steps 2"], last_lane: Int[jax.Array, ""]) -> Profiles:
     """Return the profiles of all proposals: each lane at each speed, and the rest of the last plan."""
     kinds = np.tile(np.arange(PROFILES), LANES)
-    shares, rates = (np.append(FOLLOWING, np.ones_like(STEADY)), np.append(np.zeros_like(FOLLOWING), STEADY))
+    following = len(FOLLOWING) + CLOSING_UP
+    shares, rates = np.append(FOLLOWING, np.ones(PROFILES - len(FOLLOWING))), np.append(np.zeros(following), STEADY)
     return Profiles(
         jnp.append(jnp.repeat(jnp.arange(LANES), PROFILES), last_lane),
         jnp.append(shares[kinds], 1.0),
         jnp.append(rates[kinds], 0.0),
-        jnp.append(kinds < len(FOLLOWING), False),
+        jnp.append(kinds < following, False),
+        jnp.append((kinds >= len(FOLLOWING)) & (kinds < following), False),
         jnp.arange(PROPOSALS) == PROPOSALS - 1,
         jnp.broadcast_to(last, (PROPOSALS, *last.shape)),
     )
@@ -116,7 +122,7 @@ def profiles(last: Float[jax.Array, "steps 2"], last_lane: Int[jax.Array, ""]) -
 def as_given(controls: Float[jax.Array, "plans steps 2"], lane: Int[jax.Array, "plans"]) -> Profiles:
     """Return the profiles of plans whose controls are given."""
     ones = jnp.ones(len(controls))
-    return Profiles(lane, ones, 0 * ones, ones < 0, ones > 0, controls)
+    return Profiles(lane, ones, 0 * ones, ones < 0, ones < 0, ones > 0, controls)
 
 
 def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Manners, plans: Profiles) -> Rollouts:
@@ -145,14 +151,19 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
         squared = jnp.maximum(speed, SLOWEST) ** 2
         return bend / jnp.maximum(1 - d * bend, 0.2) + jnp.clip(back, -SIDEWAYS, SIDEWAYS) / squared
 
-    def behind_leader(car: jax.Array, goal: jax.Array, traffic: tuple[jax.Array, ...]) -> jax.Array:
+    def behind_leader(plan: Profiles, car: jax.Array, goal: jax.Array, traffic: tuple[jax.Array, ...]) -> jax.Array:
         """Return the acceleration of following whoever is ahead, here or in the lane that the robot goes to."""
         (s, d, _, speed), (others_s, others_d, cosine, speeds) = car, traffic
         front = s + length / 2
         low, high = jnp.minimum(d, goal), jnp.maximum(d, goal)
         ahead = (others_s > front) & (others_d > low - apart) & (others_d < high + apart) & present
         gap = jnp.where(ahead, others_s - front - reach, FAR)
-        return jnp.minimum(EAGERNESS * follow(speed, FAR, gap, speeds * cosine, *CLOSE).min(), HASTE)
+        onward = speeds * cosine
+        safe = onward + jnp.sqrt(2 * LATE * jnp.maximum(gap - CLOSEST - REACTION * speed, 0.0))
+        close = (safe.min() - speed) / PREVIEW
+        return jnp.minimum(
+            jnp.where(plan.closes, close, EAGERNESS * follow(speed, FAR, gap, onward, *CLOSE).min()), HASTE
+        )
 
     def choose(plan: Profiles, car: jax.Array, held: jax.Array, traffic: tuple[jax.Array, ...]) -> jax.Array:
         """Return the robot's control in a step of a plan."""
@@ -160,7 +171,7 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
         goal = interpolate(jnp.asarray(scene.lanes)[plan.lane], s)
         cap = interpolate(caps, s + PREVIEW * speed)
         free = COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed)
-        kept = jnp.minimum(jnp.clip(free, -HASTE, HASTE), behind_leader(car, goal, traffic))
+        kept = jnp.minimum(jnp.clip(free, -HASTE, HASTE), behind_leader(plan, car, goal, traffic))
         acceleration = jnp.where(plan.follows, kept, plan.rate)
         acceleration = jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))
         told = jnp.stack([steer(car, goal), acceleration])

@@ -1,11 +1,8 @@
 """Judge what follows a plan: room to stop, the speed that the lanes allow, and the way to the goal's lane."""
 
-from typing import Any
-
 import jax
-import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.road import RoadScene, interpolate
 from ms_highway.planning.road.proposals import Rollouts
@@ -15,10 +12,13 @@ __all__ = ["missing_room", "prospects", "pushes_from_behind", "urgency"]
 
 FAR = 1e3  # m
 WIDTH = 4.0  # m, of lanes
-SIDE_LANES = np.arange(-2.0, 3.0, dtype=np.float32)  # to the right of the one that a plan ends in
+AROUND = 2  # lanes to each side of the robot's that it may use after a plan
 SECONDS_AFTER = 8  # s, of what follows a plan
-SECONDS_TO_CLOSE_UP, KEPT, CHANGING = 3.0, 5.0, 0.7  # s, m, m/s: see `prospects`
-ROOM_BEHIND, ROOM_AHEAD = 5.0, 3.0  # m, that a change of lane needs
+PLACES, SPEEDS = 144, 13  # of the table of what follows
+BRAKING, SPEEDING = 2, 1  # steps of speed in a second at most
+BLOCKED, CHANGE = 30.0, 0.3  # steps of speed that a second in the way of others and a change of lane count
+SECONDS_TO_CLOSE_UP, KEPT = 3.0, 5.0  # s, m, of who limits the speed
+ROOM_BEHIND, ROOM_AHEAD, GENTLE = 3.0, 1.0, 2.5  # m, m, m/s^2: to others after a plan
 REACTION = 0.2  # s
 SLOWING_DOWN = 2.0  # m/s^2, with which a car ahead may brake
 CROSSING = 0.5  # cosine of the angle up to which cars cross the robot's way rather than share it
@@ -30,13 +30,19 @@ SECONDS_PER_CHANGE = 2.0  # s, that a change of lane may take
 def missing_room(
     scene: RoadScene, planning: RoadPlanning, rollouts: Rollouts, goal: Float[jax.Array, "plans"]
 ) -> Float[jax.Array, "plans traffic"]:
-    """Return what is missing to stop behind each car ahead after a plan [m]."""
+    """Return what is missing to stop behind each car ahead after a plan [m].
+
+    A car that joins the road may go on into the next lane at once, without looking.
+    """
     s, d, _, speed = jnp.moveaxis(rollouts.states[:, -1], -1, 0)
     there, across, cosine = rollouts.s[..., -1], rollouts.d[..., -1], rollouts.cosine[..., -1]
     apart = (scene.size[1] + jnp.asarray(scene.sizes)[:, 1]) / 2 + 0.2
     middle = (s + scene.size[0] / 2)[:, None]
     low, high = jnp.minimum(goal, d)[:, None] - apart, jnp.maximum(goal, d)[:, None] + apart
-    front = (there > middle) & (across > low) & (across < high) & jnp.asarray(scene.present)
+    left, right = (interpolate(jnp.asarray(scene.edges)[side], rollouts.s[..., 0]) for side in range(2))
+    joins = (rollouts.d[..., 0] < left) | (rollouts.d[..., 0] > right)
+    beside = jnp.where(joins, WIDTH, 0.0)
+    front = (there > middle) & (across > low - beside) & (across < high + beside) & jnp.asarray(scene.present)
     front = front & ((cosine > CROSSING) | (rollouts.speeds[..., -1] < STANDING))
     gap = there - middle - (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
     onward = rollouts.speeds[..., -1] * cosine
@@ -46,43 +52,92 @@ def missing_room(
 
 
 def prospects(
-    scene: RoadScene, rollouts: Rollouts, goal: Float[jax.Array, "plans"], limit: Float[jax.Array, "plans"]
+    scene: RoadScene, planning: RoadPlanning, rollouts: Rollouts, lanes: Int[jax.Array, "plans"], caps: jax.Array
 ) -> tuple[Float[jax.Array, "plans"], Bool[jax.Array, "plans traffic"]]:
-    """Return the mean speed in the seconds after each plan [m/s], and who of the others limits it first.
+    """Return the mean loss of speed in the seconds after each plan [m/s], and who of the others limits it first.
 
-    All go on as points in their lanes, the others at the speed that they have then. Every second, the robot takes the
-    best lane that is free beside it, among those within two of the one that the plan ends in.
+    All go on as points in their lanes, the others at the speed that they have then in the median of all plans. The
+    robot drives as well as it can: dynamic programming over lanes, places and speeds.
+
+    Args:
+        scene: the road.
+        planning: limits and wishes.
+        rollouts: of the plans.
+        lanes: that each goes to, 0 to 2.
+        caps: see `ms_highway.planning.road.proposals.speed_caps`.
     """
+    fastest = jnp.asarray(planning.desired_speed, float)
+    values = _values(scene, fastest, rollouts, caps)
+    step = fastest / (SPEEDS - 1)
     s, speed = rollouts.states[:, -1, 0] + scene.size[0] / 2, rollouts.states[:, -1, 3]
-    left, right = (interpolate(jnp.asarray(scene.edges)[side], s)[:, None] for side in range(2))
-    lanes = goal[:, None] + WIDTH * SIDE_LANES  # [plans, lanes]
-    there = ((lanes > left + WIDTH / 4) & (lanes < right - WIDTH / 4)) | (SIDE_LANES == 0)
-    onward = jnp.maximum(rollouts.speeds[..., -1] * rollouts.cosine[..., -1], 0.0)
+    place, pace = jnp.clip(s / step, 0.0, PLACES - 1.01), jnp.clip(speed / step, 0.0, SPEEDS - 1.01)
+    low, slow = place.astype(int), pace.astype(int)
+    far, fast = place - low, pace - slow
+    lane = lanes + AROUND - 1
+    behind = values[lane, low, slow] * (1 - fast) + values[lane, low, slow + 1] * fast
+    ahead = values[lane, low + 1, slow] * (1 - fast) + values[lane, low + 1, slow + 1] * fast
+    lost = -(behind * (1 - far) + ahead * far) * step / SECONDS_AFTER
+    goal = jax.vmap(lambda lane, s: interpolate(jnp.asarray(scene.lanes)[lane], s))(lanes, s)
+    gap, onward, inside = _traffic(scene, rollouts, goal[:, None])
+    gap = gap - s[:, None]
     reach = (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
-    inside = jnp.abs(rollouts.d[..., -1][:, None] - lanes[..., None]) < WIDTH / 2 + 0.5  # [plans, lanes, traffic]
+    allowed = onward + jnp.maximum(gap - reach - KEPT, 0.0) / SECONDS_TO_CLOSE_UP
+    allowed = jnp.where(inside[:, 0] & (gap > 0), allowed, FAR)
+    return lost, (allowed == allowed.min(axis=-1, keepdims=True)) & (allowed < fastest)
+
+
+def _traffic(
+    scene: RoadScene, rollouts: Rollouts, centres: Float[jax.Array, "plans lanes"]
+) -> tuple[
+    Float[jax.Array, "plans traffic"], Float[jax.Array, "plans traffic"], Bool[jax.Array, "plans lanes traffic"]
+]:
+    """Return where others are after each plan [m], how fast they go on along the route [m/s], and in which lanes."""
+    onward = jnp.maximum(rollouts.speeds[..., -1] * rollouts.cosine[..., -1], 0.0)
     along = (jnp.abs(rollouts.cosine[..., -1]) > CROSSING) | (rollouts.speeds[..., -1] < STANDING)
-    inside = inside & (along & jnp.asarray(scene.present))[:, None]
+    inside = jnp.abs(rollouts.d[..., -1][:, None] - centres[..., None]) < WIDTH / 2 + 0.5
+    return rollouts.s[..., -1], onward, inside & (along & jnp.asarray(scene.present))[:, None]
 
-    def allow(gaps: jax.Array) -> jax.Array:
-        """Return the speed that each car allows [plans, traffic]."""
-        return jnp.where(gaps > -reach, onward + jnp.maximum(gaps - KEPT, 0.0) / SECONDS_TO_CLOSE_UP, FAR)
 
-    def go(carry: Any, number: jax.Array) -> tuple[Any, jax.Array]:
-        place, speed, lane = carry
-        gaps = rollouts.s[..., -1] + onward * number - place[:, None] - reach
-        allowed = jnp.where(inside, allow(gaps)[:, None], FAR).min(axis=-1)
-        beside = (inside & ((gaps > -2 * reach - ROOM_BEHIND) & (gaps < ROOM_AHEAD))[:, None]).any(axis=-1)
-        away = jnp.abs(jnp.arange(len(SIDE_LANES)) - lane[:, None])
-        worth = jnp.minimum(allowed, limit[:, None]) - CHANGING * away
-        lane = jnp.argmax(jnp.where(there & ((away == 0) | ((away == 1) & ~beside)), worth, -jnp.inf), axis=1)
-        mine = jnp.minimum(jnp.take_along_axis(allowed, lane[:, None], axis=1)[:, 0], limit)
-        after = speed + jnp.clip(mine - speed, -4.0, 2.0)
-        return (place + after, after, lane), after
+def _values(
+    scene: RoadScene, fastest: jax.Array, rollouts: Rollouts, caps: jax.Array
+) -> Float[jax.Array, "lanes places speeds"]:
+    """Return minus the loss of speed that is left from each lane, place and speed after a plan [steps of speed].
 
-    start = s, speed, jnp.full(len(s), len(SIDE_LANES) // 2)
-    (_, _, _), speeds = jax.lax.scan(go, start, jnp.arange(SECONDS_AFTER))
-    own = jnp.where(inside[:, len(SIDE_LANES) // 2], allow(rollouts.s[..., -1] - s[:, None] - reach), FAR)
-    return speeds.mean(axis=0), (own == own.min(axis=-1, keepdims=True)) & (own < limit[:, None])
+    Places are as far apart as a step of speed goes in a second, so that all ways lead from place to place.
+    """
+    step = fastest / (SPEEDS - 1)
+    places, speeds = step * jnp.arange(PLACES), step * jnp.arange(SPEEDS)
+    centres = WIDTH * jnp.arange(-AROUND, AROUND + 1.0)
+    left, right = (interpolate(jnp.asarray(scene.edges)[side], places) for side in range(2))
+    there = (centres[:, None] > left + WIDTH / 4) & (centres[:, None] < right - WIDTH / 4)
+    there = there.at[AROUND].set(True)
+    s, onward, inside = (
+        jnp.median(field, axis=0) for field in _traffic(scene, rollouts, jnp.tile(centres, (len(rollouts.s), 1)))
+    )
+    reach = (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
+    seconds = jnp.arange(SECONDS_AFTER + 1)
+    ahead = (s + onward * seconds[:, None])[:, None, None] - places[:, None]  # [seconds, 1, places, traffic]
+    ahead = jnp.where((inside > 0.5)[:, None] & (ahead > -reach - ROOM_BEHIND), ahead - reach, FAR)
+    nearest = jnp.argmin(ahead, axis=-1)
+    gap = jnp.take_along_axis(ahead, nearest[..., None], axis=-1)
+    closing = jnp.maximum(speeds - onward[nearest][..., None], 0.0)
+    free = gap > ROOM_AHEAD + REACTION * speeds + closing**2 / (2 * GENTLE)  # [seconds, lanes, places, speeds]
+    loss = jnp.maximum(jnp.minimum(interpolate(caps, places), fastest)[:, None] / step - jnp.arange(SPEEDS), 0.0)
+    free = free & there[..., None]
+    hindered = jnp.where(free, 0.0, BLOCKED)
+
+    def back(value: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+        """Return the values a second earlier: the best change of speed, then of lane into one that is free already."""
+        before, after = now
+        value = jnp.pad(value - after - loss, ((0, 0), (0, SPEEDS), (0, 0)), mode="edge")
+        value = jnp.stack([value[:, speed : speed + PLACES, speed] for speed in range(SPEEDS)], axis=-1)
+        value = jnp.pad(value, ((0, 0), (0, 0), (BRAKING, SPEEDING)), constant_values=-FAR)
+        changes = [value[..., change : change + SPEEDS] for change in range(BRAKING + SPEEDING + 1)]
+        value = jnp.stack(changes).max(axis=0)
+        aside = jnp.pad(value - before - CHANGE, ((1, 1), (0, 0), (0, 0)), constant_values=-FAR)
+        return jnp.maximum(value, jnp.maximum(aside[:-2], aside[2:])), None
+
+    return jax.lax.scan(back, jnp.zeros(free.shape[1:]), (hindered[:-1], hindered[1:]), reverse=True)[0]
 
 
 def urgency(scene: RoadScene, planning: RoadPlanning, lanes: jax.Array) -> jax.Array:

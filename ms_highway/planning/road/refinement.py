@@ -16,7 +16,7 @@ from ms_highway.optimization.damped_newton import SHARES, best_of, damped_factor
 from ms_highway.optimization.second_derivatives import Trajectory
 from ms_highway.planning.road.answers import UNIT, World, along_path, driver_of, follow, onward, pull, push
 from ms_highway.planning.road.motion import advance, bodies, drive
-from ms_highway.planning.road.reward import RoadReward, efforts, reward_along
+from ms_highway.planning.road.reward import RoadReward, efforts, residuals, reward_along
 from ms_highway.planning.road.settings import RoadPlanning
 
 __all__ = ["refine", "total_slope"]
@@ -225,17 +225,19 @@ def _expansion(
 ) -> tuple[Trajectory, Traffic, Float[jax.Array, "n n"]]:
     """Return the reward's derivatives in the robot's motion and in those of others, and its Hessian in n controls.
 
-    The Hessian takes the motion as linear in the controls (Gauss-Newton).
+    The Hessian is that of Gauss-Newton: motion and `residuals` count as linear, so that it has no positive eigenvalue.
     """
-    directions = jnp.broadcast_to(jnp.eye(len(motion))[:4, :, None], (4, *motion.shape))  # of the states
+    by_motion, by_others = jax.grad(climb.earned, argnums=(0, 1))(motion, others)
+    states, spent = motion[:4], motion[4:]
+    directions = jnp.broadcast_to(jnp.eye(4)[..., None], (4, *states.shape))
 
-    def slopes(motion: Trajectory) -> tuple[Trajectory, Traffic]:
-        return jax.grad(climb.earned, argnums=(0, 1))(motion, others)
+    def roots(states: Float[jax.Array, "4 steps"]) -> Float[jax.Array, "costs steps"]:
+        moved = jnp.concatenate([states, spent])
+        return residuals(climb.scene, climb.planning, climb.weights, moved, others, climb.lane)[:-3]
 
-    bent_along = jax.vmap(lambda direction: jax.jvp(slopes, (motion,), (direction,)), out_axes=(None, 0))
-    (by_motion, by_others), (blocks, _) = bent_along(directions)
-    bent = jnp.einsum("dfk,dkn->fkn", blocks[:, :4], along[:4])
-    weights = -2 * climb.planning.time_step * climb.weights.of_efforts
+    slopes = jax.vmap(lambda direction: jax.jvp(roots, (states,), (direction,))[1])(directions)
+    bent = jnp.einsum("dck,eck,ekn->dkn", slopes, slopes, along[:4])
+    weights = climb.planning.time_step * climb.weights.of_efforts
     bent = jnp.concatenate([bent, weights[:, None, None] * along[4:]])
     size = along.shape[-1]
-    return by_motion, by_others, along.reshape(-1, size).T @ bent.reshape(-1, size)
+    return by_motion, by_others, -2 * along.reshape(-1, size).T @ bent.reshape(-1, size)

@@ -11,7 +11,7 @@ from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["RoadReward", "efforts", "reward_along", "stage_rewards"]
+__all__ = ["RoadReward", "efforts", "residuals", "reward_along", "stage_rewards"]
 
 CURVE_SHARE = 0.85  # of the grip, that may be spent on the road's curves
 SPEED_SCALE, LATERAL_SCALE = 5.0, 1.0  # m/s and m, from which on the cost of a deviation grows linearly
@@ -38,7 +38,7 @@ class RoadReward:
         acceleration: of its square [s^4/m^2].
         jerk: of its square, along and across [s^6/m^2].
         edges: of each corner's squared intrusion on the 0.3 m beside the road's edge [1/(0.3 m)^2]; linear beyond.
-        collision: of the squared depth in another car's surroundings, 1/2 where bodies nearly touch.
+        collision: of the squared depth in another car's surroundings, 1/4 at 1.5 m along or 0.5 m aside of it.
         following: of the squared lack of distance to cars ahead [1/(10 m)^2]: of 2 m, 1 s, and what it takes to brake
             to their speed by 3 m/s^2.
     """
@@ -50,7 +50,7 @@ class RoadReward:
     acceleration: Scalar = 0.02
     jerk: Scalar = 0.01
     edges: Scalar = 50.0
-    collision: Scalar = 200.0
+    collision: Scalar = 100.0
     following: Scalar = 10.0
 
     @property
@@ -104,30 +104,45 @@ def reward_along(
     lane: int | Int[jax.Array, ""],
 ) -> Float[jax.Array, "steps"]:
     """Compute the reward after each step of a motion: the robot's state and its `efforts`, see `stage_rewards`."""
+    return -jnp.sum(residuals(scene, planning, weights, motion, others, lane) ** 2, axis=0)
+
+
+def residuals(
+    scene: RoadScene,
+    planning: RoadPlanning,
+    weights: RoadReward,
+    motion: Float[jax.Array, "7 steps"],
+    others: Float[jax.Array, "traffic 4 steps"],
+    lane: int | Int[jax.Array, ""],
+) -> Float[jax.Array, "costs steps"]:
+    """Return the roots of all costs at each step, those of `efforts` last, for Gauss-Newton steps."""
     s, d, heading, speed = motion[:4]
-    wish, bend = _wished_speed(planning, scene, s, d), interpolate(scene.route.curvature, s)
+    wish, bend = _wished_speed(planning, scene, s), interpolate(scene.route.curvature, s)
     aside = d - interpolate(jnp.asarray(scene.lanes)[lane], s)
-    cost = (
-        weights.speed * _flattened(speed - wish, SPEED_SCALE)
-        + weights.excess * jnp.maximum(speed - wish, 0.0) ** 2
-        + weights.lateral * _flattened(aside, LATERAL_SCALE)
-        + weights.heading * heading**2
-        + weights.of_efforts @ motion[4:] ** 2
-        + weights.edges * _off_road(scene, s, d, heading, bend)
-    )
+    own = [
+        (weights.speed, _flattened(speed - wish, SPEED_SCALE)),
+        (weights.excess, jnp.maximum(speed - wish, 0.0)),
+        (weights.lateral, _flattened(aside, LATERAL_SCALE)),
+        (weights.heading, heading),
+        *((weights.edges, intrusion) for intrusion in _off_road(scene, s, d, heading, bend)),
+    ]
     states = jnp.stack([s, d, heading, speed], axis=-1)
-    near = weights.collision * _closeness(scene, states, others) + weights.following * _crowding(scene, states, others)
-    return -planning.time_step * (cost + jnp.sum(jnp.where(scene.present[:, None], near, 0.0), axis=0))
+    near = [(weights.collision, _closeness), (weights.following, _crowding)]
+    present = jnp.asarray(scene.present)[:, None]
+    roots = [
+        *(jnp.sqrt(weight) * root[None] for weight, root in own),
+        *(jnp.sqrt(weight) * jnp.where(present, root(scene, states, others), 0.0) for weight, root in near),
+        jnp.sqrt(weights.of_efforts)[:, None] * motion[4:],
+    ]
+    return jnp.sqrt(planning.time_step) * jnp.concatenate(roots)
 
 
 def _flattened(deviation: Float[jax.Array, "steps"], scale: float) -> Float[jax.Array, "steps"]:
-    """Square a deviation; beyond the scale, the cost grows linearly (pseudo-Huber)."""
-    return 2 * scale**2 * (jnp.sqrt(1 + (deviation / scale) ** 2) - 1)
+    """Return the root of a cost that is square up to a scale of deviations, and linear beyond (pseudo-Huber)."""
+    return deviation * jnp.sqrt(2 / (1 + jnp.sqrt(1 + (deviation / scale) ** 2)))
 
 
-def _wished_speed(
-    planning: RoadPlanning, scene: RoadScene, s: Float[jax.Array, "steps"], d: Float[jax.Array, "steps"]
-) -> Float[jax.Array, "steps"]:
+def _wished_speed(planning: RoadPlanning, scene: RoadScene, s: Float[jax.Array, "steps"]) -> Float[jax.Array, "steps"]:
     """Return the desired speed, within the road's limit and what its curve allows."""
     curvature = jnp.abs(jnp.asarray(scene.route.curvature))
     in_curves = jnp.sqrt(CURVE_SHARE * planning.grip / jnp.maximum(curvature, 1e-4))
@@ -141,23 +156,23 @@ def _off_road(
     d: Float[jax.Array, "steps"],
     heading: Float[jax.Array, "steps"],
     bend: Float[jax.Array, "steps"],
-) -> Float[jax.Array, "steps"]:
-    """Sum the cost of the corners' intrusions on the margins of the edges: squared shares of them, linear beyond 1."""
+) -> list[Float[jax.Array, "steps"]]:
+    """Return the roots of what the corners' intrusions on the margins of the edges cost, in shares of the margin."""
     length, width = jnp.asarray(scene.size)
     left, right = jnp.asarray(scene.edges)
-    total = jnp.zeros_like(s)
+    roots = []
     for ahead in (0.0, length):  # of the rear axle
         middle = d + ahead * jnp.sin(heading) - bend * ahead**2 / 2
         half = width / 2 * jnp.cos(heading)
         for room in (middle - half - interpolate(left, s + ahead), interpolate(right, s + ahead) - middle - half):
-            total = total + _flattened(jnp.maximum(1 - room / EDGE_MARGIN, 0.0), 1.0)
-    return total
+            roots.append(_flattened(jnp.maximum(1 - room / EDGE_MARGIN, 0.0), 1.0))
+    return roots
 
 
 def _closeness(
     scene: RoadScene, states: Float[jax.Array, "steps 4"], others: Float[jax.Array, "traffic 4 steps"]
 ) -> Float[jax.Array, "traffic steps"]:
-    """Return the squared depth in the surroundings of each other car, superellipses of degree 4 in its frame."""
+    """Return the depth in the surroundings of each other car, superellipses of degree 4 in its frame."""
     x, y, heading = bodies(scene, states)
     other_x, other_y, other_heading, other_speed = jnp.moveaxis(others, 1, 0)
     dx, dy, turned = x - other_x, y - other_y, heading - other_heading
@@ -170,13 +185,13 @@ def _closeness(
     half_width = (across * own_length + aligned * own_width + width) / 2 + WIDTH_MARGIN
     ahead, aside = (dx * cosine + dy * sine) / half_length, (dy * cosine - dx * sine) / half_width
     distance = (ahead**4 + aside**4 + 1e-6) ** 0.25
-    return jnp.maximum(INFLUENCE - distance, 0.0) ** 2 / 2
+    return jnp.maximum(INFLUENCE - distance, 0.0)
 
 
 def _crowding(
     scene: RoadScene, states: Float[jax.Array, "steps 4"], others: Float[jax.Array, "traffic 4 steps"]
 ) -> Float[jax.Array, "traffic steps"]:
-    """Return the squared lack of distance to cars ahead; the corridor bends as the road does where the robot is."""
+    """Return the lack of distance to cars ahead; the corridor bends as the road does where the robot is."""
     x, y, heading = bodies(scene, states)
     other_x, other_y, other_heading, other_speed = jnp.moveaxis(others, 1, 0)
     along = heading - states[:, 2]
@@ -185,9 +200,9 @@ def _crowding(
     ahead, aside = dx * cosine + dy * sine, dy * cosine - dx * sine
     aside = aside - interpolate(scene.route.curvature, states[:, 0]) * ahead**2 / 2
     onward = jnp.maximum(jnp.cos(other_heading - heading), 0.0)
-    inside = jnp.exp(-((aside / CORRIDOR) ** 2) / 2) * onward
+    inside = jnp.exp(-((aside / CORRIDOR) ** 2) / 4) * onward
     gap = ahead - (scene.size[0] + jnp.asarray(scene.sizes)[:, :1]) / 2
     closing = jnp.maximum(states[:, 3] - other_speed * onward, 0.0)
     wanted = STANDSTILL_GAP + TIME_GAP * states[:, 3] + closing**2 / (2 * BRAKING)
     lack = jnp.maximum(wanted - gap, 0.0) / SHORTFALL
-    return jnp.where(ahead > 0, inside * lack**2, 0.0)
+    return jnp.where(ahead > 0, inside * lack, 0.0)

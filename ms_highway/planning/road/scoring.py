@@ -189,14 +189,14 @@ def score(
     speeds = rollouts.speeds
     first = jnp.broadcast_to(jnp.asarray(scene.states)[:, 3:], (*speeds.shape[:-1], 1))
     slowed = jnp.diff(speeds, axis=-1, prepend=first) / dt
-    imposed = jnp.where(rollouts.s < s[:, None], jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
+    endangered = (rollouts.s < s[:, None]) & (speeds > speed[:, None])  # behind a faster robot, gaps open by themselves
+    imposed = jnp.where(endangered, jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
     closeness = closeness + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
     others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
     answerable = jnp.where(_leads(scene, ways), 0.0, others)
     missing = missing_room(scene, planning, rollouts, goal[:, -1])
-    limit = jnp.minimum(wanted[:, -1], planning.desired_speed)
-    prospect, charged = prospects(scene, rollouts, goal[:, -1], limit)
-    lost = weights.prospect * (1 - prospect / limit)
+    slower, charged = prospects(scene, planning, rollouts, lanes, caps)
+    lost = weights.prospect * slower / planning.desired_speed
     per_plan = per_plan - jnp.where(charged.any(axis=-1), 0.0, lost)
     others = others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
     others = others + weights.blocking * blocks(scene, ways, rollouts)
