@@ -88,13 +88,20 @@ def test_speed_caps_hold_in_bends_and_can_be_braked_to():
 
 @pytest.mark.parametrize("braking", [-3.0, -6.0])
 @pytest.mark.parametrize(("gap", "speed"), [(35.0, 20.0), (20.0, 20.0), (10.0, 10.0)])
-def test_who_follows_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed, braking):
+def test_who_follows_at_a_distance_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed, braking):
     scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, speed)])
     first = np.arange(TRAFFIC) == 0
     plans, rollouts = proposed(scene, NAIVE, STRAIGHT_ON, first, np.where(first[:, None], braking, NOTHING))
+    own = np.asarray(plans.follows & ~plans.closes & (plans.lane == 1))
+    assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
+
+
+@pytest.mark.parametrize(("gap", "speed", "ahead"), [(50.0, 20.0, 0.0), (20.0, 20.0, 12.0), (8.0, 20.0, 18.0)])
+def test_nobody_who_follows_hits_a_slower_car_ahead(gap, speed, ahead):
+    scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, ahead)])
+    plans, rollouts = proposed(scene)
     own = np.asarray(plans.follows & (plans.lane == 1))
-    states, ahead = np.asarray(rollouts.states)[own], np.asarray(rollouts.s)[own, 0]
-    assert (ahead - states[..., 0] - LENGTHS).min() > 0
+    assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
 
 
 def test_the_last_plan_is_driven_as_it_is_given():
