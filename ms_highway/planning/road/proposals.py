@@ -161,7 +161,9 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
         onward = speeds * cosine
         safe = onward + jnp.sqrt(2 * LATE * jnp.maximum(gap - CLOSEST - REACTION * speed, 0.0))
         close = (safe.min() - speed) / PREVIEW
-        return jnp.minimum(jnp.where(plan.closes, close, EAGERNESS * follow(speed, FAR, gap, onward, *CLOSE).min()), HASTE)
+        return jnp.minimum(
+            jnp.where(plan.closes, close, EAGERNESS * follow(speed, FAR, gap, onward, *CLOSE).min()), HASTE
+        )
 
     def choose(plan: Profiles, car: jax.Array, held: jax.Array, traffic: tuple[jax.Array, ...]) -> jax.Array:
         """Return the robot's control in a step of a plan."""
