@@ -182,10 +182,10 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
             (car, along, speeds), (held, sideways, told) = carry, step
             where = on_route(ways, along, sideways)
             control = choose(plan, car, held, (*where, speeds))
-            gap = jnp.where(led, jnp.asarray(scene.gaps) + along[leaders] - along - lengths, FAR)
+            gap = jnp.where(led, jnp.asarray(scene.gaps) + along[leaders] - along, FAR)
             front = car[0] + length / 2
             before = (where[0] < front) & (jnp.abs(where[1] - car[1]) < apart) & (where[2] > SAME_WAY)
-            to_robot = jnp.where(before, front - where[0] - reach, FAR)
+            to_robot = jnp.where(before, front - where[0], FAR)
             answer = jnp.minimum(follow(speeds, wanted, gap, speeds[leaders]), follow(speeds, wanted, to_robot, car[3]))
             acceleration = jnp.where(manners.told, told, jnp.where(manners.follows, answer, 0.0))
             acceleration = jnp.maximum(acceleration, -speeds / planning.time_step)

@@ -167,8 +167,8 @@ def urgency(scene: RoadScene, planning: RoadPlanning, lanes: jax.Array) -> jax.A
 def pushes_from_behind(
     scene: RoadScene, rollouts: Rollouts, s: jax.Array, d: jax.Array, lanes: jax.Array
 ) -> Bool[jax.Array, "plans traffic steps"]:
-    """Return where a follower in the robot's own lane would run into it while it keeps its lane."""
-    behind = rollouts.s < s[:, None] - 1.0
+    """Return where a follower in the robot's own lane would run into it, or through it, while it keeps its lane."""
+    behind = rollouts.s[..., :1] < s[:, None, :1] - 1.0
     mine = jnp.abs(rollouts.d - d[:, None]) < scene.size[1]
-    follower = behind[..., :1] & mine[..., :1] & (rollouts.cosine > 0.5)
-    return follower & behind & (lanes == 1)[:, None, None]
+    followed = jnp.cumprod(mine, axis=-1) > 0
+    return behind & followed & (rollouts.cosine > 0.5) & (lanes == 1)[:, None, None]

@@ -13,7 +13,7 @@ from ms_highway.game.road import RoadScene, interpolate, place, project
 
 __all__ = ["Ways", "aside", "follow", "on_route", "positions", "wanted_speeds", "ways_of"]
 
-COMFORTABLE, BRAKING, HEADWAY, STANDSTILL = 3.0, 5.0, 1.5, 5.0  # m/s^2, m/s^2, s, m between bumpers: highway-env's
+COMFORTABLE, BRAKING, HEADWAY, STANDSTILL = 3.0, 5.0, 1.5, 10.0  # m/s^2, m/s^2, s, m between centres: highway-env's
 HARDEST = 6.0  # m/s^2, of braking
 SETTLING = 1.0  # s, in which cars move to the middle of their path
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
@@ -52,10 +52,10 @@ def follow(
     Args:
         speed: of the follower [m/s].
         wanted: its desired speed [m/s].
-        gap: between bumpers to the car ahead [m]; infinite without one.
+        gap: to the car ahead [m]; infinite without one. It is that of centres in highway-env.
         ahead: speed of that car [m/s].
         headway: desired time gap [s].
-        standstill: desired gap of standing cars [m].
+        standstill: desired gap of standing cars, between bumpers or centres as the gap is [m].
     """
     closing = speed * (speed - ahead) / (2 * (COMFORTABLE * BRAKING) ** 0.5)
     desired = standstill + jnp.maximum(speed * headway + closing, 0.0)
