@@ -6,15 +6,14 @@ from jaxtyping import Bool, Float
 
 from ms_highway.game.road import BEHIND, SPACING, RoadScene
 from ms_highway.planning.road.proposals import Rollouts
-from ms_highway.planning.road.traffic import Ways
+from ms_highway.planning.road.traffic import Ways, crossings
 
 __all__ = ["blocks", "occupied"]
 
 FAR = 1e3  # m
 STANDING = 1.0  # m/s
 CROSSES, EARLY = 0.8, 0.25  # cosine of the angle below which cars may come so much earlier or later [s]
-SHARED = 0.85  # cosine of the angle from which cars share a lane
-CORRIDOR, CLEARANCE = 3.0, 1.0  # m, of the robot's way to each side, and around where others cross it
+CLEARANCE = 1.0  # m, around where others cross the robot's way
 AWAITED = 6.0  # s, in which a crossing car has to come to count
 
 
@@ -35,7 +34,7 @@ def blocks(scene: RoadScene, ways: Ways, rollouts: Rollouts) -> Bool[jax.Array, 
     The robot goes on as fast as it is then, and faster; the car at its speed.
     """
     knots = SPACING * jnp.arange(ways.s.shape[-1]) - BEHIND
-    across = (jnp.abs(ways.d) < CORRIDOR) & (ways.cosine < SHARED)  # [traffic, knots]
+    across = crossings(ways).across
     s, speed = rollouts.states[:, -1, 0, None], rollouts.states[:, -1, 3, None]
     here = across & (ways.s > s[..., None] - CLEARANCE) & (ways.s < s[..., None] + scene.size[0] + CLEARANCE)
     first, last = jnp.where(here, knots, FAR).min(axis=-1), jnp.where(here, knots, -FAR).max(axis=-1)

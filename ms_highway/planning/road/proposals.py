@@ -10,14 +10,15 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.game.road import LANES, SPACING, RoadScene, interpolate
 from ms_highway.planning.road.motion import advance, within_limits
 from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import Ways, aside, follow, on_route, wanted_speeds
+from ms_highway.planning.road.traffic import Ways, aside, crossings, follow, on_route, wanted_speeds
 
 __all__ = ["PROPOSALS", "Manners", "Profiles", "Rollouts", "as_given", "profiles", "simulate", "speed_caps"]
 
 FOLLOWING = np.array([1.0, 0.75, 0.5, 0.25], np.float32)  # shares of the desired speed, in profiles that follow by IDM
 STEADY = np.array([-5.0, -3.0, -1.5, 0.0, 1.5, 3.0], np.float32)  # m/s^2, of profiles of constant acceleration
 PROFILES = len(FOLLOWING) + len(STEADY)
-PROPOSALS = LANES * PROFILES + 1
+YIELDING = np.array([1.5, 3.0, 5.0, np.inf], np.float32)  # s, of profiles that let cars pass who come until then
+PROPOSALS = LANES * PROFILES + len(YIELDING) + 1
 """Number of proposals, the last plan among them."""
 
 FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
@@ -32,6 +33,9 @@ SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
 PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
 ROOM = 0.4  # m, lateral, between bodies that pass
+WAITING = 1.2  # m, between the robot that waits and those who cross
+STOPPING = 3.0  # m/s^2, before crossings
+CREEPING = 3.0  # m/s, at which cars come that stand
 FAR = 1e3  # m
 
 
@@ -57,6 +61,7 @@ class Profiles(NamedTuple):
         share: of the desired speed that it follows the traffic at.
         rate: its acceleration if it does not follow [m/s^2].
         follows: whether it follows the traffic.
+        yields: it lets all cars pass that come to where they cross its route within this time [s].
         given: whether its controls are given.
         controls: those.
     """
@@ -65,6 +70,7 @@ class Profiles(NamedTuple):
     share: Float[jax.Array, "plans"]
     rate: Float[jax.Array, "plans"]
     follows: Bool[jax.Array, "plans"]
+    yields: Float[jax.Array, "plans"]
     given: Bool[jax.Array, "plans"]
     controls: Float[jax.Array, "plans steps 2"]
 
@@ -101,13 +107,15 @@ def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Float[jax.Array, "kn
 
 def profiles(last: Float[jax.Array, "steps 2"], last_lane: Int[jax.Array, ""]) -> Profiles:
     """Return the profiles of all proposals: each lane at each speed, and the rest of the last plan."""
-    kinds = np.tile(np.arange(PROFILES), LANES)
+    lanes, kinds = np.divmod(np.arange(LANES * PROFILES), PROFILES)
     shares, rates = (np.append(FOLLOWING, np.ones_like(STEADY)), np.append(np.zeros_like(FOLLOWING), STEADY))
+    own, ones = np.ones(len(YIELDING), int), np.ones(len(YIELDING), np.float32)
     return Profiles(
-        jnp.append(jnp.repeat(jnp.arange(LANES), PROFILES), last_lane),
-        jnp.append(shares[kinds], 1.0),
-        jnp.append(rates[kinds], 0.0),
-        jnp.append(kinds < len(FOLLOWING), False),
+        jnp.concatenate([lanes, own, jnp.asarray(last_lane)[None]]),
+        jnp.concatenate([shares[kinds], ones, jnp.ones(1)]),
+        jnp.concatenate([rates[kinds], 0 * ones, jnp.zeros(1)]),
+        jnp.concatenate([kinds < len(FOLLOWING), ones > 0, jnp.zeros(1, bool)]),
+        jnp.concatenate([np.zeros(len(kinds), np.float32), YIELDING, jnp.zeros(1)]),
         jnp.arange(PROPOSALS) == PROPOSALS - 1,
         jnp.broadcast_to(last, (PROPOSALS, *last.shape)),
     )
@@ -116,7 +124,7 @@ def profiles(last: Float[jax.Array, "steps 2"], last_lane: Int[jax.Array, ""]) -
 def as_given(controls: Float[jax.Array, "plans steps 2"], lane: Int[jax.Array, "plans"]) -> Profiles:
     """Return the profiles of plans whose controls are given."""
     ones = jnp.ones(len(controls))
-    return Profiles(lane, ones, 0 * ones, ones < 0, ones > 0, controls)
+    return Profiles(lane, ones, 0 * ones, ones < 0, 0 * ones, ones > 0, controls)
 
 
 def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Manners, plans: Profiles) -> Rollouts:
@@ -136,6 +144,10 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
     apart, reach = (width + widths) / 2 + ROOM, (length + lengths) / 2
     leaders, present = jnp.asarray(scene.leaders), jnp.asarray(scene.present)
     led = (leaders >= 0) & present
+    crossing = crossings(ways)
+    line = crossing.first - widths / 2 - WAITING
+    arrival = jnp.maximum(crossing.begin - lengths / 2, 0.0) / jnp.maximum(now[:, 3], CREEPING)
+    crosses = present & jnp.asarray(scene.moving)
 
     def steer(car: jax.Array, goal: jax.Array) -> jax.Array:
         """Return the curvature towards the centre of a lane."""
@@ -154,11 +166,20 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
         gap = jnp.where(ahead, others_s - front - reach, FAR)
         return jnp.minimum(EAGERNESS * follow(speed, FAR, gap, speeds * cosine, *CLOSE).min(), HASTE)
 
-    def choose(plan: Profiles, car: jax.Array, held: jax.Array, traffic: tuple[jax.Array, ...]) -> jax.Array:
+    def before_crossing(plan: Profiles, car: jax.Array, along: jax.Array) -> jax.Array:
+        """Return the speed that allows to wait for those who cross, until they have passed; past its line, it goes."""
+        awaited = crosses & (arrival < plan.yields) & (along < crossing.last + lengths / 2 + 1.0)
+        left = line - (car[0] + length)
+        left = jnp.where(awaited & (left > -WAITING), left, FAR).min() - PREVIEW * car[3]
+        return jnp.sqrt(2 * STOPPING * jnp.maximum(left, 0.0))
+
+    def choose(
+        plan: Profiles, car: jax.Array, held: jax.Array, along: jax.Array, traffic: tuple[jax.Array, ...]
+    ) -> jax.Array:
         """Return the robot's control in a step of a plan."""
         s, speed = car[0], car[3]
         goal = interpolate(jnp.asarray(scene.lanes)[plan.lane], s)
-        cap = interpolate(caps, s + PREVIEW * speed)
+        cap = jnp.minimum(interpolate(caps, s + PREVIEW * speed), before_crossing(plan, car, along))
         free = COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed)
         kept = jnp.minimum(jnp.clip(free, -HASTE, HASTE), behind_leader(car, goal, traffic))
         acceleration = jnp.where(plan.follows, kept, plan.rate)
@@ -170,7 +191,7 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
         def go(carry: tuple[jax.Array, ...], step: tuple[jax.Array, ...]) -> tuple[tuple, tuple]:
             (car, along, speeds), (held, sideways, told) = carry, step
             where = on_route(ways, along, sideways)
-            control = choose(plan, car, held, (*where, speeds))
+            control = choose(plan, car, held, along, (*where, speeds))
             gap = jnp.where(led, jnp.asarray(scene.gaps) + along[leaders] - along - lengths, FAR)
             front = car[0] + length / 2
             before = (where[0] < front) & (jnp.abs(where[1] - car[1]) < apart) & (where[2] > SAME_WAY)
