@@ -17,7 +17,7 @@ __all__ = ["PROPOSALS", "Manners", "Profiles", "Rollouts", "as_given", "profiles
 FOLLOWING = np.array([1.0, 0.75, 0.5, 0.25], np.float32)  # shares of the desired speed, in profiles that follow by IDM
 STEADY = np.array([-5.0, -3.0, -1.5, 0.0, 1.5, 3.0], np.float32)  # m/s^2, of profiles of constant acceleration
 PROFILES = len(FOLLOWING) + len(STEADY)
-YIELDING = np.array([1.5, 3.0, 5.0, np.inf], np.float32)  # s, of profiles that let cars pass who come until then
+YIELDING = np.array([0.5, 1.5, 3.0, 5.0, np.inf], np.float32)  # s, of profiles that let cars pass who come until then
 PROPOSALS = LANES * PROFILES + len(YIELDING) + 1
 """Number of proposals, the last plan among them."""
 
@@ -28,6 +28,7 @@ SLOWING = 2.5  # m/s^2, before bends
 EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
 CLOSE = 0.7, 2.0  # s and m, time gap and standstill gap of the robot
 HASTE = 3.0  # m/s^2, of accelerations for the desired speed
+HURRY = 4.5  # m/s^2, of those of cars that cross others' ways, where time is short
 SLOWEST = 3.0  # m/s, below which steering is not sharper than at this speed
 SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
 PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
@@ -164,7 +165,7 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
         low, high = jnp.minimum(d, goal), jnp.maximum(d, goal)
         ahead = (others_s > front) & (others_d > low - apart) & (others_d < high + apart) & present
         gap = jnp.where(ahead, others_s - front - reach, FAR)
-        return jnp.minimum(EAGERNESS * follow(speed, FAR, gap, speeds * cosine, *CLOSE).min(), HASTE)
+        return jnp.minimum(EAGERNESS * follow(speed, FAR, gap, speeds * cosine, *CLOSE).min(), HURRY)
 
     def before_crossing(plan: Profiles, car: jax.Array, along: jax.Array) -> jax.Array:
         """Return the speed that allows to wait for those who cross, until they have passed; past its line, it goes."""
@@ -181,7 +182,8 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
         goal = interpolate(jnp.asarray(scene.lanes)[plan.lane], s)
         cap = jnp.minimum(interpolate(caps, s + PREVIEW * speed), before_crossing(plan, car, along))
         free = COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed)
-        kept = jnp.minimum(jnp.clip(free, -HASTE, HASTE), behind_leader(car, goal, traffic))
+        free = jnp.clip(jnp.where(plan.yields > 0, HURRY, 1.0) * free, -HASTE, jnp.where(plan.yields > 0, HURRY, HASTE))
+        kept = jnp.minimum(free, behind_leader(car, goal, traffic))
         acceleration = jnp.where(plan.follows, kept, plan.rate)
         acceleration = jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))
         told = jnp.stack([steer(car, goal), acceleration])

@@ -58,9 +58,14 @@ class Crossings(NamedTuple):
 
 
 def crossings(ways: Ways) -> Crossings:
-    """Find where paths of traffic cross the robot's route."""
+    """Find where paths of traffic cross the robot's route.
+
+    Who is in the robot's lane does not cross it where their ways part: one of them follows the other.
+    """
     knots = SPACING * jnp.arange(ways.s.shape[-1]) - BEHIND
-    across = (jnp.abs(ways.d) < CORRIDOR) & (ways.cosine < SHARED)
+    now = int(BEHIND / SPACING)
+    sharing = (jnp.abs(ways.d[:, now]) < CORRIDOR) & (ways.cosine[:, now] > SHARED)
+    across = (jnp.abs(ways.d) < CORRIDOR) & (ways.cosine < SHARED) & ~sharing[:, None]
     first = jnp.where(across, ways.s, FAR).min(axis=-1)
     begin, last = jnp.where(across, knots, FAR).min(axis=-1), jnp.where(across, knots, -FAR).max(axis=-1)
     return Crossings(across, first, begin, last)
