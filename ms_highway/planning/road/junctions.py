@@ -6,6 +6,7 @@ from jaxtyping import Bool, Float
 
 from ms_highway.game.road import BEHIND, SPACING, RoadScene
 from ms_highway.planning.road.proposals import Rollouts
+from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.planning.road.traffic import Ways, crossings
 
 __all__ = ["blocks", "occupied"]
@@ -14,17 +15,20 @@ FAR = 1e3  # m
 STANDING = 1.0  # m/s
 CROSSES, EARLY = 0.8, 0.25  # cosine of the angle below which cars may come so much earlier or later [s]
 CLEARANCE = 1.0  # m, around where others cross the robot's way
+UNSURE = 4.0  # m/s^2, of the accelerations that others may have
 AWAITED = 6.0  # s, in which a crossing car has to come to count
 
 
-def occupied(scene: RoadScene, rollouts: Rollouts) -> Float[jax.Array, "plans traffic steps 2"]:
+def occupied(scene: RoadScene, planning: RoadPlanning, rollouts: Rollouts) -> Float[jax.Array, "plans traffic steps 2"]:
     """Return length and width of what others may occupy [m]: more of their way where it crosses the robot's.
 
-    Nobody knows when exactly a car comes that may brake or speed up.
+    Nobody knows when exactly a car comes that may brake or speed up; where it is now is known.
     """
     lengths, widths = (jnp.asarray(scene.sizes)[:, field, None] for field in range(2))
     crossing = rollouts.cosine < CROSSES
-    early = jnp.where(crossing & (rollouts.speeds > STANDING), EARLY * rollouts.speeds + 1.0, 0.0)
+    times = planning.time_step * jnp.arange(1, planning.steps + 1)
+    early = jnp.minimum(EARLY * rollouts.speeds + 1.0, UNSURE * times**2 / 2)
+    early = jnp.where(crossing & (rollouts.speeds > STANDING), early, 0.0)
     return jnp.stack([lengths + 2 * early, jnp.broadcast_to(widths, early.shape)], axis=-1)
 
 

@@ -175,7 +175,7 @@ def score(
         (x[:, None], y[:, None], course[:, None]),
         scene.size,
         jax.vmap(lambda a, b: jnp.stack(positions(scene, a, b)))(rollouts.along, rollouts.across).swapaxes(0, 1),
-        occupied(scene, rollouts),
+        occupied(scene, planning, rollouts),
     )
     counts = jnp.asarray(scene.present)[:, None] & ~pushes_from_behind(scene, rollouts, s, d, lanes)
     clear = jnp.where(counts, clear, FAR)
