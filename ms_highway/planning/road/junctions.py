@@ -5,17 +5,18 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
 from ms_highway.game.road import BEHIND, SPACING, RoadScene
-from ms_highway.planning.road.proposals import Rollouts
+from ms_highway.planning.road.proposals import WAITING, Rollouts
 from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.planning.road.traffic import Ways, crossings
 
-__all__ = ["blocks", "occupied"]
+__all__ = ["avoidable", "blocks", "occupied"]
 
 FAR = 1e3  # m
 STANDING = 1.0  # m/s
 CROSSES, EARLY = 0.8, 0.25  # cosine of the angle below which cars may come so much earlier or later [s]
 CLEARANCE = 1.0  # m, around where others cross the robot's way
 UNSURE = 4.0  # m/s^2, of the accelerations that others may have
+STOPPING, DECIDED = 3.5, 1  # m/s^2, and the step after which it has to be possible
 AWAITED = 6.0  # s, in which a crossing car has to come to count
 
 
@@ -30,6 +31,14 @@ def occupied(scene: RoadScene, planning: RoadPlanning, rollouts: Rollouts) -> Fl
     early = jnp.minimum(EARLY * rollouts.speeds + 1.0, UNSURE * times**2 / 2)
     early = jnp.where(crossing & (rollouts.speeds > STANDING), early, 0.0)
     return jnp.stack([lengths + 2 * early, jnp.broadcast_to(widths, early.shape)], axis=-1)
+
+
+def avoidable(scene: RoadScene, ways: Ways, rollouts: Rollouts) -> Bool[jax.Array, "plans traffic"]:
+    """Return whether the robot can still stop before where a car crosses its route, soon after a plan has begun."""
+    crossing = crossings(ways)
+    line = crossing.first - jnp.asarray(scene.sizes)[:, 1] / 2 - WAITING
+    s, speed = rollouts.states[:, DECIDED, 0, None], rollouts.states[:, DECIDED, 3, None]
+    return (crossing.first < FAR) & (line - s - scene.size[0] > speed**2 / (2 * STOPPING))
 
 
 def blocks(scene: RoadScene, ways: Ways, rollouts: Rollouts) -> Bool[jax.Array, "plans traffic"]:

@@ -12,7 +12,7 @@ from ms_highway.planning.road.motion import advance, within_limits
 from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.planning.road.traffic import Ways, aside, crossings, follow, on_route, wanted_speeds
 
-__all__ = ["PROPOSALS", "Manners", "Profiles", "Rollouts", "as_given", "profiles", "simulate", "speed_caps"]
+__all__ = ["PROPOSALS", "WAITING", "Manners", "Profiles", "Rollouts", "as_given", "profiles", "simulate", "speed_caps"]
 
 FOLLOWING = np.array([1.0, 0.75, 0.5, 0.25], np.float32)  # shares of the desired speed, in profiles that follow by IDM
 STEADY = np.array([-5.0, -3.0, -1.5, 0.0, 1.5, 3.0], np.float32)  # m/s^2, of profiles of constant acceleration
@@ -35,7 +35,7 @@ PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
 ROOM = 0.4  # m, lateral, between bodies that pass
 WAITING = 1.2  # m, between the robot that waits and those who cross
-STOPPING = 3.0  # m/s^2, before crossings
+STOPPING = 3.5  # m/s^2, before crossings
 CREEPING = 3.0  # m/s, at which cars come that stand
 FAR = 1e3  # m
 

@@ -8,7 +8,7 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.road import RoadScene, interpolate
-from ms_highway.planning.road.junctions import blocks, occupied
+from ms_highway.planning.road.junctions import avoidable, blocks, occupied
 from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.proposals import Rollouts
 from ms_highway.planning.road.prospects import missing_room, prospects, pushes_from_behind, urgency
@@ -43,6 +43,7 @@ class RoadWeights:
         comfortable: distance between bodies [m].
         collision: of hitting somebody at once; less, the later [for the whole plan].
         blocking: of being in the way of a car that crosses, after a plan [for the whole plan].
+        avoidable: share that counts of what can still be avoided by stopping before a crossing.
         off_road: of leaving the road or an open lane [for the whole plan].
         stopping: of each metre that is missing to stop behind the car ahead [1/m, for the whole plan].
     """
@@ -60,6 +61,7 @@ class RoadWeights:
     comfortable: float | Float[Array, ""] = 1.0
     collision: float | Float[Array, ""] = 100.0
     blocking: float | Float[Array, ""] = 40.0
+    avoidable: float | Float[Array, ""] = 0.02
     off_road: float | Float[Array, ""] = 200.0
     stopping: float | Float[Array, ""] = 1.0
 
@@ -188,13 +190,14 @@ def score(
     imposed = jnp.where(rollouts.s < s[:, None], jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
     closeness = closeness + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
     others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
+    others = others + weights.blocking * blocks(scene, ways, rollouts)
+    others = others * jnp.where(avoidable(scene, ways, rollouts), weights.avoidable, 1.0)
     missing = missing_room(scene, planning, rollouts, goal[:, -1])
     limit = jnp.minimum(wanted[:, -1], planning.desired_speed)
     prospect, charged = prospects(scene, rollouts, goal[:, -1], limit)
     lost = weights.prospect * (1 - prospect / limit)
     per_plan = per_plan - jnp.where(charged.any(axis=-1), 0.0, lost)
     others = others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
-    others = others + weights.blocking * blocks(scene, ways, rollouts)
     own = dt * per_second.sum(axis=1) + per_plan
     return Scores(own, others, hit.any(axis=(1, 2)), leaves | closed, missing.max(axis=1))
 
