@@ -13,7 +13,7 @@ __all__ = ["avoidable", "blocks", "occupied"]
 
 FAR = 1e3  # m
 STANDING = 1.0  # m/s
-CROSSES, EARLY = 0.8, 0.25  # cosine of the angle below which cars may come so much earlier or later [s]
+CROSSES, EARLY = 0.8, 0.15  # cosine of the angle below which cars may come so much earlier or later [s]
 CLEARANCE = 1.0  # m, around where others cross the robot's way
 UNSURE = 4.0  # m/s^2, of the accelerations that others may have
 STOPPING, DECIDED = 3.5, 1  # m/s^2, and the step after which it has to be possible
@@ -28,7 +28,7 @@ def occupied(scene: RoadScene, planning: RoadPlanning, rollouts: Rollouts) -> Fl
     lengths, widths = (jnp.asarray(scene.sizes)[:, field, None] for field in range(2))
     crossing = rollouts.cosine < CROSSES
     times = planning.time_step * jnp.arange(1, planning.steps + 1)
-    early = jnp.minimum(EARLY * rollouts.speeds + 1.0, UNSURE * times**2 / 2)
+    early = jnp.minimum(EARLY * rollouts.speeds + 0.5, UNSURE * times**2 / 2)
     early = jnp.where(crossing & (rollouts.speeds > STANDING), early, 0.0)
     return jnp.stack([lengths + 2 * early, jnp.broadcast_to(widths, early.shape)], axis=-1)
 
