@@ -15,7 +15,7 @@ FAR = 1e3  # m
 STANDING = 1.0  # m/s
 CROSSES, EARLY = 0.8, 0.15  # cosine of the angle below which cars may come so much earlier or later [s]
 CLEARANCE = 1.0  # m, around where others cross the robot's way
-UNSURE = 4.0  # m/s^2, of the accelerations that others may have
+UNSURE = 6.0  # m/s^2, of the accelerations that others may have
 STOPPING, DECIDED = 3.5, 1  # m/s^2, and the step after which it has to be possible
 AWAITED = 6.0  # s, in which a crossing car has to come to count
 

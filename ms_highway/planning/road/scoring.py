@@ -21,6 +21,7 @@ __all__ = ["RoadWeights", "Scores", "score", "separation"]
 MARGIN = 0.35  # m between bodies that counts as a collision
 FADING = 0.95  # of what is expected later, per step
 TOLERATED = 1.5  # m/s^2, of braking of others that costs nothing
+SOON = 1.6  # s, until when all counts that others may do
 FAR = 1e3  # m
 
 
@@ -182,6 +183,9 @@ def score(
     counts = jnp.asarray(scene.present)[:, None] & ~pushes_from_behind(scene, rollouts, s, d, lanes)
     clear = jnp.where(counts, clear, FAR)
     hit, fading = clear < MARGIN, FADING ** jnp.arange(planning.steps)
+    later = dt * jnp.arange(planning.steps) > SOON
+    revised = avoidable(scene, ways, rollouts)[..., None]
+    fading = fading * jnp.where(revised & later, weights.avoidable, 1.0)
     near = jnp.maximum(1 - jnp.maximum(clear, 0.0) / weights.comfortable, 0.0) ** 2
     closeness = dt * weights.near * jnp.sum(near * fading, axis=-1)
     speeds = rollouts.speeds
@@ -190,8 +194,7 @@ def score(
     imposed = jnp.where(rollouts.s < s[:, None], jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
     closeness = closeness + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
     others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
-    others = others + weights.blocking * blocks(scene, ways, rollouts)
-    others = others * jnp.where(avoidable(scene, ways, rollouts), weights.avoidable, 1.0)
+    others = others + weights.blocking * blocks(scene, ways, rollouts) * jnp.where(revised[..., 0], weights.avoidable, 1.0)
     missing = missing_room(scene, planning, rollouts, goal[:, -1])
     limit = jnp.minimum(wanted[:, -1], planning.desired_speed)
     prospect, charged = prospects(scene, rollouts, goal[:, -1], limit)
