@@ -200,7 +200,7 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
             to_robot = jnp.where(before, front - where[0] - reach, FAR)
             answer = jnp.minimum(follow(speeds, wanted, gap, speeds[leaders]), follow(speeds, wanted, to_robot, car[3]))
             acceleration = jnp.where(manners.told, told, jnp.where(manners.follows, answer, 0.0))
-            acceleration = jnp.maximum(acceleration, -speeds / planning.time_step)
+            acceleration = jnp.where(speeds < 0, 0.0, jnp.maximum(acceleration, -speeds / planning.time_step))
             moved = along + speeds * planning.time_step
             after = speeds + acceleration * planning.time_step
             ahead = advance(scene, planning, car, control)
