@@ -23,7 +23,7 @@ PROPOSALS = LANES * PROFILES + len(YIELDING) + 1
 
 FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
 SIDEWAYS = 3.0  # m/s^2, of lateral acceleration for it at most
-CORNERING = 0.9  # share of the grip that bends may take
+CORNERING = 0.85  # share of the grip that bends may take
 SLOWING = 2.5  # m/s^2, before bends
 EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
 CLOSE = 0.7, 2.0  # s and m, time gap and standstill gap of the robot

@@ -45,7 +45,7 @@ class RoadWeights:
         collision: of hitting somebody at once; less, the later [for the whole plan].
         blocking: of being in the way of a car that crosses, after a plan [for the whole plan].
         avoidable: share that counts of what can still be avoided by stopping before a crossing.
-        off_road: of leaving the road or an open lane [for the whole plan].
+        off_road: of leaving the road, and of a lane that is not open [for the whole plan].
         stopping: of each metre that is missing to stop behind the car ahead [1/m, for the whole plan].
     """
 
@@ -172,7 +172,7 @@ def score(
         weights.right * (lanes - 1.0)
         - weights.change * (lanes != 1)
         - weights.goal * urgency(scene, planning, lanes)
-        - weights.off_road * (leaves | closed)
+        - weights.off_road * (leaves.astype(float) + closed)
     )
     clear = separation(
         (x[:, None], y[:, None], course[:, None]),
