@@ -74,7 +74,7 @@ class Episode:
 
 
 def make_driver(block: Block, **options: Any) -> gym.Env:
-    """Make an environment that drives itself: its `step` ignores the action.
+    """Make an environment that drives itself: its ``step`` ignores the action.
 
     Args:
         block: says what drives where.

@@ -140,7 +140,7 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
     Args:
         scene: the road.
         planning: limits and wishes.
-        ways: `ways_of` the scene.
+        ways: `ms_highway.planning.road.traffic.ways_of` the scene.
         manners: how others move.
         plans: what the robot does.
     """
