@@ -129,9 +129,9 @@ def final_place(scene, name):
 def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_in():
     kept = -14.0 + 26.0 * STEPS * PLANNING.time_step
     assert final_place(CUT_IN, "naive") == pytest.approx(kept, abs=0.05)
-    assert final_place(CUT_IN, "tom") < kept - 2.0
+    assert final_place(CUT_IN, "tom") < kept - 1.0
     beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
-    assert final_place(beside, "tom") > final_place(CUT_IN, "tom") + 2.0
+    assert final_place(beside, "tom") > final_place(CUT_IN, "tom") + 1.0
 
 
 def test_obstacles_stay_where_they_are_under_every_model():
