@@ -178,11 +178,11 @@ def test_a_robot_where_a_car_has_passed_or_stays_away_is_not_in_its_way():
 
 
 def test_a_car_that_crosses_is_given_room_in_time():
-    """Who meets it earns less than who waits."""
+    """Who meets it breaks a constraint, who waits breaks none."""
     scene = replace(crossing(0.0, 32.0), robot=np.array([10.0, 0.0, 0.0, 8.0], np.float32))
     _, scores = scores_of(scene, KEEPING, (0.0, -3.0))
     np.testing.assert_array_equal(scores.collides, [True, False])
-    assert scores.total[0] < scores.total[1]
+    np.testing.assert_array_equal(scores.broken, [True, False])
 
 
 def test_changes_of_lane_that_are_left_get_urgent_as_their_room_shrinks():
