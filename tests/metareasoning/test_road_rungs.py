@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 from roads import scene_of
 
+from ms_highway.control.road import _look_function
 from ms_highway.game.road import TRAFFIC
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
-from ms_highway.planning.road.plan import first_memory, highest_gains, propose
+from ms_highway.planning.road.plan import first_memory
 from ms_highway.planning.road.scoring import RoadWeights
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
 
@@ -19,19 +19,17 @@ COSTS = RoadCosts(0.004, np.array([0.0, 0.0001, 0.001, 0.003]))
 GAINS = np.array([0.0, 5.0, 0.2, 30.0, 1e-3, 0.0, 2.0])
 
 
-@jax.jit
 def gains_of(scene):
-    nobody = np.zeros(TRAFFIC, np.int32)
-    return highest_gains(propose(scene, PLANNING, RoadWeights(), nobody, first_memory(PLANNING)).scores)
+    return np.asarray(_look_function()(scene, PLANNING, RoadWeights(), first_memory(PLANNING)))
 
 
 def test_answers_of_cars_far_away_and_of_nobody_are_worth_nothing():
-    gains = np.asarray(gains_of(scene_of(cars=[(-250.0, 0, 10.0), (95.0, 1, 38.0)])))
+    gains = gains_of(scene_of(cars=[(-250.0, 0, 10.0), (95.0, 1, 38.0)]))
     np.testing.assert_array_equal(gains, 0.0)
 
 
 def test_a_leader_does_not_answer():
-    gains = np.asarray(gains_of(scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(25.0, 0, 5.0)])))
+    gains = gains_of(scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(25.0, 0, 5.0)]))
     np.testing.assert_array_equal(gains, 0.0)
 
 
@@ -39,7 +37,7 @@ def test_the_answer_of_a_car_that_is_in_the_way_and_could_yield_is_worth_somethi
     """The goal asks for the lane in which a car comes from behind."""
     scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)])
     scene = replace(scene, changes=np.array([2.0, 1.0, 0.0], np.float32), room=30.0)
-    gains = np.asarray(gains_of(scene))
+    gains = gains_of(scene)
     assert gains[0] > 0
     np.testing.assert_array_equal(gains[1:], 0.0)
 
@@ -48,7 +46,7 @@ def test_no_gain_is_negative():
     random = np.random.default_rng(0)
     for _ in range(5):
         cars = [(place, lane, random.uniform(10, 28)) for lane in (-1, 0, 1) for place in (-35.0, 25.0, 60.0)]
-        assert np.asarray(gains_of(scene_of(cars=cars))).min() >= 0
+        assert gains_of(scene_of(cars=cars)).min() >= 0
 
 
 def test_a_fixed_model_predicts_everybody_and_has_to_exist():

@@ -1,7 +1,6 @@
 """Plans of the robot on roads: proposals, answers of others and refinement together."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import numpy as np
@@ -9,20 +8,21 @@ import pytest
 from jax import numpy as jnp
 from roads import scene_of
 
+from ms_highway.control.road import _plan_function
 from ms_highway.game.road import TRAFFIC
 from ms_highway.planning.road.motion import bodies, drive
-from ms_highway.planning.road.plan import LAST_PLAN, REFINED, Memory, first_memory, plan_road, propose
+from ms_highway.planning.road.plan import LAST_PLAN, REFINED, Memory, first_memory, propose
 from ms_highway.planning.road.proposals import Manners, as_given, simulate, speed_caps
 from ms_highway.planning.road.scoring import RoadWeights, score
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
 from ms_highway.planning.road.traffic import ways_of
-from ms_highway.runtime.compilation import QUICKLY, known_options
+from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 GRIP, STEPS = float(PLANNING.grip), PLANNING.steps
 MEMORY = first_memory(PLANNING)
-planned = jax.jit(partial(plan_road, refines=True), compiler_options=known_options(QUICKLY))
-proposed = jax.jit(propose, compiler_options=known_options(QUICKLY))
+planned = _plan_function(True)
+proposed = jit_quickly(propose)
 driven = jax.jit(drive)
 
 
@@ -85,7 +85,7 @@ def test_a_plan_breaks_no_constraint_where_some_proposal_breaks_none(seed):
         assert not plan_of(scene, name).broken
 
 
-@jax.jit
+@jit_quickly
 def earned(scene, controls, lane):
     """Total and broken constraints of a plan whose controls are given, while others keep their speed."""
     ways, nobody = ways_of(scene), jnp.zeros(TRAFFIC, bool)
@@ -122,7 +122,7 @@ CUT_IN = scene_of(robot=(0.0, 2.5, 0.06, 20.0), cars=[(-14.0, 1, 26.0)])
 
 
 def final_place(scene, name):
-    """x of car 0 at the end of the horizon."""
+    """Where car 0 is expected at the end of the horizon."""
     return float(plan_of(scene, name).predictions[0, -1, 0])
 
 

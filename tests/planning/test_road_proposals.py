@@ -15,6 +15,7 @@ from ms_highway.planning.road.motion import drive
 from ms_highway.planning.road.proposals import PROPOSALS, Manners, as_given, profiles, simulate, speed_caps
 from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.planning.road.traffic import follow, positions, ways_of
+from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING = RoadPlanning()
 GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
@@ -24,7 +25,7 @@ STRAIGHT_ON = np.zeros((STEPS, 2), np.float32)
 LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
 
 
-@jax.jit
+@jit_quickly
 def proposed(scene, follows=NAIVE, last=STRAIGHT_ON, told=NAIVE, accelerations=NOTHING):
     """All proposals, and how they turn out."""
     plans = profiles(jnp.asarray(last), jnp.asarray(1))
@@ -32,7 +33,7 @@ def proposed(scene, follows=NAIVE, last=STRAIGHT_ON, told=NAIVE, accelerations=N
     return plans, simulate(scene, PLANNING, ways_of(scene), manners, plans)
 
 
-@jax.jit
+@jit_quickly
 def given(scene, controls, lane, follows):
     """How a plan turns out whose controls are given."""
     manners = Manners(follows, jnp.zeros(TRAFFIC, bool), jnp.zeros((1, TRAFFIC, STEPS)))
@@ -128,7 +129,7 @@ def test_a_follower_brakes_for_a_robot_that_cuts_in_and_one_that_keeps_its_speed
 
 
 def theirs(speed, wanted, distance, ahead):
-    """Acceleration of highway-env's IDMVehicle at a distance of centres to the car ahead, within what the model does."""
+    """Acceleration of highway-env's IDMVehicle at a distance of centres to the car ahead, limited as its own is."""
     road = Road(RoadNetwork.straight_road_network(1, speed_limit=50.0))
     car = IDMVehicle(road, [100.0, 0.0], 0.0, speed, target_speed=wanted)
     other = IDMVehicle(road, [100.0 + distance, 0.0], 0.0, ahead)

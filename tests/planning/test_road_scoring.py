@@ -16,13 +16,14 @@ from ms_highway.planning.road.prospects import missing_room, urgency
 from ms_highway.planning.road.scoring import RoadWeights, score, separation
 from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.planning.road.traffic import ways_of
+from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 STEPS, LEFT, OWN, RIGHT = PLANNING.steps, 0, 1, 2
 KEEPING = (0.0, 0.0)
 
 
-@jax.jit
+@jit_quickly
 def judged(scene, controls, lanes):
     """Rollouts and scores of plans whose controls are given [plans, steps, 2], while others keep their speed."""
     ways, nobody = ways_of(scene), jnp.zeros(TRAFFIC, bool)
