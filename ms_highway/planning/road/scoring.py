@@ -194,7 +194,9 @@ def score(
     imposed = jnp.where(rollouts.s < s[:, None], jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
     closeness = closeness + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
     others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
-    others = others + weights.blocking * blocks(scene, ways, rollouts) * jnp.where(revised[..., 0], weights.avoidable, 1.0)
+    others = others + weights.blocking * blocks(scene, ways, rollouts) * jnp.where(
+        revised[..., 0], weights.avoidable, 1.0
+    )
     missing = missing_room(scene, planning, rollouts, goal[:, -1])
     limit = jnp.minimum(wanted[:, -1], planning.desired_speed)
     prospect, charged = prospects(scene, rollouts, goal[:, -1], limit)
