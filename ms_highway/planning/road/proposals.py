@@ -209,7 +209,8 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
             before = (where[0] < front) & (jnp.abs(where[1] - car[1]) < apart) & (where[2] > SAME_WAY)
             to_robot = jnp.where(before, front - where[0], FAR)
             answer = jnp.minimum(follow(speeds, wanted, gap, speeds[leaders]), follow(speeds, wanted, to_robot, car[3]))
-            acceleration = jnp.where(manners.told, told, jnp.where(manners.follows, answer, 0.0))
+            unanswered = jnp.where(scene.moving, 0.0, -speeds)  # who has crashed slides to a stop
+            acceleration = jnp.where(manners.told, told, jnp.where(manners.follows, answer, unanswered))
             acceleration = jnp.where(speeds < 0, 0.0, jnp.maximum(acceleration, -speeds / planning.time_step))
             moved = along + speeds * planning.time_step
             after = speeds + acceleration * planning.time_step
