@@ -30,6 +30,7 @@ from ms_highway.runtime.timing import timed, warm_up
 
 __all__ = ["RoadDriver", "RoadStep"]
 
+NOTICEABLE = 0.2  # share of a plan's time below which a model costs nothing
 REPEATS = 5  # plans that are timed for the costs of models
 
 
@@ -181,4 +182,5 @@ class RoadDriver:
             return float(np.median([self._planned(scene, rungs)[1] for _ in range(REPEATS)]))
 
         whole = np.array([median(rung) for rung in range(len(RUNGS))])
-        return RoadCosts(float(whole[0]), np.maximum(whole - whole[0], 0.0) / max(others.sum(), 1))
+        more = np.where(whole > (1 + NOTICEABLE) * whole[0], whole - whole[0], 0.0)
+        return RoadCosts(float(whole[0]), more / max(others.sum(), 1))

@@ -66,6 +66,8 @@ class FixedRung:
 class PricedRungs:
     """Predict a car by the dearest model if its answer may be worth the time of it, else by the cheaper ones.
 
+    A model that costs nothing is always worth it.
+
     Attributes:
         price: lambda [reward per second].
         ladder: models in use, cheapest first.
@@ -79,7 +81,7 @@ class PricedRungs:
         """See `RungChoice`."""
         rungs = np.full(len(gains), RUNGS.index(self.ladder[0]), np.int32)
         for rung in (RUNGS.index(name) for name in self.ladder[1:]):
-            rungs[gains > self.price * costs.each[rung]] = rung
+            rungs[gains >= self.price * costs.each[rung]] = rung
         return rungs
 
 
@@ -99,12 +101,12 @@ class BudgetedRungs:
     def choose(self, gains: Float[np.ndarray, "traffic"], costs: RoadCosts, spent: float) -> Int[np.ndarray, "traffic"]:
         """See `RungChoice`."""
         left = self.milliseconds / 1e3 - spent - costs.base
-        rungs = np.full(len(gains), RUNGS.index(self.ladder[0]), np.int32)
+        ladder = [RUNGS.index(name) for name in self.ladder]
+        free = max([ladder[0], *(rung for rung in ladder if costs.each[rung] == 0)])
+        rungs = np.full(len(gains), free, np.int32)
         for car in np.argsort(-gains, kind="stable"):
-            if gains[car] <= 0:
-                break
-            affordable = [rung for rung in map(RUNGS.index, self.ladder[1:]) if costs.each[rung] <= left]
-            if affordable:
-                rungs[car] = affordable[-1]
+            affordable = [rung for rung in ladder if costs.each[rung] <= left]
+            if gains[car] > 0 and affordable:
+                rungs[car] = max(rungs[car], affordable[-1])
                 left -= costs.each[rungs[car]]
         return rungs
