@@ -56,8 +56,11 @@ def test_a_fixed_model_predicts_everybody_and_has_to_exist():
         FixedRung("telepathy")
 
 
-def test_models_that_cost_nothing_predict_all_whose_answers_may_be_worth_something():
-    np.testing.assert_array_equal(PricedRungs(0.0).choose(GAINS, COSTS, 0.0), np.where(GAINS > 0, TOP, 0))
+def test_models_that_cost_nothing_predict_everybody():
+    np.testing.assert_array_equal(PricedRungs(0.0).choose(GAINS, COSTS, 0.0), TOP)
+    free = RoadCosts(0.004, np.array([0.0, 0.0, 0.001, 0.002]))
+    for choice in (PricedRungs(1e9), BudgetedRungs(0.1)):
+        np.testing.assert_array_equal(choice.choose(GAINS, free, 0.0), RUNGS.index("idm"))
 
 
 def test_at_a_huge_price_nobody_gets_more_than_the_cheapest_model():
@@ -90,5 +93,5 @@ def test_a_large_budget_buys_the_dearest_model_and_none_buys_the_cheapest():
 
 def test_only_models_on_the_ladder_are_chosen():
     ladder = ("naive", "idm", "turn")
-    for choice in (PricedRungs(0.0, ladder), BudgetedRungs(1e3, ladder)):
+    for choice in (PricedRungs(1e-6, ladder), BudgetedRungs(1e3, ladder)):
         np.testing.assert_array_equal(choice.choose(GAINS, COSTS, 0.0), np.where(GAINS > 0, RUNGS.index("turn"), 0))
