@@ -72,7 +72,7 @@ class RoadViewer(Viewer):
                 pygame.draw.circle(self.sim_surface, PAPER, self._place(point), 3)
                 pygame.draw.circle(self.sim_surface, color, self._place(point), 2)
         line = [self.env.vehicle.position, *np.asarray(step.path, dtype=float)[:, :2]]
-        for color, width in ((PAPER, 4), (INK, 2)):
+        for color, width in ((PAPER, 4), (INK, 2)) if len(line) > 1 else ():
             pygame.draw.lines(self.sim_surface, color, False, [self._place(point) for point in line], width)
 
     def _place(self, point: Float[np.ndarray, "2"]) -> tuple[int, int]:

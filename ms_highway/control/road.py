@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from functools import cache, partial
 from time import perf_counter
-from typing import Any
 
 import jax
 import numpy as np
@@ -40,15 +39,16 @@ class RoadStep:
 
     Attributes:
         control: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
-        path: x, y and heading of the robot's centre, as planned, world coordinates.
-        predictions: x and y of others, world coordinates.
-        rungs: name of the model that predicts each path of others; empty where none is in use.
+        path: x, y and heading of the robot's centre, as planned, world coordinates; no steps if the plan failed.
+        predictions: x and y of others, world coordinates; no steps if the plan failed.
+        rungs: name of the model that predicts each path of others; empty where none does.
         owners: number of the car that each path belongs to, -1 without one.
         gains: bounds on what each answer is worth [reward].
         planning_seconds: wall time of the plan, without compilation.
         decision_seconds: wall time of choosing the models.
         compile_seconds: wall time of compiling and measuring costs in this step.
         source: what drives: ``refined``, ``proposal``, ``last plan`` or ``braking``.
+        failed: whether the plan is not finite, so that the last plan or, without one, braking drives.
     """
 
     control: Float[np.ndarray, "2"]
@@ -61,6 +61,7 @@ class RoadStep:
     decision_seconds: float
     compile_seconds: float
     source: str
+    failed: bool = False
 
 
 @cache
@@ -133,35 +134,39 @@ class RoadDriver:
         self,
         scene: RoadScene,
         plan: RoadPlan,
-        rungs: Any,
-        gains: Any,
-        seconds: float,
+        rungs: Int[np.ndarray, "traffic"],
+        gains: Float[np.ndarray, "traffic"],
+        planning: float,
         deciding: float,
         compiling: float,
     ) -> RoadStep:
         """Remember a plan, or fall back where it is not finite."""
-        controls = np.asarray(plan.controls)
+        controls, path, predictions = map(np.asarray, (plan.controls, plan.path, plan.predictions))
         source = "refined" if plan.chosen == REFINED else "last plan" if plan.chosen == LAST_PLAN else "proposal"
-        if np.isfinite(controls).all():
+        names = tuple(RUNGS[rung] if there else "" for rung, there in zip(rungs, scene.present, strict=True))
+        failed = not np.isfinite(controls).all()
+        if not failed:
             self._left = len(controls)
         elif self._left > 0:
             controls, source = np.asarray(self._memory.controls), "last plan"
         else:
             controls, source = np.tile(np.array([0.0, -self.planning.grip], np.float32), (len(controls), 1)), "braking"
         self._left -= 1
-        self._memory = Memory(np.concatenate([controls[1:], controls[-1:]]), np.asarray(plan.path)[-1, :2])
-        names = tuple(RUNGS[rung] if there else "" for rung, there in zip(rungs, scene.present, strict=True))
+        self._memory = Memory(np.concatenate([controls[1:], controls[-1:]]), path[-1, :2])
+        if failed:
+            path, predictions, names = path[:0], predictions[:, :0], ("",) * len(names)
         return RoadStep(
-            controls[0].astype(float),
-            np.asarray(plan.path),
-            np.asarray(plan.predictions),
-            names,
-            np.asarray(scene.owners),
-            gains,
-            seconds,
-            deciding,
-            compiling,
-            source,
+            control=controls[0].astype(float),
+            path=path,
+            predictions=predictions,
+            rungs=names,
+            owners=np.asarray(scene.owners),
+            gains=gains,
+            planning_seconds=planning,
+            decision_seconds=deciding,
+            compile_seconds=compiling,
+            source=source,
+            failed=failed,
         )
 
     def _prepared(self, scene: RoadScene) -> RoadCosts:

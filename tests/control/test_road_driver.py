@@ -87,6 +87,8 @@ def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_bra
     steps = [robot.step(blind) for _ in range(PLANNING.steps + 2)]
     assert first.source in PLANS
     assert [step.source for step in steps] == ["last plan"] * (PLANNING.steps - 1) + ["braking"] * 3
+    assert not first.failed
+    assert all(step.failed and not any(step.rungs) and len(step.path) == 0 for step in steps)
     for step, control in zip(steps, planned[:-1], strict=False):
         np.testing.assert_allclose(step.control, control, atol=1e-6)
     np.testing.assert_array_equal(steps[-1].control, [0.0, -PLANNING.grip])
