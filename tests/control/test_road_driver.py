@@ -48,7 +48,7 @@ def test_obstacles_are_predicted_by_the_cheapest_model():
 def test_models_are_chosen_by_gains_and_costs():
     eager, thrifty = (driver(PricedRungs(price)).step(SCENE) for price in (0.0, 1e9))
     np.testing.assert_array_equal(eager.gains, thrifty.gains)
-    assert eager.rungs[:3] == tuple("tom" if gain > 0 else "naive" for gain in eager.gains[:3])
+    assert set(eager.rungs[:3]) == {"tom"}
     assert set(thrifty.rungs[:3]) == {"naive"}
     hurried = driver(BudgetedRungs(0.0)).step(SCENE)
     assert set(hurried.rungs[:3]) == {"naive"}
