@@ -1,5 +1,6 @@
 """Let a robot drive the controlled vehicles of a stock highway-env environment."""
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -82,7 +83,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
 
     * ``rungs``, ``gains``, ``source``, ``planning_seconds``, ``decision_seconds``, ``compile_seconds`` of the last
       plan, see `ms_highway.control.road.RoadStep`;
-    * ``decisions``: seconds of every plan within this step, without compilation;
+    * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then;
+    * ``rung_counts``: how many cars each rung predicted, summed over these plans;
     * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
     * ``destination``: node of the road network, None without one;
     * ``success``: whether the goal is reached now, None without one.
@@ -147,6 +149,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             "decision_seconds": last.decision_seconds if last else 0.0,
             "compile_seconds": last.compile_seconds if last else 0.0,
             "decisions": [step.planning_seconds + step.decision_seconds for step in robot.steps],
+            "sources": [step.source for step in robot.steps],
+            "rung_counts": Counter(rung for step in robot.steps for rung in step.rungs if rung),
             "acceleration": max(robot.accelerations, default=0.0),
             "jerk": max(robot.jerks, default=0.0),
             "destination": robot.goal,

@@ -82,8 +82,7 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, chain: Chain, way:
     starts = roads.starts(chain)
     robot = _Progress(chain, starts, way)
     priority = [
-        _gives_way(roads, robot, ways[number], conflicts[number]) and isinstance(ways[number].car, Vehicle)
-        for number in order
+        _gives_way(roads, robot, ways[number], conflicts[number]) and _drives(ways[number].car) for number in order
     ]
     return Traffic(
         paths=stacked,
@@ -97,7 +96,7 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, chain: Chain, way:
         leaders=leaders,
         gaps=gaps,
         owners=owners,
-        moving=np.array([isinstance(car, Vehicle) for car in cars] + [False] * unused),
+        moving=np.array([_drives(car) for car in cars] + [False] * unused),
         priority=np.array(priority + [False] * unused),
     )
 
@@ -115,15 +114,20 @@ def _seen(vehicle: Vehicle) -> list[RoadObject]:
     return [others[number] for number in nearest[:MOST_VEHICLES]]
 
 
+def _drives(car: RoadObject) -> bool:
+    """Return whether something may drive on; what has crashed slides to a stop."""
+    return isinstance(car, Vehicle) and not car.crashed
+
+
 def _ways(car: RoadObject, owner: int, roads: RoadMap) -> list[Way]:
     """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane."""
     found = []
-    for index in _begun(car, roads) if isinstance(car, Vehicle) else [car.lane_index]:
+    for index in _begun(car, roads) if _drives(car) else [car.lane_index]:
         place = float(roads.lanes[index].local_coordinates(car.position)[0])
         for number, chain in enumerate(_chains(roads, index, place)):
             found.append((number, Way(car, owner, chain, place)))
     found.sort(key=lambda item: item[0])
-    return [way for _, way in found[: MOST_WAYS if isinstance(car, Vehicle) else 1]]
+    return [way for _, way in found[: MOST_WAYS if _drives(car) else 1]]
 
 
 def _begun(car: Vehicle, roads: RoadMap) -> list[LaneIndex]:

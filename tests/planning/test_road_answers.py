@@ -84,14 +84,14 @@ def test_the_reward_is_the_commuters_on_a_straight_road():
         return along_others(scene, learned, own, jnp.moveaxis(driver.others, 1, 0)) - comfort
 
     random = np.random.default_rng(0)
-    first, second = (jnp.asarray(random.normal(size=15) / 10, jnp.float32) for _ in range(2))
+    first, second = (jnp.asarray(random.normal(size=PLANNING.steps) / 10, jnp.float32) for _ in range(2))
     difference = float(earned(first) - earned(second))
     assert abs(difference) > 10
     assert float(driver.earned(first) - driver.earned(second)) == pytest.approx(difference, rel=1e-3)
 
 
 def test_its_derivatives_are_exact():
-    driver, at = busy_driver(), jnp.full(15, -0.1)
+    driver, at = busy_driver(), jnp.full(PLANNING.steps, -0.1)
     expansion = jax.jit(Driver.expand)(driver, at)
     gradient, hessian = (jax.jit(of(driver.earned))(at) for of in (jax.grad, jax.hessian))
     np.testing.assert_allclose(expansion.gradient, gradient, atol=1e-4 * np.abs(gradient).max())
@@ -129,7 +129,7 @@ def test_a_human_stops_behind_a_standing_car_even_from_a_start_that_drives_throu
 def test_a_human_does_not_look_at_itself_nor_at_its_other_way():
     scene = scene_of(cars=[(0.0, 0, 20.0), (0.0, 0, 20.0), (15.0, 0, 15.0)])
     alone = answered(scene_of(cars=[(0.0, 0, 20.0)]), AWAY)
-    owned = scene.__class__(**{**vars(scene), "owners": np.array([0, 0, *[-1] * 10])})
+    owned = scene.__class__(**{**vars(scene), "owners": np.array([0, 0, *[-1] * (len(scene.owners) - 2)])})
     owned.present[2:] = False
     np.testing.assert_allclose(answered(owned, AWAY), alone, atol=1e-3)
 
@@ -144,7 +144,7 @@ def test_a_human_follows_its_path_and_comes_to_its_middle():
     scene.states[0, 1] = 1.0
     x, y, heading, speed = jax.jit(follow)(scene, PLANNING, 0, NOTHING)
     distance = np.hypot(x, y - 30)
-    np.testing.assert_allclose(np.diff(distance) > 0, True)
+    np.testing.assert_allclose(np.diff(distance) > -0.02, True)  # chords between knots lie 2 cm inside the circle
     assert abs(distance[-1] - 26.0) < 0.05
     np.testing.assert_allclose(speed, 8.0)
     np.testing.assert_allclose(heading, 8 * TIMES / 26, atol=1e-3)

@@ -1,6 +1,7 @@
 """Drive one episode of a stock scene and measure it."""
 
 import warnings
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
@@ -55,7 +56,8 @@ class Episode:
         reward: the sum over all steps.
         motion: of the ego in every frame.
         decisions: duration of each decision, without compilation [s].
-        sources: number of steps by what drove, where the driver says so.
+        sources: number of decisions by what drove then, where the driver says so.
+        rungs: number of cars that each rung predicted, summed over decisions.
     """
 
     seed: int
@@ -67,11 +69,12 @@ class Episode:
     reward: float
     motion: Motion
     decisions: tuple[float, ...]
-    sources: dict[str, int] = field(default_factory=dict)
+    sources: Counter[str] = field(default_factory=Counter)
+    rungs: Counter[str] = field(default_factory=Counter)
 
 
 def make_driver(block: Block, **options: Any) -> gym.Env:
-    """Make an environment that drives itself: its `step` ignores the action.
+    """Make an environment that drives itself: its ``step`` ignores the action.
 
     Args:
         block: says what drives where.
@@ -114,13 +117,14 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
     env.reset(seed=seed)
     inner: Any = env.unwrapped
     watch = Watch(inner, then)
-    rewards, decisions, sources, done = [], [], dict[str, int](), False
+    rewards, decisions, done = [], [], False
+    sources, rungs = Counter[str](), Counter[str]()
     while not done:
         _, reward, terminated, truncated, info = env.step(None)
         rewards.append(float(reward))
         decisions += info["road"]["decisions"]
-        source = info["road"].get("source", "")
-        sources[source] = sources.get(source, 0) + 1
+        sources.update(info["road"].get("sources", ()))
+        rungs.update(info["road"].get("rung_counts", ()))
         done = terminated or truncated or inner.time >= max(LONGEST, inner.config.get("duration", 0.0))
     off_road = watch.off_road or (terminated and not watch.crashed and not inner.vehicle.on_road)
     return Episode(
@@ -134,4 +138,5 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         motion=watch.motion(),
         decisions=tuple(decisions),
         sources=sources,
+        rungs=rungs,
     )

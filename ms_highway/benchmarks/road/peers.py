@@ -20,7 +20,7 @@ __all__ = ["Idle", "Idm", "IdmEgo", "Peer", "Random"]
 class Peer(gym.Wrapper):
     """Drive the ego of a stock environment; the action that `step` is given is ignored.
 
-    ``info["road"]`` has the duration of the decisions of a step [s] in ``decisions``, and their ``source``.
+    ``info["road"]`` has the duration of the decisions of a step [s] in ``decisions``.
 
     Args:
         env: the environment.
@@ -64,7 +64,7 @@ class Peer(gym.Wrapper):
         return np.array(self.inner.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS))
 
     def _told(self) -> dict[str, Any]:
-        return {"decisions": list(self.decisions), "source": type(self).__name__.lower()}
+        return {"decisions": list(self.decisions)}
 
     def _unheeded(self) -> Any:
         """Return an action for an ego that steers by itself, which rewards take for what it does."""

@@ -26,16 +26,15 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
     * ``jerk``: root mean square over all frames [m/s^3];
     * ``p50_ms``, ``p99_ms``: quantiles over all decisions of all episodes [ms], None without any;
     * ``steps``: mean number per episode;
-    * ``sources``: shares of the steps by what drove, where the driver says so;
+    * ``sources``: shares of the decisions by what drove, where the driver says so;
+    * ``rungs``: shares of the cars that each rung predicted;
     * ``episodes``, ``seeds``, ``traffic``, ``label``: their number, the first seed and how many, the type of the other
       vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL`.
     """
     motions = [episode.motion for episode in episodes]
     frames = [motion.frames for motion in motions]
     steps = sum(episode.steps for episode in episodes)
-    sources = Counter[str]()
-    for episode in episodes:
-        sources.update(episode.sources)
+    sources, rungs = (sum((getattr(each, name) for each in episodes), Counter[str]()) for name in ("sources", "rungs"))
     decisions = 1e3 * np.concatenate([episode.decisions for episode in episodes])
     p50, p99 = np.quantile(decisions, [0.5, 0.99]).tolist() if decisions.size else (None, None)
     fastest_change = max(motion.max_acceleration for motion in motions)
@@ -53,7 +52,8 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
         "p50_ms": p50,
         "p99_ms": p99,
         "steps": steps / len(episodes),
-        "sources": {name: count / steps for name, count in sources.items()},
+        "sources": {name: count / sources.total() for name, count in sources.items()},
+        "rungs": {name: count / rungs.total() for name, count in rungs.items()},
         "episodes": len(episodes),
         "seeds": [episodes[0].seed, len(episodes)],
         "traffic": block.traffic,
@@ -63,7 +63,8 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
 
 def row(block: Block, episode: Episode) -> dict[str, Any]:
     """Return an episode as a row of a table."""
-    kept = {name: value for name, value in asdict(episode).items() if name not in ("motion", "decisions", "sources")}
+    apart = "motion", "decisions", "sources", "rungs"
+    kept = {name: value for name, value in asdict(episode).items() if name not in apart}
     milliseconds = 1e3 * np.array(episode.decisions or (np.nan,))
     times = {"p50_ms": np.median(milliseconds), "max_ms": np.max(milliseconds)}
     names = {"scene": block.scene, "driver": block.driver, "traffic": block.traffic}

@@ -32,16 +32,20 @@ def advance(
 ) -> Float[jax.Array, "4"]:
     """Return the state one time step later; with old values on the right-hand side and the road's curvature k_r::
 
-    s += v cos(heading) dt / (1 - d k_r);  d += v sin(heading) dt;  heading += (v k - k_r s') dt;  v += a dt
+        s += u cos(heading) dt / (1 - d k_r);  d += u sin(heading) dt;  heading += (v k - k_r s') dt;  v += a dt
+
+    The speed v is the centre's. With its slip angle beta, ``sin(beta) = k length / 2``, the rear axle moves with ``u =
+    v cos(beta)``.
     """
     s, d, heading, speed = state
     bend = interpolate(scene.route.curvature, s)
-    onward = speed * jnp.cos(heading) / jnp.maximum(1 - d * bend, 0.2)
+    rear = speed * jnp.sqrt(jnp.maximum(1 - (control[0] * scene.size[0] / 2) ** 2, 0.1))
+    onward = rear * jnp.cos(heading) / jnp.maximum(1 - d * bend, 0.2)
     dt = planning.time_step
     return jnp.stack(
         [
             s + onward * dt,
-            d + speed * jnp.sin(heading) * dt,
+            d + rear * jnp.sin(heading) * dt,
             heading + (speed * control[0] - bend * onward) * dt,
             speed + control[1] * dt,
         ]

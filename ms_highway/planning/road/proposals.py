@@ -10,30 +10,35 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.game.road import LANES, SPACING, RoadScene, interpolate
 from ms_highway.planning.road.motion import advance, within_limits
 from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import Ways, aside, follow, on_route, wanted_speeds
+from ms_highway.planning.road.traffic import Ways, aside, crossings, follow, on_route, wanted_speeds
 
-__all__ = ["PROPOSALS", "Manners", "Profiles", "Rollouts", "as_given", "profiles", "simulate", "speed_caps"]
+__all__ = ["PROPOSALS", "WAITING", "Manners", "Profiles", "Rollouts", "as_given", "profiles", "simulate", "speed_caps"]
 
 FOLLOWING = np.array([1.0, 0.75, 0.5, 0.25], np.float32)  # shares of the desired speed, in profiles that follow by IDM
 STEADY = np.array([-5.0, -3.0, -1.5, 0.0, 1.5, 3.0], np.float32)  # m/s^2, of profiles of constant acceleration
 CLOSING_UP = 1  # profiles that close up to the car ahead as late and as far as is safe
 PROFILES = len(FOLLOWING) + CLOSING_UP + len(STEADY)
-PROPOSALS = LANES * PROFILES + 1
+YIELDING = np.array([0.5, 1.5, 3.0, 5.0, np.inf], np.float32)  # s, of profiles that let cars pass who come until then
+PROPOSALS = LANES * PROFILES + len(YIELDING) + 1
 """Number of proposals, the last plan among them."""
 
 FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
 SIDEWAYS = 3.0  # m/s^2, of lateral acceleration for it at most
-CORNERING = 0.9  # share of the grip that bends may take
+CORNERING = 0.85  # share of the grip that bends may take
 SLOWING = 2.5  # m/s^2, before bends
 EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
 CLOSE = 0.7, 2.0  # s and m, time gap and standstill gap of the robot
 LATE, CLOSEST, REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
 HASTE = 3.0  # m/s^2, of accelerations for the desired speed
+HURRY = 4.5  # m/s^2, of those of cars that cross others' ways, where time is short
 SLOWEST = 3.0  # m/s, below which steering is not sharper than at this speed
 SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
 PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
 ROOM = 0.4  # m, lateral, between bodies that pass
+WAITING = 1.2  # m, between the robot that waits and those who cross
+STOPPING = 3.5  # m/s^2, before crossings
+CREEPING = 3.0  # m/s, at which cars come that stand
 FAR = 1e3  # m
 
 
@@ -60,6 +65,7 @@ class Profiles(NamedTuple):
         rate: its acceleration if it does not follow [m/s^2].
         follows: whether it follows the traffic.
         closes: whether it closes up as it follows.
+        yields: it lets all cars pass that come to where they cross its route within this time [s].
         given: whether its controls are given.
         controls: those.
     """
@@ -69,6 +75,7 @@ class Profiles(NamedTuple):
     rate: Float[jax.Array, "plans"]
     follows: Bool[jax.Array, "plans"]
     closes: Bool[jax.Array, "plans"]
+    yields: Float[jax.Array, "plans"]
     given: Bool[jax.Array, "plans"]
     controls: Float[jax.Array, "plans steps 2"]
 
@@ -105,15 +112,17 @@ def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Float[jax.Array, "kn
 
 def profiles(last: Float[jax.Array, "steps 2"], last_lane: Int[jax.Array, ""]) -> Profiles:
     """Return the profiles of all proposals: each lane at each speed, and the rest of the last plan."""
-    kinds = np.tile(np.arange(PROFILES), LANES)
+    lanes, kinds = np.divmod(np.arange(LANES * PROFILES), PROFILES)
     following = len(FOLLOWING) + CLOSING_UP
     shares, rates = np.append(FOLLOWING, np.ones(PROFILES - len(FOLLOWING))), np.append(np.zeros(following), STEADY)
+    own, ones = np.ones(len(YIELDING), int), np.ones(len(YIELDING), np.float32)
     return Profiles(
-        jnp.append(jnp.repeat(jnp.arange(LANES), PROFILES), last_lane),
-        jnp.append(shares[kinds], 1.0),
-        jnp.append(rates[kinds], 0.0),
-        jnp.append(kinds < following, False),
-        jnp.append((kinds >= len(FOLLOWING)) & (kinds < following), False),
+        jnp.concatenate([lanes, own, jnp.asarray(last_lane)[None]]),
+        jnp.concatenate([shares[kinds], ones, jnp.ones(1)]),
+        jnp.concatenate([rates[kinds], 0 * ones, jnp.zeros(1)]),
+        jnp.concatenate([kinds < following, ones > 0, jnp.zeros(1, bool)]),
+        jnp.concatenate([(kinds >= len(FOLLOWING)) & (kinds < following), ones < 0, jnp.zeros(1, bool)]),
+        jnp.concatenate([np.zeros(len(kinds), np.float32), YIELDING, jnp.zeros(1)]),
         jnp.arange(PROPOSALS) == PROPOSALS - 1,
         jnp.broadcast_to(last, (PROPOSALS, *last.shape)),
     )
@@ -122,7 +131,7 @@ def profiles(last: Float[jax.Array, "steps 2"], last_lane: Int[jax.Array, ""]) -
 def as_given(controls: Float[jax.Array, "plans steps 2"], lane: Int[jax.Array, "plans"]) -> Profiles:
     """Return the profiles of plans whose controls are given."""
     ones = jnp.ones(len(controls))
-    return Profiles(lane, ones, 0 * ones, ones < 0, ones < 0, ones > 0, controls)
+    return Profiles(lane, ones, 0 * ones, ones < 0, ones < 0, 0 * ones, ones > 0, controls)
 
 
 def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Manners, plans: Profiles) -> Rollouts:
@@ -131,7 +140,7 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
     Args:
         scene: the road.
         planning: limits and wishes.
-        ways: `ways_of` the scene.
+        ways: `ms_highway.planning.road.traffic.ways_of` the scene.
         manners: how others move.
         plans: what the robot does.
     """
@@ -142,6 +151,10 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
     apart, reach = (width + widths) / 2 + ROOM, (length + lengths) / 2
     leaders, present = jnp.asarray(scene.leaders), jnp.asarray(scene.present)
     led = (leaders >= 0) & present
+    crossing = crossings(ways)
+    line = crossing.first - widths / 2 - WAITING
+    arrival = jnp.maximum(crossing.begin - lengths / 2, 0.0) / jnp.maximum(now[:, 3], CREEPING)
+    crosses = present & jnp.asarray(scene.moving)
 
     def steer(car: jax.Array, goal: jax.Array) -> jax.Array:
         """Return the curvature towards the centre of a lane."""
@@ -161,17 +174,26 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
         onward = speeds * cosine
         safe = onward + jnp.sqrt(2 * LATE * jnp.maximum(gap - CLOSEST - REACTION * speed, 0.0))
         close = (safe.min() - speed) / PREVIEW
-        return jnp.minimum(
-            jnp.where(plan.closes, close, EAGERNESS * follow(speed, FAR, gap, onward, *CLOSE).min()), HASTE
-        )
+        kept = EAGERNESS * follow(speed, FAR, gap, onward, *CLOSE).min()
+        return jnp.minimum(jnp.where(plan.closes, close, kept), jnp.where(plan.yields > 0, HURRY, HASTE))
 
-    def choose(plan: Profiles, car: jax.Array, held: jax.Array, traffic: tuple[jax.Array, ...]) -> jax.Array:
+    def before_crossing(plan: Profiles, car: jax.Array, along: jax.Array) -> jax.Array:
+        """Return the speed that allows to wait for those who cross, until they have passed; past its line, it goes."""
+        awaited = crosses & (arrival < plan.yields) & (along < crossing.last + lengths / 2 + 1.0)
+        left = line - (car[0] + length)
+        left = jnp.where(awaited & (left > -WAITING), left, FAR).min() - PREVIEW * car[3]
+        return jnp.sqrt(2 * STOPPING * jnp.maximum(left, 0.0))
+
+    def choose(
+        plan: Profiles, car: jax.Array, held: jax.Array, along: jax.Array, traffic: tuple[jax.Array, ...]
+    ) -> jax.Array:
         """Return the robot's control in a step of a plan."""
         s, speed = car[0], car[3]
         goal = interpolate(jnp.asarray(scene.lanes)[plan.lane], s)
-        cap = interpolate(caps, s + PREVIEW * speed)
+        cap = jnp.minimum(interpolate(caps, s + PREVIEW * speed), before_crossing(plan, car, along))
         free = COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed)
-        kept = jnp.minimum(jnp.clip(free, -HASTE, HASTE), behind_leader(plan, car, goal, traffic))
+        free = jnp.clip(jnp.where(plan.yields > 0, HURRY, 1.0) * free, -HASTE, jnp.where(plan.yields > 0, HURRY, HASTE))
+        kept = jnp.minimum(free, behind_leader(plan, car, goal, traffic))
         acceleration = jnp.where(plan.follows, kept, plan.rate)
         acceleration = jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))
         told = jnp.stack([steer(car, goal), acceleration])
@@ -181,14 +203,15 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
         def go(carry: tuple[jax.Array, ...], step: tuple[jax.Array, ...]) -> tuple[tuple, tuple]:
             (car, along, speeds), (held, sideways, told) = carry, step
             where = on_route(ways, along, sideways)
-            control = choose(plan, car, held, (*where, speeds))
-            gap = jnp.where(led, jnp.asarray(scene.gaps) + along[leaders] - along - lengths, FAR)
+            control = choose(plan, car, held, along, (*where, speeds))
+            gap = jnp.where(led, jnp.asarray(scene.gaps) + along[leaders] - along, FAR)
             front = car[0] + length / 2
             before = (where[0] < front) & (jnp.abs(where[1] - car[1]) < apart) & (where[2] > SAME_WAY)
-            to_robot = jnp.where(before, front - where[0] - reach, FAR)
+            to_robot = jnp.where(before, front - where[0], FAR)
             answer = jnp.minimum(follow(speeds, wanted, gap, speeds[leaders]), follow(speeds, wanted, to_robot, car[3]))
-            acceleration = jnp.where(manners.told, told, jnp.where(manners.follows, answer, 0.0))
-            acceleration = jnp.maximum(acceleration, -speeds / planning.time_step)
+            unanswered = jnp.where(scene.moving, 0.0, -speeds)  # who has crashed slides to a stop
+            acceleration = jnp.where(manners.told, told, jnp.where(manners.follows, answer, unanswered))
+            acceleration = jnp.where(speeds < 0, 0.0, jnp.maximum(acceleration, -speeds / planning.time_step))
             moved = along + speeds * planning.time_step
             after = speeds + acceleration * planning.time_step
             ahead = advance(scene, planning, car, control)

@@ -19,7 +19,9 @@ BRAKING, SPEEDING = 2, 1  # steps of speed in a second at most
 BLOCKED, CHANGE = 30.0, 0.3  # steps of speed that a second in the way of others and a change of lane count
 SECONDS_TO_CLOSE_UP, KEPT = 3.0, 5.0  # s, m, of who limits the speed
 ROOM_BEHIND, ROOM_AHEAD, GENTLE = 3.0, 1.0, 2.5  # m, m, m/s^2: to others after a plan
-REACTION = 0.2  # s
+REACTION, LEAST_GAP = 0.2, 0.2  # s
+SAME_WAY = 0.8  # cosine of the angle up to which cars go the robot's way
+DISTURBED = 25.0  # m, to a car that joins, up to which others may change lanes for it
 SLOWING_DOWN = 2.0  # m/s^2, with which a car ahead may brake
 CROSSING = 0.5  # cosine of the angle up to which cars cross the robot's way rather than share it
 STANDING = 1.0  # m/s
@@ -32,23 +34,38 @@ def missing_room(
 ) -> Float[jax.Array, "plans traffic"]:
     """Return what is missing to stop behind each car ahead after a plan [m].
 
-    A car that joins the road may go on into the next lane at once, without looking.
+    A car that joins the road, and those near it, may change to the next lane at once, without looking.
     """
     s, d, _, speed = jnp.moveaxis(rollouts.states[:, -1], -1, 0)
     there, across, cosine = rollouts.s[..., -1], rollouts.d[..., -1], rollouts.cosine[..., -1]
     apart = (scene.size[1] + jnp.asarray(scene.sizes)[:, 1]) / 2 + 0.2
+    reach = (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
     middle = (s + scene.size[0] / 2)[:, None]
     low, high = jnp.minimum(goal, d)[:, None] - apart, jnp.maximum(goal, d)[:, None] + apart
     left, right = (interpolate(jnp.asarray(scene.edges)[side], rollouts.s[..., 0]) for side in range(2))
-    joins = (rollouts.d[..., 0] < left) | (rollouts.d[..., 0] > right)
-    beside = jnp.where(joins, WIDTH, 0.0)
-    front = (there > middle) & (across > low - beside) & (across < high + beside) & jnp.asarray(scene.present)
+    present = jnp.asarray(scene.present)
+    joins = ((rollouts.d[..., 0] < left) | (rollouts.d[..., 0] > right)) & (cosine > SAME_WAY) & present
+    disturbed = (joins[:, None] & (jnp.abs(there[:, :, None] - there[:, None]) < DISTURBED)).any(axis=-1)
+    beside = jnp.where(disturbed, WIDTH, 0.0)
+    front = (there > middle) & (across > low - beside) & (across < high + beside) & present
     front = front & ((cosine > CROSSING) | (rollouts.speeds[..., -1] < STANDING))
-    gap = there - middle - (scene.size[0] + jnp.asarray(scene.sizes)[:, 0]) / 2
     onward = rollouts.speeds[..., -1] * cosine
     closing = jnp.maximum(speed[:, None] - onward, 0.0)
     needed = 1.0 + REACTION * speed[:, None] + closing**2 / (2 * (STOPPING * planning.grip - SLOWING_DOWN))
-    return jnp.where(front & (onward < speed[:, None]), jnp.maximum(needed - gap, 0.0), 0.0)
+    missing = jnp.where(front & (onward < speed[:, None]), jnp.maximum(needed - there + middle + reach, 0.0), 0.0)
+    return jnp.maximum(missing, _too_close(scene, rollouts, apart, reach))
+
+
+def _too_close(
+    scene: RoadScene, rollouts: Rollouts, apart: Float[jax.Array, "traffic"], reach: Float[jax.Array, "traffic"]
+) -> Float[jax.Array, "plans traffic"]:
+    """Return what is missing to the least gap to each car ahead in a plan, less what is missing at its begin [m]."""
+    s, d, _, speed = (field[:, None] for field in jnp.moveaxis(rollouts.states, -1, 0))
+    ahead = rollouts.s - s - scene.size[0] / 2
+    led = (ahead > 0) & (jnp.abs(rollouts.d - d) < apart[:, None]) & (rollouts.cosine > SAME_WAY)
+    led = led & jnp.asarray(scene.present)[:, None]
+    missing = jnp.where(led, jnp.maximum(LEAST_GAP * speed + reach[:, None] - ahead, 0.0), 0.0)
+    return jnp.maximum(missing.max(axis=-1) - missing[..., 0], 0.0)
 
 
 def prospects(
@@ -150,8 +167,8 @@ def urgency(scene: RoadScene, planning: RoadPlanning, lanes: jax.Array) -> jax.A
 def pushes_from_behind(
     scene: RoadScene, rollouts: Rollouts, s: jax.Array, d: jax.Array, lanes: jax.Array
 ) -> Bool[jax.Array, "plans traffic steps"]:
-    """Return where a follower in the robot's own lane would run into it while it keeps its lane."""
-    behind = rollouts.s < s[:, None] - 1.0
+    """Return where a follower in the robot's own lane would run into it, or through it, while it keeps its lane."""
+    behind = rollouts.s[..., :1] < s[:, None, :1] - 1.0
     mine = jnp.abs(rollouts.d - d[:, None]) < scene.size[1]
-    follower = behind[..., :1] & mine[..., :1] & (rollouts.cosine > 0.5)
-    return follower & behind & (lanes == 1)[:, None, None]
+    followed = jnp.cumprod(mine, axis=-1) > 0
+    return behind & followed & (rollouts.cosine > 0.5) & (lanes == 1)[:, None, None]

@@ -77,7 +77,7 @@ def stage_rewards(
         states: of the robot after each control.
         controls: that it executes, see `ms_highway.planning.road.motion.drive`.
         others: predicted x, y, heading and speed of all traffic after each step, world coordinates.
-        lane: number of the lane to drive on, see `RoadScene.lanes`.
+        lane: number of the lane to drive on, see `ms_highway.game.road.RoadScene`.
     """
     motion = jnp.concatenate([states.T, efforts(scene, planning, states, controls)])
     return reward_along(scene, planning, weights, motion, others, lane)

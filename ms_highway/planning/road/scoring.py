@@ -9,7 +9,7 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.road import RoadScene, interpolate
-from ms_highway.planning.road.junctions import blocks, occupied
+from ms_highway.planning.road.junctions import avoidable, blocks, occupied
 from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.proposals import Rollouts
 from ms_highway.planning.road.prospects import missing_room, prospects, pushes_from_behind, urgency
@@ -22,6 +22,7 @@ __all__ = ["RoadWeights", "Scores", "score", "separation"]
 MARGIN = 0.35  # m between bodies that counts as a collision
 FADING = 0.95  # of what is expected later, per step
 TOLERATED = 1.5  # m/s^2, of braking of others that costs nothing
+SOON = 1.6  # s, until when all counts that others may do
 FAR = 1e3  # m
 
 
@@ -44,7 +45,8 @@ class RoadWeights:
         comfortable: distance between bodies [m].
         collision: of hitting somebody at once; less, the later [for the whole plan].
         blocking: of being in the way of a car that crosses, after a plan [for the whole plan].
-        off_road: of leaving the road or an open lane [for the whole plan].
+        avoidable: share that counts of what can still be avoided by stopping before a crossing.
+        off_road: of leaving the road, and of a lane that is not open [for the whole plan].
         stopping: of each metre that is missing to stop behind the car ahead [1/m, for the whole plan].
     """
 
@@ -61,6 +63,7 @@ class RoadWeights:
     comfortable: float | Float[Array, ""] = 1.0
     collision: float | Float[Array, ""] = 100.0
     blocking: float | Float[Array, ""] = 40.0
+    avoidable: float | Float[Array, ""] = 0.02
     off_road: float | Float[Array, ""] = 200.0
     stopping: float | Float[Array, ""] = 1.0
 
@@ -173,17 +176,20 @@ def score(
         weights.right * (lanes - 1.0)
         - weights.change * (lanes != 1)
         - weights.goal * urgency(scene, planning, lanes)
-        - weights.off_road * (leaves | closed)
+        - weights.off_road * (leaves.astype(float) + closed)
     )
     clear = separation(
         (x[:, None], y[:, None], course[:, None]),
         scene.size,
         jax.vmap(partial(positions, scene))(rollouts.along, rollouts.across),
-        occupied(scene, rollouts),
+        occupied(scene, planning, rollouts),
     )
     counts = jnp.asarray(scene.present)[:, None] & ~pushes_from_behind(scene, rollouts, s, d, lanes)
     clear = jnp.where(counts, clear, FAR)
     hit, fading = clear < MARGIN, FADING ** jnp.arange(planning.steps)
+    later = dt * jnp.arange(planning.steps) > SOON
+    revised = avoidable(scene, ways, rollouts)[..., None]
+    fading = fading * jnp.where(revised & later, weights.avoidable, 1.0)
     near = jnp.maximum(1 - jnp.maximum(clear, 0.0) / weights.comfortable, 0.0) ** 2
     closeness = dt * weights.near * jnp.sum(near * fading, axis=-1)
     speeds = rollouts.speeds
@@ -193,13 +199,14 @@ def score(
     imposed = jnp.where(endangered, jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
     closeness = closeness + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
     others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
+    crossing = weights.blocking * blocks(scene, ways, rollouts) * jnp.where(revised[..., 0], weights.avoidable, 1.0)
+    others = others + crossing
     answerable = jnp.where(_leads(scene, ways), 0.0, others)
     missing = missing_room(scene, planning, rollouts, goal[:, -1])
     slower, charged = prospects(scene, planning, rollouts, lanes, caps)
     lost = weights.prospect * slower / planning.desired_speed
     per_plan = per_plan - jnp.where(charged.any(axis=-1), 0.0, lost)
     others = others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
-    others = others + weights.blocking * blocks(scene, ways, rollouts)
     own = dt * per_second.sum(axis=1) + per_plan
     return Scores(own, jnp.asarray(others), answerable, hit.any(axis=(1, 2)), leaves | closed, missing.max(axis=1))
 

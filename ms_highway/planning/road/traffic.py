@@ -7,15 +7,18 @@ from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from ms_highway.game.road import RoadScene, interpolate, place, project
+from ms_highway.game.road import BEHIND, SPACING, RoadScene, interpolate, place, project
 
-__all__ = ["Ways", "aside", "follow", "on_route", "positions", "wanted_speeds", "ways_of"]
+__all__ = ["Crossings", "Ways", "aside", "crossings", "follow", "on_route", "positions", "wanted_speeds", "ways_of"]
 
-COMFORTABLE, BRAKING, HEADWAY, STANDSTILL = 3.0, 5.0, 1.5, 5.0  # m/s^2, m/s^2, s, m between bumpers: highway-env's
+COMFORTABLE, BRAKING, HEADWAY, STANDSTILL = 3.0, 5.0, 1.5, 10.0  # m/s^2, m/s^2, s, m between centres: highway-env's
 HARDEST = 6.0  # m/s^2, of braking
 SETTLING = 1.0  # s, in which cars move to the middle of their path
+SHARED = 0.85  # cosine of the angle from which cars share a lane
+CORRIDOR = 3.0  # m, of the robot's way to each side
+FAR = 1e3  # m
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
 
 
@@ -39,6 +42,35 @@ def ways_of(scene: RoadScene) -> Ways:
     return Ways(s, d, jnp.cos(turn))
 
 
+class Crossings(NamedTuple):
+    """Where paths of traffic cross the robot's route.
+
+    Attributes:
+        across: at which knots they do.
+        first: position on the route where they begin to [m]; far away where they never do.
+        begin, last: positions on the path where they begin and end to [m].
+    """
+
+    across: Bool[jax.Array, "traffic knots"]
+    first: Float[jax.Array, "traffic"]
+    begin: Float[jax.Array, "traffic"]
+    last: Float[jax.Array, "traffic"]
+
+
+def crossings(ways: Ways) -> Crossings:
+    """Find where paths of traffic cross the robot's route.
+
+    Who is in the robot's lane does not cross it where their ways part: one of them follows the other.
+    """
+    knots = SPACING * jnp.arange(ways.s.shape[-1]) - BEHIND
+    now = int(BEHIND / SPACING)
+    sharing = (jnp.abs(ways.d[:, now]) < CORRIDOR) & (ways.cosine[:, now] > SHARED)
+    across = (jnp.abs(ways.d) < CORRIDOR) & (ways.cosine < SHARED) & ~sharing[:, None]
+    first = jnp.where(across, ways.s, FAR).min(axis=-1)
+    begin, last = jnp.where(across, knots, FAR).min(axis=-1), jnp.where(across, knots, -FAR).max(axis=-1)
+    return Crossings(across, first, begin, last)
+
+
 def follow(
     speed: Float[jax.Array, "*shape"],
     wanted: float | Float[jax.Array, "*shape"],
@@ -52,10 +84,10 @@ def follow(
     Args:
         speed: of the follower [m/s].
         wanted: its desired speed [m/s].
-        gap: between bumpers to the car ahead [m]; infinite without one.
+        gap: to the car ahead [m]; infinite without one. It is that of centres in highway-env.
         ahead: speed of that car [m/s].
         headway: desired time gap [s].
-        standstill: desired gap of standing cars [m].
+        standstill: desired gap of standing cars, between bumpers or centres as the gap is [m].
     """
     closing = speed * (speed - ahead) / (2 * (COMFORTABLE * BRAKING) ** 0.5)
     desired = standstill + jnp.maximum(speed * headway + closing, 0.0)

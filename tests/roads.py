@@ -21,6 +21,17 @@ def arc(knots, bend=0.0, d=0.0, start=0.0):
     return Path(*(np.asarray(array, np.float32) for array in arrays))
 
 
+def winding(curvature):
+    """A path of given curvature at its knots, through the origin with heading 0 at s = 0."""
+    mean = (curvature[1:] + curvature[:-1]) / 2
+    heading = np.concatenate([[0.0], np.cumsum(mean) * SPACING])
+    middle = (heading[1:] + heading[:-1]) / 2
+    x, y = (np.concatenate([[0.0], np.cumsum(along(middle)) * SPACING]) for along in (np.cos, np.sin))
+    zero = round(BEHIND / SPACING)
+    arrays = (x - x[zero], y - y[zero], heading - heading[zero], curvature)
+    return Path(*(np.asarray(array, np.float32) for array in arrays))
+
+
 def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied=(0.0, 0.0)):
     """A road of three lanes; the robot follows the middle one.
 

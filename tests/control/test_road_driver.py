@@ -1,0 +1,111 @@
+"""The robot's driver on roads: what it records, how it chooses models, and what it does when a plan fails."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from roads import scene_of
+
+from ms_highway.control.road import RoadDriver, _look_function, _plan_function
+from ms_highway.game.road import TRAFFIC
+from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
+from ms_highway.planning.road.scoring import RoadWeights
+from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+
+PLANNING = RoadPlanning()
+COSTS = RoadCosts(0.004, np.array([0.0, 0.0001, 0.001, 0.003]))
+SCENE = scene_of(robot=(0.0, 0.0, 0.0, 18.0), cars=[(45.0, 0, 12.0), (-12.0, 1, 22.0), (30.0, -1, 15.0)])
+BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
+PLANS = ("refined", "proposal", "last plan")
+
+
+def driver(choice=FixedRung("naive")):  # noqa: B008
+    return RoadDriver(PLANNING, choice, costs=COSTS)
+
+
+def test_a_step_tells_what_was_planned_and_predicted():
+    step = driver(FixedRung("idm")).step(SCENE)
+    assert step.control.shape == (2,)
+    assert step.path.shape == (PLANNING.steps, 3)
+    assert step.predictions.shape == (TRAFFIC, PLANNING.steps, 2)
+    assert step.rungs == ("idm",) * 3 + ("",) * (TRAFFIC - 3)
+    np.testing.assert_array_equal(step.owners, SCENE.owners)
+    assert step.gains.shape == (TRAFFIC,)
+    assert step.source in PLANS
+    assert np.isfinite(step.control).all()
+    assert np.hypot(18.0**2 * step.control[0], step.control[1]) <= PLANNING.grip + 1e-3
+    assert np.isfinite(step.path).all()
+    assert np.abs(step.path[0, :2] - [2.5 + 18 * 0.2, 0.0]).max() < 0.2  # the centre, one step on
+    assert step.planning_seconds > 0
+    assert step.decision_seconds > 0
+
+
+def test_obstacles_are_predicted_by_the_cheapest_model():
+    standing = replace(SCENE, moving=np.arange(TRAFFIC) == 1)
+    assert driver(FixedRung("tom")).step(standing).rungs[:3] == ("naive", "tom", "naive")
+
+
+def test_models_are_chosen_by_gains_and_costs():
+    eager, thrifty = (driver(PricedRungs(price)).step(SCENE) for price in (0.0, 1e9))
+    np.testing.assert_array_equal(eager.gains, thrifty.gains)
+    assert eager.rungs[:3] == tuple("tom" if gain > 0 else "naive" for gain in eager.gains[:3])
+    assert set(thrifty.rungs[:3]) == {"naive"}
+    hurried = driver(BudgetedRungs(0.0)).step(SCENE)
+    assert set(hurried.rungs[:3]) == {"naive"}
+
+
+def test_costs_are_measured_where_a_choice_looks_at_them_and_nobody_tells():
+    measured = RoadDriver(PLANNING, PricedRungs(1.0))
+    first, second = measured.step(SCENE), measured.step(SCENE)
+    assert measured.costs.base > 0
+    assert measured.costs.each.shape == (len(RUNGS),)
+    assert measured.costs.each.min() >= 0
+    assert second.compile_seconds < first.compile_seconds
+
+
+def test_nothing_compiles_after_the_first_step():
+    first = driver(PricedRungs(1.0))
+    first.step(SCENE)
+    functions = _plan_function(True), _look_function()
+    compiled = [function._cache_size() for function in functions]
+    for choice in (*map(FixedRung, RUNGS), PricedRungs(0.0), BudgetedRungs(20.0)):
+        other = RoadDriver(replace(PLANNING, desired_speed=22.0, grip=4.0), choice, True, RoadWeights(speed=2.0), COSTS)
+        other.step(scene_of(cars=[(20.0, 0, 10.0)]))
+        other.step(scene_of(bend=1 / 50, robot=(0.0, 0.0, 0.0, 10.0)))
+    assert [function._cache_size() for function in functions] == compiled
+
+
+@pytest.mark.parametrize(
+    "blind",
+    [BLIND, replace(SCENE, states=np.where(np.arange(TRAFFIC)[:, None] == 0, np.float32(np.nan), SCENE.states))],
+    ids=["robot", "other car"],
+)
+def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_brakes(blind):
+    robot = driver()
+    first = robot.step(SCENE)
+    planned = np.asarray(robot._memory.controls)
+    steps = [robot.step(blind) for _ in range(PLANNING.steps + 2)]
+    assert first.source in PLANS
+    assert [step.source for step in steps] == ["last plan"] * (PLANNING.steps - 1) + ["braking"] * 3
+    for step, control in zip(steps, planned[:-1], strict=False):
+        np.testing.assert_allclose(step.control, control, atol=1e-6)
+    np.testing.assert_array_equal(steps[-1].control, [0.0, -PLANNING.grip])
+    again = robot.step(SCENE)
+    assert again.source in PLANS
+    assert np.isfinite(again.control).all()
+    assert robot.step(blind).source == "last plan"
+
+
+def test_without_a_last_plan_a_failure_brakes_at_once_and_a_reset_forgets():
+    robot = driver()
+    assert robot.step(BLIND).source == "braking"
+    first = robot.step(SCENE)
+    robot.reset()
+    assert robot.step(BLIND).source == "braking"
+    robot.reset()
+    np.testing.assert_array_equal(robot.step(SCENE).control, first.control)
+
+
+def test_gains_that_are_not_finite_stop_no_step():
+    for choice in (PricedRungs(1.0), BudgetedRungs(20.0)):
+        assert driver(choice).step(BLIND).source == "braking"

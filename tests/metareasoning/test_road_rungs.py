@@ -1,0 +1,94 @@
+"""Which model predicts whom on a road: what answers may be worth, against prices and budgets."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from roads import scene_of
+
+from ms_highway.control.road import _look_function
+from ms_highway.game.road import TRAFFIC
+from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
+from ms_highway.planning.road.plan import first_memory
+from ms_highway.planning.road.scoring import RoadWeights
+from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+
+PLANNING = RoadPlanning()
+TOP = len(RUNGS) - 1
+COSTS = RoadCosts(0.004, np.array([0.0, 0.0001, 0.001, 0.003]))
+GAINS = np.array([0.0, 5.0, 0.2, 30.0, 1e-3, 0.0, 2.0])
+
+
+def gains_of(scene):
+    return np.asarray(_look_function()(scene, PLANNING, RoadWeights(), first_memory(PLANNING)))
+
+
+def test_answers_of_cars_far_away_and_of_nobody_are_worth_nothing():
+    gains = gains_of(scene_of(cars=[(-250.0, 0, 10.0), (95.0, 1, 38.0)]))
+    np.testing.assert_array_equal(gains, 0.0)
+
+
+def test_a_leader_does_not_answer():
+    gains = gains_of(scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(25.0, 0, 5.0)]))
+    np.testing.assert_array_equal(gains, 0.0)
+
+
+def test_the_answer_of_a_car_that_is_in_the_way_and_could_yield_is_worth_something():
+    """The goal asks for the lane in which a car comes from behind."""
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)])
+    scene = replace(scene, changes=np.array([2.0, 1.0, 0.0], np.float32), room=30.0)
+    gains = gains_of(scene)
+    assert gains[0] > 0
+    np.testing.assert_array_equal(gains[1:], 0.0)
+
+
+def test_no_gain_is_negative():
+    random = np.random.default_rng(0)
+    for _ in range(5):
+        cars = [(place, lane, random.uniform(10, 28)) for lane in (-1, 0, 1) for place in (-35.0, 25.0, 60.0)]
+        assert gains_of(scene_of(cars=cars)).min() >= 0
+
+
+def test_a_fixed_model_predicts_everybody_and_has_to_exist():
+    for number, name in enumerate(RUNGS):
+        np.testing.assert_array_equal(FixedRung(name).choose(GAINS, COSTS, 1.0), number)
+    with pytest.raises(ValueError, match="'telepathy'"):
+        FixedRung("telepathy")
+
+
+def test_models_that_cost_nothing_predict_all_whose_answers_may_be_worth_something():
+    np.testing.assert_array_equal(PricedRungs(0.0).choose(GAINS, COSTS, 0.0), np.where(GAINS > 0, TOP, 0))
+
+
+def test_at_a_huge_price_nobody_gets_more_than_the_cheapest_model():
+    np.testing.assert_array_equal(PricedRungs(1e9).choose(GAINS, COSTS, 0.0), 0)
+
+
+def test_a_higher_price_never_buys_a_dearer_model():
+    chosen = np.array([PricedRungs(price).choose(GAINS, COSTS, 0.0) for price in np.geomspace(1, 1e6, 30)])
+    assert (np.diff(chosen, axis=0) <= 0).all()
+    assert len(np.unique(chosen[:, 3])) == len(RUNGS)
+
+
+def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
+    random = np.random.default_rng(0)
+    for _ in range(300):
+        gains = np.maximum(random.normal(size=TRAFFIC), 0.0)
+        costs = RoadCosts(random.uniform(0, 0.004), np.cumsum([0.0, *random.uniform(0, 0.002, 3)]))
+        milliseconds, spent = random.uniform(0, 20), random.uniform(0, 0.005)
+        rungs = BudgetedRungs(milliseconds).choose(gains, costs, spent)
+        extra = costs.each[rungs].sum()
+        assert extra == 0 or spent + costs.base + extra <= milliseconds / 1e3 + 1e-12
+        assert (np.diff(rungs[np.argsort(-gains, kind="stable")]) <= 0).all()
+        assert (rungs[gains == 0] == 0).all()
+
+
+def test_a_large_budget_buys_the_dearest_model_and_none_buys_the_cheapest():
+    np.testing.assert_array_equal(BudgetedRungs(1e3).choose(GAINS, COSTS, 0.0), np.where(GAINS > 0, TOP, 0))
+    np.testing.assert_array_equal(BudgetedRungs(1e3).choose(GAINS, COSTS, 1.0), 0)
+
+
+def test_only_models_on_the_ladder_are_chosen():
+    ladder = ("naive", "idm", "turn")
+    for choice in (PricedRungs(0.0, ladder), BudgetedRungs(1e3, ladder)):
+        np.testing.assert_array_equal(choice.choose(GAINS, COSTS, 0.0), np.where(GAINS > 0, RUNGS.index("turn"), 0))

@@ -1,0 +1,111 @@
+"""How the robot moves in road coordinates: as highway-env's cars do, and within what tyres hold."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from highway_env.vehicle.kinematics import Vehicle
+from jax import numpy as jnp
+from roads import scene_of
+
+from ms_highway.planning.road.motion import advance, bodies, drive, within_limits
+from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.vehicle.road_robot import steering_of
+
+PLANNING = RoadPlanning()
+GRIP, LENGTH = float(PLANNING.grip), Vehicle.LENGTH
+
+limited = jax.jit(within_limits)
+
+
+@jax.jit
+def driven(scene, planning, controls):
+    """States, controls within limits, and x, y and heading of the centre [steps, 3]."""
+    states, held = drive(scene, planning, controls)
+    return states, held, jnp.stack(bodies(scene, states), axis=-1)
+
+
+def of_highway_env(speed, controls, dt):
+    """x, y, heading and speed of a car of highway-env after each control, its rear axle at the origin at first."""
+    car, after = Vehicle(None, [LENGTH / 2, 0.0], 0.0, speed), []
+    for curvature, acceleration in np.asarray(controls, float):
+        car.act({"steering": steering_of(curvature, LENGTH), "acceleration": acceleration})
+        car.step(dt)
+        after.append([*car.position, car.heading, car.speed])
+    return np.array(after)
+
+
+def wild(number, largest=(0.3, 12.0)):
+    return (np.random.default_rng(0).uniform(-1, 1, (number, 2)) * largest).astype(np.float32)
+
+
+def test_on_a_straight_road_a_step_is_highway_envs_step():
+    """Its rear axle gains ``length / 2 (1 - cos(yaw))`` per step, as it moves its centre along the old heading."""
+    controls = wild(PLANNING.steps, (0.02, 4.0))
+    states, held, centres = driven(scene_of(robot=(0.0, 0.0, 0.0, 12.0)), PLANNING, controls)
+    theirs = of_highway_env(12.0, held, PLANNING.time_step)
+    np.testing.assert_allclose(centres[:, 2], theirs[:, 2], atol=1e-5)
+    np.testing.assert_allclose(states[:, 3], theirs[:, 3], atol=1e-4)
+    yaw = np.diff(theirs[:, 2], prepend=0.0)
+    apart = np.hypot(*(np.asarray(centres) - theirs[:, :3]).T[:2])
+    assert (apart <= LENGTH / 4 * np.cumsum(yaw**2) + 1e-3).all()
+
+
+@pytest.mark.parametrize("bend", [0.0, 1 / 20, -1 / 60])
+def test_in_fine_steps_the_robot_goes_where_highway_envs_car_goes_on_any_road(bend):
+    often = replace(PLANNING, time_step=0.005)
+    turns = np.stack([np.linspace(0.12, -0.06, 800), np.linspace(1.0, -2.0, 800)], axis=-1).astype(np.float32)
+    states, held, centres = driven(scene_of(bend, robot=(0.0, 0.0, 0.0, 6.0)), often, turns)
+    theirs = of_highway_env(6.0, held, 0.005)
+    assert np.hypot(*theirs[-1, :2]) > 10.0
+    assert np.hypot(*(np.asarray(centres) - theirs[:, :3]).T[:2]).max() < 0.05
+    np.testing.assert_allclose(centres[:, 2], theirs[:, 2], atol=0.01)
+    np.testing.assert_allclose(states[:, 3], theirs[:, 3], atol=1e-3)
+
+
+def test_controls_are_held_within_the_friction_circle_and_the_sharpest_curve_at_any_speed():
+    random = np.random.default_rng(1)
+    speed = np.concatenate([[0.0, 40.0], random.uniform(0, 40, 5000), random.uniform(0, 2, 5000)]).astype(np.float32)
+    curvature, acceleration = np.asarray(limited(PLANNING, speed, wild(len(speed)))).T
+    assert np.hypot(speed**2 * curvature, acceleration).max() <= GRIP + 1e-5
+    assert np.abs(curvature).max() <= PLANNING.curvature
+    assert (speed + acceleration * PLANNING.time_step).min() >= -1e-5
+
+
+def test_the_acceleration_gives_way_to_the_curve():
+    curvature, acceleration = np.asarray(limited(PLANNING, jnp.float32(20.0), jnp.array([1.0, 3.0])))
+    assert 20.0**2 * curvature == pytest.approx(GRIP)
+    assert abs(acceleration) < 0.01
+
+
+def test_controls_within_limits_stay_as_they_are():
+    speed = np.linspace(0, 40, 2000).astype(np.float32)
+    held = limited(PLANNING, speed, wild(2000))
+    np.testing.assert_allclose(limited(PLANNING, speed, held), held, atol=2e-3)
+    gentle = wild(2000, (0.002, 1.0)) * [1.0, 1.0]
+    fast = np.maximum(speed, 1.0)
+    np.testing.assert_array_equal(limited(PLANNING, fast, gentle), gentle.astype(np.float32))
+
+
+def test_a_braking_robot_stops_and_stays():
+    states, held, _ = driven(scene_of(robot=(0.0, 0.0, 0.0, 8.0)), PLANNING, np.tile([0.0, -9.0], (20, 1)))
+    assert np.min(states[:, 3]) > -1e-6
+    np.testing.assert_allclose(states[-5:], np.tile(states[-1], (5, 1)))
+    assert float(held[0, 1]) == -GRIP
+
+
+def test_the_centre_is_half_a_length_ahead_of_the_rear_axle():
+    scene = scene_of(bend=1 / 30)
+    x, y, heading = jax.jit(bodies)(scene, jnp.array([[15 * np.pi, 2.0, 0.3, 9.0]]))  # a quarter of the circle
+    expected = np.array([28.0, 30.0]) + LENGTH / 2 * np.array([np.cos(np.pi / 2 + 0.3), np.sin(np.pi / 2 + 0.3)])
+    np.testing.assert_allclose([x[0], y[0]], expected, atol=0.03)
+    assert float(heading[0]) == pytest.approx(np.pi / 2 + 0.3, abs=1e-3)
+
+
+def test_a_car_that_keeps_beside_the_route_gets_on_faster_inside_the_bend():
+    """On the inside it covers more of the route: by ``1 / (1 - d k)``."""
+    scene, inside = scene_of(bend=1 / 20), jnp.array([0.0, 4.0, 0.0, 8.0])
+    moved = jax.jit(advance)(scene, PLANNING, inside, jnp.array([1 / 16, 0.0]))
+    slip = np.sqrt(1 - (LENGTH / 2 / 16) ** 2)
+    np.testing.assert_allclose(moved[:2], [slip * 8 * 0.2 * 20 / 16, 4.0], rtol=1e-4)

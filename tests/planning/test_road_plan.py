@@ -1,0 +1,140 @@
+"""Plans of the robot on roads: proposals, answers of others and refinement together."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+from roads import scene_of
+
+from ms_highway.control.road import _plan_function
+from ms_highway.game.road import TRAFFIC
+from ms_highway.planning.road.motion import bodies, drive
+from ms_highway.planning.road.plan import LAST_PLAN, REFINED, Memory, first_memory, propose
+from ms_highway.planning.road.proposals import Manners, as_given, simulate, speed_caps
+from ms_highway.planning.road.scoring import RoadWeights, score
+from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+from ms_highway.planning.road.traffic import ways_of
+from ms_highway.runtime.compilation import jit_quickly
+
+PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
+GRIP, STEPS = float(PLANNING.grip), PLANNING.steps
+MEMORY = first_memory(PLANNING)
+planned = _plan_function(True)
+proposed = jit_quickly(propose)
+driven = jax.jit(drive)
+
+
+def everybody(name):
+    return np.full(TRAFFIC, RUNGS.index(name), np.int32)
+
+
+def plan_of(scene, name="naive", memory=MEMORY):
+    return planned(scene, PLANNING, WEIGHTS, everybody(name), memory)
+
+
+def busy(seed):
+    """Random traffic on three lanes, nobody within 12 m of another in its lane at first."""
+    random = np.random.default_rng(seed)
+    cars = []
+    for lane in (-1, 0, 1):
+        places = np.cumsum(random.uniform(12, 50, 5)) - 60
+        cars += [(place, lane, random.uniform(12, 26)) for place in places if lane or not -14 < place < 20]
+    return scene_of(robot=(0.0, random.uniform(-0.5, 0.5), 0.0, random.uniform(12, 28)), cars=cars)
+
+
+SCENES = {
+    "free": scene_of(),
+    "standing car ahead": scene_of(cars=[(45.0, 0, 0.0)]),
+    "circle": scene_of(bend=1 / 30, robot=(0.0, 0.3, 0.05, 11.0), cars=[(20.0, 0, 9.0), (-8.0, -1, 12.0)]),
+    "busy": busy(0),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_under_every_model_a_plan_is_finite_and_within_limits(name):
+    scene = SCENES[name]
+    for rung in RUNGS:
+        plan = plan_of(scene, rung)
+        assert np.isfinite(plan.path).all()
+        assert np.isfinite(plan.predictions).all()
+        states, held = driven(scene, PLANNING, plan.controls)
+        np.testing.assert_allclose(plan.controls, held, atol=1e-3)
+        np.testing.assert_allclose(plan.path, jnp.stack(bodies(scene, states), axis=-1), atol=0.05)
+        before = np.concatenate([scene.robot[None, 3], states[:-1, 3]])
+        assert np.hypot(before**2 * plan.controls[:, 0], plan.controls[:, 1]).max() <= GRIP + 1e-3
+        assert np.abs(plan.controls[:, 0]).max() <= PLANNING.curvature
+
+
+def test_all_models_scenes_limits_and_weights_share_one_compiled_function():
+    plan_of(SCENES["free"])
+    compiled = planned._cache_size()
+    mixed = np.arange(TRAFFIC, dtype=np.int32) % len(RUNGS)
+    for scene in SCENES.values():
+        planned(scene, replace(PLANNING, desired_speed=20.0), replace(WEIGHTS, speed=2.0), mixed, MEMORY)
+    assert planned._cache_size() == compiled
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_plan_breaks_no_constraint_where_some_proposal_breaks_none(seed):
+    scene = busy(seed)
+    for name in ("naive", "idm"):
+        scores = proposed(scene, PLANNING, WEIGHTS, everybody(name), MEMORY).scores
+        assert not np.asarray(scores.broken).all()
+        assert not plan_of(scene, name).broken
+
+
+@jit_quickly
+def earned(scene, controls, lane):
+    """Total and broken constraints of a plan whose controls are given, while others keep their speed."""
+    ways, nobody = ways_of(scene), jnp.zeros(TRAFFIC, bool)
+    plans = as_given(controls[None], lane[None])
+    rollouts = simulate(scene, PLANNING, ways, Manners(nobody, nobody, jnp.zeros((1, TRAFFIC, STEPS))), plans)
+    scores = score(scene, PLANNING, WEIGHTS, ways, rollouts, plans.lane, speed_caps(scene, PLANNING))
+    return scores.total[0], scores.broken[0]
+
+
+def test_a_refined_plan_drives_only_if_it_breaks_nothing_and_earns_as_much_as_all_proposals():
+    refined = 0
+    for scene in (*SCENES.values(), busy(1), busy(2), busy(3)):
+        proposals, plan = proposed(scene, PLANNING, WEIGHTS, everybody("naive"), MEMORY), plan_of(scene)
+        best = int(np.argmax(proposals.scores.total))
+        if plan.chosen == REFINED:
+            found = [earned(scene, plan.controls, jnp.asarray(lane)) for lane in range(3)]
+            assert max(float(total) for total, _ in found) >= float(proposals.scores.total[best]) - 0.01
+            assert not plan.broken
+            refined += 1
+        else:
+            assert plan.chosen == best
+            np.testing.assert_allclose(plan.controls, proposals.rollouts.controls[best], atol=1e-4)
+    assert refined > 0
+
+
+def test_the_rest_of_the_last_plan_is_among_the_proposals():
+    last = (np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.001, 0.5]).astype(np.float32)
+    memory = Memory(last, np.array([80.0, 4.0], np.float32))
+    proposals = proposed(SCENES["free"], PLANNING, WEIGHTS, everybody("naive"), memory)
+    np.testing.assert_allclose(proposals.rollouts.controls[LAST_PLAN], last, atol=1e-5)
+
+
+CUT_IN = scene_of(robot=(0.0, 2.5, 0.06, 20.0), cars=[(-14.0, 1, 26.0)])
+
+
+def final_place(scene, name):
+    """Where car 0 is expected at the end of the horizon."""
+    return float(plan_of(scene, name).predictions[0, -1, 0])
+
+
+def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_in():
+    kept = -14.0 + 26.0 * STEPS * PLANNING.time_step
+    assert final_place(CUT_IN, "naive") == pytest.approx(kept, abs=0.05)
+    assert final_place(CUT_IN, "tom") < kept - 1.0
+    beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
+    assert final_place(beside, "tom") > final_place(CUT_IN, "tom") + 1.0
+
+
+def test_obstacles_stay_where_they_are_under_every_model():
+    scene = replace(SCENES["standing car ahead"], moving=np.zeros(TRAFFIC, bool))
+    for name in RUNGS:
+        assert final_place(scene, name) == pytest.approx(45.0, abs=1e-3)

@@ -1,0 +1,177 @@
+"""Proposals: driven within limits, in traffic that keeps its speed or follows as highway-env's does."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
+from jax import numpy as jnp
+from roads import scene_of, winding
+
+from ms_highway.game.road import KNOTS, SPACING, TRAFFIC, interpolate
+from ms_highway.planning.road.motion import drive
+from ms_highway.planning.road.proposals import PROPOSALS, Manners, as_given, profiles, simulate, speed_caps
+from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.traffic import follow, positions, ways_of
+from ms_highway.runtime.compilation import jit_quickly
+
+PLANNING = RoadPlanning()
+GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
+NAIVE, IDM = np.zeros(TRAFFIC, bool), np.ones(TRAFFIC, bool)
+NOTHING = np.zeros((TRAFFIC, STEPS), np.float32)
+STRAIGHT_ON = np.zeros((STEPS, 2), np.float32)
+LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
+
+
+@jit_quickly
+def proposed(scene, follows=NAIVE, last=STRAIGHT_ON, told=NAIVE, accelerations=NOTHING):
+    """All proposals, and how they turn out."""
+    plans = profiles(jnp.asarray(last), jnp.asarray(1))
+    manners = Manners(follows, told, jnp.broadcast_to(accelerations, (PROPOSALS, *accelerations.shape)))
+    return plans, simulate(scene, PLANNING, ways_of(scene), manners, plans)
+
+
+@jit_quickly
+def given(scene, controls, lane, follows):
+    """How a plan turns out whose controls are given."""
+    manners = Manners(follows, jnp.zeros(TRAFFIC, bool), jnp.zeros((1, TRAFFIC, STEPS)))
+    plans = as_given(jnp.asarray(controls)[None], jnp.asarray(lane)[None])
+    return jax.tree.map(lambda field: field[0], simulate(scene, PLANNING, ways_of(scene), manners, plans))
+
+
+def before_a_bend(speed, ahead):
+    """A straight road that bends by a radius of 20 m ahead."""
+    curvature = np.where(np.arange(KNOTS) * SPACING > 20.0 + ahead, 1 / 20, 0.0)
+    return replace(scene_of(robot=(0.0, 0.0, 0.0, speed)), route=winding(curvature))
+
+
+SCENES = {
+    "standing": scene_of(robot=(0.0, 0.0, 0.0, 0.0)),
+    "fast in traffic": scene_of(robot=(0.0, 0.5, -0.05, 38.0), cars=[(30.0, 0, 10.0), (-15.0, 1, 30.0)]),
+    "circle": scene_of(bend=-1 / 15, robot=(0.0, 1.0, 0.2, 11.0), cars=[(20.0, 0, 5.0)]),
+    "before a bend": before_a_bend(20.0, 15.0),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(name):
+    wild = np.random.default_rng(0).normal(size=(STEPS, 2)).astype(np.float32) * [0.3, 10]
+    scene = SCENES[name]
+    rollouts = proposed(scene, IDM, wild)[1]
+    states, (curvature, acceleration) = np.asarray(rollouts.states), np.moveaxis(np.asarray(rollouts.controls), -1, 0)
+    start = np.full((PROPOSALS, 1), scene.robot[3])
+    before = np.concatenate([start, states[:, :-1, 3]], axis=1)
+    assert np.hypot(before**2 * curvature, acceleration).max() <= GRIP + 1e-4
+    assert np.abs(curvature).max() <= PLANNING.curvature
+    assert states[..., 3].min() > -1e-6
+    driven, _ = jax.jit(jax.vmap(drive, (None, None, 0)))(scene, PLANNING, rollouts.controls)
+    np.testing.assert_allclose(states, driven, atol=0.02)
+
+
+@pytest.mark.parametrize(("speed", "ahead"), [(14.0, 25.0), (18.0, 50.0), (9.0, 0.0)])
+def test_who_follows_is_slow_enough_for_a_bend_when_it_gets_there(speed, ahead):
+    scene = before_a_bend(speed, ahead)
+    plans, rollouts = proposed(scene)
+    s, _, _, speeds = np.moveaxis(np.asarray(rollouts.states)[np.asarray(plans.follows & (plans.lane == 1))], -1, 0)
+    assert s.max() > ahead + 4
+    assert (speeds**2 * np.abs(interpolate(scene.route.curvature, jnp.asarray(s)))).max() <= GRIP
+
+
+def test_speed_caps_hold_in_bends_and_can_be_braked_to():
+    caps = np.asarray(jax.jit(speed_caps)(before_a_bend(20.0, 40.0), PLANNING))
+    curvature = before_a_bend(20.0, 40.0).route.curvature
+    assert (caps**2 * np.abs(curvature)).max() <= GRIP
+    assert (caps[:-1] ** 2 - caps[1:] ** 2).max() <= 2 * GRIP * SPACING
+    assert caps.max() <= PLANNING.desired_speed
+
+
+@pytest.mark.parametrize("braking", [-3.0, -6.0])
+@pytest.mark.parametrize(("gap", "speed"), [(35.0, 20.0), (20.0, 20.0), (10.0, 10.0)])
+def test_who_follows_at_a_distance_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed, braking):
+    scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, speed)])
+    first = np.arange(TRAFFIC) == 0
+    plans, rollouts = proposed(scene, NAIVE, STRAIGHT_ON, first, np.where(first[:, None], braking, NOTHING))
+    own = np.asarray(plans.follows & ~plans.closes & (plans.lane == 1))
+    assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
+
+
+@pytest.mark.parametrize(("gap", "speed", "ahead"), [(50.0, 20.0, 0.0), (20.0, 20.0, 12.0), (8.0, 20.0, 18.0)])
+def test_nobody_who_follows_hits_a_slower_car_ahead(gap, speed, ahead):
+    scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, ahead)])
+    plans, rollouts = proposed(scene)
+    own = np.asarray(plans.follows & (plans.lane == 1))
+    assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
+
+
+def test_the_last_plan_is_driven_as_it_is_given():
+    scene = SCENES["fast in traffic"]
+    last = (np.random.default_rng(3).normal(size=(STEPS, 2)) * [0.001, 1.0]).astype(np.float32)
+    plans, rollouts = proposed(scene, IDM, last)
+    states, held = jax.jit(drive)(scene, PLANNING, last)
+    (number,) = np.flatnonzero(plans.given)
+    np.testing.assert_allclose(rollouts.controls[number], held, atol=1e-5)
+    np.testing.assert_allclose(rollouts.states[number], states, atol=1e-2)
+    np.testing.assert_allclose(given(scene, last, 1, IDM).states, states, atol=1e-2)
+
+
+def test_a_follower_brakes_for_a_robot_that_cuts_in_and_one_that_keeps_its_speed_does_not():
+    scene = scene_of(cars=[(-10.0, 1, 24.0)])
+    cut_in = np.zeros((STEPS, 2), np.float32)
+    cut_in[:6, 0], cut_in[6:12, 0] = 0.006, -0.006
+    calm, brakes = (given(scene, cut_in, 2, follows) for follows in (NAIVE, IDM))
+    assert abs(float(calm.states[-1, 1]) - 4.0) < 1.0
+    np.testing.assert_allclose(calm.speeds[0], 24.0)
+    np.testing.assert_allclose(np.diff(calm.along[0]), 24.0 * DT, rtol=1e-4)
+    assert np.min(brakes.speeds[0]) < 20.0
+    assert float(brakes.s[0, -1]) < float(brakes.states[-1, 0]) - 2.5
+
+
+def theirs(speed, wanted, distance, ahead):
+    """Acceleration of highway-env's IDMVehicle at a distance of centres to the car ahead, limited as its own is."""
+    road = Road(RoadNetwork.straight_road_network(1, speed_limit=50.0))
+    car = IDMVehicle(road, [100.0, 0.0], 0.0, speed, target_speed=wanted)
+    other = IDMVehicle(road, [100.0 + distance, 0.0], 0.0, ahead)
+    return np.clip(car.acceleration(car, other), -IDMVehicle.ACC_MAX, IDMVehicle.COMFORT_ACC_MAX)
+
+
+def test_following_is_highway_envs_intelligent_driver_model():
+    random = np.random.default_rng(0)
+    for _ in range(50):
+        speed, wanted = random.uniform([2, 15], [30, 35])
+        ahead = random.uniform(2, speed + 11)  # much faster cars are heeded at a standstill's distance
+        distance = random.uniform(8, 120)
+        assert float(follow(*map(jnp.float32, (speed, wanted, distance, ahead)))) == pytest.approx(
+            theirs(speed, wanted, distance, ahead), abs=2e-3
+        )
+
+
+@pytest.mark.parametrize(("speed", "ahead", "distance"), [(20.0, 20.0, 45.0), (25.0, 22.0, 60.0), (22.0, 25.0, 30.0)])
+def test_predictions_of_who_follows_are_highway_envs_behind_others_and_behind_the_robot(speed, ahead, distance):
+    led = scene_of(cars=[(40.0, 1, speed), (40.0 + distance, 1, ahead)])
+    led.leaders[0], led.gaps[0] = 1, distance
+    behind = scene_of(robot=(0.0, 0.0, 0.0, ahead), cars=[(2.5 - distance, 0, speed)])
+    for scene in (led, behind):
+        speeds = np.asarray(given(scene, STRAIGHT_ON, 1, IDM).speeds)
+        assert (speeds[0, 0] - speed) / DT == pytest.approx(theirs(speed, speed, distance, ahead), abs=5e-3)
+
+
+def test_a_car_that_is_much_slower_than_its_limit_is_expected_to_want_that():
+    slow = scene_of(cars=[(60.0, 1, 5.0)], limit=30.0)
+    speeds = np.asarray(given(slow, STRAIGHT_ON, 1, IDM).speeds)
+    assert (speeds[0, 0] - 5.0) / DT == pytest.approx(theirs(5.0, 30.0, 1e4, 30.0), abs=5e-3)
+
+
+def test_predictions_stay_on_their_paths():
+    scene = scene_of(bend=1 / 30, cars=[(0.0, 1, 8.0)])
+    scene.states[0, 1] = 1.0
+    found = given(scene, STRAIGHT_ON, 1, NAIVE)
+    x, y, heading = jax.jit(positions)(scene, found.along, found.across)
+    distance = np.hypot(x[0], y[0] - 30)
+    assert (np.diff(distance) > 0).all()  # comes to the middle of its lane
+    assert abs(distance[-1] - 26.0) < 0.15
+    np.testing.assert_allclose(heading[0], 8 * DT * np.arange(1, STEPS + 1) / 26, atol=2e-3)
+    np.testing.assert_allclose(found.along[0], 8 * DT * np.arange(1, STEPS + 1), rtol=1e-4)
+    np.testing.assert_allclose(found.cosine[0], 1.0, atol=1e-3)
+    np.testing.assert_allclose(found.d[0], 30 - distance, atol=0.05)

@@ -1,0 +1,76 @@
+"""What follows plans on roads, and the room that they keep to cars ahead."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+from roads import scene_of
+
+from ms_highway.game.road import TRAFFIC
+from ms_highway.planning.road.plan import IDM, first_memory, propose
+from ms_highway.planning.road.proposals import PROFILES, profiles, speed_caps
+from ms_highway.planning.road.prospects import missing_room, prospects
+from ms_highway.planning.road.scoring import RoadWeights
+from ms_highway.planning.road.settings import RoadPlanning
+
+PLANNING = RoadPlanning()
+MEMORY = first_memory(PLANNING)
+LANES = np.asarray(profiles(MEMORY.controls, 1).lane)
+CLOSING_UP, KEEPING_SPEED = PROFILES + 4, PROFILES + 8  # in the own lane
+
+
+def proposed(scene):
+    return jax.jit(propose)(scene, PLANNING, RoadWeights(), np.full(TRAFFIC, IDM), MEMORY)
+
+
+def lost(scene):
+    """Loss of speed after each proposal [m/s]."""
+    found = proposed(scene)
+    return np.asarray(prospects(scene, PLANNING, found.rollouts, LANES, speed_caps(scene, PLANNING))[0])
+
+
+def missing(scene, goals=(-4.0, 0.0, 4.0)):
+    found = proposed(scene)
+    return np.asarray(missing_room(scene, PLANNING, found.rollouts, np.asarray(goals, np.float32)[LANES]))
+
+
+def test_on_a_free_road_no_speed_is_lost_after_a_plan_at_the_desired_speed():
+    assert lost(scene_of(robot=(0.0, 0.0, 0.0, 30.0)))[KEEPING_SPEED] < 0.01
+
+
+def test_behind_a_wall_of_slow_cars_more_speed_is_lost_than_behind_a_single_one():
+    wall = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(80.0, lane, 18.0) for lane in (-1, 0, 1)])
+    single = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(80.0, 0, 18.0)])
+    assert lost(wall)[CLOSING_UP] > lost(single)[CLOSING_UP] + 3.0
+
+
+def test_a_gap_beside_that_opens_later_is_foreseen():
+    """The car in the next lane has to be passed first; both cars beside each other could not be."""
+    beside = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(75.0, 0, 18.0), (40.0, 1, 18.0), (75.0, -1, 18.0)])
+    wall = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(75.0, 0, 18.0), (75.0, 1, 18.0), (75.0, -1, 18.0)])
+    assert lost(beside)[CLOSING_UP] < lost(wall)[CLOSING_UP] - 1.0
+
+
+def test_closing_up_keeps_its_speed_longer_than_following_and_still_leaves_room_to_stop():
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 28.0), cars=[(55.0, 0, 20.0)])
+    rollouts = proposed(scene).rollouts
+    following = PROFILES
+    assert rollouts.states[CLOSING_UP, -1, 0] > rollouts.states[following, -1, 0] + 3.0
+    room = missing(scene)
+    assert room[CLOSING_UP, 0] == 0
+    assert room[KEEPING_SPEED, 0] > 0
+
+
+def test_tailgating_within_a_plan_counts_even_if_it_ends_with_room():
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 26.0), cars=[(18.0, 0, 20.0)])
+    braking = PROFILES + 6
+    gaps = np.asarray(proposed(scene).rollouts.s[braking, 0] - proposed(scene).rollouts.states[braking, :, 0]) - 7.5
+    assert gaps[-1] > gaps.min() + 1
+    assert missing(scene)[braking, 0] > 0
+
+
+def test_a_car_that_joins_the_road_may_go_on_into_the_robots_lane():
+    on_road = scene_of(robot=(0.0, 0.0, 0.0, 30.0), cars=[(65.0, 1, 18.0)])
+    joining = replace(on_road, edges=on_road.edges - np.float32([[0.0], [4.0]]))
+    assert missing(on_road)[KEEPING_SPEED, 0] == 0
+    assert missing(joining)[KEEPING_SPEED, 0] > 0

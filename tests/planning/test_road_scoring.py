@@ -1,0 +1,197 @@
+"""What plans on roads earn, and which constraints they break."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from highway_env.utils import are_polygons_intersecting, rect_corners
+from jax import numpy as jnp
+from roads import SPACING, TRAFFIC_KNOTS, scene_of
+
+from ms_highway.game.road import BEHIND, LANES, TRAFFIC
+from ms_highway.planning.road.junctions import blocks
+from ms_highway.planning.road.proposals import Manners, as_given, simulate, speed_caps
+from ms_highway.planning.road.prospects import missing_room, urgency
+from ms_highway.planning.road.scoring import RoadWeights, score, separation
+from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.traffic import ways_of
+from ms_highway.runtime.compilation import jit_quickly
+
+PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
+STEPS, LEFT, OWN, RIGHT = PLANNING.steps, 0, 1, 2
+KEEPING = (0.0, 0.0)
+
+
+@jit_quickly
+def judged(scene, controls, lanes):
+    """Rollouts and scores of plans whose controls are given [plans, steps, 2], while others keep their speed."""
+    ways, nobody = ways_of(scene), jnp.zeros(TRAFFIC, bool)
+    plans = as_given(jnp.asarray(controls), jnp.asarray(lanes))
+    manners = Manners(nobody, nobody, jnp.zeros((len(controls), TRAFFIC, STEPS)))
+    rollouts = simulate(scene, PLANNING, ways, manners, plans)
+    return rollouts, score(scene, PLANNING, WEIGHTS, ways, rollouts, plans.lane, speed_caps(scene, PLANNING))
+
+
+room_missing = jax.jit(missing_room)
+in_the_way = jax.jit(lambda scene, rollouts: blocks(scene, ways_of(scene), rollouts))
+
+
+def scores_of(scene, *plans, lanes=(OWN, OWN)):
+    """Scores of two plans of constant controls."""
+    controls = np.tile(np.array(plans, np.float32)[:, None], (1, STEPS, 1))
+    return judged(scene, controls, np.array(lanes))
+
+
+def changing(curvature, seconds):
+    """Controls that turn and turn back."""
+    controls = np.zeros((STEPS, 2), np.float32)
+    steps = round(seconds / PLANNING.time_step)
+    controls[:steps, 0], controls[steps : 2 * steps, 0] = curvature, -curvature
+    return controls
+
+
+def polygon(x, y, heading, length, width):
+    corners = rect_corners(np.array([x, y]), length, width, heading)
+    return np.array([*corners, corners[0]])
+
+
+def test_bodies_are_apart_exactly_where_highway_env_says_so():
+    random, number = np.random.default_rng(0), 1000
+    x, y, other_x, other_y = random.uniform(-6, 6, (4, number))
+    heading, other_heading = random.uniform(-7, 7, (2, number))
+    sizes = random.uniform(0.5, 6, (number, 2))
+    own = jnp.stack([x, y, heading]), jnp.array([5.0, 2.0])
+    found = np.asarray(separation(tuple(own[0]), own[1], (other_x, other_y, other_heading), sizes))
+    for i in np.flatnonzero(np.abs(found) > 1e-3):
+        mine = polygon(x[i], y[i], heading[i], 5.0, 2.0)
+        theirs = polygon(other_x[i], other_y[i], other_heading[i], *sizes[i])
+        touching, _, _ = are_polygons_intersecting(mine, theirs, np.zeros(2), np.zeros(2))
+        assert touching == (found[i] < 0), i
+    assert 0.2 < np.mean(found < 0) < 0.8
+
+
+def test_along_an_axis_the_separation_is_the_distance():
+    ahead = jnp.array([5.0, 7.5, -9.0]), jnp.zeros(3), jnp.zeros(3)
+    found = separation(tuple(jnp.zeros(3)), jnp.array([5.0, 2.0]), ahead, jnp.array([5.0, 2.0]))
+    np.testing.assert_allclose(found, [0.0, 2.5, 4.0])
+
+
+def test_a_plan_that_hits_somebody_earns_less_than_one_that_does_not():
+    _, scores = scores_of(scene_of(cars=[(60.0, 0, 0.0)]), KEEPING, (0.0, -4.5))
+    np.testing.assert_array_equal(scores.collides, [True, False])
+    np.testing.assert_array_equal(scores.broken, [True, False])
+    assert scores.total[0] < scores.total[1]
+    assert scores.others[0, 0] > scores.others[1, 0]
+
+
+def test_cars_that_are_not_there_cost_nothing():
+    scene = scene_of(cars=[(30.0, 0, 0.0)])
+    _, scores = scores_of(replace(scene, present=np.zeros(TRAFFIC, bool)), KEEPING, (0.0, -4.0))
+    _, alone = scores_of(scene_of(), KEEPING, (0.0, -4.0))
+    np.testing.assert_allclose(scores.total, alone.total, rtol=1e-5)
+    assert not np.asarray(scores.broken).any()
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_who_leaves_the_road_breaks_a_constraint(side):
+    _, scores = scores_of(scene_of(), (side * 0.01, 0.0), KEEPING)
+    np.testing.assert_array_equal(scores.leaves, [True, False])
+    assert scores.total[0] < scores.total[1]
+
+
+def test_who_changes_to_a_closed_lane_breaks_a_constraint():
+    scene = scene_of()
+    scene.open[RIGHT] = False
+    controls = np.stack([changing(0.004, 1.2)] * 2)
+    _, scores = judged(scene, controls, np.array([RIGHT, OWN]))
+    np.testing.assert_array_equal(scores.broken, [True, False])
+
+
+def test_room_to_stop_is_missing_where_the_robot_is_too_close_and_too_fast():
+    """Behind a standing car, full braking suffices wherever no room is missing."""
+    plans = np.tile(np.array([KEEPING, (0.0, -3.0)], np.float32)[:, None], (1, STEPS, 1))
+    missing = []
+    for place in np.arange(95.0, 220.0, 5.0):
+        scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(place, 0, 0.0)])
+        rollouts, scores = judged(scene, plans, np.array([OWN, OWN]))
+        lacking = np.asarray(room_missing(scene, PLANNING, rollouts, jnp.zeros(2)))
+        s, speed = np.asarray(rollouts.states[:, -1, 0]), np.asarray(rollouts.states[:, -1, 3])
+        gap = place - s - 7.5
+        assert ((lacking[:, 0] > 0) | (speed**2 / (2 * PLANNING.grip) < gap)).all()
+        np.testing.assert_allclose(scores.missing, lacking.max(axis=1), atol=1e-3)
+        assert (lacking[:, 1:] == 0).all()
+        missing.append(lacking[:, 0])
+    missing = np.array(missing)
+    assert (np.diff(missing, axis=0) <= 0).all()
+    assert missing[0, 0] > missing[0, 1]
+    assert (missing[-1] == 0).all()
+
+
+def test_no_room_is_missing_behind_a_faster_car_nor_beside_one():
+    scene = scene_of(cars=[(10.0, 0, 25.0), (90.0, 1, 0.0)])
+    _, scores = scores_of(scene, KEEPING, (0.0, -1.0))
+    assert np.asarray(scores.missing).max() == 0
+
+
+def test_a_follower_that_runs_into_a_robot_that_keeps_its_lane_does_not_count():
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 15.0), cars=[(-15.0, 0, 25.0)])
+    rollouts, scores = scores_of(scene, KEEPING, (0.0, -1.0))
+    assert (np.asarray(rollouts.s)[:, 0, -1] > np.asarray(rollouts.states)[:, -1, 0]).all()  # it drives through it
+    assert not np.asarray(scores.collides).any()
+
+
+def test_a_car_that_the_robot_cuts_in_on_does_count():
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 15.0), cars=[(-15.0, 1, 25.0)])
+    controls = np.stack([changing(0.008, 1.2), np.zeros((STEPS, 2))]).astype(np.float32)
+    _, scores = judged(scene, controls, np.array([RIGHT, OWN]))
+    np.testing.assert_array_equal(scores.collides, [True, False])
+
+
+def test_nobody_who_leads_in_the_robots_lane_is_answerable_for_what_it_costs():
+    _, scores = scores_of(scene_of(cars=[(30.0, 0, 5.0), (-3.0, 1, 20.0)]), KEEPING, (0.0, 0.5))
+    assert (np.asarray(scores.others)[:, 0] > 0).all()
+    np.testing.assert_array_equal(scores.answerable[:, 0], 0.0)
+
+
+def crossing(robot_s, come_from, speed=10.0):
+    """A standing robot, and a car that crosses its route at s = 40 from the left, so far away now [m]."""
+    scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, speed)])
+    along = np.arange(TRAFFIC_KNOTS) * SPACING - BEHIND - come_from
+    for field, values in (("x", 40.0), ("y", along), ("heading", np.pi / 2), ("curvature", 0.0)):
+        getattr(scene.paths, field)[0] = values
+    return scene
+
+
+@pytest.mark.parametrize("come_from", [55.0, 65.0, 75.0])
+def test_a_robot_that_stands_where_a_car_comes_is_in_its_way_and_one_that_waits_before_is_not(come_from):
+    for s, expected in ((36.0, True), (38.5, True), (20.0, False), (50.0, False)):
+        scene = crossing(s, come_from)
+        rollouts, scores = scores_of(scene, KEEPING, KEEPING)
+        assert bool(in_the_way(scene, rollouts)[0, 0]) == expected, s
+        assert not np.asarray(scores.collides).any()
+
+
+def test_a_robot_where_a_car_has_passed_or_stays_away_is_not_in_its_way():
+    for scene in (crossing(36.0, -20.0), crossing(36.0, 60.0, speed=0.0)):
+        rollouts, _ = scores_of(scene, KEEPING, KEEPING)
+        assert not np.asarray(in_the_way(scene, rollouts)).any()
+
+
+def test_a_car_that_crosses_is_given_room_in_time():
+    """Who meets it breaks a constraint, who waits breaks none."""
+    scene = replace(crossing(0.0, 32.0), robot=np.array([10.0, 0.0, 0.0, 8.0], np.float32))
+    _, scores = scores_of(scene, KEEPING, (0.0, -3.0))
+    np.testing.assert_array_equal(scores.collides, [True, False])
+    np.testing.assert_array_equal(scores.broken, [True, False])
+
+
+def test_changes_of_lane_that_are_left_get_urgent_as_their_room_shrinks():
+    rooms, lanes = [500.0, 150.0, 60.0, 0.0], jnp.arange(LANES)
+    scene = replace(scene_of(), changes=np.array([2.0, 1.0, 0.0], np.float32))
+    found = np.array([urgency(replace(scene, room=room), PLANNING, lanes) for room in rooms])
+    assert (np.diff(found[:, :2], axis=0) >= 0).all()
+    assert (found[-1] > found[0])[:2].all()
+    assert (found[:, LEFT] >= found[:, OWN]).all()
+    np.testing.assert_allclose(found[:, RIGHT], 0.0)
+    assert not np.asarray(urgency(scene_of(), PLANNING, lanes)).any()
