@@ -33,11 +33,23 @@ WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and rac
 
 
 def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
-    """Return a stock highway-env environment in which a robot drives the controlled vehicles.
+    """Let a robot drive the controlled vehicles of a stock highway-env environment.
+
+    The environment keeps its spaces, reward and time limits. Actions are ignored, and ``info["road"]`` says what the
+    robot does, see `Driven`::
+
+        env = ms_highway.drive(gym.make("roundabout-v0", render_mode="rgb_array"), {"desired_speed": 12.0})
+        env.reset(seed=0)
+        observation, reward, terminated, truncated, info = env.step(None)
 
     Args:
-        env: of highway-env, such as ``gym.make("roundabout-v0")``.
-        config: see `ms_highway.envs.road.settings.RoadSettings`.
+        env: a highway, merge, roundabout, intersection, exit, two-way, u-turn or racetrack environment.
+        config: any of these keys, see `ms_highway.envs.road.settings.RoadSettings`: ``driver`` (``"switching"`` by
+            default; ``"fixed:naive"``, ``"proposals"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
+            ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder`` and ``costs``.
+
+    Returns:
+        The environment, driven.
 
     Raises:
         ValueError: for an environment without roads to follow, an unknown key or an impossible value.

@@ -1,6 +1,7 @@
 """Show what the robot thinks on a stock environment's picture: plan, predictions, rungs, and a line of text below."""
 
 from collections import Counter
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Float
 
 from ms_highway.control.road import RoadStep
 from ms_highway.envs.graphics import INK, PAPER, Color, Viewer, model_color, words
+from ms_highway.planning.road.settings import RUNGS
 
 __all__ = ["RoadViewer", "show"]
 
@@ -60,9 +62,9 @@ class RoadViewer(Viewer):
     def _think(self, step: RoadStep) -> None:
         """Draw the plan as a line, predictions as dots and the cars that they are of, in the colours of the rungs."""
         others = [car for car in self.env.road.vehicles if car is not self.env.vehicle and not car.crashed]
-        for rung, path in zip(step.rungs, np.asarray(step.predictions, dtype=float), strict=True):
-            if not rung:
-                continue
+        thoughts = zip(step.rungs, np.asarray(step.predictions, dtype=float), strict=True)
+        dearest_last = sorted(filter(itemgetter(0), thoughts), key=lambda thought: RUNGS.index(thought[0]))
+        for rung, path in dearest_last:  # so that a car with several paths has the colour of the dearest
             color = model_color(rung)
             distances = [float(np.linalg.norm(car.position - path[0])) for car in others]
             if min(distances, default=NEAR) < NEAR:

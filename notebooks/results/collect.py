@@ -1,4 +1,4 @@
-"""Keep what lies in `results/` here, in four files, and rewrite the tables of the pages that show it.
+"""Keep what lies in `results/` here, in six files, and rewrite the tables of the pages that show it.
 
 Run it in the project's directory after any of the commands in `notebooks/results/README.md`; runs that do not lie
 in `results/` stay as they were kept::
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from ms_highway.benchmarks.road.names import OTHER_SCENES, SCENES
 from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
@@ -24,6 +25,9 @@ RUNS = ("compare", "released", "published", "curve", "worth", "crowd", "crowd_pe
 """Directories in results/."""
 
 TABLES = "summary", "regrets", "safety"  # what some of them hold, and what is kept with a column ``run``
+ROADS = "road", "road_commuters"
+"""Directories of figures in results/, each file written by ``ms-highway bench road --json``, and what keeps them."""
+
 SHOWN = {  # in the project's README
     "stay_back": ["naive", "turn"],
     "merger": ["naive", "tom", "switching:0.1"],
@@ -51,6 +55,14 @@ def collect(results: Path, kept: Path = KEPT) -> None:
             }
             settings[run] = parts
     file.write_text(json.dumps({run: settings[run] for run in RUNS if run in settings}, indent=1) + "\n")
+    for name in ROADS:
+        roads: dict[str, dict[str, dict]] = {}
+        for part in sorted((results / name).glob("*.json")):
+            for scene, drivers in json.loads(part.read_text()).items():
+                roads.setdefault(scene, {}).update(drivers)
+        if roads:
+            ordered = {scene: roads[scene] for scene in SCENES + OTHER_SCENES if scene in roads}
+            (kept / f"{name}.json").write_text(json.dumps(ordered, indent=2) + "\n")
 
 
 def comparison(run: str, kept: Path = KEPT) -> Results:
@@ -89,6 +101,7 @@ def tables(kept: Path = KEPT) -> dict[str, str]:
         "crowd peers": markdown(overview([comparison("crowd_peers", kept)])),
         "safety": markdown(safety_cells(safety(kept))),
         "regrets": markdown(regret_cells(kept_table("regrets", "frontier", kept))),
+        **{name: markdown(road_cells(json.loads((kept / f"{name}.json").read_text()))) for name in ROADS},
     }
 
 
@@ -111,6 +124,27 @@ def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:
             | {"learned": regret[f"learned:{price:g}"]}
         )
     return pd.DataFrame(rows)
+
+
+def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
+    """Texts, a row per stock scene and driver."""
+    return pd.DataFrame(
+        {
+            "scene": scene,
+            "driver": driver,
+            "success": f"{100 * one['success']:.0f} %",
+            "collisions (at fault)": f"{one['collisions']} ({one['at_fault']}) of {one['episodes']}",
+            "reward per step": f"{one['reward_per_step']:.3f}",
+            "m/s": f"{one['mean_speed']:.1f}",
+            "m/s² at most": f"{one['max_acceleration']:.1f}",
+            "jerk, m/s³": f"{one['jerk']:.1f}",
+            "ms p50, p99": "" if one["p50_ms"] is None else f"{one['p50_ms']:.1f}, {one['p99_ms']:.1f}",
+            "first seed": str(one["seeds"][0]),
+            "label": one["label"],
+        }
+        for scene, drivers in roads.items()
+        for driver, one in drivers.items()
+    )
 
 
 def rewrite(page: Path, texts: dict[str, str]) -> None:

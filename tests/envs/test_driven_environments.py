@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -119,6 +120,19 @@ def test_a_picture_shows_the_plan_and_the_cars_in_the_colours_of_their_rungs(nam
     assert (frame[:height] == model_color("idm")).all(axis=-1).sum() > 100
     assert (frame[height] == PAPER).all()
     assert (frame[height:] != PAPER).any()
+    env.close()
+
+
+def test_a_car_with_several_paths_has_the_colour_of_its_dearest_rung():
+    env = ms_highway.drive(gym.make("roundabout-v0", render_mode="rgb_array"), {"driver": "fixed:naive"})
+    env.reset(seed=0)
+    env.step(1)
+    last = env.robots[0].last_step
+    owners = last.owners.tolist()
+    first = next(path for path, owner in enumerate(owners) if owner >= 0 and owners.count(owner) > 1)
+    rungs = tuple("tom" if path == first else rung for path, rung in enumerate(last.rungs))
+    env.robots[0].last_step = replace(last, rungs=rungs)
+    assert (env.render() == model_color("tom")).all(axis=-1).sum() > 200  # the body, beside the dots of one path
     env.close()
 
 

@@ -72,6 +72,12 @@ def test_humans_drive_in_a_stock_environment(printed):
     assert printed["humans_in_highway"].count("HumanVehicle") == 5
 
 
+def test_the_robot_drives_a_stock_scene_within_the_acceleration_that_the_example_asks_for(printed):
+    largest = re.findall(r"at most ([\d.]+) m/s\^2", printed["stock_road"])
+    assert len(largest) == 5
+    assert max(map(float, largest)) <= 4.0
+
+
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_imports_the_package_by_one_line_beside_experiments(path):
     lines = re.findall(r"^(?:from|import) ms_highway\b(?!\.experiments).*", path.read_text(), re.MULTILINE)

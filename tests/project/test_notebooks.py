@@ -109,5 +109,5 @@ def test_a_notebook_is_committed_executed_and_small_and_tells_nothing_of_the_mac
             assert not MACHINE.search(text), text
 
 
-def test_there_are_notebooks_of_scenarios_human_and_switching():
-    assert [path.stem for path in NOTEBOOKS] == ["01_scenarios", "02_human", "03_fixed_vs_switching"]
+def test_there_are_notebooks_of_scenarios_human_switching_and_stock_roads():
+    assert [path.stem for path in NOTEBOOKS] == ["01_scenarios", "02_human", "03_fixed_vs_switching", "04_road"]

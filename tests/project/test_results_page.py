@@ -45,6 +45,10 @@ def test_results_that_are_collected_again_are_the_kept_ones(tmp_path):
         table = pd.read_csv(KEPT / f"{name}.csv", dtype=str, keep_default_na=False)
         for run, rows in table.groupby("run"):
             rows.drop(columns="run").to_csv(results / run / f"{name}.csv", index=False)
+    for name in COLLECTED.ROADS:
+        (results / name).mkdir()
+        for scene, drivers in json.loads((KEPT / f"{name}.json").read_text()).items():
+            (results / name / f"{scene}.json").write_text(json.dumps({scene: drivers}))
     COLLECTED.collect(results, kept)
     for file in kept.iterdir():
         assert file.read_text() == (KEPT / file.name).read_text()
