@@ -61,7 +61,7 @@ class RoadViewer(Viewer):
         """Draw the plan as a line, predictions as dots and the cars that they are of, in the colours of the rungs."""
         others = [car for car in self.env.road.vehicles if car is not self.env.vehicle and not car.crashed]
         for rung, path in zip(step.rungs, np.asarray(step.predictions, dtype=float), strict=True):
-            if not rung:
+            if not rung or not np.isfinite(path).all():
                 continue
             color = model_color(rung)
             distances = [float(np.linalg.norm(car.position - path[0])) for car in others]
@@ -71,6 +71,8 @@ class RoadViewer(Viewer):
             for point in path[1::2]:
                 pygame.draw.circle(self.sim_surface, PAPER, self._place(point), 3)
                 pygame.draw.circle(self.sim_surface, color, self._place(point), 2)
+        if not np.isfinite(step.path).all():
+            return
         line = [self.env.vehicle.position, *np.asarray(step.path, dtype=float)[:, :2]]
         for color, width in ((PAPER, 4), (INK, 2)):
             pygame.draw.lines(self.sim_surface, color, False, [self._place(point) for point in line], width)
