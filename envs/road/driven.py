@@ -123,7 +123,15 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         return observation, {**info, "road": self._told()}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Let the robot drive for a step; the action is ignored."""
+        """Let the robot drive for a step; the action is ignored.
+
+        Raises:
+            ResetNeeded: if this wrapper has not been reset, or the environment below it has been since.
+        """
+        if not self.robots or self._base.controlled_vehicles != self.robots:
+            raise gym.error.ResetNeeded(
+                "the robot is not in the car; call reset of the driven environment, no inner one"
+            )
         for robot in self.robots:
             robot.forget()
         observation, reward, terminated, truncated, info = self.env.step(_harmless(self._base.action_type))

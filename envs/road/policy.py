@@ -45,8 +45,8 @@ class RoadPolicy:
         self.settings = RoadSettings.read(config)
         self.single = isinstance(env, gym.Env) and not isinstance(env, gym.vector.VectorEnv)
         if not self.single and not isinstance(getattr(env, "envs", None), (list, tuple)):
-            told = "its environments are in other processes"
-            raise ValueError(f"{type(env).__name__}: {told}; use one that keeps them in a list, such as SyncVectorEnv")
+            told = "is neither an environment nor keeps a list of them"
+            raise ValueError(f"{type(env).__name__} {told}; use gym.make(...), or SyncVectorEnv for several")
         self._pilots = [_Pilot(each, self.settings) for each in ([env] if self.single else env.envs)]
 
     @property

@@ -27,8 +27,8 @@ class RoadSettings:
             without refinement.
         price: reward that a second of computation costs.
         budget: milliseconds of computation per plan, instead of a price; None for no budget.
-        costs: milliseconds that each rung adds to a plan per car, by name; None to measure them. With given ones,
-            episodes can be repeated exactly.
+        costs: milliseconds that each rung adds to a plan per car, by name, 0 where left out; None to measure
+            them. With given ones and a price, episodes can be repeated exactly; a budget counts the time of decisions.
         ladder: rungs to choose from, of `ms_highway.planning.road.settings.RUNGS` in their order.
         desired_speed: [m/s]; None for what the scene rewards.
         acceleration: total acceleration at most [m/s^2].
@@ -103,6 +103,10 @@ class RoadSettings:
             return FixedRung(rest)
         if text == "proposals":
             return FixedRung("idm")
+        if kind == "fixed" and rest in RUNGS:
+            raise ValueError(
+                f"config['driver'] is {text!r}, but config['ladder'] is {self.ladder!r}; add {rest!r} to it"
+            )
         raise ValueError(f"config['driver'] is {self.driver!r}; choose one of {DRIVERS}")
 
     def planning(self, desired_speed: float) -> RoadPlanning:

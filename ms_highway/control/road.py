@@ -89,7 +89,7 @@ class RoadDriver:
         choice: of the models that predict others.
         refines: whether the best proposal is refined.
         weights: what counts.
-        costs: of models; measured before the first step by default.
+        costs: of models; measured in the first step with others by default.
     """
 
     def __init__(
@@ -170,14 +170,14 @@ class RoadDriver:
         )
 
     def _prepared(self, scene: RoadScene) -> RoadCosts:
-        """Compile, and return what models cost, measured if the choice looks at it and nobody has told."""
+        """Compile, and return what models cost, measured once there are others if the choice looks at it."""
         given = scene, self.planning, self.weights
         warm_up(_plan_function(self.refines), *given, np.zeros(TRAFFIC, np.int32), self._memory)
         if self.choice.looks:
             warm_up(_look_function(), *given, self._memory)
-        if self.costs is None:
-            self.costs = self._measured(scene) if self.choice.looks else RoadCosts(0.0, np.zeros(len(RUNGS)))
-        return self.costs
+        if self.costs is None and self.choice.looks and np.any(scene.moving & scene.present):
+            self.costs = self._measured(scene)
+        return self.costs or RoadCosts(0.0, np.zeros(len(RUNGS)))
 
     def _measured(self, scene: RoadScene) -> RoadCosts:
         others = np.asarray(scene.moving & scene.present)
@@ -188,4 +188,4 @@ class RoadDriver:
 
         whole = np.array([median(rung) for rung in range(len(RUNGS))])
         more = np.where(whole > (1 + NOTICEABLE) * whole[0], whole - whole[0], 0.0)
-        return RoadCosts(float(whole[0]), more / max(others.sum(), 1))
+        return RoadCosts(float(whole[0]), more / others.sum())

@@ -9,7 +9,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.road import SPACING, TRAFFIC, TRAFFIC_KNOTS, Path
+from ms_highway.game.road import BEHIND, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path
 from ms_highway.vehicle.lane_paths import wrapped
 from ms_highway.vehicle.road_map import Chain, LaneIndex, RoadMap
 
@@ -184,7 +184,7 @@ def _conflict(path: Path, route: Path) -> tuple[float, float, float] | None:
 
     Oncoming traffic that keeps to its own lane does not come near.
     """
-    ahead = slice(int(20.0 / SPACING) - 2, None, EVERY)
+    ahead = slice(int(BEHIND / SPACING) - 2, None, EVERY)
     x = path.x[ahead, None] - route.x[None, ahead]
     y = path.y[ahead, None] - route.y[None, ahead]
     distances = np.hypot(x, y)
@@ -258,7 +258,7 @@ def _leaders(
     nearest = np.argmin(x**2 + y**2, axis=-1)
     rows, columns = np.arange(count)[:, None], np.arange(count)[None, :]
     x, y, heading = x[rows, columns, nearest], y[rows, columns, nearest], paths.heading[rows, nearest]
-    s = SPACING * nearest - 20.0 + np.cos(heading) * x + np.sin(heading) * y
+    s = SPACING * nearest - BEHIND + np.cos(heading) * x + np.sin(heading) * y
     d = np.cos(heading) * y - np.sin(heading) * x
     other = owners[:count, None] != owners[None, :count]
     ahead = other & (np.abs(d) < IN_FRONT) & (s > 0) & (s < LEADER_AHEAD)

@@ -157,6 +157,7 @@ def test_the_command_writes_figures_and_episodes_of_every_driver(tmp_path, capsy
     ("arguments", "message"),
     [
         (["roundabout-v7"], "unknown scene 'roundabout-v7'; the scenes are highway-fast-v0"),
+        (["merge", "--drivers", "budget:1..2"], "unknown driver 'budget:1..2'"),
         (["merge", "--drivers", "oracle"], "unknown driver 'oracle'; the drivers are switching"),
         (["merge", "--drivers", "fixed:oracle"], "unknown driver 'fixed:oracle'"),
         (["racetrack", "--drivers", "dqn"], "dqn needs discrete actions; leave out racetrack-v0"),

@@ -111,3 +111,11 @@ def test_without_a_last_plan_a_failure_brakes_at_once_and_a_reset_forgets():
 def test_gains_that_are_not_finite_stop_no_step():
     for choice in (PricedRungs(1.0), BudgetedRungs(20.0)):
         assert driver(choice).step(BLIND).source == "braking"
+
+
+def test_costs_are_not_measured_where_there_is_nobody():
+    robot = RoadDriver(PLANNING, PricedRungs(1.0))
+    robot.step(scene_of())
+    assert robot.costs is None
+    robot.step(SCENE)
+    assert robot.costs.base > 0

@@ -83,6 +83,17 @@ def test_actions_change_nothing():
         assert (one[1], one[4]["action"]) == (other[1], 1)  # of which highway-env thinks that it is idle
 
 
+@pytest.mark.parametrize("config", [{}, CONTINUOUS])
+def test_a_reset_below_the_wrapper_leaves_no_robot_in_the_car_and_the_error_says_so(config):
+    env = ms_highway.drive(gym.make("highway-fast-v0", config=config))
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(None)
+    env.reset(seed=0)
+    env.env.reset(seed=1)
+    with pytest.raises(gym.error.ResetNeeded, match="call reset of the driven environment"):
+        env.step(None)
+
+
 def test_a_time_limit_in_steps_is_kept():
     env = ms_highway.drive(gym.make("two-way-v0"), {"driver": "proposals"})
     env.reset(seed=0)
@@ -133,6 +144,17 @@ def test_a_car_with_several_paths_has_the_colour_of_its_dearest_rung():
     rungs = tuple("tom" if path == first else rung for path, rung in enumerate(last.rungs))
     env.robots[0].last_step = replace(last, rungs=rungs)
     assert (env.render() == model_color("tom")).all(axis=-1).sum() > 200  # the body, beside the dots of one path
+    env.close()
+
+
+def test_a_plan_that_is_none_is_not_drawn():
+    env = ms_highway.drive(gym.make("merge-v0", render_mode="rgb_array"), {"driver": "proposals"})
+    env.reset(seed=0)
+    robot = env.robots[0]
+    scene = replace(robot.look(), robot=np.full(4, np.nan, np.float32))
+    robot.look = lambda: scene
+    assert env.step(1)[4]["road"]["source"] == "braking"
+    assert env.render().shape == (150 + PANEL, 600, 3)
     env.close()
 
 
@@ -284,3 +306,8 @@ def test_a_policy_of_several_environments_answers_with_one_action_each():
 def test_a_policy_refuses_what_it_cannot_drive_and_says_how_to_make_it(config, message):
     with pytest.raises(ValueError, match=message):
         ms_highway.RoadPolicy(gym.make("highway-fast-v0", config=config))
+
+
+def test_a_policy_of_nothing_is_refused():
+    with pytest.raises(ValueError, match="str is neither an environment"):
+        ms_highway.RoadPolicy("highway-fast-v0")

@@ -80,6 +80,7 @@ def test_what_others_have_set_in_highway_envs_drivers_is_left_alone(monkeypatch)
         ({"driver": "switching:cheap"}, "needs its price"),
         ({"driver": "budget:-1"}, "needs its milliseconds"),
         ({"driver": "fixed:nobody"}, "choose one of 'switching'"),
+        ({"driver": "fixed:tom", "ladder": ("naive", "idm")}, "add 'tom' to it"),
         ({"driver": 3}, "choose one of 'switching'"),
         ({"driver": "fixed:tom", "budget": 5}, "say 'switching'"),
         ({"ladder": ("tom", "naive")}, "in this order"),

@@ -30,7 +30,8 @@ DRIVERS = (
 )
 """Drivers that are measured by default."""
 
-OWN = re.compile(r"switching(:[0-9.e+-]+)?|budget:[0-9.e+-]+|fixed:(naive|idm|turn|tom)|proposals")
+NUMBER = r":(\d+\.?\d*|\.\d+)(e[+-]?\d+)?"
+OWN = re.compile(rf"switching({NUMBER})?|budget{NUMBER}|fixed:(naive|idm|turn|tom)|proposals")
 
 
 def known_scenes(names: Iterable[str]) -> list[str]:

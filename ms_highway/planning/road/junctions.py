@@ -7,12 +7,10 @@ from jaxtyping import Bool, Float
 from ms_highway.game.road import BEHIND, SPACING, RoadScene
 from ms_highway.planning.road.proposals import WAITING, Rollouts
 from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import Ways, crossings
+from ms_highway.planning.road.traffic import FAR, STANDING, Ways, crossings
 
 __all__ = ["avoidable", "blocks", "occupied"]
 
-FAR = 1e3  # m
-STANDING = 1.0  # m/s
 CROSSES, EARLY = 0.8, 0.15  # cosine of the angle below which cars may come so much earlier or later [s]
 CLEARANCE = 1.0  # m, around where others cross the robot's way
 UNSURE = 6.0  # m/s^2, of the accelerations that others may have

@@ -43,6 +43,7 @@ __all__ = [
     "Proposed",
     "RoadPlan",
     "first_memory",
+    "highest_gains",
     "plan_road",
     "propose",
 ]

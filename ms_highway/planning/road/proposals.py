@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.game.road import LANES, SPACING, RoadScene, interpolate
 from ms_highway.planning.road.motion import advance, within_limits
 from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import Ways, aside, crossings, follow, on_route, wanted_speeds
+from ms_highway.planning.road.traffic import FAR, Ways, aside, crossings, follow, on_route, wanted_speeds
 
 __all__ = ["PROPOSALS", "WAITING", "Manners", "Profiles", "Rollouts", "as_given", "profiles", "simulate", "speed_caps"]
 
@@ -39,7 +39,6 @@ ROOM = 0.4  # m, lateral, between bodies that pass
 WAITING = 1.2  # m, between the robot that waits and those who cross
 STOPPING = 3.5  # m/s^2, before crossings
 CREEPING = 3.0  # m/s, at which cars come that stand
-FAR = 1e3  # m
 
 
 class Manners(NamedTuple):

@@ -7,10 +7,10 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.game.road import RoadScene, interpolate
 from ms_highway.planning.road.proposals import Rollouts
 from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.traffic import FAR, STANDING
 
 __all__ = ["missing_room", "prospects", "pushes_from_behind", "urgency"]
 
-FAR = 1e3  # m
 WIDTH = 4.0  # m, of lanes
 AROUND = 2  # lanes to each side of the robot's that it may use after a plan
 SECONDS_AFTER = 8  # s, of what follows a plan
@@ -24,7 +24,6 @@ SAME_WAY = 0.8  # cosine of the angle up to which cars go the robot's way
 DISTURBED = 25.0  # m, to a car that joins, up to which others may change lanes for it
 SLOWING_DOWN = 2.0  # m/s^2, with which a car ahead may brake
 CROSSING = 0.5  # cosine of the angle up to which cars cross the robot's way rather than share it
-STANDING = 1.0  # m/s
 STOPPING = 0.9  # share of the grip that a full stop may take
 SECONDS_PER_CHANGE = 2.0  # s, that a change of lane may take
 

@@ -1,4 +1,4 @@
-"""Score the robot's plans on a road: proposals and refined plans by the same smooth reward."""
+"""Compute the smooth reward that plans on a road are refined by; `scoring` judges what comes of it."""
 
 from dataclasses import dataclass
 

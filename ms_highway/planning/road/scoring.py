@@ -14,7 +14,7 @@ from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.proposals import Rollouts
 from ms_highway.planning.road.prospects import missing_room, prospects, pushes_from_behind, urgency
 from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import Ways, on_route, positions
+from ms_highway.planning.road.traffic import FAR, Ways, on_route, positions
 from ms_highway.runtime.arrays import Array
 
 __all__ = ["RoadWeights", "Scores", "score", "separation"]
@@ -23,7 +23,6 @@ MARGIN = 0.35  # m between bodies that counts as a collision
 FADING = 0.95  # of what is expected later, per step
 TOLERATED = 1.5  # m/s^2, of braking of others that costs nothing
 SOON = 1.6  # s, until when all counts that others may do
-FAR = 1e3  # m
 
 
 @jax.tree_util.register_dataclass

@@ -11,14 +11,31 @@ from jaxtyping import Bool, Float
 
 from ms_highway.game.road import BEHIND, SPACING, RoadScene, interpolate, place, project
 
-__all__ = ["Crossings", "Ways", "aside", "crossings", "follow", "on_route", "positions", "wanted_speeds", "ways_of"]
+__all__ = [
+    "FAR",
+    "STANDING",
+    "Crossings",
+    "Ways",
+    "aside",
+    "crossings",
+    "follow",
+    "on_route",
+    "positions",
+    "wanted_speeds",
+    "ways_of",
+]
+
+FAR = 1e3
+"""Distance to what is not there [m]."""
+
+STANDING = 1.0
+"""Speed up to which a car stands [m/s]."""
 
 COMFORTABLE, BRAKING, HEADWAY, STANDSTILL = 3.0, 5.0, 1.5, 10.0  # m/s^2, m/s^2, s, m between centres: highway-env's
 HARDEST = 6.0  # m/s^2, of braking
 SETTLING = 1.0  # s, in which cars move to the middle of their path
 SHARED = 0.85  # cosine of the angle from which cars share a lane
 CORRIDOR = 3.0  # m, of the robot's way to each side
-FAR = 1e3  # m
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
 
 
