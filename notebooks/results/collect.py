@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from ms_highway.benchmarks.road.names import OTHER_SCENES, SCENES
+from ms_highway.benchmarks.road.names import DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
@@ -61,8 +61,7 @@ def collect(results: Path, kept: Path = KEPT) -> None:
             for scene, drivers in json.loads(part.read_text()).items():
                 roads.setdefault(scene, {}).update(drivers)
         if roads:
-            ordered = {scene: roads[scene] for scene in SCENES + OTHER_SCENES if scene in roads}
-            (kept / f"{name}.json").write_text(json.dumps(ordered, indent=2) + "\n")
+            (kept / f"{name}.json").write_text(json.dumps(in_order(roads), indent=2) + "\n")
 
 
 def comparison(run: str, kept: Path = KEPT) -> Results:
@@ -124,6 +123,16 @@ def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:
             | {"learned": regret[f"learned:{price:g}"]}
         )
     return pd.DataFrame(rows)
+
+
+def in_order(roads: dict[str, dict[str, dict]]) -> dict[str, dict[str, dict]]:
+    """Figures of roads in the command's own order of scenes and drivers, other drivers last."""
+    order = {driver: place for place, driver in enumerate(DRIVERS)}
+    return {
+        scene: dict(sorted(roads[scene].items(), key=lambda one: order.get(one[0], len(order))))
+        for scene in SCENES + OTHER_SCENES
+        if scene in roads
+    }
 
 
 def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
