@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from ms_highway.benchmarks.road.names import OTHER_SCENES, SCENES
+from ms_highway.benchmarks.road.names import DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.experiments.safety import Safety, safety_cells
+from ms_highway.planning.road.settings import RUNGS
 from ms_highway.visualization.overview import markdown, overview
 
 KEPT = Path(__file__).parent
@@ -61,8 +62,7 @@ def collect(results: Path, kept: Path = KEPT) -> None:
             for scene, drivers in json.loads(part.read_text()).items():
                 roads.setdefault(scene, {}).update(drivers)
         if roads:
-            ordered = {scene: roads[scene] for scene in SCENES + OTHER_SCENES if scene in roads}
-            (kept / f"{name}.json").write_text(json.dumps(ordered, indent=2) + "\n")
+            (kept / f"{name}.json").write_text(json.dumps(in_order(roads), indent=2) + "\n")
 
 
 def comparison(run: str, kept: Path = KEPT) -> Results:
@@ -126,6 +126,16 @@ def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def in_order(roads: dict[str, dict[str, dict]]) -> dict[str, dict[str, dict]]:
+    """Figures of roads in the command's own order of scenes and drivers, other drivers last."""
+    order = {driver: place for place, driver in enumerate(DRIVERS)}
+    return {
+        scene: dict(sorted(roads[scene].items(), key=lambda one: order.get(one[0], len(order))))
+        for scene in SCENES + OTHER_SCENES
+        if scene in roads
+    }
+
+
 def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
     """Texts, a row per stock scene and driver."""
     return pd.DataFrame(
@@ -138,12 +148,16 @@ def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
             "m/s": f"{one['mean_speed']:.1f}",
             "m/s² at most": f"{one['max_acceleration']:.1f}",
             "jerk, m/s³": f"{one['jerk']:.1f}",
+            "naive / idm / turn / tom %": " / ".join(f"{100 * used.get(rung, 0.0):.0f}" for rung in RUNGS)
+            if used
+            else "",
             "ms p50, p99": "" if one["p50_ms"] is None else f"{one['p50_ms']:.1f}, {one['p99_ms']:.1f}",
             "first seed": str(one["seeds"][0]),
             "label": one["label"],
         }
         for scene, drivers in roads.items()
         for driver, one in drivers.items()
+        for used in [one.get("rungs")]
     )
 
 
