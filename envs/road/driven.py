@@ -81,8 +81,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
     control in between. ``info["road"]`` says how, for the first controlled vehicle:
 
-    * ``rungs``, ``gains``, ``source``, ``failed``, ``planning_seconds``, ``decision_seconds``, ``compile_seconds`` of
-      the last plan, see `ms_highway.control.road.RoadStep`;
+    * ``rungs``, ``gains``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``,
+      ``compile_seconds`` of the last plan, see `ms_highway.control.road.RoadStep`;
     * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then;
     * ``rung_counts``: how many cars each rung predicted, summed over these plans;
     * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
@@ -153,6 +153,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             "rungs": list(last.rungs) if last else [],
             "gains": np.asarray(last.gains) if last else np.zeros(0),
             "source": last.source if last else "",
+            "broken": bool(last and last.broken),
             "failed": bool(last and last.failed),
             "planning_seconds": last.planning_seconds if last else 0.0,
             "decision_seconds": last.decision_seconds if last else 0.0,

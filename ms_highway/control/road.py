@@ -21,6 +21,7 @@ from ms_highway.planning.road.plan import (
     plan_road,
     propose,
 )
+from ms_highway.planning.road.proposals import FULL_BRAKING
 from ms_highway.planning.road.scoring import RoadWeights
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
 from ms_highway.runtime.compilation import QUICKLY, known_options
@@ -30,6 +31,7 @@ from ms_highway.runtime.timing import timed, warm_up
 __all__ = ["RoadDriver", "RoadStep"]
 
 NOTICEABLE = 0.2  # share of a plan's time below which a model costs nothing
+SOURCES = {REFINED: "refined", LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 REPEATS = 5  # plans that are timed for the costs of models
 
 
@@ -48,6 +50,7 @@ class RoadStep:
         decision_seconds: wall time of choosing the models.
         compile_seconds: wall time of compiling and measuring costs in this step.
         source: what drives: ``refined``, ``proposal``, ``last plan`` or ``braking``.
+        broken: whether the best plan breaks a constraint: it hits somebody, leaves the road or lacks the room to stop.
         failed: whether the plan is not finite, so that the last plan or, without one, braking drives.
     """
 
@@ -61,6 +64,7 @@ class RoadStep:
     decision_seconds: float
     compile_seconds: float
     source: str
+    broken: bool = False
     failed: bool = False
 
 
@@ -142,7 +146,7 @@ class RoadDriver:
     ) -> RoadStep:
         """Remember a plan, or fall back where it is not finite."""
         controls, path, predictions = map(np.asarray, (plan.controls, plan.path, plan.predictions))
-        source = "refined" if plan.chosen == REFINED else "last plan" if plan.chosen == LAST_PLAN else "proposal"
+        source = SOURCES.get(int(plan.chosen), "proposal")
         names = tuple(RUNGS[rung] if there else "" for rung, there in zip(rungs, scene.present, strict=True))
         failed = not np.isfinite(controls).all()
         if not failed:
@@ -166,6 +170,7 @@ class RoadDriver:
             decision_seconds=deciding,
             compile_seconds=compiling,
             source=source,
+            broken=bool(plan.broken),
             failed=failed,
         )
 

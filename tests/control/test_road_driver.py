@@ -119,3 +119,12 @@ def test_costs_are_not_measured_where_there_is_nobody():
     assert robot.costs is None
     robot.step(SCENE)
     assert robot.costs.base > 0
+
+
+def test_before_a_wall_of_cars_the_robot_brakes_hardest_and_says_that_no_plan_holds():
+    wall = scene_of(cars=[(28.0, lane, 0.0) for lane in (-1, 0, 1)], robot=(0.0, 0.0, 0.0, 20.0))
+    step = driver().step(wall)
+    assert step.source == "braking"
+    assert step.broken
+    assert not step.failed
+    assert step.control[1] < -0.95 * PLANNING.grip

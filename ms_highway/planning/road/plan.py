@@ -144,7 +144,7 @@ def plan_road(
 ) -> RoadPlan:
     """Plan with a model for each of the others; takes the arguments of `propose`, and whether plans are refined."""
     proposed = propose(scene, planning, weights, rungs, memory)
-    _, numbers = jax.lax.top_k(proposed.scores.total, ANSWERED)
+    _, numbers = jax.lax.top_k(proposed.scores.preference, ANSWERED)
     few, plans = jax.tree.map(
         lambda field: field[numbers], (proposed, profiles(jnp.asarray(memory.controls), last_lane(scene, memory)))
     )
@@ -157,7 +157,7 @@ def plan_road(
         return _judged(scene, planning, weights, plans, manners), answers
 
     few, told = jax.lax.cond(rational.any(), again, lambda: (few, told))
-    best = jnp.argmax(few.scores.total)
+    best = jnp.argmax(few.scores.preference)
     chosen, drives = numbers[best], jax.tree.map(lambda field: field[best, None], few)
     if refines:
         controls = refine(

@@ -12,7 +12,18 @@ from ms_highway.planning.road.motion import advance, within_limits
 from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.planning.road.traffic import FAR, Ways, aside, crossings, follow, on_route, wanted_speeds
 
-__all__ = ["PROPOSALS", "WAITING", "Manners", "Profiles", "Rollouts", "as_given", "profiles", "simulate", "speed_caps"]
+__all__ = [
+    "FULL_BRAKING",
+    "PROPOSALS",
+    "WAITING",
+    "Manners",
+    "Profiles",
+    "Rollouts",
+    "as_given",
+    "profiles",
+    "simulate",
+    "speed_caps",
+]
 
 FOLLOWING = np.array([1.0, 0.75, 0.5, 0.25], np.float32)  # shares of the desired speed, in profiles that follow by IDM
 STEADY = np.array([-5.0, -3.0, -1.5, 0.0, 1.5, 3.0], np.float32)  # m/s^2, of profiles of constant acceleration
@@ -21,6 +32,9 @@ PROFILES = len(FOLLOWING) + CLOSING_UP + len(STEADY)
 YIELDING = np.array([0.5, 1.5, 3.0, 5.0, np.inf], np.float32)  # s, of profiles that let cars pass who come until then
 PROPOSALS = LANES * PROFILES + len(YIELDING) + 1
 """Number of proposals, the last plan among them."""
+
+FULL_BRAKING = tuple(lane * PROFILES + len(FOLLOWING) + CLOSING_UP for lane in range(LANES))
+"""Numbers of those that brake hardest."""
 
 FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
 SIDEWAYS = 3.0  # m/s^2, of lateral acceleration for it at most

@@ -1,4 +1,4 @@
-"""Compute the smooth reward that plans on a road are refined by; `scoring` judges what comes of it."""
+"""Compute the smooth reward that plans are refined by; `ms_highway.planning.road.scoring` judges what comes of it."""
 
 from dataclasses import dataclass
 

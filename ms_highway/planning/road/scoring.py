@@ -75,7 +75,8 @@ class Scores(NamedTuple):
         others: cost of each of the others.
         answerable: the part of it that may change if a car answers the robot: not that of cars ahead of it in its lane,
             and not what happens after the plan.
-        collides: whether a plan hits somebody.
+        collides: whether a plan comes too close to somebody.
+        impact: highest difference of velocities at which it hits somebody for good [m/s]; 0 if it does not.
         leaves: whether it leaves the road.
         missing: metres that are missing to stop behind the car ahead, after the plan.
     """
@@ -84,6 +85,7 @@ class Scores(NamedTuple):
     others: Float[jax.Array, "plans traffic"]
     answerable: Float[jax.Array, "plans traffic"]
     collides: Bool[jax.Array, "plans"]
+    impact: Float[jax.Array, "plans"]
     leaves: Bool[jax.Array, "plans"]
     missing: Float[jax.Array, "plans"]
 
@@ -91,6 +93,11 @@ class Scores(NamedTuple):
     def total(self) -> Float[jax.Array, "plans"]:
         """What each plan earns in all."""
         return self.own - self.others.sum(axis=-1)
+
+    @property
+    def preference(self) -> Float[jax.Array, "plans"]:
+        """What plans are chosen by: what they earn; if all hit somebody, how softly they do."""
+        return jnp.where((self.impact > 0).all(), -self.impact, self.total)
 
     @property
     def broken(self) -> Bool[jax.Array, "plans"]:
@@ -177,14 +184,15 @@ def score(
         - weights.goal * urgency(scene, planning, lanes)
         - weights.off_road * (leaves.astype(float) + closed)
     )
-    clear = separation(
+    own_bodies, bodies_of_others = (
         (x[:, None], y[:, None], course[:, None]),
-        scene.size,
         jax.vmap(partial(positions, scene))(rollouts.along, rollouts.across),
-        occupied(scene, planning, rollouts),
     )
+    clear = separation(own_bodies, scene.size, bodies_of_others, occupied(scene, planning, rollouts))
     counts = jnp.asarray(scene.present)[:, None] & ~pushes_from_behind(scene, rollouts, s, d, lanes)
     clear = jnp.where(counts, clear, FAR)
+    touch = counts & (separation(own_bodies, scene.size, bodies_of_others, jnp.asarray(scene.sizes)[:, None]) < 0)
+    impact = _impact(touch, speed[:, None], course[:, None], rollouts.speeds, bodies_of_others[2])
     hit, fading = clear < MARGIN, FADING ** jnp.arange(planning.steps)
     later = dt * jnp.arange(planning.steps) > SOON
     revised = avoidable(scene, ways, rollouts)[..., None]
@@ -207,7 +215,22 @@ def score(
     per_plan = per_plan - jnp.where(charged.any(axis=-1), 0.0, lost)
     others = others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
     own = dt * per_second.sum(axis=1) + per_plan
-    return Scores(own, jnp.asarray(others), answerable, hit.any(axis=(1, 2)), leaves | closed, missing.max(axis=1))
+    return Scores(
+        own, jnp.asarray(others), answerable, hit.any(axis=(1, 2)), impact, leaves | closed, missing.max(axis=1)
+    )
+
+
+def _impact(
+    touch: Bool[jax.Array, "plans traffic steps"],
+    speed: Float[jax.Array, "plans 1 steps"],
+    course: Float[jax.Array, "plans 1 steps"],
+    speeds: Float[jax.Array, "plans traffic steps"],
+    courses: Float[jax.Array, "plans traffic steps"],
+) -> Float[jax.Array, "plans"]:
+    """Return the highest difference of velocities when bodies first touch [m/s]; 0 if they never do."""
+    first = touch & (jnp.cumsum(touch, axis=-1) == 1)
+    squared = speed**2 + speeds**2 - 2 * speed * speeds * jnp.cos(course - courses)
+    return jnp.where(first, jnp.sqrt(jnp.maximum(squared, 1e-4)), 0.0).max(axis=(1, 2))
 
 
 def _leads(scene: RoadScene, ways: Ways) -> Bool[jax.Array, "traffic"]:
