@@ -146,7 +146,8 @@ class RoadDriver:
     ) -> RoadStep:
         """Remember a plan, or fall back where it is not finite."""
         controls, path, predictions = map(np.asarray, (plan.controls, plan.path, plan.predictions))
-        source = SOURCES.get(int(plan.chosen), "proposal")
+        hardest = bool(plan.broken) and controls[0, 1] < -0.95 * self.planning.grip
+        source = "braking" if hardest else SOURCES.get(int(plan.chosen), "proposal")
         names = tuple(RUNGS[rung] if there else "" for rung, there in zip(rungs, scene.present, strict=True))
         failed = not np.isfinite(controls).all()
         if not failed:

@@ -3,7 +3,8 @@
 All proposals are judged with others who keep their speed or follow by the Intelligent Driver Model. If some plan for
 their reward, they answer the best few of these proposals (theory of mind) or a robot that keeps its velocity (turn),
 and these proposals are judged again. The best one is refined; the refined plan drives if it breaks no constraint and
-earns as much by the same scores.
+earns as much by the same scores. Answers make plans better, not safe: what hits somebody who only follows does not
+drive where anything else holds.
 """
 
 from typing import NamedTuple
@@ -156,8 +157,9 @@ def plan_road(
         manners = Manners(_follows(scene, rungs), rational, answers)
         return _judged(scene, planning, weights, plans, manners), answers
 
+    collides = few.scores.collides  # if others only follow: nobody is counted on to make way
     few, told = jax.lax.cond(rational.any(), again, lambda: (few, told))
-    best = jnp.argmax(few.scores.preference)
+    best = jnp.argmax(few.scores.preference - jnp.where(collides & ~collides.all(), weights.collision, 0.0))
     chosen, drives = numbers[best], jax.tree.map(lambda field: field[best, None], few)
     if refines:
         controls = refine(
@@ -169,9 +171,12 @@ def plan_road(
             told[best],
             plans.lane[best],
         )
+        following = Manners(_follows(scene, rungs), jnp.zeros_like(rational), jnp.zeros_like(told[:1]))
         manners = Manners(_follows(scene, rungs), rational, told[best, None])
         refined = _judged(scene, planning, weights, as_given(controls[None], plans.lane[best, None]), manners)
-        better = ~refined.scores.broken[0] & (refined.scores.total[0] >= drives.scores.total[0])
+        unanswered = _judged(scene, planning, weights, as_given(controls[None], plans.lane[best, None]), following)
+        broken = refined.scores.broken[0] | unanswered.scores.collides[0]
+        better = ~broken & (refined.scores.total[0] >= drives.scores.total[0])
         chosen = jnp.where(better, REFINED, chosen)
         drives = jax.tree.map(lambda new, old: jnp.where(better, new, old), refined, drives)
     rollouts = jax.tree.map(lambda field: field[0], drives.rollouts)
