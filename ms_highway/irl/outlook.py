@@ -1,6 +1,5 @@
 """Tell where drivers may be: paths in several modes, how far off they may be, and how likely a position is."""
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -9,13 +8,15 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float
 from scipy import optimize
 
-__all__ = ["DRAWS", "Modes", "Spread", "expected_path", "fit_spread", "log_density", "region_level"]
+from ms_highway.game.learned_drivers import Spread
+
+__all__ = ["DRAWS", "Modes", "expected_path", "fit_spread", "log_density", "region_level"]
 
 DRAWS = 256
 """Draws from a predicted distribution, by which the region that holds a position is measured."""
 
 EVERY = 5  # steps between those at which the spread is fitted
-FIRST = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.5)  # parameters that a fit starts from
+FIRST = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.0, 0.0)  # parameters that a fit starts from, the tails' last
 PRIOR = 2.0  # standard deviation of the parameters around these
 
 
@@ -31,34 +32,6 @@ class Modes(NamedTuple):
     path: Float[Any, "n modes 50 2"]
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Spread:
-    """How far drivers are off a predicted path: a bivariate Student t distribution, along and across the road.
-
-    At t seconds, ``log scale = a + b log t + c (log t)^2``, plus a further constant where the driver changes lanes.
-
-    Attributes:
-        along: a, b and c of the scale along the road [m].
-        across: a, b and c of the scale across it [m].
-        changing: constants along and across in all modes but the first.
-        tails: degrees of freedom; the normal distribution has infinitely many.
-    """
-
-    along: Float[Any, "3"]
-    across: Float[Any, "3"]
-    changing: Float[Any, "2"]
-    tails: float | Float[Any, ""]
-
-    def scales(self, modes: int, steps: int) -> Float[jax.Array, "modes steps 2"]:
-        """Return the scales of each mode after each step [m]."""
-        times = jnp.log(0.1 * jnp.arange(1, steps + 1))
-        powers = jnp.stack([jnp.ones_like(times), times, times**2])
-        logs = jnp.stack([jnp.asarray(self.along) @ powers, jnp.asarray(self.across) @ powers], axis=-1)
-        changes = (jnp.arange(modes) > 0)[:, None, None] * jnp.asarray(self.changing)
-        return jnp.exp(logs + changes)
-
-
 def expected_path(modes: Modes) -> Float[np.ndarray, "n 50 2"]:
     """Return the mean of the modes' paths, the one prediction that errors are measured of."""
     return np.einsum("nm,nmtc->ntc", np.asarray(modes.probability), np.asarray(modes.path))
@@ -69,7 +42,8 @@ def log_density(modes: Modes, spread: Spread, positions: Float[jax.Array, "n 50 
     """Return the log density of positions after each step [1/m^2]; NaN where a position is NaN."""
     scales = spread.scales(*modes.path.shape[1:3])
     off = (jnp.asarray(positions)[:, None] - modes.path) / scales
-    each = -(spread.tails / 2 + 1) * jnp.log1p(jnp.sum(off**2, axis=-1) / spread.tails)
+    freedom = spread.freedom(modes.path.shape[2])
+    each = -(freedom / 2 + 1) * jnp.log1p(jnp.sum(off**2, axis=-1) / freedom)
     each = each - jnp.log(2 * jnp.pi) - jnp.sum(jnp.log(scales), axis=-1)
     chances = jnp.log(jnp.maximum(jnp.asarray(modes.probability), 1e-9))
     return jax.scipy.special.logsumexp(each + chances[..., None], axis=1)
@@ -84,12 +58,12 @@ def region_level(
     """
     random = np.random.default_rng(seed)
     n, number, steps = np.asarray(modes.path).shape[:3]
-    scales, tails = np.asarray(spread.scales(number, steps)), float(spread.tails)
+    scales, freedom = np.asarray(spread.scales(number, steps)), np.asarray(spread.freedom(steps))
     edge, inside = np.asarray(log_density(modes, spread, positions)), np.zeros((n, steps))
     below = np.cumsum(np.asarray(modes.probability), axis=1)[:, :-1]
     for _ in range(DRAWS):
         mode = np.sum(random.random((n, 1)) > below, axis=1)
-        stretch = np.sqrt(tails / random.chisquare(tails, (n, 1, 1)))
+        stretch = np.sqrt(freedom / random.chisquare(freedom, (n, steps)))[..., None]
         drawn = np.asarray(modes.path)[np.arange(n), mode] + stretch * random.normal(size=(n, steps, 2)) * scales[mode]
         inside += np.asarray(log_density(modes, spread, drawn)) > edge
     return np.where(np.isfinite(edge), inside / DRAWS, np.nan)
@@ -108,15 +82,15 @@ def fit_spread(modes: Modes, positions: Float[np.ndarray, "n 50 2"]) -> Spread:
     return _spread(found.x)
 
 
-def _spread(parameters: Float[Any, "9"]) -> Spread:
-    tails = np.exp(parameters[8]) if isinstance(parameters, np.ndarray) else jnp.exp(parameters[8])
-    return Spread(parameters[:3], parameters[3:6], parameters[6:8], tails)
+def _spread(parameters: Float[Any, "10"]) -> Spread:
+    xp = parameters.__array_namespace__()
+    return Spread(parameters[:3], parameters[3:6], parameters[6:8], xp.stack([xp.exp(parameters[8]), parameters[9]]))
 
 
 @jax.jit
 @jax.value_and_grad
 def _surprise(
-    parameters: Float[jax.Array, "9"],
+    parameters: Float[jax.Array, "10"],
     modes: Modes,
     positions: Float[jax.Array, "n 50 2"],
     known: Bool[jax.Array, "n few"],
