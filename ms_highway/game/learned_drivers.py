@@ -11,10 +11,7 @@ from jaxtyping import Float
 
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["ADVANTAGES", "Intention", "LearnedDrivers", "Spread", "TraitPrior", "Traits"]
-
-ADVANTAGES = ("offset", "drift", "speed", "gap")
-"""What draws a driver to a lane beside its own, see `Intention`."""
+__all__ = ["Intention", "LearnedDrivers", "Spread", "TraitPrior", "Traits"]
 
 Number = float | Float[Array, "*drivers"]
 
@@ -74,14 +71,15 @@ class Intention:
     """Log odds of changing to a lane beside within the next seconds, against keeping the lane: ``bias + sum w_i a_i``.
 
     Attributes:
-        bias: with no advantage.
-        weights: of `ADVANTAGES`, towards that lane: the offset from the own lane's centre, in lane widths; the lateral
-            speed [m/s]; the mean closing speed that is avoided, weighed by the nearness of the leaders [m/s]; and the
-            distance to the leader there beyond that to the own one [10 m].
+        biases: to the left and to the right, with no advantage.
+        weights: of the advantages of that lane: the offset from the own lane's centre, in lane widths; the lateral
+            speed now, and over the last second [m/s]; the mean closing speed that is avoided, weighed by the nearness
+            of the leaders [m/s]; the distance to the leader there beyond that to the own one [10 m]; and the driver's
+            speed [10 m/s].
     """
 
-    bias: float | Float[Array, ""]
-    weights: Float[Any, "4"]
+    biases: Float[Any, "2"]
+    weights: Float[Any, "6"]
 
 
 @jax.tree_util.register_dataclass
@@ -120,9 +118,10 @@ class Spread:
 
 @dataclass(frozen=True)
 class LearnedDrivers:
-    """What `ms-highway irl fit` learns of real drivers beside their weights.
+    """What `ms-highway irl fit` learns of real drivers seconds ahead.
 
     Attributes:
+        weights: of the reward, by name, under which they come closest to where they were recorded.
         prior: of their traits.
         changing: factors of weights and traits, by name, of a driver who changes lanes.
         intention: to change lanes.
@@ -132,6 +131,7 @@ class LearnedDrivers:
         peers: parameters and spread of each predictor that it is compared with, by name.
     """
 
+    weights: Mapping[str, float]
     prior: TraitPrior
     changing: Mapping[str, float]
     intention: Intention
@@ -152,9 +152,10 @@ class LearnedDrivers:
             if tuple(map(np.size, values.values())) != sizes or not all(map(_finite, values.values())):
                 raise ValueError(f"{name} of the drivers is {content[name]}; it must hold {sizes} finite numbers")
             parts[name] = kind(**values)
-        rest = {name: dict(content[name]) for name in ("changing", "deviations", "peers")}
-        if not all(isinstance(value, float) and value > 0 for value in rest["changing"].values()):
-            raise ValueError(f"changing of the drivers is {rest['changing']}; it must have positive factors")
+        rest = {name: dict(content[name]) for name in ("weights", "changing", "deviations", "peers")}
+        for name in ("weights", "changing"):
+            if not all(isinstance(value, float) and 0 < value < np.inf for value in rest[name].values()):
+                raise ValueError(f"{name} of the drivers is {rest[name]}; it must have positive numbers by name")
         return cls(**parts, **rest)
 
     def written(self) -> dict[str, Any]:
@@ -163,12 +164,12 @@ class LearnedDrivers:
             lambda value: np.asarray(value, dtype=float).tolist(),
             {
                 **{name: asdict(getattr(self, name)) for name in ("prior", "intention", "spread")},
-                **{name: dict(getattr(self, name)) for name in ("changing", "deviations", "peers")},
+                **{name: dict(getattr(self, name)) for name in ("weights", "changing", "deviations", "peers")},
             },
         )
 
 
-PARTS = {"prior": (TraitPrior, (3, 3, 1)), "intention": (Intention, (1, 4)), "spread": (Spread, (3, 3, 2, 2))}
+PARTS = {"prior": (TraitPrior, (3, 3, 1)), "intention": (Intention, (2, 6)), "spread": (Spread, (3, 3, 2, 2))}
 
 
 def _array(value: Any) -> Any:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
@@ -17,8 +18,8 @@ from ms_highway.runtime.files import read_json, replacing
 
 __all__ = ["SHIPPED", "VERSION", "LearnedReward", "commuter_weights", "load", "save", "shipped"]
 
-VERSION = 2
-"""Version of the file format; files of version 1 can be read, others are refused."""
+VERSION = 3
+"""Version of the file format; files of versions 1 and 2 can be read, others are refused."""
 
 REMEDY = "learn it again with `ms-highway irl fit`"
 
@@ -34,7 +35,8 @@ class LearnedReward:
         weights: of features and comfort, by name; the given comfort weights set their scale.
         temperature: T of maximum entropy, at the same scale.
         learned: names of the weights that were learned; the others were given.
-        covariance: of the logarithms of the learned weights' sizes and, at the end, of the temperature.
+        covariance: of the logarithms of the learned weights' sizes, of the temperature and, if any, of the tails; of
+            real drivers with drivers as the independent units, of simulated ones with windows.
         horizon: K, number of steps of 0.1 s in the windows.
         converged: whether the optimiser reached the maximum.
         iterations: of the optimiser.
@@ -43,6 +45,8 @@ class LearnedReward:
             there is only one group).
         feature_counts: mean sums of the features over a window: ``human``, and ``model``, expected under the reward.
         provenance: data, groups of recordings, and versions of the software.
+        tails: nu of `ms_highway.irl.maximum_entropy`, None for a normal distribution.
+        drivers: what was learned seconds ahead; None from simulated demonstrations.
     """
 
     weights: dict[str, float]
@@ -56,6 +60,8 @@ class LearnedReward:
     log_likelihood: dict[str, float | None]
     feature_counts: dict[str, dict[str, float]]
     provenance: dict[str, Any]
+    tails: float | None = None
+    drivers: LearnedDrivers | None = None
 
     def __post_init__(self) -> None:
         """Check the reward.
@@ -70,12 +76,14 @@ class LearnedReward:
             raise ValueError(f"there is no weight for {missing}")
         if set(self.model.names) != set(self.weights):
             raise ValueError(f"what was learned and given, {self.model.names}, are not the weights")
-        covariance, parameters = np.array(self.covariance, dtype=float), len(self.learned) + 1
+        covariance, parameters = np.array(self.covariance, dtype=float), len(self.learned) + 1 + (self.tails is not None)
         finite = covariance.shape == (parameters, parameters) and np.isfinite(covariance).all()
         if not finite or (np.diag(covariance) < 0).any():
             raise ValueError(f"the covariance is no finite array of shape {(parameters, parameters)} with variances")
         if isinstance(self.temperature, bool) or not (np.isfinite(self.temperature) and self.temperature > 0):
             raise ValueError(f"the temperature is {self.temperature}; it must be positive")
+        if self.tails is not None and not (np.isfinite(self.tails) and self.tails > 0):
+            raise ValueError(f"the tails are {self.tails}; they must be positive, or null for none")
         if type(self.horizon) is not int or self.horizon < 1:
             raise ValueError(f"the horizon is {self.horizon!r}; it must be a number of steps")
         if set(self.feature_counts) != {"human", "model"}:
@@ -89,9 +97,8 @@ class LearnedReward:
     @property
     def model(self) -> RewardModel:
         """The weights that were learned and those given."""
-        return RewardModel(
-            self.learned, {name: value for name, value in self.weights.items() if name not in self.learned}
-        )
+        given = {name: value for name, value in self.weights.items() if name not in self.learned}
+        return RewardModel(self.learned, given, self.tails is not None)
 
     def interval(self, name: str, deviations: float = 1.645) -> Float[np.ndarray, "2"]:
         """Return a weight's interval of so many standard deviations of its logarithm to each side; 1.645 give 90 %."""
@@ -103,7 +110,8 @@ class LearnedReward:
 def save(learned: LearnedReward, path: Path) -> None:
     """Write a learned reward as JSON, atomically."""
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps({"version": VERSION, **asdict(learned)}, indent=2) + "\n")
+        content = asdict(learned) | {"drivers": learned.drivers and learned.drivers.written()}
+        temporary.write_text(json.dumps({"version": VERSION, **content}, indent=2) + "\n")
 
 
 def load(path: Path) -> LearnedReward:
@@ -144,11 +152,15 @@ def commuter_weights() -> dict[str, float]:
 def _checked(content: Any, place: str) -> LearnedReward:
     version = content.get("version") if isinstance(content, dict) else None
     if version == 1:  # differs in the name of a key only
-        content, version = {"learned" if key == "learnt" else key: value for key, value in content.items()}, VERSION
+        content, version = {"learned" if key == "learnt" else key: value for key, value in content.items()}, 2
+    if version == 2:  # had neither tails nor drivers
+        version = VERSION
     if version != VERSION:
         raise ValueError(f"{place} holds a learned reward of version {version}, not {VERSION}; {REMEDY}")
     fields = {name: value for name, value in content.items() if name != "version"}
     try:
-        return LearnedReward(**{**fields, "learned": tuple(content["learned"])})
+        drivers = fields.pop("drivers", None)
+        read = drivers if drivers is None else LearnedDrivers.read(drivers)
+        return LearnedReward(**{**fields, "learned": tuple(content["learned"]), "drivers": read})
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{place} is damaged: {error}; {REMEDY}") from error

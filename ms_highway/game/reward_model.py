@@ -26,6 +26,7 @@ class RewardModel:
     Attributes:
         learned: names of the weights to learn, of `weight_names`.
         given: fixed weights, by name; those of comfort set the scale of all others.
+        tails: whether drivers are now and then far from what is best, see `ms_highway.irl.maximum_entropy`.
 
     Raises:
         ValueError: for unknown names, indicators, a weight named twice, or no given comfort weight.
@@ -33,6 +34,7 @@ class RewardModel:
 
     learned: tuple[str, ...]
     given: Mapping[str, float]
+    tails: bool = False
 
     def __post_init__(self) -> None:
         known = [name for name in weight_names() if name not in NO_GRADIENT]
@@ -60,6 +62,6 @@ class RewardModel:
         return np.array([-1.0 if name in PENALTIES else 1.0 for name in self.learned])
 
     def weights(self, logarithms: Float[np.ndarray, "parameters"]) -> dict[str, float]:
-        """Return all weights by name, from the logarithms of the learned ones' sizes and, last, of the temperature."""
-        learned = (self.signs() * np.exp(logarithms[:-1])).tolist()
+        """Return all weights by name, from the logarithms that a fit finds; those of the learned ones come first."""
+        learned = (self.signs() * np.exp(logarithms[: len(self.learned)])).tolist()
         return {**dict(zip(self.learned, learned, strict=True)), **self.given}

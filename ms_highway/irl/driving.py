@@ -193,19 +193,24 @@ def expected_traits(
     return mean, covariance
 
 
-def advantages(moment: Moments) -> tuple[Float[jax.Array, "cars 2 4"], Bool[jax.Array, "cars 2"]]:
+def advantages(moment: Moments) -> tuple[Float[jax.Array, "cars 2 6"], Bool[jax.Array, "cars 2"]]:
     """Return `Intention`'s advantages of the lanes to the left and to the right, and whether these exist."""
     cars, lane, lengths = _cars(moment.past[-1]), _lane(moment), jnp.asarray(moment.sizes)[:, 0]
     offset, drift = cars.y - moment.lanes[lane], cars.speed * jnp.sin(cars.heading)
+    before = moment.past[-SECOND - 1 :, :, 1]
+    times = TIME_STEP * (np.arange(SECOND + 1) - SECOND / 2)
+    drifted = times @ before / (times @ times)
+    drifted = jnp.where(jnp.isfinite(drifted), drifted, drift)
     own = _leaders(cars, cars, moment.lanes[lane], lengths, moment.lane_width)
 
     def side(right: int) -> tuple[jax.Array, jax.Array]:
         exists = (lane + right >= 0) & (lane + right <= _lane_of(moment, moment.lanes[-1]))
         there = moment.lanes[jnp.clip(lane + right, 0, len(moment.lanes) - 1)]
         other = _leaders(cars, cars, there, lengths, moment.lane_width)
-        speed = _hurry(other, cars.speed) - _hurry(own, cars.speed)
+        quicker = _hurry(other, cars.speed) - _hurry(own, cars.speed)
         room = jnp.clip(other.gap, 0.0, NOBODY) - jnp.clip(own.gap, 0.0, NOBODY)
-        return jnp.stack([right * offset / moment.lane_width, right * drift, speed, room / 10], axis=-1), exists
+        aside = [right * offset / moment.lane_width, right * drift, right * drifted]
+        return jnp.stack([*aside, quicker, room / 10, cars.speed / 10], axis=-1), exists
 
     found, exist = zip(*map(side, (-1, 1)), strict=True)
     return jnp.stack(found, axis=1), jnp.stack(exist, axis=1)
@@ -220,7 +225,7 @@ def _hurry(leader: Leader, speed: Float[jax.Array, "cars"]) -> Float[jax.Array, 
 def _chances(intention: Intention, moment: Moments) -> Float[jax.Array, "cars modes"]:
     """Return the probability of each mode of each car."""
     drawn, exist = advantages(moment)
-    odds = jnp.where(exist, intention.bias + drawn @ jnp.asarray(intention.weights), -jnp.inf)
+    odds = jnp.where(exist, jnp.asarray(intention.biases) + drawn @ jnp.asarray(intention.weights), -jnp.inf)
     return jax.nn.softmax(jnp.concatenate([jnp.zeros((len(odds), 1)), odds], axis=1), axis=1)
 
 

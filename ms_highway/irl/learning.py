@@ -18,7 +18,10 @@ from ms_highway.game.reward import COMFORT
 from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit, log_likelihoods
+from ms_highway.irl.moments import cut_moments
+from ms_highway.irl.predictors import learn_peers
 from ms_highway.irl.recordings.recording import Recording
+from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.windows import Windows, driver_game, regular_windows, with_window
 from ms_highway.optimization.solvers import optimize_controls
 from ms_highway.runtime.batches import in_batches
@@ -55,6 +58,7 @@ its edge none that derivatives contain, see `ms_highway.irl.windows.regular`.
 REAL = RewardModel(
     (*SIMULATED.learned, "direction", "headway", "closing_speed", "induced_braking", "comfort_steering"),
     {"comfort_acceleration": COMFORT_GIVEN},
+    tails=True,
 )
 """Learned from real drivers: also weights of interaction with traffic, and of steering relative to accelerating."""
 
@@ -74,7 +78,7 @@ def learn(
     *,
     progress: Progress = silent,
 ) -> LearnedReward:
-    """Learn a reward from all drivers of the recordings.
+    """Learn a reward from all drivers of the recordings; of measured ones, also what `learn_drivers` learns.
 
     Args:
         recordings: the recordings to learn from.
@@ -92,14 +96,21 @@ def learn(
     progress(f"differentiating {len(windows)} windows")
     derivatives = differentiate(windows, model.names)
     progress("fitting")
-    found = converged(fit(derivatives, model))
+    real = recordings[0].measured
+    found = converged(fit(derivatives, model, drivers=windows.driver if real else None))
     held_out = []
     parts = folds(windows.group, validations)
     for number, names in enumerate(parts if len(parts) > 1 else [], 1):
         chosen = np.isin(windows.group, names)
         progress(f"cross-validating, {number} of {len(parts)}")
         rest = converged(fit(derivatives.of(~chosen), model, found))
-        held_out.append(window_log_likelihoods(derivatives.of(chosen), model, rest.weights, rest.temperature))
+        held_out.append(window_log_likelihoods(derivatives.of(chosen), rest))
+    drivers = None
+    if real:
+        moments = cut_moments(recordings)
+        drivers = learn_drivers(moments, progress=progress)
+        progress("fitting the predictors to compare with")
+        drivers = replace(drivers, peers=learn_peers(moments))
     progress("counting features")
     return LearnedReward(
         weights=found.weights,
@@ -124,6 +135,8 @@ def learn(
             "drivers": sum(len(recording.drivers) for recording in recordings),
             "versions": {package: version(package) for package in ("ms-highway", "jax", "numpy", "scipy")},
         },
+        tails=found.tails,
+        drivers=drivers,
     )
 
 
@@ -142,13 +155,13 @@ def converged(found: Fit) -> Fit:
 
 
 def window_log_likelihoods(
-    derivatives: FeatureDerivatives, model: RewardModel, weights: Mapping[str, float], temperature: float
+    derivatives: FeatureDerivatives, found: Fit | LearnedReward
 ) -> Float[np.ndarray, "n"]:
     """Return log p of the scaled controls in every window, see `log_likelihoods`, in double precision."""
     with jax.enable_x64(True):
-        theta = jnp.array([weights[name] for name in model.names])
+        theta = jnp.array([found.weights[name] for name in found.model.names])
         data = FeatureDerivatives(*map(jnp.asarray, derivatives))
-        return np.asarray(log_likelihoods(data, theta, temperature, model.floor))
+        return np.asarray(log_likelihoods(data, theta, found.temperature, found.model.floor, found.tails))
 
 
 def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float[np.ndarray, "n K 2"]:

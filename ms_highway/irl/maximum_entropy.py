@@ -12,6 +12,13 @@ approximation of the integral around what the driver did gives, with the gradien
 
 The first term is large if the driver was near an optimum, the second if that optimum is sharp. g and H are linear in
 theta: the features' derivatives are computed once, and a fit then takes seconds.
+
+Real drivers are mostly near an optimum, and now and then far from it. Their temperature varies from window to window, T
+times an inverse-gamma variable of ``nu / 2`` and ``nu / 2``, which makes p a multivariate Student t distribution with
+nu degrees of freedom, its *tails*::
+
+    log p(u) = -(nu + d) / 2 log(1 - g^T H^-1 g / nu) + log det(-H) / 2
+               + log Gamma((nu + d) / 2) - log Gamma(nu / 2) - (d / 2) log(nu pi)
 """
 
 from collections.abc import Callable
@@ -23,7 +30,8 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
-from jaxtyping import Float
+from jax.scipy.special import gammaln
+from jaxtyping import Float, Int
 from scipy import optimize
 
 from ms_highway.game.game import Game, move
@@ -68,9 +76,10 @@ class Fit:
 
     Attributes:
         model: the weights that were learned and those given.
-        logarithms: of the learned weights' sizes and, at the end, of the temperature T.
-        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior. It assumes
-            independent windows; for real drivers, whose windows are correlated, its intervals are too narrow.
+        logarithms: of the learned weights' sizes, of the temperature T and, in a model with tails, of nu.
+        covariance: of the logarithms: the inverse B of minus the Hessian of the log-likelihood and prior; if drivers
+            are told apart, ``B sum_i s_i s_i^T B`` with the score s_i of all windows of driver i (Huber 1967), as the
+            windows of one driver are not independent.
         converged: whether the optimiser reached the maximum.
         iterations: of the optimiser.
         log_likelihood: mean over the windows.
@@ -91,7 +100,12 @@ class Fit:
     @property
     def temperature(self) -> float:
         """T, the spread of the drivers around the optimum, in units of the reward."""
-        return float(np.exp(self.logarithms[-1]))
+        return float(np.exp(self.logarithms[len(self.model.learned)]))
+
+    @property
+    def tails(self) -> float | None:
+        """Degrees of freedom nu, None for a normal distribution."""
+        return float(np.exp(self.logarithms[-1])) if self.model.tails else None
 
     @property
     def sharp_weights(self) -> dict[str, float]:
@@ -169,30 +183,51 @@ def _floored_jvp(
 
 @jax.jit
 def log_likelihoods(
-    derivatives: FeatureDerivatives, theta: Float[Array, "names"], temperature: float | Float[Array, ""], floor: float
+    derivatives: FeatureDerivatives,
+    theta: Float[Array, "names"],
+    temperature: float | Float[Array, ""],
+    floor: float,
+    tails: float | Float[Array, ""] | None = None,
 ) -> Float[jax.Array, "n"]:
-    """Return Laplace's log p of the scaled controls in every window; eigenvalues of -H are at least ``floor / T``."""
+    """Return Laplace's log p of the scaled controls in every window; eigenvalues of -H are at least ``floor / T``.
+
+    Args:
+        derivatives: of the features in every window.
+        theta: weights of these features.
+        temperature: T.
+        floor: least curvature of -R.
+        tails: nu, None for a normal distribution.
+    """
 
     def window(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
         slope, bend = pair
-        lowest = floor / temperature
-        high = jnp.isfinite(jnp.linalg.cholesky(bend - lowest * jnp.eye(len(bend)))).all()  # then nothing is floored
+        lowest, d = floor / temperature, len(slope)
+        high = jnp.isfinite(jnp.linalg.cholesky(bend - lowest * jnp.eye(d))).all()  # then nothing is floored
         root = jnp.linalg.cholesky(jax.lax.cond(high, lambda bend: bend, lambda bend: floored(bend, lowest), bend))
-        off = slope @ cho_solve((root, True), slope)
-        return -off / 2 + jnp.sum(jnp.log(jnp.diagonal(root))) - len(slope) / 2 * jnp.log(2 * jnp.pi)
+        off, sharp = slope @ cho_solve((root, True), slope), jnp.sum(jnp.log(jnp.diagonal(root)))
+        if tails is None:
+            return -off / 2 + sharp - d / 2 * jnp.log(2 * jnp.pi)
+        normalised = gammaln((tails + d) / 2) - gammaln(tails / 2) - d / 2 * jnp.log(tails * jnp.pi)
+        return normalised + sharp - (tails + d) / 2 * jnp.log1p(off / tails)
 
     slope = jnp.einsum("f,nfd->nd", theta, derivatives.gradients) / temperature
     bend = -jnp.einsum("f,nfde->nde", theta, derivatives.hessians) / temperature
     return jax.lax.map(window, (slope, bend))
 
 
-def fit(derivatives: FeatureDerivatives, model: RewardModel, near: Fit | None = None) -> Fit:
+def fit(
+    derivatives: FeatureDerivatives,
+    model: RewardModel,
+    near: Fit | None = None,
+    drivers: Int[np.ndarray, "n"] | None = None,
+) -> Fit:
     """Fit the most likely weights and temperature, see `most_likely`.
 
     Args:
         derivatives: of the features `RewardModel.names`, in their order.
         model: the weights to learn and those given.
         near: a fit to start from; by default, with more than 600 windows, a fit of about 300 of them.
+        drivers: number of each window's driver, for the covariance; by default, all windows are independent.
 
     Raises:
         ValueError: if the weights diverge.
@@ -201,19 +236,19 @@ def fit(derivatives: FeatureDerivatives, model: RewardModel, near: Fit | None = 
     if near is None and windows > MANY:
         near = fit(derivatives.of(np.arange(0, windows, windows * 2 // MANY)), model)
     begin = None if near is None else near.logarithms
-    return most_likely(_above_floor, (derivatives, model.floor), model, begin)
+    return most_likely(_above_floor, (derivatives, model.floor), model, begin, drivers)
 
 
 def _above_floor(
-    data: tuple[FeatureDerivatives, jax.Array], theta: Float[jax.Array, "names"], temperature: Float[jax.Array, ""]
+    data: tuple[FeatureDerivatives, jax.Array], theta: Float[jax.Array, "names"], *spread: Float[jax.Array, ""]
 ) -> Float[jax.Array, "n"]:
-    """`log_likelihoods` of derivatives and a floor."""
+    """`log_likelihoods` of derivatives and a floor, with a temperature and perhaps tails."""
     derivatives, floor = data
-    return log_likelihoods(derivatives, theta, temperature, floor)
+    return log_likelihoods(derivatives, theta, spread[0], floor, *spread[1:])
 
 
-Likelihoods: TypeAlias = Callable[[Any, Float[jax.Array, "names"], Float[jax.Array, ""]], Float[jax.Array, "n"]]
-"""Log p of each of n data, of (data, theta, temperature)."""
+Likelihoods: TypeAlias = Callable[..., Float[jax.Array, "n"]]
+"""Log p of each of n data, of (data, theta, temperature) and, in a model with tails, of nu."""
 
 
 def most_likely(
@@ -221,6 +256,7 @@ def most_likely(
     data: Any,
     model: RewardModel,
     begin: Float[np.ndarray, "parameters"] | None = None,
+    drivers: Int[np.ndarray, "n"] | None = None,
 ) -> Fit:
     """Fit the weights and the temperature that make data most likely under a weak prior, in double precision.
 
@@ -233,6 +269,7 @@ def most_likely(
         data: a pytree of arrays.
         model: the weights to learn and those given.
         begin: the logarithms to start from.
+        drivers: see `fit`.
 
     Raises:
         ValueError: if the weights diverge.
@@ -258,13 +295,17 @@ def most_likely(
                 raise ValueError(f"the weights diverge, at {weights}; learn fewer of them, or from more driving")
             return np.stack(rows) / (2 * DIFFERENCE)
 
-        first = np.zeros(len(model.learned) + 1) if begin is None else begin
+        first = np.zeros(len(model.learned) + 1 + model.tails) if begin is None else begin
 
         found = optimize.minimize(value, first, jac=slope, hess=bend, method="trust-exact", options=TRUST_REGION)
         top = np.asarray(found.x)
         hessian, converged = bend(top), bool(np.abs(slope(top)).max() < TOLERANCE)
         each = np.asarray(loss(top)[0][1])
-    covariance = np.linalg.pinv(len(each) * (hessian + hessian.T) / 2, hermitian=True)
+        covariance = np.linalg.pinv(len(each) * (hessian + hessian.T) / 2, hermitian=True)
+        if drivers is not None:
+            scores = np.asarray(_scores(likelihoods, jnp.asarray(top), data, signs, given))
+            of_drivers = np.stack([scores[drivers == driver].sum(axis=0) for driver in np.unique(drivers)])
+            covariance = covariance @ (of_drivers.T @ of_drivers) @ covariance
     return Fit(model, top, covariance, converged, int(found.nit), float(each.mean()))
 
 
@@ -278,6 +319,22 @@ def _loss(
     given: Float[jax.Array, "given"],
 ) -> tuple[Float[jax.Array, ""], Float[jax.Array, "n"]]:
     """Return minus the mean log p under the prior, and log p of each of the data."""
-    sizes = jnp.exp(logarithms)
-    each = likelihoods(data, jnp.concatenate([signs * sizes[:-1], given]), sizes[-1])
+    each = _each(likelihoods, logarithms, data, signs, given)
     return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each), each
+
+
+@partial(jit_quickly, static_argnums=(0,))
+def _scores(likelihoods: Likelihoods, logarithms: jax.Array, *rest: Any) -> Float[jax.Array, "n parameters"]:
+    """Return the slopes of log p of each of the data in the logarithms, for the arguments of `_loss`."""
+    return jax.jacfwd(lambda logarithms: _each(likelihoods, logarithms, *rest))(logarithms)
+
+
+def _each(
+    likelihoods: Likelihoods,
+    logarithms: Float[jax.Array, "parameters"],
+    data: Any,
+    signs: Float[jax.Array, "learned"],
+    given: Float[jax.Array, "given"],
+) -> Float[jax.Array, "n"]:
+    sizes = jnp.exp(logarithms)
+    return likelihoods(data, jnp.concatenate([signs * sizes[: len(signs)], given]), *sizes[len(signs) :])

@@ -58,6 +58,11 @@ class Moments:
         """States of all cars, NaN for those that are not seen."""
         return self.past[:, -1]
 
+    @property
+    def recorded(self) -> Float[np.ndarray, "drivers 50 2"]:
+        """Positions of the predicted drivers after each step, NaN after they were seen last."""
+        return self.drivers(np.moveaxis(np.asarray(self.future), 1, 2))[..., :2]
+
     def of(self, chosen: Bool[np.ndarray, "n"]) -> "Moments":
         """Return the chosen moments."""
         return jax.tree.map(lambda numbers: numbers[chosen], self)

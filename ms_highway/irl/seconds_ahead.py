@@ -6,7 +6,7 @@ moment, driving on together, come closest to where they were recorded 1, 2, 3 an
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import jax
 import numpy as np
@@ -17,7 +17,7 @@ from scipy import optimize, special
 from ms_highway.game.learned_drivers import Intention, LearnedDrivers, TraitPrior
 from ms_highway.irl.driving import Changing, Drivers, advantages, drive_together, predict
 from ms_highway.irl.moments import Moments, lanes_of
-from ms_highway.irl.outlook import fit_spread
+from ms_highway.irl.outlook import Modes, fit_spread
 from ms_highway.planning.held_control import DrivingWeights
 from ms_highway.runtime.progress import Progress, silent
 
@@ -36,9 +36,14 @@ FIRST = {
     **{"typical headway": 1.2, "desired speeds": 0.15, "headways": 0.5, "patiences": 0.4, "noise": 0.7},
 }  # that the fit starts from, and the medians of its prior: weights, median headway, deviations of traits, and noise
 CHANGING = (*LEARNED, "desired speed", "typical headway")  # what has a factor while changing lanes
+NAMES = (*FIRST, *(f"{name} while changing lanes" for name in CHANGING))
 WIDE, NARROW = 2.0, 0.7  # standard deviations of the prior, of logarithms of weights and of all else
-AT_ONCE = 35  # moments, so that gradients fit in memory
+DEVIATIONS = np.array([WIDE if name in LEARNED else NARROW for name in (*FIRST, *CHANGING)])
 ODDS = 3.0  # standard deviation of the prior of an intention's numbers
+MOST, REFIT = 60, 10  # iterations of a fit, and from the fit to all drivers to that to some of them
+FOLDS = 3  # of recordings, to learn the spread of drivers who were not learned from
+DIFFERENCE = 0.02  # of logarithms, for second derivatives in single precision
+AT_ONCE = 35  # moments, so that gradients fit in memory
 
 
 class _Known(NamedTuple):
@@ -53,38 +58,52 @@ class _Known(NamedTuple):
     keeps: Bool[Any, "n cars"]
     changes: Bool[Any, "n cars"]
 
+    @property
+    def counts(self) -> Bool[Any, "n cars"]:
+        """Which drivers are learned from."""
+        return self.keeps | self.changes
 
-def learn_drivers(moments: Moments, *, progress: Progress = silent) -> tuple[dict[str, float], LearnedDrivers]:
-    """Learn the weights `LEARNED`, with that of the comfort of acceleration 0.1, and the drivers beside them.
+    def among(self, chosen: Bool[np.ndarray, "n"]) -> Self:
+        """Return what is known of the drivers of some moments only."""
+        return self._replace(keeps=self.keeps & chosen[:, None], changes=self.changes & chosen[:, None])
+
+
+def learn_drivers(
+    moments: Moments, chosen: Bool[np.ndarray, "n"] | None = None, *, progress: Progress = silent
+) -> LearnedDrivers:
+    """Learn drivers, with the weights `LEARNED` and that of the comfort of acceleration, 0.1.
 
     Args:
         moments: to learn from.
+        chosen: which of them; all by default. One compilation serves any choice.
         progress: called with a message when a part begins.
 
     Raises:
         ValueError: if no driver was seen for as long as 2 s.
     """
-    known = _afterwards(moments)
+    chosen = np.ones(len(moments), dtype=bool) if chosen is None else chosen
+    known = _afterwards(moments).among(chosen)
     if not known.keeps.any():
         raise ValueError(f"no driver was seen for {SURE / 10:g} s on end; nothing can be learned seconds ahead")
     progress("fitting drivers seconds ahead")
-    found = _closest(moments, known)
+    found, drivers = _fit(moments, known)
+    progress("fitting the spread around drivers who were not learned from")
+    modes = _predict_unknown(moments, known, found, chosen) or predict(moments, drivers)
+    recorded = np.where(_of_drivers(moments, chosen)[:, None, None], moments.recorded, np.nan)
     values = dict(zip(FIRST, np.exp(found[: len(FIRST)]).tolist(), strict=True))
-    weights = {name: values[name] for name in LEARNED} | {"comfort_acceleration": COMFORT}
-    drivers = _drivers(found)._replace(intention=_intention(moments, known))
-    progress("fitting the spread")
-    positions = moments.drivers(np.moveaxis(np.asarray(moments.future), 1, 2))[..., :2]
-    return weights, LearnedDrivers(
+    return LearnedDrivers(
+        weights={name: values[name] for name in LEARNED} | {"comfort_acceleration": COMFORT},
         prior=jax.tree.map(np.asarray, drivers.prior),
         changing=dict(zip(CHANGING, np.exp(found[len(FIRST) :]).tolist(), strict=True)),
         intention=drivers.intention,
-        spread=fit_spread(predict(moments, drivers), positions),
+        spread=fit_spread(modes, recorded),
+        deviations=dict(zip(NAMES, _deviations(found, moments, known).tolist(), strict=True)),
     )
 
 
-def drivers_of(weights: Mapping[str, float], learned: LearnedDrivers) -> Drivers:
-    """Return what predictions need of a learned reward's weights and of its drivers."""
-    return Drivers(DrivingWeights.of(weights), learned.prior, _changing(learned.changing), learned.intention)
+def drivers_of(learned: LearnedDrivers) -> Drivers:
+    """Return what predictions need of learned drivers."""
+    return Drivers(DrivingWeights.of(learned.weights), learned.prior, _changing(learned.changing), learned.intention)
 
 
 def _changing(factors: Mapping[str, Any]) -> Changing:
@@ -102,65 +121,136 @@ def _afterwards(moments: Moments) -> _Known:
     return _Known(after, sure & (after == before), sure & (np.abs(after - before) == 1))
 
 
-def _closest(moments: Moments, known: _Known) -> Float[np.ndarray, "parameters"]:
-    """Return the logarithms of `FIRST` and of the factors of `CHANGING` that bring drivers closest to the recorded."""
-    first = np.concatenate([np.log(list(FIRST.values())), np.zeros(len(CHANGING))])
-    wide = [WIDE if name in LEARNED else NARROW for name in (*FIRST, *CHANGING)]
-    number = (known.keeps | known.changes).sum()
-    moments = jax.tree.map(lambda part: jnp.asarray(part, None if part.dtype.kind != "f" else jnp.float32), moments)
+def _of_drivers(moments: Moments, values: np.ndarray) -> np.ndarray:
+    """Return values [n] of moments for every predicted driver."""
+    return np.repeat(values[:, None], moments.predicted.shape[1], axis=1)[moments.predicted]
+
+
+def _fit(
+    moments: Moments, known: _Known, begin: Float[np.ndarray, "parameters"] | None = None, iterations: int = MOST
+) -> tuple[Float[np.ndarray, "parameters"], Drivers]:
+    """Return the logarithms of `FIRST` and of the factors of `CHANGING` that bring drivers closest to the recorded.
+
+    Also return the drivers, with the intentions that make their lane changes most likely.
+    """
+    first, number = np.concatenate([np.log(list(FIRST.values())), np.zeros(len(CHANGING))]), known.counts.sum()
+    given = _single(moments)
 
     def value(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
-        off, slope = _mean_off(jnp.asarray(logarithms), moments, known)
-        far = (logarithms - first) / wide
-        return float(off) + far @ far / (2 * number), np.asarray(slope, dtype=float) + far / wide / number
+        off, slope = _mean_off(jnp.asarray(logarithms), given, known)
+        far = (logarithms - first) / DEVIATIONS
+        return float(off) + far @ far / (2 * number), np.asarray(slope, dtype=float) + far / DEVIATIONS / number
 
-    return optimize.minimize(value, first, jac=True, method="L-BFGS-B", options={"maxiter": 60, "ftol": 1e-6}).x
+    options = {"maxiter": iterations, "ftol": 1e-6}
+    found = optimize.minimize(value, first if begin is None else begin, jac=True, method="L-BFGS-B", options=options).x
+    return found, _drivers(found)._replace(intention=_intention(moments, known))
+
+
+def _single(moments: Moments) -> Moments:
+    return jax.tree.map(lambda part: jnp.asarray(part, jnp.float32 if part.dtype.kind == "f" else None), moments)
 
 
 def _drivers(logarithms: Float[Any, "parameters"]) -> Drivers:
-    """Return the drivers of what `_closest` found; they keep their lanes."""
+    """Return the drivers of what `_fit` finds; they keep their lanes."""
     xp = logarithms.__array_namespace__()
     numbers, factors = xp.exp(logarithms[: len(FIRST)]), xp.exp(logarithms[len(FIRST) :])
     headway, *deviations, noise = numbers[len(LEARNED) :]
-    median = xp.stack([xp.ones_like(headway), headway, xp.ones_like(headway)])
+    prior = TraitPrior(xp.stack([xp.ones_like(headway), headway, xp.ones_like(headway)]), xp.stack(deviations), noise)
+    weights = DrivingWeights(*numbers[: len(LEARNED)], COMFORT)
     changing = _changing(dict(zip(CHANGING, factors, strict=True)))
-    prior = TraitPrior(median, xp.stack(deviations), noise)
-    return Drivers(DrivingWeights(*numbers[: len(LEARNED)], COMFORT), prior, changing, Intention(-20.0, np.zeros(4)))
+    return Drivers(weights, prior, changing, Intention(np.full(2, -20.0), np.zeros(6)))
 
 
 @jax.jit
 @jax.value_and_grad
 def _mean_off(logarithms: Float[jax.Array, "parameters"], moments: Moments, known: _Known) -> Float[jax.Array, ""]:
-    """Return how far off drivers are, who drive on together to where they go: the mean of ``sqrt(1 + (e / s)^2) - 1``.
+    """Return how far off drivers are who drive on together to where they go, mean over drivers and horizons."""
+    off, counts = _off(logarithms, moments, known)
+    return off.sum() / counts.sum()
 
-    Summed over along and across, and over the horizons at which a driver was seen.
-    """
+
+@jax.jit
+def _slopes(
+    logarithms: Float[jax.Array, "parameters"], moments: Moments, known: _Known
+) -> Float[jax.Array, "n cars parameters"]:
+    """Return the slopes of every driver's part of `_mean_off`."""
+    return jax.jacfwd(lambda logarithms: _shares(*_off(logarithms, moments, known)))(logarithms)
+
+
+def _shares(off: Float[jax.Array, "n cars"], counts: Float[jax.Array, "n cars"]) -> Float[jax.Array, "n cars"]:
+    return off / counts.sum()
+
+
+def _off(
+    logarithms: Float[jax.Array, "parameters"], moments: Moments, known: _Known
+) -> tuple[Float[jax.Array, "n cars"], Float[jax.Array, "n cars"]]:
+    """Return the sum of ``sqrt(1 + (e / s)^2) - 1`` of every driver, along and across, and at how many horizons."""
     drivers = _drivers(logarithms)
 
-    def off(moment: Moments, known: _Known) -> tuple[jax.Array, jax.Array]:
+    def one(moment: Moments, known: _Known) -> tuple[jax.Array, jax.Array]:
         path = drive_together(drivers, moment, known.lane, known.changes)[HORIZONS - 1, :, :2]
         recorded = moment.future[HORIZONS - 1, :, :2]
-        counts = jnp.isfinite(recorded).all(axis=-1) & (known.keeps | known.changes)
+        counts = jnp.isfinite(recorded).all(axis=-1) & known.counts
         error = jnp.where(counts[..., None], path - jnp.nan_to_num(recorded), 0.0) / SCALES[:, None]
-        return jnp.sum(jnp.sqrt(1 + error**2) - 1), counts.sum()
+        return jnp.sum(jnp.sqrt(1 + error**2) - 1, axis=(0, 2)), counts.sum(axis=0)
 
-    each, counts = jax.lax.map(lambda pair: off(*pair), (moments, known), batch_size=AT_ONCE)
-    return each.sum() / counts.sum()
+    off, counts = jax.lax.map(lambda pair: one(*pair), (moments, known), batch_size=AT_ONCE)
+    return off, counts
+
+
+def _predict_unknown(
+    moments: Moments, known: _Known, begin: Float[np.ndarray, "parameters"], chosen: Bool[np.ndarray, "n"]
+) -> Modes | None:
+    """Predict every group of recordings by what is learned from the others; None if there are too few groups.
+
+    The spread around predictions of drivers who were learned from would be too narrow for others.
+    """
+    names = np.unique(moments.group[chosen])
+    if len(names) < FOLDS:
+        return None
+    fold = _of_drivers(moments, np.searchsorted(names, moments.group) % FOLDS)
+    parts = []
+    for number in range(FOLDS):
+        learned_from = known.among(np.searchsorted(names, moments.group) % FOLDS != number)
+        parts.append(predict(moments, _fit(moments, learned_from, begin, REFIT)[1]))
+    return Modes(*(np.stack(part)[fold, np.arange(len(fold))] for part in zip(*parts, strict=True)))
+
+
+def _deviations(
+    found: Float[np.ndarray, "parameters"], moments: Moments, known: _Known
+) -> Float[np.ndarray, "parameters"]:
+    """Return the standard deviations of what was found, with drivers as the independent units.
+
+    That of least errors, the roots of the diagonal of ``B sum_i s_i s_i^T B`` (Huber 1967), with the slope s_i of the
+    error of driver i at all its moments, and the inverse B of the Hessian with the prior, of finite differences.
+    """
+    given = _single(moments)
+    steps = DIFFERENCE * np.eye(len(found))
+    rows = [np.subtract(*(_mean_off(jnp.asarray(found + s), given, known)[1] for s in (step, -step))) for step in steps]
+    hessian = np.array(rows, dtype=float) / (2 * DIFFERENCE)
+    prior = np.diag(1 / DEVIATIONS**2) / known.counts.sum()
+    inverse = np.linalg.pinv((hessian + hessian.T) / 2 + prior, hermitian=True)
+    slopes = np.asarray(_slopes(jnp.asarray(found), given, known), dtype=float)[known.counts]
+    tracks = moments.track[known.counts]
+    scores = np.stack([slopes[tracks == track].sum(axis=0) for track in np.unique(tracks)])
+    return np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse))
 
 
 def _intention(moments: Moments, known: _Known) -> Intention:
     """Return the most likely intention, of logistic regression with a weak prior."""
-    drawn, exist = map(np.asarray, jax.jit(jax.vmap(advantages))(jax.tree.map(jnp.asarray, moments)))
+    drawn, exist = map(np.asarray, _advantages(_single(moments)))
     now = lanes_of(np.asarray(moments.lanes), np.nan_to_num(np.asarray(moments.now)[..., 1]))
-    sure = known.keeps | known.changes
     side = np.where(known.lane < now, 1, 2) * known.changes
-    drawn, exist, side = drawn[sure].astype(float), exist[sure], side[sure]
+    drawn, exist, side = drawn[known.counts].astype(float), exist[known.counts], side[known.counts]
 
     def surprise(numbers: np.ndarray) -> float:
-        odds = np.where(exist, numbers[0] + drawn @ numbers[1:], -np.inf)
+        odds = np.where(exist, numbers[:2] + drawn @ numbers[2:], -np.inf)
         odds = np.concatenate([np.zeros((len(odds), 1)), odds], axis=1)
         likely = odds[np.arange(len(side)), side] - special.logsumexp(odds, axis=1)
         return float(numbers @ numbers / (2 * ODDS**2) - likely.sum())
 
-    found = optimize.minimize(surprise, np.array([-3.0, 0.0, 0.0, 0.0, 0.0])).x
-    return Intention(float(found[0]), found[1:])
+    found = optimize.minimize(surprise, np.array([-3.0, -3.0, *np.zeros(6)])).x
+    return Intention(found[:2], found[2:])
+
+
+_advantages = jax.jit(jax.vmap(advantages))

@@ -56,6 +56,7 @@ class Windows:
         start: the driver before the first step.
         controls: of the driver, unscaled.
         others: its six neighbours (see `ms_highway.game.neighbours`) after each step, wherever they went.
+        driver: number of the driver among all recordings; windows of one follow each other.
         group: number of the recording's group, to split by.
     """
 
@@ -64,6 +65,7 @@ class Windows:
     start: Float[Any, "*n 4"]
     controls: Float[Any, "*n K 2"]
     others: Float[Any, "*n 6 K 4"]
+    driver: Int[Any, "*n"]
     group: Int[Any, "*n"]
 
     def __len__(self) -> int:
@@ -109,18 +111,18 @@ def cut_windows(recordings: Sequence[Recording], steps: int) -> Windows:
     """
     groups = number_groups(recordings)
     lanes = most_lanes(recordings)
-    rows = []
+    rows, drivers = [], itertools.count()
     for recording in recordings:
         everyone = coasting(recording.states, recording.time_step)
         for driver in map(int, recording.drivers):
             track = track_of(recording, driver, PAPER_DYNAMICS)
-            scene = scene_of(recording, driver, lanes)
+            scene, number = scene_of(recording, driver, lanes), np.int64(next(drivers))
             for first in range(0, len(track.controls) - steps + 1, steps):
                 start, now = track.states[first], first_step(recording, driver) + first
                 others = _around(start, everyone[now : now + steps + 1], _others(recording, driver, now), recording)
                 group = np.int64(groups[recording.group])
                 controls = track.controls[first : first + steps]
-                rows.append(Windows(scene, np.float64(recording.speed_limit), start, controls, others, group))
+                rows.append(Windows(scene, np.float64(recording.speed_limit), start, controls, others, number, group))
     if not rows:
         raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {steps + 1} samples on end")
     return jax.tree.map(lambda *parts: np.stack(parts), *rows)

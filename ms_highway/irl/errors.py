@@ -1,0 +1,62 @@
+"""Measure predicted drivers against recorded ones: displacement, likelihood and calibration, by horizon."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.game.learned_drivers import Spread
+from ms_highway.irl.outlook import Modes, expected_path, log_density, region_level
+
+__all__ = ["HORIZONS", "LEVELS", "MISS", "errors", "measures"]
+
+HORIZONS = (1, 2, 3, 5)  # s
+MISS = 2.0  # m
+LEVELS = (50, 90, 99)
+"""Percentages of probability in the predicted regions whose calibration is measured."""
+
+
+def errors(paths: Float[np.ndarray, "n 50 2"], recorded: Float[np.ndarray, "n 50 2"]) -> dict[str, dict[str, float]]:
+    """Return the displacement errors of predicted paths, by horizon in seconds; horizons that nobody reaches lack.
+
+    Returns:
+        ``fde``: mean distance at the horizon [m]; ``ade``: mean distance up to it [m]; ``rmse``: root mean square of
+        the distance at it [m]; ``miss``: share of drivers whose distance at it exceeds 2 m.
+    """
+    distance = np.linalg.norm(paths - recorded, axis=-1)
+    found: dict[str, dict[str, float]] = {"fde": {}, "ade": {}, "rmse": {}, "miss": {}}
+    for horizon in HORIZONS:
+        until = distance[:, : 10 * horizon]
+        until = until[np.isfinite(until[:, -1])]
+        if not len(until):
+            continue
+        last = until[:, -1]
+        values = last.mean(), until.mean(), np.sqrt((last**2).mean()), (last > MISS).mean()
+        for kind, value in zip(found, values, strict=True):
+            found[kind][str(horizon)] = float(value)
+    return found
+
+
+def measures(
+    modes: Modes, spread: Spread, recorded: Float[np.ndarray, "n 50 2"]
+) -> tuple[dict[str, dict[str, float]], Mapping[str, Float[np.ndarray, "n 50"]]]:
+    """Return what a predictor is worth, and of what by driver and step.
+
+    Returns:
+        `errors` of the expected paths; ``log_p``: mean log density of the recorded positions [1/m^2]; ``inside 50``
+        and so on: share of drivers in the region of highest density that holds 50 % of the probability. Then the
+        ``distance`` [m], ``log_p`` and the ``level`` of the region that reaches each position.
+    """
+    path = expected_path(modes)
+    log_p = np.asarray(log_density(modes, spread, recorded.astype(np.float32)))
+    level = region_level(modes, spread, recorded.astype(np.float32))
+    each = {"distance": np.linalg.norm(path - recorded, axis=-1), "log_p": log_p, "level": level}
+    found = errors(path, recorded)
+    at = {horizon: 10 * int(horizon) - 1 for horizon in found["fde"]}
+    found["log_p"] = {horizon: float(np.nanmean(log_p[:, step])) for horizon, step in at.items()}
+    for percent in LEVELS:
+        found[f"inside {percent}"] = {
+            horizon: float(np.mean(level[np.isfinite(level[:, step]), step] < percent / 100))
+            for horizon, step in at.items()
+        }
+    return found, each
