@@ -1,0 +1,289 @@
+"""Predict drivers by Kalman filters over modes that follow lanes: interacting multiple models (IMM).
+
+A driver keeps its lane or changes to the left or to the right one. In each mode its lateral position is drawn to the
+centre of that lane like a damped spring; along the road it keeps its speed, and its acceleration fades. The filters
+run over the recorded past (Blom and Bar-Shalom 1988), and the modes' means are predicted from there.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Bool, Float
+from scipy import optimize
+
+from ms_highway.irl.moments import STEPS, Moments, lanes_of
+from ms_highway.irl.outlook import Modes, Spread, log_density
+from ms_highway.runtime.compilation import jit_quickly
+
+__all__ = ["FIRST_KALMAN", "KalmanSettings", "fit_kalman", "lane_modes"]
+
+TIME_STEP = 0.1  # s
+SIDES = np.array([0, -1, 1])  # lanes to the right, of each mode
+EVERY = 5  # steps between those at which predictions count in a fit
+FIRST_SPREAD = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.5)  # as in `ms_highway.irl.outlook`
+EVALUATIONS = 100
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class KalmanSettings:
+    """Dynamics, noise and switching of the modes; noise as standard deviations, of each step of 0.1 s.
+
+    Attributes:
+        keeping: pull to the centre of the driver's lane [1/s^2].
+        changing: pull to the centre of the lane that a driver changes to [1/s^2].
+        calm: decay of the lateral speed of drivers who keep their lane [1/s].
+        steady: decay of the lateral speed of drivers who change it [1/s].
+        sway: lateral acceleration [m/s^2].
+        across: measured lateral position [m].
+        drift: measured lateral speed [m/s].
+        beginning: probability, in a second, to begin a change to a given side.
+        ending: probability, in a second, to end a change.
+        push: change of the acceleration [m/s^2].
+        along: measured position along the road [m].
+        pace: measured speed [m/s].
+        fading: decay of the acceleration [1/s].
+    """
+
+    keeping: float | Float[Any, ""]
+    changing: float | Float[Any, ""]
+    calm: float | Float[Any, ""]
+    steady: float | Float[Any, ""]
+    sway: float | Float[Any, ""]
+    across: float | Float[Any, ""]
+    drift: float | Float[Any, ""]
+    beginning: float | Float[Any, ""]
+    ending: float | Float[Any, ""]
+    push: float | Float[Any, ""]
+    along: float | Float[Any, ""]
+    pace: float | Float[Any, ""]
+    fading: float | Float[Any, ""]
+
+
+FIRST_KALMAN = KalmanSettings(0.1, 0.5, 1.0, 1.3, 0.5, 0.2, 0.4, 0.02, 0.2, 0.3, 0.3, 0.5, 1.0)
+"""Settings that a fit starts from."""
+
+FIRST_DEVIATIONS = np.array([0.5, 0.4])  # m and m/s, lateral, of drivers seen for the first time
+LEAST = 1e-9  # probability of a mode
+CHANGE_SPEED = 0.6  # m/s, lateral, of those who change lanes
+
+
+class _Past(NamedTuple):
+    """The past of n drivers: what was measured, relative to now, and the lanes that they may follow.
+
+    Attributes:
+        seen: whether the driver was seen from that step until now.
+        along: x less that of now, and its rate of change.
+        across: y and its rate of change.
+        centres: lateral position of the lane of each mode; of the driver's own for lanes that do not exist.
+        exists: whether there is a lane.
+        x: along the road, now.
+    """
+
+    seen: Bool[jax.Array, "n 31"]
+    along: Float[jax.Array, "n 31 2"]
+    across: Float[jax.Array, "n 31 2"]
+    centres: Float[jax.Array, "n 3"]
+    exists: Bool[jax.Array, "n 3"]
+    x: Float[jax.Array, "n"]
+
+
+class _Belief(NamedTuple):
+    """Normal distributions of states of m components, the first two of which are measured."""
+
+    mean: Float[jax.Array, "*batch m"]
+    covariance: Float[jax.Array, "*batch m m"]
+
+
+def lane_modes(moments: Moments, settings: KalmanSettings) -> Modes:
+    """Predict drivers who keep their lane (mode 0) or change to the left (1) or to the right one (2).
+
+    Changes to lanes that do not exist have probability 0, and the path that keeps the lane.
+    """
+    return _compiled_modes(settings, _past(moments))
+
+
+def fit_kalman(moments: Moments, evaluations: int = EVALUATIONS) -> KalmanSettings:
+    """Fit the settings that make recorded positions most likely, with a `Spread` that is fitted beside them.
+
+    Args:
+        moments: to fit to; the only use of their future.
+        evaluations: of the likelihood, at most.
+    """
+    positions = moments.drivers(np.moveaxis(np.asarray(moments.future)[..., :2], 1, 2))
+    past, known = _past(moments), np.isfinite(positions).all(axis=-1)[:, EVERY - 1 :: EVERY]
+    positions, known = jnp.asarray(np.nan_to_num(positions)), jnp.asarray(known)
+
+    def value(parameters: np.ndarray) -> tuple[float, np.ndarray]:
+        surprise, slope = _surprise(parameters, past, positions, known)
+        return float(surprise), np.asarray(slope, dtype=float)
+
+    first = np.concatenate([np.log(jax.tree.leaves(FIRST_KALMAN)), FIRST_SPREAD])
+    found = optimize.minimize(value, first, jac=True, method="L-BFGS-B", options={"maxfun": evaluations})
+    return KalmanSettings(*map(float, np.exp(found.x[: -len(FIRST_SPREAD)])))
+
+
+@jit_quickly
+def _surprise(
+    parameters: Float[jax.Array, "22"],
+    past: _Past,
+    positions: Float[jax.Array, "n 50 2"],
+    known: Bool[jax.Array, "n few"],
+) -> tuple[Float[jax.Array, ""], Float[jax.Array, "22"]]:
+    """Return minus the mean log density of the known positions, and its gradient."""
+
+    def surprise(parameters: jax.Array) -> jax.Array:
+        own, rest = parameters[: -len(FIRST_SPREAD)], parameters[-len(FIRST_SPREAD) :]
+        spread = Spread(rest[:3], rest[3:6], rest[6:8], jnp.exp(rest[8]))
+        each = log_density(_modes(KalmanSettings(*jnp.exp(own)), past), spread, positions)[:, EVERY - 1 :: EVERY]
+        return -jnp.sum(jnp.where(known, each, 0.0)) / jnp.sum(known)
+
+    return jax.value_and_grad(surprise)(parameters)
+
+
+def _past(moments: Moments) -> _Past:
+    past = moments.drivers(np.moveaxis(np.asarray(moments.past), 1, 2))
+    seen = np.logical_and.accumulate(np.isfinite(past).all(axis=-1)[:, ::-1], axis=1)[:, ::-1]
+    x, y, heading, speed = np.moveaxis(np.where(seen[..., None], past, past[:, -1:]), -1, 0)
+    lanes = np.repeat(np.asarray(moments.lanes), np.sum(moments.predicted, axis=1), axis=0)
+    lane = lanes_of(lanes, y[:, -1:])
+    beside = np.clip(lane + SIDES, 0, lanes.shape[1] - 1)
+    centres, own = np.take_along_axis(lanes, beside, axis=1), np.take_along_axis(lanes, lane, axis=1)
+    exists = (SIDES == 0) | (np.sign(centres - own) == SIDES)
+    along = np.stack([x - x[:, -1:], speed * np.cos(heading)], axis=-1)
+    across = np.stack([y, speed * np.sin(heading)], axis=-1)
+    return _Past(*map(jnp.asarray, (seen, along, across, np.where(exists, centres, own), exists, x[:, -1])))
+
+
+def _modes(settings: KalmanSettings, past: _Past) -> Modes:
+    """Return the modes, with the probabilities and the means of the filters."""
+    steady, fade = _spring(settings), _coast(settings)
+    along = _filter_along(settings, past)
+    across, probability = _filter_across(settings, past)
+    centre = jnp.stack([past.centres, jnp.zeros_like(past.centres)], axis=-1)
+
+    def go(state: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+        ahead, offset = _apply(fade, state[0]), _apply(steady, state[1])
+        x = jnp.broadcast_to((past.x + ahead[:, 0])[:, None], offset.shape[:2])
+        return (ahead, offset), jnp.stack([x, past.centres + offset[..., 0]], axis=-1)
+
+    path = jax.lax.scan(go, (along.mean, across.mean - centre), None, length=STEPS)[1]
+    return Modes(probability, jnp.moveaxis(path, 0, 2))
+
+
+_compiled_modes = jit_quickly(_modes)
+
+
+def _spring(settings: KalmanSettings) -> Float[jax.Array, "3 2 2"]:
+    """Return the transition of offset and lateral speed in each mode."""
+    pull = jnp.stack([jnp.asarray(settings.keeping), *[jnp.asarray(settings.changing)] * 2])
+    decay = jnp.stack([jnp.asarray(settings.calm), *[jnp.asarray(settings.steady)] * 2])
+    one, faster = jnp.ones_like(pull), 1 - TIME_STEP * decay
+    speed = jnp.stack([-TIME_STEP * pull, faster], axis=-1)
+    return jnp.stack([jnp.stack([one, 0 * one], axis=-1) + TIME_STEP * speed, speed], axis=-2)
+
+
+def _coast(settings: KalmanSettings) -> Float[jax.Array, "3 3"]:
+    """Return the transition of position, speed and acceleration along the road."""
+    plain = jnp.array([[1.0, TIME_STEP, TIME_STEP**2 / 2], [0.0, 1.0, TIME_STEP], [0.0, 0.0, 1.0]])
+    return plain.at[2, 2].set(jnp.exp(-TIME_STEP * settings.fading))
+
+
+def _filter_along(settings: KalmanSettings, past: _Past) -> _Belief:
+    transition = _coast(settings)
+    noise = jnp.diag(jnp.stack([0.0, 0.0, settings.push]) ** 2)
+    measured = jnp.stack([settings.along, settings.pace]) ** 2
+    first = jnp.argmax(past.seen, axis=1)
+    mean = jnp.take_along_axis(past.along, first[:, None, None], axis=1)[:, 0]
+    mean = jnp.concatenate([mean, jnp.zeros_like(mean[:, :1])], axis=-1)
+    belief = _Belief(mean, jnp.broadcast_to(jnp.eye(3), (*mean.shape, 3)))
+
+    def go(belief: _Belief, given: tuple[jax.Array, jax.Array]) -> tuple[_Belief, None]:
+        seen, values = given
+        updated = _updated(_predicted(belief, transition, noise), values, measured)[0]
+        return _where(seen, updated, belief), None
+
+    return jax.lax.scan(go, belief, (past.seen.T, jnp.swapaxes(past.along, 0, 1)))[0]
+
+
+def _filter_across(settings: KalmanSettings, past: _Past) -> tuple[_Belief, Float[jax.Array, "n 3"]]:
+    """Return the lateral states in every mode, and the probabilities of the modes, by interacting multiple models."""
+    transition = _spring(settings)
+    noise = jnp.diag(jnp.stack([0.0, TIME_STEP * settings.sway]) ** 2)
+    measured = jnp.stack([settings.across, settings.drift]) ** 2
+    begin, end = TIME_STEP * settings.beginning, TIME_STEP * settings.ending
+    leave = begin * past.exists[:, 1:]
+    to_keep = jnp.stack([1 - jnp.sum(leave, axis=1), *[jnp.full(len(leave), end)] * 2], axis=1)
+    zero = jnp.zeros(len(leave))
+    to_left = jnp.stack([leave[:, 0], zero + 1 - end, zero], axis=1)
+    to_right = jnp.stack([leave[:, 1], zero, zero + 1 - end], axis=1)
+    switch = jnp.stack([to_keep, to_left, to_right], axis=-1)  # [n, from, to]
+
+    width = past.centres - past.centres[:, :1]
+    mean = jnp.stack([past.centres[:, :1] + width / 4, CHANGE_SPEED * jnp.sign(width)], axis=-1)
+    belief = _Belief(mean, jnp.broadcast_to(jnp.diag(FIRST_DEVIATIONS**2), (*mean.shape, 2)))
+    share = settings.beginning / (settings.beginning + settings.ending)
+    first = jnp.where(past.exists, jnp.stack([jnp.ones_like(share), share, share]), 0.0)
+    centre = jnp.stack([past.centres, jnp.zeros_like(past.centres)], axis=-1)
+
+    def go(state: tuple[_Belief, jax.Array], given: tuple[jax.Array, jax.Array]) -> tuple[Any, None]:
+        belief, probability = state
+        seen, values = given
+        joint = probability[..., None] * switch
+        after = jnp.sum(joint, axis=1)
+        possible = (after > LEAST)[:, None]
+        mixed = _mixed(belief, jnp.where(possible, joint / jnp.where(possible, after[:, None], 1.0), jnp.eye(3)))
+        mixed = mixed._replace(mean=mixed.mean - centre)
+        ahead = _predicted(mixed, transition, noise)
+        updated, likelihood = _updated(ahead._replace(mean=ahead.mean + centre), values[:, None], measured)
+        likely = after * jnp.exp(likelihood - jnp.max(likelihood, axis=1, keepdims=True)) + LEAST * past.exists
+        new = jnp.where(seen[:, None], likely / jnp.sum(likely, axis=1, keepdims=True), probability)
+        return (_where(seen, updated, belief), new), None
+
+    start = belief, first / jnp.sum(first, axis=1, keepdims=True)
+    return jax.lax.scan(go, start, (past.seen.T, jnp.swapaxes(past.across, 0, 1)))[0]
+
+
+def _mixed(belief: _Belief, weights: Float[jax.Array, "n 3 3"]) -> _Belief:
+    """Return the normal distributions with the moments of mixtures, with weights [from, to]."""
+    mean = jnp.sum(weights[..., None] * belief.mean[:, :, None], axis=1)
+    off = belief.mean[:, :, None] - mean[:, None]
+    covariance = belief.covariance[:, :, None] + off[..., :, None] * off[..., None, :]
+    return _Belief(mean, jnp.sum(weights[..., None, None] * covariance, axis=1))
+
+
+def _predicted(belief: _Belief, transition: jax.Array, noise: jax.Array) -> _Belief:
+    mean = _apply(transition, belief.mean)
+    half = _product(transition, belief.covariance)
+    return _Belief(mean, _product(half, jnp.swapaxes(transition, -1, -2)) + noise)
+
+
+def _updated(belief: _Belief, values: jax.Array, variances: jax.Array) -> tuple[_Belief, jax.Array]:
+    """Return the distribution after a measurement of the first two components, and the log likelihood of that."""
+    mean, covariance = belief
+    a, b = covariance[..., 0, 0] + variances[0], covariance[..., 0, 1]
+    d = covariance[..., 1, 1] + variances[1]
+    determinant = a * d - b**2
+    inverse = jnp.stack([jnp.stack([d, -b], axis=-1), jnp.stack([-b, a], axis=-1)], axis=-2)
+    inverse = inverse / determinant[..., None, None]
+    off = values - mean[..., :2]
+    gain = _product(covariance[..., :, :2], inverse)
+    likelihood = -(jnp.sum(off * _apply(inverse, off), axis=-1) + jnp.log(determinant)) / 2
+    return _Belief(mean + _apply(gain, off), covariance - _product(gain, covariance[..., :2, :])), likelihood
+
+
+def _where(seen: jax.Array, new: _Belief, old: _Belief) -> _Belief:
+    return jax.tree.map(lambda a, b: jnp.where(seen.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
+
+
+def _apply(matrix: jax.Array, vector: jax.Array) -> jax.Array:
+    """Multiply small matrices by vectors; unlike a batched matrix product, XLA fuses this."""
+    return jnp.sum(matrix * vector[..., None, :], axis=-1)
+
+
+def _product(left: jax.Array, right: jax.Array) -> jax.Array:
+    """Multiply small matrices, likewise."""
+    return jnp.sum(left[..., :, :, None] * right[..., None, :, :], axis=-2)
