@@ -101,10 +101,10 @@ def fit_idm(moments: Moments, evaluations: int = EVALUATIONS) -> IdmParameters:
     steps = np.array(HORIZONS) - 1
     positions = np.moveaxis(np.asarray(moments.future)[:, steps, :, :2], 1, 2)
     known = jnp.asarray(np.isfinite(positions).all(axis=-1) & moments.predicted[..., None])
-    positions = jnp.asarray(np.nan_to_num(positions))
+    targets = jnp.asarray(np.nan_to_num(positions))
 
     def value(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
-        error, slope = _error(logarithms, scene, positions, known)
+        error, slope = _error(logarithms, scene, targets, known)
         return float(error), np.asarray(slope, dtype=float)
 
     first = np.log(jax.tree.leaves(FIRST_IDM)[:7])

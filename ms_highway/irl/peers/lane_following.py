@@ -6,6 +6,7 @@ run over the recorded past (Blom and Bar-Shalom 1988), and the modes' means are 
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -83,19 +84,19 @@ class _Past(NamedTuple):
         x: along the road, now.
     """
 
-    seen: Bool[jax.Array, "n 31"]
-    along: Float[jax.Array, "n 31 2"]
-    across: Float[jax.Array, "n 31 2"]
-    centres: Float[jax.Array, "n 3"]
-    exists: Bool[jax.Array, "n 3"]
+    seen: Bool[jax.Array, "31 n"]
+    along: Float[jax.Array, "31 2 n"]
+    across: Float[jax.Array, "31 2 n"]
+    centres: Float[jax.Array, "3 n"]
+    exists: Bool[jax.Array, "3 n"]
     x: Float[jax.Array, "n"]
 
 
 class _Belief(NamedTuple):
     """Normal distributions of states of m components, the first two of which are measured."""
 
-    mean: Float[jax.Array, "*batch m"]
-    covariance: Float[jax.Array, "*batch m m"]
+    mean: Float[jax.Array, "m *batch"]
+    covariance: Float[jax.Array, "m m *batch"]
 
 
 def lane_modes(moments: Moments, settings: KalmanSettings) -> Modes:
@@ -155,135 +156,125 @@ def _past(moments: Moments) -> _Past:
     exists = (SIDES == 0) | (np.sign(centres - own) == SIDES)
     along = np.stack([x - x[:, -1:], speed * np.cos(heading)], axis=-1)
     across = np.stack([y, speed * np.sin(heading)], axis=-1)
-    return _Past(*map(jnp.asarray, (seen, along, across, np.where(exists, centres, own), exists, x[:, -1])))
+    parts = seen, along, across, np.where(exists, centres, own), exists, x[:, -1]
+    return _Past(*(jnp.asarray(np.moveaxis(part, 0, -1)) for part in parts))
 
 
 def _modes(settings: KalmanSettings, past: _Past) -> Modes:
     """Return the modes, with the probabilities and the means of the filters."""
-    steady, fade = _spring(settings), _coast(settings)
-    along = _filter_along(settings, past)
+    coast, spring, centres = _coast(settings), _spring(settings), past.centres
     across, probability = _filter_across(settings, past)
-    centre = jnp.stack([past.centres, jnp.zeros_like(past.centres)], axis=-1)
 
     def go(state: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
-        ahead, offset = _apply(fade, state[0]), _apply(steady, state[1])
-        x = jnp.broadcast_to((past.x + ahead[:, 0])[:, None], offset.shape[:2])
-        return (ahead, offset), jnp.stack([x, past.centres + offset[..., 0]], axis=-1)
+        ahead, offset = _apply(coast, state[0]), _apply(spring, state[1])
+        return (ahead, offset), jnp.stack([jnp.broadcast_to(past.x + ahead[0], centres.shape), centres + offset[0]])
 
-    path = jax.lax.scan(go, (along.mean, across.mean - centre), None, length=STEPS)[1]
-    return Modes(probability, jnp.moveaxis(path, 0, 2))
+    start = _filter_along(settings, past).mean, across.mean.at[0].add(-centres)
+    path = jax.lax.scan(go, start, None, length=STEPS)[1]
+    return Modes(probability.T, path.transpose(3, 2, 0, 1))
 
 
 _compiled_modes = jit_quickly(_modes)
 
 
-def _spring(settings: KalmanSettings) -> Float[jax.Array, "3 2 2"]:
+def _spring(settings: KalmanSettings) -> Float[jax.Array, "2 2 3 1"]:
     """Return the transition of offset and lateral speed in each mode."""
-    pull = jnp.stack([jnp.asarray(settings.keeping), *[jnp.asarray(settings.changing)] * 2])
-    decay = jnp.stack([jnp.asarray(settings.calm), *[jnp.asarray(settings.steady)] * 2])
-    one, faster = jnp.ones_like(pull), 1 - TIME_STEP * decay
-    speed = jnp.stack([-TIME_STEP * pull, faster], axis=-1)
-    return jnp.stack([jnp.stack([one, 0 * one], axis=-1) + TIME_STEP * speed, speed], axis=-2)
+    pull, decay = (
+        jnp.stack([jnp.asarray(keep), *[jnp.asarray(change)] * 2])
+        for keep, change in ((settings.keeping, settings.changing), (settings.calm, settings.steady))
+    )
+    later = jnp.stack([-TIME_STEP * pull, 1 - TIME_STEP * decay])
+    return jnp.stack([TIME_STEP * later + jnp.array([[1.0], [0.0]]), later])[..., None]
 
 
-def _coast(settings: KalmanSettings) -> Float[jax.Array, "3 3"]:
+def _coast(settings: KalmanSettings) -> Float[jax.Array, "3 3 1"]:
     """Return the transition of position, speed and acceleration along the road."""
     plain = jnp.array([[1.0, TIME_STEP, TIME_STEP**2 / 2], [0.0, 1.0, TIME_STEP], [0.0, 0.0, 1.0]])
-    return plain.at[2, 2].set(jnp.exp(-TIME_STEP * settings.fading))
+    return plain.at[2, 2].set(jnp.exp(-TIME_STEP * settings.fading))[..., None]
 
 
 def _filter_along(settings: KalmanSettings, past: _Past) -> _Belief:
-    transition = _coast(settings)
-    noise = jnp.diag(jnp.stack([0.0, 0.0, settings.push]) ** 2)
+    """Return the position, the speed and the acceleration along the road."""
+    transition, noise = _coast(settings), jnp.zeros((3, 3, 1)).at[2, 2].set(settings.push**2)
     measured = jnp.stack([settings.along, settings.pace]) ** 2
-    first = jnp.argmax(past.seen, axis=1)
-    mean = jnp.take_along_axis(past.along, first[:, None, None], axis=1)[:, 0]
-    mean = jnp.concatenate([mean, jnp.zeros_like(mean[:, :1])], axis=-1)
-    belief = _Belief(mean, jnp.broadcast_to(jnp.eye(3), (*mean.shape, 3)))
+    first = jnp.take_along_axis(past.along, jnp.argmax(past.seen, axis=0)[None, None], axis=0)[0]
+    mean = jnp.concatenate([first, jnp.zeros_like(first[:1])])
+    belief = _Belief(mean, jnp.broadcast_to(jnp.eye(3)[..., None], (3, *mean.shape)))
 
     def go(belief: _Belief, given: tuple[jax.Array, jax.Array]) -> tuple[_Belief, None]:
         seen, values = given
         updated = _updated(_predicted(belief, transition, noise), values, measured)[0]
-        return _where(seen, updated, belief), None
+        return jax.tree.map(partial(jnp.where, seen), updated, belief), None
 
-    return jax.lax.scan(go, belief, (past.seen.T, jnp.swapaxes(past.along, 0, 1)))[0]
+    return jax.lax.scan(go, belief, (past.seen, past.along))[0]
 
 
-def _filter_across(settings: KalmanSettings, past: _Past) -> tuple[_Belief, Float[jax.Array, "n 3"]]:
+def _filter_across(settings: KalmanSettings, past: _Past) -> tuple[_Belief, Float[jax.Array, "3 n"]]:
     """Return the lateral states in every mode, and the probabilities of the modes, by interacting multiple models."""
-    transition = _spring(settings)
-    noise = jnp.diag(jnp.stack([0.0, TIME_STEP * settings.sway]) ** 2)
+    transition, switch = _spring(settings), _switch(settings, past)
+    noise = jnp.zeros((2, 2, 1, 1)).at[1, 1].set((TIME_STEP * settings.sway) ** 2)
     measured = jnp.stack([settings.across, settings.drift]) ** 2
-    begin, end = TIME_STEP * settings.beginning, TIME_STEP * settings.ending
-    leave = begin * past.exists[:, 1:]
-    to_keep = jnp.stack([1 - jnp.sum(leave, axis=1), *[jnp.full(len(leave), end)] * 2], axis=1)
-    zero = jnp.zeros(len(leave))
-    to_left = jnp.stack([leave[:, 0], zero + 1 - end, zero], axis=1)
-    to_right = jnp.stack([leave[:, 1], zero, zero + 1 - end], axis=1)
-    switch = jnp.stack([to_keep, to_left, to_right], axis=-1)  # [n, from, to]
-
-    width = past.centres - past.centres[:, :1]
-    mean = jnp.stack([past.centres[:, :1] + width / 4, CHANGE_SPEED * jnp.sign(width)], axis=-1)
-    belief = _Belief(mean, jnp.broadcast_to(jnp.diag(FIRST_DEVIATIONS**2), (*mean.shape, 2)))
+    centres = past.centres
+    aside = centres - centres[0]
+    mean = jnp.stack([centres[0] + aside / 4, CHANGE_SPEED * jnp.sign(aside)])
+    belief = _Belief(mean, jnp.broadcast_to(jnp.diag(FIRST_DEVIATIONS**2)[..., None, None], (2, *mean.shape)))
     share = settings.beginning / (settings.beginning + settings.ending)
-    first = jnp.where(past.exists, jnp.stack([jnp.ones_like(share), share, share]), 0.0)
-    centre = jnp.stack([past.centres, jnp.zeros_like(past.centres)], axis=-1)
+    prior = jnp.where(past.exists, jnp.stack([jnp.ones_like(share), share, share])[:, None], 0.0)
 
     def go(state: tuple[_Belief, jax.Array], given: tuple[jax.Array, jax.Array]) -> tuple[Any, None]:
         belief, probability = state
         seen, values = given
-        joint = probability[..., None] * switch
-        after = jnp.sum(joint, axis=1)
-        possible = (after > LEAST)[:, None]
-        mixed = _mixed(belief, jnp.where(possible, joint / jnp.where(possible, after[:, None], 1.0), jnp.eye(3)))
-        mixed = mixed._replace(mean=mixed.mean - centre)
-        ahead = _predicted(mixed, transition, noise)
-        updated, likelihood = _updated(ahead._replace(mean=ahead.mean + centre), values[:, None], measured)
-        likely = after * jnp.exp(likelihood - jnp.max(likelihood, axis=1, keepdims=True)) + LEAST * past.exists
-        new = jnp.where(seen[:, None], likely / jnp.sum(likely, axis=1, keepdims=True), probability)
-        return (_where(seen, updated, belief), new), None
+        joint = probability[:, None] * switch
+        after = jnp.sum(joint, axis=0)
+        possible = after > LEAST
+        mixed = _mixed(belief, jnp.where(possible, joint / jnp.where(possible, after, 1.0), jnp.eye(3)[..., None]))
+        ahead = _predicted(mixed._replace(mean=mixed.mean.at[0].add(-centres)), transition, noise)
+        ahead = ahead._replace(mean=ahead.mean.at[0].add(centres))
+        updated, likelihood = _updated(ahead, values[:, None], measured)
+        likely = after * jnp.exp(likelihood - jnp.max(likelihood, axis=0)) + LEAST * past.exists
+        new = updated, likely / jnp.sum(likely, axis=0)
+        return jax.tree.map(partial(jnp.where, seen), new, state), None
 
-    start = belief, first / jnp.sum(first, axis=1, keepdims=True)
-    return jax.lax.scan(go, start, (past.seen.T, jnp.swapaxes(past.across, 0, 1)))[0]
+    return jax.lax.scan(go, (belief, prior / jnp.sum(prior, axis=0)), (past.seen, past.across))[0]
 
 
-def _mixed(belief: _Belief, weights: Float[jax.Array, "n 3 3"]) -> _Belief:
+def _switch(settings: KalmanSettings, past: _Past) -> Float[jax.Array, "3 3 n"]:
+    """Return the probabilities to switch from a mode to another within a step."""
+    left, right = TIME_STEP * settings.beginning * past.exists[1:]
+    end, zero = jnp.full_like(left, TIME_STEP * settings.ending), jnp.zeros_like(left)
+    rows = [1 - left - right, left, right], [end, 1 - end, zero], [end, zero, 1 - end]
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
+def _mixed(belief: _Belief, weights: Float[jax.Array, "3 3 n"]) -> _Belief:
     """Return the normal distributions with the moments of mixtures, with weights [from, to]."""
-    mean = jnp.sum(weights[..., None] * belief.mean[:, :, None], axis=1)
+    mean = jnp.sum(weights * belief.mean[:, :, None], axis=1)
     off = belief.mean[:, :, None] - mean[:, None]
-    covariance = belief.covariance[:, :, None] + off[..., :, None] * off[..., None, :]
-    return _Belief(mean, jnp.sum(weights[..., None, None] * covariance, axis=1))
+    return _Belief(mean, jnp.sum(weights * (belief.covariance[:, :, :, None] + off[:, None] * off), axis=2))
 
 
 def _predicted(belief: _Belief, transition: jax.Array, noise: jax.Array) -> _Belief:
-    mean = _apply(transition, belief.mean)
     half = _product(transition, belief.covariance)
-    return _Belief(mean, _product(half, jnp.swapaxes(transition, -1, -2)) + noise)
+    return _Belief(_apply(transition, belief.mean), _product(half, jnp.swapaxes(transition, 0, 1)) + noise)
 
 
 def _updated(belief: _Belief, values: jax.Array, variances: jax.Array) -> tuple[_Belief, jax.Array]:
     """Return the distribution after a measurement of the first two components, and the log likelihood of that."""
     mean, covariance = belief
-    a, b = covariance[..., 0, 0] + variances[0], covariance[..., 0, 1]
-    d = covariance[..., 1, 1] + variances[1]
+    a, b, d = covariance[0, 0] + variances[0], covariance[0, 1], covariance[1, 1] + variances[1]
     determinant = a * d - b**2
-    inverse = jnp.stack([jnp.stack([d, -b], axis=-1), jnp.stack([-b, a], axis=-1)], axis=-2)
-    inverse = inverse / determinant[..., None, None]
-    off = values - mean[..., :2]
-    gain = _product(covariance[..., :, :2], inverse)
-    likelihood = -(jnp.sum(off * _apply(inverse, off), axis=-1) + jnp.log(determinant)) / 2
-    return _Belief(mean + _apply(gain, off), covariance - _product(gain, covariance[..., :2, :])), likelihood
-
-
-def _where(seen: jax.Array, new: _Belief, old: _Belief) -> _Belief:
-    return jax.tree.map(lambda a, b: jnp.where(seen.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
+    inverse = jnp.stack([jnp.stack([d, -b]), jnp.stack([-b, a])]) / determinant
+    off = values - mean[:2]
+    gain = _product(covariance[:, :2], inverse)
+    likelihood = -(jnp.sum(off * _apply(inverse, off), axis=0) + jnp.log(determinant)) / 2
+    return _Belief(mean + _apply(gain, off), covariance - _product(gain, covariance[:2])), likelihood
 
 
 def _apply(matrix: jax.Array, vector: jax.Array) -> jax.Array:
-    """Multiply small matrices by vectors; unlike a batched matrix product, XLA fuses this."""
-    return jnp.sum(matrix * vector[..., None, :], axis=-1)
+    """Multiply matrices [i, j, ...] by vectors [j, ...]; XLA vectorises over the last axis, the drivers."""
+    return jnp.sum(matrix * vector, axis=1)
 
 
 def _product(left: jax.Array, right: jax.Array) -> jax.Array:
-    """Multiply small matrices, likewise."""
-    return jnp.sum(left[..., :, :, None] * right[..., None, :, :], axis=-2)
+    """Multiply matrices [i, j, ...] by matrices [j, k, ...], likewise."""
+    return jnp.sum(left[:, :, None] * right, axis=1)
