@@ -25,7 +25,7 @@ TIME_STEP = 0.1  # s
 SIDES = np.array([0, -1, 1])  # lanes to the right, of each mode
 EVERY = 5  # steps between those at which predictions count in a fit
 FIRST_SPREAD = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.5)  # as in `ms_highway.irl.outlook`
-EVALUATIONS = 100
+EVALUATIONS = 60
 
 
 @jax.tree_util.register_dataclass
@@ -35,9 +35,8 @@ class KalmanSettings:
 
     Attributes:
         keeping: pull to the centre of the driver's lane [1/s^2].
-        changing: pull to the centre of the lane that a driver changes to [1/s^2].
+        changing: pull to the centre of the lane that a driver changes to [1/s^2]; critically damped.
         calm: decay of the lateral speed of drivers who keep their lane [1/s].
-        steady: decay of the lateral speed of drivers who change it [1/s].
         sway: lateral acceleration [m/s^2].
         across: measured lateral position [m].
         drift: measured lateral speed [m/s].
@@ -52,7 +51,6 @@ class KalmanSettings:
     keeping: float | Float[Any, ""]
     changing: float | Float[Any, ""]
     calm: float | Float[Any, ""]
-    steady: float | Float[Any, ""]
     sway: float | Float[Any, ""]
     across: float | Float[Any, ""]
     drift: float | Float[Any, ""]
@@ -64,7 +62,7 @@ class KalmanSettings:
     fading: float | Float[Any, ""]
 
 
-FIRST_KALMAN = KalmanSettings(0.1, 0.5, 1.0, 1.3, 0.5, 0.2, 0.4, 0.02, 0.2, 0.3, 0.3, 0.5, 1.0)
+FIRST_KALMAN = KalmanSettings(0.1, 0.4, 1.0, 1.0, 0.03, 0.1, 0.05, 0.5, 10.0, 0.1, 0.03, 3.0)
 """Settings that a fit starts from."""
 
 FIRST_DEVIATIONS = np.array([0.5, 0.4])  # m and m/s, lateral, of drivers seen for the first time
@@ -129,11 +127,11 @@ def fit_kalman(moments: Moments, evaluations: int = EVALUATIONS) -> KalmanSettin
 
 @jit_quickly
 def _surprise(
-    parameters: Float[jax.Array, "22"],
+    parameters: Float[jax.Array, "21"],
     past: _Past,
     positions: Float[jax.Array, "n 50 2"],
     known: Bool[jax.Array, "n few"],
-) -> tuple[Float[jax.Array, ""], Float[jax.Array, "22"]]:
+) -> tuple[Float[jax.Array, ""], Float[jax.Array, "21"]]:
     """Return minus the mean log density of the known positions, and its gradient."""
 
     def surprise(parameters: jax.Array) -> jax.Array:
@@ -181,7 +179,7 @@ def _spring(settings: KalmanSettings) -> Float[jax.Array, "2 2 3 1"]:
     """Return the transition of offset and lateral speed in each mode."""
     pull, decay = (
         jnp.stack([jnp.asarray(keep), *[jnp.asarray(change)] * 2])
-        for keep, change in ((settings.keeping, settings.changing), (settings.calm, settings.steady))
+        for keep, change in ((settings.keeping, settings.changing), (settings.calm, 2 * jnp.sqrt(settings.changing)))
     )
     later = jnp.stack([-TIME_STEP * pull, 1 - TIME_STEP * decay])
     return jnp.stack([TIME_STEP * later + jnp.array([[1.0], [0.0]]), later])[..., None]
