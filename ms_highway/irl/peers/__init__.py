@@ -1,0 +1,1 @@
+"""Predictors of the literature, beside which a learned reward is judged."""
