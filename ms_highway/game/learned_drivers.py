@@ -156,7 +156,7 @@ class LearnedDrivers:
         for name in ("weights", "changing"):
             if not all(isinstance(value, float) and 0 < value < np.inf for value in rest[name].values()):
                 raise ValueError(f"{name} of the drivers is {rest[name]}; it must have positive numbers by name")
-        return cls(**parts, **rest)
+        return cls(**{**parts, **rest})
 
     def written(self) -> dict[str, Any]:
         """Return plain numbers, lists and dictionaries."""

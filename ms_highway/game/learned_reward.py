@@ -76,7 +76,10 @@ class LearnedReward:
             raise ValueError(f"there is no weight for {missing}")
         if set(self.model.names) != set(self.weights):
             raise ValueError(f"what was learned and given, {self.model.names}, are not the weights")
-        covariance, parameters = np.array(self.covariance, dtype=float), len(self.learned) + 1 + (self.tails is not None)
+        covariance, parameters = (
+            np.array(self.covariance, dtype=float),
+            len(self.learned) + 1 + (self.tails is not None),
+        )
         finite = covariance.shape == (parameters, parameters) and np.isfinite(covariance).all()
         if not finite or (np.diag(covariance) < 0).any():
             raise ValueError(f"the covariance is no finite array of shape {(parameters, parameters)} with variances")

@@ -248,7 +248,8 @@ def _around(
     changes = wanted != moment.lanes[_lane(moment)]
     after = drive_on(drivers, moment, cars, logarithms, wanted, changes)
     states = jnp.concatenate([jnp.stack(cars[:4], axis=-1)[None], after[:-1]])
-    return _Cars(*jnp.moveaxis(states, -1, 0), jnp.broadcast_to(cars.present, states.shape[:2]))
+    x, y, heading, speed = jnp.moveaxis(states, -1, 0)
+    return _Cars(x, y, heading, speed, jnp.broadcast_to(cars.present, x.shape))
 
 
 def _personal(
@@ -270,7 +271,8 @@ def _personal(
 def _cars(states: Float[jax.Array, "cars 4"]) -> _Cars:
     present = jnp.isfinite(states).all(axis=-1)
     away = jnp.array([-FAR, -FAR, 0.0, 0.0])
-    return _Cars(*jnp.moveaxis(jnp.where(present[:, None], states, away), -1, 0), present)
+    x, y, heading, speed = jnp.moveaxis(jnp.where(present[:, None], states, away), -1, 0)
+    return _Cars(x, y, heading, speed, present)
 
 
 def _lane(moment: Moments) -> Int[jax.Array, "cars"]:

@@ -1,6 +1,6 @@
 """Measure predicted drivers against recorded ones: displacement, likelihood and calibration, by horizon."""
 
-from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ms_highway.game.learned_drivers import Spread
 from ms_highway.irl.outlook import Modes, expected_path, log_density, region_level
 
-__all__ = ["HORIZONS", "LEVELS", "MISS", "errors", "measures"]
+__all__ = ["HORIZONS", "LEVELS", "MISS", "Outcomes", "errors", "measures", "outcomes"]
 
 HORIZONS = (1, 2, 3, 5)  # s
 MISS = 2.0  # m
@@ -37,26 +37,40 @@ def errors(paths: Float[np.ndarray, "n 50 2"], recorded: Float[np.ndarray, "n 50
     return found
 
 
-def measures(
-    modes: Modes, spread: Spread, recorded: Float[np.ndarray, "n 50 2"]
-) -> tuple[dict[str, dict[str, float]], Mapping[str, Float[np.ndarray, "n 50"]]]:
-    """Return what a predictor is worth, and of what by driver and step.
+class Outcomes(NamedTuple):
+    """What became of every prediction, NaN where the driver was not seen.
+
+    Attributes:
+        path: that was expected.
+        log_p: log density of the recorded position [1/m^2].
+        level: probability of the region of highest density that just reaches it.
+    """
+
+    path: Float[np.ndarray, "n 50 2"]
+    log_p: Float[np.ndarray, "n 50"]
+    level: Float[np.ndarray, "n 50"]
+
+
+def outcomes(modes: Modes, spread: Spread, recorded: Float[np.ndarray, "n 50 2"]) -> Outcomes:
+    """Compare predicted distributions with recorded positions."""
+    positions = recorded.astype(np.float32)
+    log_p, level = np.asarray(log_density(modes, spread, positions)), region_level(modes, spread, positions)
+    return Outcomes(expected_path(modes), log_p, level)
+
+
+def measures(found: Outcomes, recorded: Float[np.ndarray, "n 50 2"]) -> dict[str, dict[str, float]]:
+    """Return what a predictor is worth, by horizon in seconds.
 
     Returns:
         `errors` of the expected paths; ``log_p``: mean log density of the recorded positions [1/m^2]; ``inside 50``
-        and so on: share of drivers in the region of highest density that holds 50 % of the probability. Then the
-        ``distance`` [m], ``log_p`` and the ``level`` of the region that reaches each position.
+        and so on: share of drivers in the region of highest density that holds 50 % of the probability.
     """
-    path = expected_path(modes)
-    log_p = np.asarray(log_density(modes, spread, recorded.astype(np.float32)))
-    level = region_level(modes, spread, recorded.astype(np.float32))
-    each = {"distance": np.linalg.norm(path - recorded, axis=-1), "log_p": log_p, "level": level}
-    found = errors(path, recorded)
-    at = {horizon: 10 * int(horizon) - 1 for horizon in found["fde"]}
-    found["log_p"] = {horizon: float(np.nanmean(log_p[:, step])) for horizon, step in at.items()}
+    rows = errors(found.path, recorded)
+    at = {horizon: 10 * int(horizon) - 1 for horizon in rows["fde"]}
+    rows["log_p"] = {horizon: float(np.nanmean(found.log_p[:, step])) for horizon, step in at.items()}
     for percent in LEVELS:
-        found[f"inside {percent}"] = {
-            horizon: float(np.mean(level[np.isfinite(level[:, step]), step] < percent / 100))
+        rows[f"inside {percent}"] = {
+            horizon: float(np.mean(found.level[np.isfinite(found.level[:, step]), step] < percent / 100))
             for horizon, step in at.items()
         }
-    return found, each
+    return rows

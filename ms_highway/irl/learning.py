@@ -104,7 +104,8 @@ def learn(
         chosen = np.isin(windows.group, names)
         progress(f"cross-validating, {number} of {len(parts)}")
         rest = converged(fit(derivatives.of(~chosen), model, found))
-        held_out.append(window_log_likelihoods(derivatives.of(chosen), rest))
+        own = rest.weights, rest.temperature, rest.tails
+        held_out.append(window_log_likelihoods(derivatives.of(chosen), model, *own))
     drivers = None
     if real:
         moments = cut_moments(recordings)
@@ -155,13 +156,17 @@ def converged(found: Fit) -> Fit:
 
 
 def window_log_likelihoods(
-    derivatives: FeatureDerivatives, found: Fit | LearnedReward
+    derivatives: FeatureDerivatives,
+    model: RewardModel,
+    weights: Mapping[str, float],
+    temperature: float,
+    tails: float | None = None,
 ) -> Float[np.ndarray, "n"]:
     """Return log p of the scaled controls in every window, see `log_likelihoods`, in double precision."""
     with jax.enable_x64(True):
-        theta = jnp.array([found.weights[name] for name in found.model.names])
+        theta = jnp.array([weights[name] for name in model.names])
         data = FeatureDerivatives(*map(jnp.asarray, derivatives))
-        return np.asarray(log_likelihoods(data, theta, found.temperature, found.model.floor, found.tails))
+        return np.asarray(log_likelihoods(data, theta, temperature, model.floor, tails))
 
 
 def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float[np.ndarray, "n K 2"]:

@@ -69,13 +69,18 @@ class _Known(NamedTuple):
 
 
 def learn_drivers(
-    moments: Moments, chosen: Bool[np.ndarray, "n"] | None = None, *, progress: Progress = silent
+    moments: Moments,
+    chosen: Bool[np.ndarray, "n"] | None = None,
+    *,
+    intervals: bool = True,
+    progress: Progress = silent,
 ) -> LearnedDrivers:
     """Learn drivers, with the weights `LEARNED` and that of the comfort of acceleration, 0.1.
 
     Args:
         moments: to learn from.
         chosen: which of them; all by default. One compilation serves any choice.
+        intervals: whether to compute `LearnedDrivers.deviations`.
         progress: called with a message when a part begins.
 
     Raises:
@@ -97,7 +102,7 @@ def learn_drivers(
         changing=dict(zip(CHANGING, np.exp(found[len(FIRST) :]).tolist(), strict=True)),
         intention=drivers.intention,
         spread=fit_spread(modes, recorded),
-        deviations=dict(zip(NAMES, _deviations(found, moments, known).tolist(), strict=True)),
+        deviations=dict(zip(NAMES, _deviations(found, moments, known), strict=True)) if intervals else {},
     )
 
 
@@ -156,7 +161,8 @@ def _drivers(logarithms: Float[Any, "parameters"]) -> Drivers:
     numbers, factors = xp.exp(logarithms[: len(FIRST)]), xp.exp(logarithms[len(FIRST) :])
     headway, *deviations, noise = numbers[len(LEARNED) :]
     prior = TraitPrior(xp.stack([xp.ones_like(headway), headway, xp.ones_like(headway)]), xp.stack(deviations), noise)
-    weights = DrivingWeights(*numbers[: len(LEARNED)], COMFORT)
+    learned = dict(zip(LEARNED, numbers, strict=False))
+    weights = DrivingWeights(**learned, comfort_acceleration=COMFORT)
     changing = _changing(dict(zip(CHANGING, factors, strict=True)))
     return Drivers(weights, prior, changing, Intention(np.full(2, -20.0), np.zeros(6)))
 
@@ -216,9 +222,7 @@ def _predict_unknown(
     return Modes(*(np.stack(part)[fold, np.arange(len(fold))] for part in zip(*parts, strict=True)))
 
 
-def _deviations(
-    found: Float[np.ndarray, "parameters"], moments: Moments, known: _Known
-) -> Float[np.ndarray, "parameters"]:
+def _deviations(found: Float[np.ndarray, "parameters"], moments: Moments, known: _Known) -> list[float]:
     """Return the standard deviations of what was found, with drivers as the independent units.
 
     That of least errors, the roots of the diagonal of ``B sum_i s_i s_i^T B`` (Huber 1967), with the slope s_i of the
@@ -233,7 +237,7 @@ def _deviations(
     slopes = np.asarray(_slopes(jnp.asarray(found), given, known), dtype=float)[known.counts]
     tracks = moments.track[known.counts]
     scores = np.stack([slopes[tracks == track].sum(axis=0) for track in np.unique(tracks)])
-    return np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse))
+    return np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse)).tolist()
 
 
 def _intention(moments: Moments, known: _Known) -> Intention:

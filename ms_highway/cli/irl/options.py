@@ -43,8 +43,8 @@ SHIPPED_NAMES = ("demonstrations", "us101")
 DENSITY_NAMES = ("sparse", "medium", "dense")
 """Keys of `ms_highway.envs.routes.DENSITIES`; told here so that help needs no JAX."""
 
-OTHERS = ("recorded", "coasting")
-"""The values of `ms_highway.irl.prediction.Others`; told here so that help needs no JAX."""
+OTHERS = ("predicted", "recorded", "coasting")
+"""The values of `ms_highway.irl.driving.Others`; told here so that help needs no JAX."""
 
 SIMULATED_WEIGHTS = ("speed", "lane_alignment", "collision_risk")
 """Weights that `ms_highway.irl.learning.SIMULATED` learns, for help texts."""
@@ -129,9 +129,8 @@ def model(options: argparse.Namespace, recordings: "list[Recording]") -> "Reward
     if not options.learn:
         return usual
     given = {**dict.fromkeys(COMFORT, COMFORT_GIVEN), **usual.given}
-    return RewardModel(
-        tuple(options.learn), {name: value for name, value in given.items() if name not in options.learn}
-    )
+    rest = {name: value for name, value in given.items() if name not in options.learn}
+    return RewardModel(tuple(options.learn), rest, usual.tails)
 
 
 def check_directory(path: Path) -> None:

@@ -10,8 +10,9 @@ from ms_highway.cli.irl.options import THETA_HELP, add_data, check_directory, re
 __all__ = ["add_report"]
 
 HELP = """\
-Draw what was learned: errors.png (error against horizon, of the evaluation), paths.png (predicted and recorded paths of
-a few drivers of the recordings) and counts.png (feature counts, of the learned reward), in the directory --out."""
+Draw what was learned, in the directory --out: of the evaluation, errors.png and likelihood.png (against the horizon),
+and calibration.png (how often drivers are in the predicted regions); paths.png (predicted and recorded paths of a few
+drivers of the recordings); and counts.png (feature counts, of the learned reward)."""
 
 EXAMPLES = """\
 example:
@@ -35,26 +36,41 @@ def _report(options: argparse.Namespace) -> None:
     import numpy as np
 
     from ms_highway.irl.evaluation import load_evaluation
-    from ms_highway.irl.prediction import cut_cases, predictions
+    from ms_highway.irl.moments import cut_moments
+    from ms_highway.irl.outlook import Modes, expected_path
+    from ms_highway.irl.predictors import predictions
     from ms_highway.irl.regimes import examples
-    from ms_highway.visualization.irl.prediction import counts_figure, errors_figure, paths_figure
-    from ms_highway.visualization.irl.tables import evaluation_table, regimes_table
+    from ms_highway.visualization.irl.prediction import (
+        calibration_figure,
+        counts_figure,
+        errors_figure,
+        likelihood_figure,
+        paths_figure,
+    )
+    from ms_highway.visualization.irl.tables import evaluation_tables
 
     check_directory(options.out)
     evaluation = load_evaluation(options.evaluation)
     learned, recordings = theta(options.theta), read(options.data)
+    if learned.drivers is None:
+        raise ValueError(f"--theta {options.theta} has no drivers learned seconds ahead; give one of real recordings")
     with telling() as tell:
-        tell("choosing examples")
-        cases = cut_cases(recordings)
-        chosen = examples(cases)
-        cases = cases.of(np.array(list(chosen.values())))
-        tell(f"driving {len(cases)} examples")
-        paths = predictions(cases, learned.sharp_weights, learned.horizon)
+        tell("predicting")
+        moments = cut_moments(recordings)
+        found = predictions(moments, learned.drivers)
+        coasting = np.linalg.norm(expected_path(found["constant_velocity"].modes) - moments.recorded, axis=-1)
+        chosen = examples(moments, coasting)
+    some = {
+        name: part._replace(modes=Modes(*(np.asarray(values)[list(chosen.values())] for values in part.modes)))
+        for name, part in found.items()
+    }
     figures = {
         "errors": errors_figure(evaluation),
-        "paths": paths_figure(cases, paths, list(chosen)),
+        "likelihood": likelihood_figure(evaluation),
+        "calibration": calibration_figure(evaluation),
+        "paths": paths_figure(moments, some, chosen),
         "counts": counts_figure(learned),
     }
     save_figures(figures, options.out)
-    print_tables(evaluation_table(evaluation), regimes_table(evaluation))
+    print_tables(*evaluation_tables(evaluation))
     print(f"figures are in {options.out}")

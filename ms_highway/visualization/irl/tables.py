@@ -1,17 +1,19 @@
 """Tabulate learned rewards, recovered weights and evaluations."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from rich.box import SIMPLE
 from rich.table import Table
 
+from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.irl.prediction import HORIZONS
-from ms_highway.visualization.irl.prediction import PREDICTORS
+from ms_highway.irl.errors import HORIZONS, LEVELS
+from ms_highway.irl.predictors import PREDICTORS
 
-__all__ = ["evaluation_table", "learned_table", "recovery_table", "regimes_table"]
+__all__ = ["drivers_table", "evaluation_tables", "learned_table", "recovery_table"]
 
 
 def learned_table(learned: LearnedReward, true: Mapping[str, float] | None = None) -> Table:
@@ -29,6 +31,26 @@ def learned_table(learned: LearnedReward, true: Mapping[str, float] | None = Non
         interval = "{:.3g}, {:.3g}".format(*learned.interval(name)) if name in learned.learned else "given"
         grid.add_row(name, f"{value:.4g}", interval, *([f"{true[name]:g}" if name in true else ""] if true else []))
     grid.add_row("temperature", f"{learned.temperature:.3g}", "")
+    if learned.tails is not None:
+        grid.add_row("tails", f"{learned.tails:.3g}", "")
+    return grid
+
+
+def drivers_table(drivers: LearnedDrivers) -> Table:
+    """Tabulate what was learned of drivers seconds ahead, with 90 % intervals by driver where they were computed."""
+    title = "learned seconds ahead; factors while changing lanes"
+    grid = _grid(title, ["value", "90 % interval"], "weight or trait")
+    prior = drivers.prior
+    traits = {
+        "typical headway": prior.median[1],
+        **dict(zip(("desired speeds", "headways", "patiences"), prior.deviations, strict=True)),
+        "noise": prior.noise,
+    }
+    changing = {f"{name} while changing lanes": value for name, value in drivers.changing.items()}
+    for name, value in {**drivers.weights, **traits, **changing}.items():
+        spread = drivers.deviations.get(name)
+        ends = None if spread is None else value * np.exp([-1.645 * spread, 1.645 * spread])
+        grid.add_row(name, f"{value:.3g}", "given" if ends is None else f"{ends[0]:.3g}, {ends[1]:.3g}")
     return grid
 
 
@@ -54,27 +76,59 @@ def recovery_table(rows: pd.DataFrame) -> Table:
     return grid
 
 
-def evaluation_table(evaluation: Mapping[str, Any]) -> Table:
-    """Tabulate errors of prediction by horizon."""
-    title = f"{evaluation['windows']} stretches of road of {evaluation['tracks']} drivers"
-    grid = Table(title=title, box=SIMPLE, title_justify="left", title_style="bold")
-    grid.add_column("predicted by", no_wrap=True)
-    for column in (*(f"{kind} {horizon} s" for kind in ("FDE", "miss") for horizon in HORIZONS), "log p"):
-        grid.add_column(column, justify="right", no_wrap=True)
-    for name, (label, *_) in PREDICTORS.items():
-        row, horizons = evaluation[name], [str(horizon) for horizon in HORIZONS]
-        distances = [f"{row['fde'][horizon]:.2f}" if horizon in row["fde"] else "" for horizon in horizons]
-        misses = [f"{row['miss'][horizon]:.0%}" if horizon in row["miss"] else "" for horizon in horizons]
-        grid.add_row(label, *distances, *misses, f"{row['log_likelihood']:.2f}")
+def evaluation_tables(evaluation: Mapping[str, Any]) -> tuple[Table, ...]:
+    """Tabulate an evaluation: errors by horizon, likelihood and calibration, situations, and windows."""
+    return _errors(evaluation), _likelihoods(evaluation), *_situations(evaluation), _windows(evaluation)
+
+
+def _errors(evaluation: Mapping[str, Any]) -> Table:
+    title = (
+        f"{evaluation['windows']} stretches of road of {evaluation['tracks']} drivers, others {evaluation['others']}"
+    )
+    kinds = {"fde": ("FDE", "{:.2f}"), "rmse": ("RMSE", "{:.2f}"), "miss": ("miss", "{:.0%}")}
+    return _by_horizon(title, evaluation["predictors"], kinds)
+
+
+def _likelihoods(evaluation: Mapping[str, Any]) -> Table:
+    kinds = {"log_p": ("log p", "{:.2f}"), **{f"inside {level}": (f"in {level} %", "{:.0%}") for level in LEVELS}}
+    return _by_horizon("log density of positions, and drivers in the regions", evaluation["predictors"], kinds)
+
+
+def _by_horizon(title: str, rows: Mapping[str, Any], kinds: Mapping[str, tuple[str, str]]) -> Table:
+    """Tabulate kinds of measures, given by their labels and formats, by predictor and horizon."""
+    grid = _grid(title, [f"{label} {horizon} s" for label, _ in kinds.values() for horizon in HORIZONS])
+    for name, label in PREDICTORS.items():
+        if name in rows:
+            cells = [(rows[name][kind].get(str(at)), form) for kind, (_, form) in kinds.items() for at in HORIZONS]
+            grid.add_row(label, *("" if value is None else form.format(value) for value, form in cells))
     return grid
 
 
-def regimes_table(evaluation: Mapping[str, Any]) -> Table:
-    """Tabulate errors of prediction by driving regime."""
-    grid = Table(title="mean error after 3 s, m", box=SIMPLE, title_justify="left", title_style="bold")
-    grid.add_column("what drivers did", no_wrap=True)
-    for column in ("windows", *(label for label, *_ in PREDICTORS.values())):
-        grid.add_column(column, justify="right", no_wrap=True)
-    for situation, row in evaluation["situations"].items():
-        grid.add_row(situation, str(row["windows"]), *(f"{row[name]:.2f}" for name in PREDICTORS))
+def _situations(evaluation: Mapping[str, Any]) -> list[Table]:
+    """Tabulate mean distance and log density after 3 and 5 s, by driving regime."""
+    tables = []
+    for kind, title in (("distance", "mean error, m"), ("log_p", "mean log density")):
+        for horizon in ("3", "5"):
+            grid = _grid(f"{title}, after {horizon} s", ["windows", *PREDICTORS.values()], "what drivers did")
+            for situation, row in evaluation["situations"][kind].items():
+                cells = [row.get(name, {}).get(horizon) for name in PREDICTORS]
+                count = f"{row['windows'][horizon]:.0f}"
+                grid.add_row(situation, count, *("" if value is None else f"{value:.2f}" for value in cells))
+            tables.append(grid)
+    return tables
+
+
+def _windows(evaluation: Mapping[str, Any]) -> Table:
+    likely = evaluation["likelihood"]
+    grid = _grid(f"controls of {likely['windows']} windows of half a second", ["log p per window"])
+    for name in ("model", "constant_velocity"):
+        grid.add_row({"model": "learned reward"}.get(name, PREDICTORS[name]), f"{likely[name]:.2f}")
+    return grid
+
+
+def _grid(title: str, columns: Sequence[str], first: str = "predicted by") -> Table:
+    grid = Table(title=title, box=SIMPLE, title_justify="left", title_style="bold")
+    grid.add_column(first, no_wrap=True)
+    for column in columns:
+        grid.add_column(column, justify="right")
     return grid
