@@ -13,8 +13,8 @@ from ms_highway.envs import CROWD_SCENARIOS, PAPER_SCENARIOS
 from ms_highway.envs.routes import DENSITIES
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.game.learned_reward import SHIPPED
+from ms_highway.irl.driving import Others
 from ms_highway.irl.learning import REAL, SIMULATED
-from ms_highway.irl.prediction import Others
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import PAPER_MODELS
 

@@ -1,4 +1,4 @@
-"""Prediction of recorded drivers, by a learned reward and beside it, on real driving where that is present."""
+"""Prediction of recorded drivers, on driving made by hand and on real driving where that is present."""
 
 import json
 from dataclasses import replace
@@ -9,21 +9,22 @@ import pytest
 from scipy import stats
 
 from ms_highway.cli.main import main
+from ms_highway.game.learned_drivers import Spread
 from ms_highway.game.learned_reward import load, shipped
 from ms_highway.game.reward_model import RewardModel
-from ms_highway.irl.evaluation import cross_validate
-from ms_highway.irl.prediction import (
-    constant_velocity,
-    cut_cases,
-    drive,
-    errors,
-    gaussian_log_likelihoods,
-    idm,
-    idm_controls,
-)
+from ms_highway.irl.driving import predict
+from ms_highway.irl.errors import errors
+from ms_highway.irl.evaluation import cross_validate, evaluate, kept_log_likelihoods
+from ms_highway.irl.moments import Moments, cut_moments
+from ms_highway.irl.outlook import Modes, expected_path, fit_spread, log_density, region_level
+from ms_highway.irl.peers.kinematic import constant_velocity
+from ms_highway.irl.predictors import PREDICTORS, predictions
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.regimes import driving_regimes, errors_by_regime
+from ms_highway.irl.regimes import by_regime, driving_regimes
+from ms_highway.irl.seconds_ahead import drivers_of
 from ms_highway.irl.windows import cut_windows
+
+DRIVERS = shipped("us101").drivers
 
 
 def following(gap: float, speed: float = 15.0, leader: float = 15.0, times: int = 61) -> Recording:
@@ -37,37 +38,109 @@ def following(gap: float, speed: float = 15.0, leader: float = 15.0, times: int 
     return Recording("a pair", "a pair", 0.1, np.stack(cars, axis=1), np.array([0]), sizes, lanes, 3.4, 29.0)
 
 
-def test_constant_velocity_predicts_whoever_keeps_it_without_error():
-    cases = cut_cases([following(20.0)])
-    assert len(cases) == 6  # from every full second that a second follows
-    found = errors(constant_velocity(cases), cases)
+def last_of(recording: Recording) -> Moments:
+    """The last moment at which the driver of a recording is predicted, with the longest past."""
+    moments = cut_moments([recording])
+    return moments.of(np.arange(len(moments)) == len(moments) - 1)
+
+
+def test_a_driver_is_predicted_from_every_full_second_that_a_second_follows():
+    moments = cut_moments([following(20.0)])
+    assert len(moments) == moments.predicted.sum() == 6
+    assert np.isfinite(moments.past[0, :, 0]).all(axis=-1).sum() == 1  # nothing is known before the first
+    found = errors(expected_path(constant_velocity(moments)), moments.recorded)
     for kind in ("fde", "ade", "rmse", "miss"):
         assert list(found[kind]) == ["1", "2", "3", "5"]
-        np.testing.assert_allclose(list(found[kind].values()), 0.0, atol=1e-9)
+        np.testing.assert_allclose(list(found[kind].values()), 0.0, atol=1e-4)
 
 
 def test_errors_are_what_a_known_path_is_off():
-    cases = cut_cases([following(20.0)])
-    off = constant_velocity(cases)
+    moments = cut_moments([following(20.0)])
+    off = expected_path(constant_velocity(moments)).astype(float)
     off[:, :, 0] += 3.0 * 0.1 * np.arange(1, 51)  # 3 m/s too fast
-    found = errors(off, cases)
-    assert found["fde"] == pytest.approx({"1": 3.0, "2": 6.0, "3": 9.0, "5": 15.0})
+    found = errors(off, moments.recorded)
+    assert found["fde"] == pytest.approx({"1": 3.0, "2": 6.0, "3": 9.0, "5": 15.0}, abs=1e-3)
     assert found["rmse"] == pytest.approx(found["fde"])
-    assert found["ade"]["1"] == pytest.approx(1.65)
+    assert found["ade"]["1"] == pytest.approx(1.65, abs=1e-3)
     assert found["miss"] == {"1": 1.0, "2": 1.0, "3": 1.0, "5": 1.0}
 
 
-def test_a_learned_driver_brakes_behind_a_leader_that_it_sees_braking():
+def test_learned_drivers_brake_together_behind_a_car_that_stands_and_know_nothing_of_the_future():
+    standing = following(60.0, leader=0.0)
+    moments, drivers = cut_moments([standing]), drivers_of(DRIVERS)
+    path = np.asarray(predict(moments, drivers).path)[0, 0]
+    assert path[-1, 0] < 60.0
+    assert (np.diff(path[:, 0]) >= 0).all()
+    blind = replace(moments, future=np.full_like(moments.future, np.nan))
+    np.testing.assert_array_equal(predict(blind, drivers).path, predict(moments, drivers).path)
+
+
+def test_only_recorded_others_leak_that_a_leader_will_brake():
     braking = following(20.0)
     speed = np.maximum(15.0 - 0.3 * np.arange(61), 5.0)
     braking.states[:, 1, 3] = speed
     braking.states[1:, 1, 0] = 25.0 + np.cumsum(speed[:-1]) * 0.1
-    weights = shipped("us101").sharp_weights
-    seen, unseen = (drive(cut_cases([braking], others), weights, 5)[0] for others in ("recorded", "coasting"))
-    assert (seen[:, 0] + 5.0 < braking.states[1:51, 1, 0]).all()
-    assert unseen[-1, 0] - seen[-1, 0] > 5.0
-    alone = drive(cut_cases([following(300.0)]), weights, 5)[0]
-    np.testing.assert_allclose(alone[:, 0], unseen[:, 0], atol=3.0)
+    first = cut_moments([braking]).of(np.arange(6) == 0)
+    ends = {
+        others: float(np.asarray(predict(first, drivers_of(DRIVERS), others).path)[0, 0, -1, 0])
+        for others in ("predicted", "recorded", "coasting")
+    }
+    assert ends["recorded"] < ends["predicted"] - 5.0
+    assert ends["coasting"] == pytest.approx(ends["predicted"], abs=3.0)
+
+
+def test_who_drifts_to_the_next_lane_is_expected_there():
+    drifting = following(20.0)
+    drifting.states[:, 0, 2] = -0.06
+    drifting.states[:, 0, 1] -= 0.9 * 0.1 * np.arange(61)
+    drifting.states[:, 0, 1] += 1.0  # and is half way at the moment that is looked at
+    modes = predict(cut_moments([drifting]).of(np.arange(6) == 2), drivers_of(DRIVERS))
+    assert modes.probability[0].argmax() == 1
+    assert np.asarray(modes.path)[0, 1, -1, 1] == pytest.approx(0.0, abs=0.7)
+    keeping = predict(last_of(following(20.0)), drivers_of(DRIVERS))
+    assert keeping.probability[0, 0] > 0.9
+
+
+def test_a_driver_who_has_kept_a_long_gap_is_expected_to_keep_a_longer_one_than_others():
+    def gap(before: float) -> float:
+        recording = following(before, times=82)
+        return float(np.asarray(predict(last_of(recording), drivers_of(DRIVERS)).path)[0, 0, -1, 0])
+
+    known, unknown = following(45.0, times=82), following(45.0, times=82)
+    unknown.states[:70, 0] = np.nan
+    ends = [
+        float(np.asarray(predict(moments.of(np.arange(len(moments)) == number), drivers_of(DRIVERS)).path)[0, 0, -1, 0])
+        - float(moments.now[number, 0, 0])
+        for recording, number in ((known, 7), (unknown, 0))
+        for moments in [cut_moments([recording])]
+    ]
+    assert ends[0] < ends[1] - 0.1  # who followed 45 m behind for seconds is in less of a hurry
+    assert gap(45.0) > gap(8.0)
+
+
+def test_the_spread_that_is_fitted_holds_as_many_drivers_as_it_says():
+    random = np.random.default_rng(0)
+    path = np.zeros((2000, 1, 50, 2), np.float32)
+    scales = np.stack([0.3 * (0.1 * np.arange(1, 51)) ** 1.5, 0.1 * (0.1 * np.arange(1, 51))], axis=-1)
+    positions = stats.t.rvs(4, size=(2000, 1, 1), random_state=random) * 0 + random.normal(size=(2000, 50, 2)) * scales
+    positions /= np.sqrt(random.chisquare(4, size=(2000, 1, 1)) / 4)
+    modes = Modes(np.ones((2000, 1)), path)
+    spread = fit_spread(modes, positions)
+    np.testing.assert_allclose(np.asarray(spread.scales(1, 50))[0, 9::10], scales[9::10], rtol=0.15)
+    level = region_level(modes, spread, positions)
+    for share in (0.5, 0.9):
+        np.testing.assert_allclose((level[:, 9::20] < share).mean(axis=0), share, atol=0.04)
+
+
+def test_the_density_of_two_modes_integrates_to_one():
+    modes = Modes(np.array([[0.3, 0.7]]), np.zeros((1, 2, 50, 2), np.float32))
+    modes.path[0, 1, :, 1] = 3.0
+    spread = Spread(np.array([-1.0, 0.5, 0.0]), np.array([-1.0, 0.5, 0.0]), np.array([0.2, 0.1]), np.array([5.0, 0.5]))
+    x, y = np.meshgrid(np.arange(-15, 15, 0.1), np.arange(-12, 15, 0.1), indexing="ij")
+    points = np.broadcast_to(np.stack([x, y], axis=-1).reshape(-1, 1, 2), (x.size, 50, 2)).astype(np.float32)[:, :10]
+    wide = Modes(np.repeat(modes.probability, x.size, 0), np.repeat(modes.path[:, :, :10], x.size, 0))
+    total = np.exp(np.asarray(log_density(wide, spread, points), dtype=float)).sum(axis=0) * 0.01
+    np.testing.assert_allclose(total, 1.0, atol=0.01)
 
 
 @pytest.mark.slow
@@ -79,46 +152,34 @@ def test_cross_validation_predicts_every_group_by_what_was_learned_from_the_othe
         recording.states[:, 0, 2] += random.normal(scale=0.002, size=61)
         recording.states[:, 0, 3] += random.normal(scale=0.05, size=61)
         recordings.append(replace(recording, group=str(number), measured=False))
-    recordings[2].states[:, 0, 1] = 60.0  # off the road, where nothing can be learned, but something predicted
     model = RewardModel(("headway", "comfort_steering"), {"comfort_acceleration": 0.1})
     told: list[str] = []
     found = cross_validate(recordings, model, 5, 8, progress=told.append)
     assert [message for message in told if "learning" in message] == [f"learning, fold {n} of 3" for n in (1, 2, 3)]
     assert len(found["folds"]) == 3
     assert found["windows"] == 18
-    assert found["likelihood_windows"] == 24
-    for row in found["model"].values():
-        assert np.isfinite(list(row.values()) if isinstance(row, dict) else row).all()
-    assert found["model"]["fde"]["1"] < 2.0
+    assert found["likelihood"]["windows"] == 36
+    for row in found["predictors"].values():
+        for values in row.values():
+            assert np.isfinite(list(values.values())).all()
+    assert found["predictors"]["model"]["fde"]["1"] < 2.0
     with pytest.raises(ValueError, match="two groups"):
         cross_validate(recordings[:1], model, 5, 2)
 
 
-def test_highway_envs_idm_keeps_its_distance_and_its_lane():
-    cases = cut_cases([following(4.0)])
-    path = idm(cases)[0]
-    assert path[-1, 0] < constant_velocity(cases)[0, -1, 0] - 5.0
-    np.testing.assert_allclose(path[:, 1], 3.4, atol=1e-6)
-    windows = cut_windows([following(4.0)], 5)
-    assert idm_controls(windows)[0, 0, 1] < -2.0
-
-
-def test_normal_noise_is_as_likely_around_what_was_expected_as_its_distribution_says():
-    windows = cut_windows([following(20.0)], 5)
-    noise = np.random.default_rng(0).normal(size=windows.controls.shape) * [0.001, 0.5]
-    expected, scale = np.asarray(windows.controls) - noise, np.array([0.05, 100 / 3])
-    deviation = np.sqrt(np.mean((noise / scale) ** 2, axis=(0, 1)))
-    likely = stats.norm.logpdf(noise / scale, scale=deviation).sum(axis=(1, 2))
-    np.testing.assert_allclose(gaussian_log_likelihoods(windows, expected), likely, rtol=1e-5)
-    assert (
-        gaussian_log_likelihoods(windows, expected).mean()
-        > gaussian_log_likelihoods(windows, expected + np.array([0.0, 2.0])).mean() + 5
-    )
+def test_controls_around_those_that_keep_the_velocity_are_more_likely_the_nearer_they_are():
+    recording = following(20.0)
+    recording.states[:, 0, 3] += np.random.default_rng(0).normal(scale=0.3, size=61)
+    windows = cut_windows([replace(recording, measured=False)], 5)
+    likely = kept_log_likelihoods(windows)
+    off = np.abs(np.asarray(windows.controls)[..., 1]).max(axis=1)
+    assert likely[off.argmin()] == likely.max()
+    assert likely[off.argmax()] == likely.min()
 
 
 def test_situations_are_told_apart_by_what_drivers_did():
     def which(recording: Recording) -> set[str]:
-        return {name for name, chosen in driving_regimes(cut_cases([recording])).items() if chosen[0]}
+        return {name for name, chosen in driving_regimes(cut_moments([recording])).items() if chosen[0]}
 
     assert which(following(20.0)) == {"following"}
     assert which(following(60.0)) == {"no leader"}
@@ -129,28 +190,41 @@ def test_situations_are_told_apart_by_what_drivers_did():
     assert which(moving) == {"lane change", "braking"}
 
 
-def test_errors_by_situation_count_what_is_in_it():
-    cases = cut_cases([following(20.0), following(60.0)])
-    late = constant_velocity(cases) - [1.0, 0.0]
-    found = errors_by_regime({"late": late, "exact": constant_velocity(cases)}, cases)
+def test_means_by_situation_count_what_is_in_it():
+    moments = cut_moments([following(20.0), following(60.0)])
+    found = by_regime({"late": np.ones((12, 50)), "exact": np.zeros((12, 50))}, moments)
     assert list(found) == ["no leader", "following"]
     for row in found.values():
-        assert row == pytest.approx({"windows": 4, "late": 1.0, "exact": 0.0}, abs=1e-9)
+        assert row["windows"] == {"1": 4, "2": 4, "3": 4, "5": 2}
+        assert row["late"] == {"1": 1, "2": 1, "3": 1, "5": 1}
+        assert row["exact"]["3"] == 0.0
 
 
 def test_a_driver_that_is_never_seen_for_a_second_cannot_be_predicted():
     with pytest.raises(ValueError, match=r"seen for 1 s"):
-        cut_cases([following(4.0, times=8)])
+        cut_moments([following(4.0, times=8)])
 
 
-def test_real_drivers_are_predicted_better_by_the_learned_reward(us101):
-    cases = cut_cases(us101[::5])
-    cases = cases.of(np.arange(len(cases)) % 6 == 0)
-    found = errors(drive(cases, shipped("us101").sharp_weights, 5), cases)
-    baseline = errors(constant_velocity(cases), cases)
+def test_a_reward_without_drivers_cannot_be_evaluated():
+    with pytest.raises(ValueError, match=r"no drivers .* irl fit"):
+        evaluate([following(20.0)], shipped("demonstrations"))
+
+
+def test_real_drivers_are_predicted_better_by_what_was_learned_than_by_any_peer(us101):
+    moments = cut_moments(us101[::5])
+    found = predictions(moments, DRIVERS)
+    assert list(found) == list(PREDICTORS)
+    rows = {name: errors(expected_path(part.modes), moments.recorded) for name, part in found.items()}
+    dense = {
+        name: np.nanmean(np.asarray(log_density(*part, moments.recorded.astype(np.float32)))[:, 29])
+        for name, part in found.items()
+    }
+    for name in list(PREDICTORS)[1:]:
+        assert dense["model"] > dense[name]
+        for horizon in ("3", "5"):
+            assert rows["model"]["fde"][horizon] < rows[name]["fde"][horizon]
     for horizon in ("3", "5"):
-        assert found["fde"][horizon] < 0.9 * baseline["fde"][horizon]
-        assert found["miss"][horizon] < baseline["miss"][horizon]
+        assert rows["model"]["fde"][horizon] < 0.8 * rows["constant_velocity"]["fde"][horizon]
 
 
 @pytest.mark.slow
@@ -161,16 +235,23 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
         (data / path.name).symlink_to(path)
     learn = ["--learn", "headway", "closing_speed", "comfort_steering"]
     assert main(["irl", "fit", "--data", str(data), *learn, "--out", str(theta)]) == 0
-    assert load(theta).learned == ("headway", "closing_speed", "comfort_steering")
-    assert load(theta).log_likelihood["held_out"] is not None
+    learned = load(theta)
+    assert learned.learned == ("headway", "closing_speed", "comfort_steering")
+    assert learned.log_likelihood["held_out"] is not None
+    assert learned.tails < 5
+    assert set(learned.drivers.peers) == set(PREDICTORS) - {"model"}
     assert "closing_speed" in capsys.readouterr().out
     assert main(["irl", "evaluate", "--theta", str(theta), "--data", str(data), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    for name in ("model", "constant_velocity", "idm"):
-        assert list(found[name]) == ["fde", "ade", "rmse", "miss", "log_likelihood"]
-        assert list(found[name]["fde"]) == ["1", "2", "3", "5"]
+    for name in PREDICTORS:
+        row = found["predictors"][name]
+        assert list(row) == ["fde", "ade", "rmse", "miss", "log_p", "inside 50", "inside 90", "inside 99"]
+        assert list(row["fde"]) == ["1", "2", "3", "5"]
     assert found["windows"] > found["tracks"] > 20
-    assert found["model"]["fde"]["5"] < found["constant_velocity"]["fde"]["5"]
+    assert found["others"] == "predicted"
+    model, kept = (found["predictors"][name] for name in ("model", "constant_velocity"))
+    assert model["fde"]["5"] < kept["fde"]["5"]
+    assert model["log_p"]["5"] > kept["log_p"]["5"]
 
 
 @pytest.mark.parametrize(

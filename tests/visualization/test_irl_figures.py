@@ -13,25 +13,33 @@ from ms_highway.cli.main import main
 from ms_highway.game.learned_reward import shipped
 from ms_highway.irl.evaluation import load_evaluation
 from ms_highway.irl.learning import SIMULATED
-from ms_highway.irl.prediction import constant_velocity, cut_cases, idm
+from ms_highway.irl.moments import cut_moments
+from ms_highway.irl.outlook import Modes, expected_path
+from ms_highway.irl.peers.kinematic import constant_velocity
+from ms_highway.irl.predictors import PREDICTORS, Prediction
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
 from ms_highway.irl.recovery import recover
 from ms_highway.irl.regimes import examples
-from ms_highway.visualization.irl.prediction import counts_figure, errors_figure, paths_figure
+from ms_highway.visualization.irl.prediction import calibration_figure, counts_figure, errors_figure, paths_figure
+from ms_highway.visualization.irl.prediction import likelihood_figure as density_figure
 from ms_highway.visualization.irl.recovery import likelihood_figure, weights_figure
-from ms_highway.visualization.irl.tables import evaluation_table, recovery_table
+from ms_highway.visualization.irl.tables import drivers_table, evaluation_tables, recovery_table
 
-KINDS = ("model", "constant_velocity", "idm")
+KINDS = ("fde", "ade", "rmse", "miss", "log_p", "inside 50", "inside 90", "inside 99")
 
 
 def evaluation():
     errors = {str(horizon): 0.5 * horizon for horizon in (1, 2, 3, 5)}
-    rows = {kind: {key: dict(errors) for key in ("fde", "ade", "rmse", "miss")} for kind in KINDS}
+    rows = {name: {kind: dict(errors) for kind in KINDS} for name in PREDICTORS}
     for place, row in enumerate(rows.values()):
         row["miss"] = dict.fromkeys(errors, 0.1 * (place + 1))
-        row["log_likelihood"] = -float(place)
-    errors = {"model": 1.5, "constant_velocity": 2.5, "idm": 7.5}
-    return {**rows, "situations": {"braking": {"windows": 4, **errors}}, "windows": 12, "tracks": 3}
+        row["inside 90"] = dict.fromkeys(errors, 0.9 - 0.01 * place)
+    windows = {"1": 4.0, "2": 4.0, "3": 4.0, "5": 0.0}
+    braking = {"windows": windows, **{name: {"1": 0.5, "2": 1.0, "3": 1.5} for name in PREDICTORS}}
+    likelihood = {"model": 25.0, "constant_velocity": 24.0, "windows": 7}
+    situations = {"distance": {"braking": braking}, "log_p": {"braking": braking}}
+    counts = {"windows": 12, "tracks": 3, "others": "predicted"}
+    return {"predictors": rows, "situations": situations, "likelihood": likelihood, **counts}
 
 
 def recovery(drivers=("maxent", "mpc"), numbers=(4, 16)):
@@ -78,27 +86,40 @@ def test_likelihood_and_regret_are_drawn_against_the_number_of_demonstrations():
     assert list(lower.lines[0].get_ydata()) == [25, 6.25]  # per cent
 
 
-def test_errors_and_misses_are_drawn_against_the_horizon_for_all_three():
+def test_errors_and_misses_are_drawn_against_the_horizon_for_all_predictors():
     left, right = errors_figure(evaluation()).axes
+    assert len(left.lines) == len(PREDICTORS)
     for place, (distance, miss) in enumerate(zip(left.lines, right.lines, strict=True)):
         assert list(distance.get_xdata()) == list(miss.get_xdata()) == [1, 2, 3, 5]
         assert list(distance.get_ydata()) == [0.5, 1.0, 1.5, 2.5]
         assert list(miss.get_ydata()) == pytest.approx([0.1 * (place + 1)] * 4)
 
 
+def test_calibration_and_likelihood_are_drawn_against_the_horizon():
+    panels = calibration_figure(evaluation()).axes
+    assert [axes.get_title() for axes in panels] == ["region of 50 %", "region of 90 %", "region of 99 %"]
+    *predictors, nominal = panels[1].lines
+    assert list(nominal.get_ydata()) == [0.9, 0.9]
+    assert list(predictors[1].get_ydata()) == pytest.approx([0.89] * 4)
+    assert len(density_figure(evaluation()).axes[0].lines) == len(PREDICTORS)
+
+
 def test_examples_are_distinct_and_their_recorded_and_predicted_paths_are_drawn(us101, tmp_path):
-    cases = cut_cases(us101[:2])
-    chosen = examples(cases)
+    moments = cut_moments(us101[:2])
+    kept = constant_velocity(moments)
+    recorded, start = moments.recorded, moments.now[moments.predicted]
+    chosen = examples(moments, np.linalg.norm(expected_path(kept) - recorded, axis=-1))
     assert len(chosen) == len(set(chosen.values())) == 4
-    slowing = (cases.recorded[:, -1, 3] - cases.recorded[:, 0, 3])[chosen["the strongest braking"]]
-    assert slowing == np.nanmin(cases.recorded[:, -1, 3] - cases.recorded[:, 0, 3])
-    some = cases.of(np.array(list(chosen.values())))
-    figure = paths_figure(some, {"constant_velocity": constant_velocity(some), "idm": idm(some)}, list(chosen))
-    for number, axes in enumerate(figure.axes):
+    whole = np.moveaxis(moments.future, 1, 2)[moments.predicted][:, -1, 3] - start[:, 3]
+    assert whole[chosen["the strongest braking"]] == np.nanmin(whole)
+    some = list(chosen.values())
+    prediction = Prediction(Modes(*(np.asarray(part)[some] for part in kept)), shipped("us101").drivers.spread)
+    figure = paths_figure(moments, {"constant_velocity": prediction, "model": prediction}, chosen)
+    for axes, driver in zip(figure.axes, some, strict=True):
         markers = {line.get_marker(): line.get_xydata() for line in axes.lines if len(line.get_xydata()) == 51}
-        start = some.recorded[number, :1, :1] * [1, 0]
-        np.testing.assert_allclose(markers["D"], some.recorded[number, :, :2] - start)
-        np.testing.assert_allclose(markers["s"][1:], constant_velocity(some)[number] - start)
+        origin = start[driver, :1] * [1, 0]
+        np.testing.assert_allclose(markers["D"][1:], recorded[driver] - origin)
+        np.testing.assert_allclose(markers["s"][1:], expected_path(kept)[driver] - origin, atol=1e-4)
         low, high = axes.get_ylim()
         assert low > high  # the driver's left is up
     figure.savefig(tmp_path / "paths.png")
@@ -120,9 +141,15 @@ def test_tables_show_what_was_found():
     text = printed(recovery_table(recovery()))
     assert "(1.5)" in text  # not identifiable
     assert "25.00%" in text
-    text = printed(evaluation_table(evaluation()))
-    assert "12 stretches of road of 3 drivers" in text
-    assert text.count("2.50") == 3
+    tables = evaluation_tables(evaluation())
+    assert "12 stretches of road of 3 drivers; the others as predicted" in printed(tables[0])
+    assert printed(tables[0]).count("2.50") == 2 * len(PREDICTORS)  # FDE and RMSE
+    assert "90%" in printed(tables[1])
+    assert printed(tables[2]).count("1.50") == len(PREDICTORS)
+    assert "25.00" in printed(tables[-1])
+    drivers = printed(drivers_table(shipped("us101").drivers))
+    assert "patiences" in drivers
+    assert "headway while changing lanes" in drivers
 
 
 @pytest.mark.parametrize(
@@ -130,7 +157,7 @@ def test_tables_show_what_was_found():
     [
         ("{", "cannot be read as an evaluation"),
         ("[]", "is no evaluation"),
-        (json.dumps({**evaluation(), "idm": {}}), "lacks idm.fde, idm.miss, idm.log_likelihood"),
+        (json.dumps({**evaluation(), "predictors": {}}), "lacks predictors.model, predictors.constant_velocity"),
         (json.dumps({key: value for key, value in evaluation().items() if key != "tracks"}), "lacks tracks"),
     ],
 )
