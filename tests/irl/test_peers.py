@@ -117,7 +117,7 @@ def test_idm_stops_behind_a_standing_car():
     moments = moment(driving(0, 3.4, 10), driving(45, 3.4, 0))
     path = expected_path(idm(moments, replace(FIRST_IDM, speed=0.0)))
     assert 30.0 < path[0, -1, 0] < 40.0 - 2.0
-    assert path[1, -1, 0] == 45.0
+    assert 45.0 <= path[1, -1, 0] < 45.5
 
 
 def test_drivers_made_by_idm_are_predicted_by_its_fit():
@@ -143,14 +143,14 @@ def test_who_drifts_to_the_left_lane_probably_changes_to_it():
     assert [int(np.argmax(modes.probability)) for modes in (keeping, left, right)] == [0, 1, 2]
     assert keeping.probability[0, 0] > 0.8
     np.testing.assert_allclose(left.probability[0], right.probability[0, np.array([0, 2, 1])], rtol=0.01)
-    np.testing.assert_allclose(left.path[0, 1, -1, 1], 0.0, atol=0.5)
+    np.testing.assert_allclose(left.path[0, 1, -1, 1], 0.0, atol=0.5)  # in the left lane
 
 
 def test_a_lane_that_does_not_exist_is_never_entered():
     modes = modes_of(driving(0, 0.0, 15, heading=-0.03), driving(0, 6.8, 15, heading=0.03))
     assert modes.probability[0, 1] == 0.0
     assert modes.probability[1, 2] == 0.0
-    np.testing.assert_array_equal(modes.path[0, 1, -1] - modes.path[0, 0, -1] < 3.4, True)
+    assert (np.asarray(modes.probability)[:, [1, 2]].max(axis=1) > 0.0).all()  # to the lane that does exist
     assert (np.asarray(modes.path)[:, :, -1, 1] > -1.7).all()
     assert (np.asarray(modes.path)[:, :, -1, 1] < 8.5).all()
 
@@ -158,17 +158,19 @@ def test_a_lane_that_does_not_exist_is_never_entered():
 def test_the_filter_settles_on_the_speed_behind_noise():
     car = driving(0, 3.4, 15)
     car[:, 3] += np.random.default_rng(0).normal(scale=1.0, size=91)
-    noisy = moment(car)
-    path = {name: expected_path(PEERS[name](noisy))[0, -1, 0] for name in ("lane modes", "constant velocity")}
-    assert abs(path["lane modes"] - 75.0) < abs(path["constant velocity"] - 75.0)
+    noisy, settings = moment(car), replace(FIRST_KALMAN, pace=1.0, push=0.05)
+    filtered, last = (
+        expected_path(modes)[0, -1, 0] for modes in (lane_modes(noisy, settings), constant_velocity(noisy))
+    )
+    assert abs(filtered - 75.0) < 0.5 * abs(last - 75.0)
 
 
 def test_fitted_parameters_are_plain_numbers():
     moments = moment(driving(0, 3.4, 15), driving(20, 3.4, 15))
-    assert IdmParameters(**asdict(fit_idm(moments, evaluations=1))) is not None
-    found = asdict(fit_kalman(moments, evaluations=1))
-    assert all(type(value) is float for value in found.values())
-    assert KalmanSettings(**found)
+    for kind, fit in ((IdmParameters, fit_idm), (KalmanSettings, fit_kalman)):
+        found = fit(moments, evaluations=1)
+        assert all(type(value) is float for value in asdict(found).values())
+        assert kind(**asdict(found)) == found
 
 
 def test_real_drivers_are_predicted_better_by_fitted_parameters(us101):

@@ -1,4 +1,8 @@
-"""Predict drivers by the Intelligent Driver Model (IDM): highway-env's, or with fitted parameters."""
+"""Predict drivers by the Intelligent Driver Model (IDM): highway-env's, or with fitted parameters.
+
+Cars steer to the centre of the lane that they are in at first, as highway-env's do. The part of the desired gap that
+depends on speeds is at least 0 (Treiber et al. 2000); highway-env squares a negative one, of who falls far behind.
+"""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
