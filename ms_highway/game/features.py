@@ -21,7 +21,6 @@ from ms_highway.runtime.reductions import unrolled_reduce, unrolled_sum
 __all__ = ["HEADING_SHARE", "features", "motion_features", "motion_reward", "reward"]
 
 HEADING_SHARE = 0.01  # of directional relative to lateral alignment with a lane
-TIME_HEADWAY = 1.0  # s, between bumpers
 STANDSTILL_GAP = 0.06  # length units (2 m), between the bumpers of a standing queue
 SMALLEST_GAP = 0.03  # length units (1 m), below which induced braking grows no more
 ATTENTION = 0.6  # length units (20 m), gap at which the attention to a neighbour is 1 / e
@@ -117,7 +116,7 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     ``w = exp(-g / 0.6) exp(-(dy / (lane width / 4))^2 / 2)``, which decays with the gap and the lateral distance:
 
     * direction: ``cos(heading)``, a fixed share of which is in ``lane_alignment``;
-    * headway: ``-sum w (g - (0.06 + v 1 s / U))^2`` over the cars ahead: the gap against 2 m plus 1 s;
+    * headway: ``-sum w (g - (0.06 + v h / U))^2`` over the cars ahead: the gap against 2 m plus h, 1 s by default;
     * closing_speed: ``-sum w ((v - v_j) / s)^2`` over the cars ahead, s the speed limit;
     * induced_braking: ``-sum w (max(v_j - v, 0)^2 / (2 U^2 max(g, 0.03)))^2`` over the cars behind: the braking [U/s^2]
       with which they avoid hitting this car.
@@ -132,7 +131,7 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     braking = faster**2 / (2 * jnp.maximum(gap, SMALLEST_GAP))
     return [
         own.cosine,
-        -unrolled_sum(ahead * (gap - STANDSTILL_GAP - TIME_HEADWAY * speed) ** 2, axis=0),
+        -unrolled_sum(ahead * (gap - STANDSTILL_GAP - parameters.headway * speed) ** 2, axis=0),
         -unrolled_sum(ahead * ((own.speed - others.speed) / parameters.speed_limit) ** 2, axis=0),
         -unrolled_sum(behind * braking**2, axis=0),
     ]

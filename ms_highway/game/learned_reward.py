@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.game.learned_drivers import LearnedDrivers
+from ms_highway.game.learned_drivers import LearnedDrivers, TraitPrior
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.runtime.files import read_json, replacing
 
-__all__ = ["SHIPPED", "VERSION", "LearnedReward", "commuter_weights", "load", "save", "shipped"]
+__all__ = ["SHIPPED", "VERSION", "LearnedReward", "commuter_traits", "commuter_weights", "load", "save", "shipped"]
 
 VERSION = 3
 """Version of the file format; files of versions 1 and 2 can be read, others are refused."""
@@ -145,11 +145,20 @@ def shipped(name: str) -> LearnedReward:
 def commuter_weights() -> dict[str, float]:
     """Return weights, by name, of who drives with the traffic: learned on US-101, in units of log-probability.
 
-    Those of leaving the lane, the road, and of collisions are the paper's: the recordings tell little about them.
+    Those that matter in a lane are learned seconds ahead, see `ms_highway.irl.seconds_ahead`. Those of leaving the
+    lane, the road, and of collisions are the paper's: the recordings tell little about them.
     """
     learned = shipped("us101")
     kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}
-    return {name: weight / learned.temperature for name, weight in (learned.weights | kept).items()}
+    ahead = learned.drivers.weights if learned.drivers else {}
+    return {name: weight / learned.temperature for name, weight in {**learned.weights, **ahead, **kept}.items()}
+
+
+def commuter_traits() -> TraitPrior:
+    """Return how those who drive with the traffic differ: learned on US-101."""
+    drivers = shipped("us101").drivers
+    assert drivers is not None  # the package's own file
+    return drivers.prior
 
 
 def _checked(content: Any, place: str) -> LearnedReward:

@@ -18,6 +18,7 @@ __all__ = [
     "FEATURES",
     "OWN_FEATURES",
     "PAPER_FEATURES",
+    "TIME_HEADWAY",
     "TRAFFIC_FEATURES",
     "Feature",
     "Reward",
@@ -56,6 +57,9 @@ Feature: TypeAlias = Callable[[Scene, Motion, Motion], Float[jax.Array, ""]]
 OWN_FEATURES: dict[str, Feature] = {}
 """User-defined features by name, see `add_feature`."""
 
+TIME_HEADWAY = 1.0
+"""Time gap between bumpers that the headway feature wants by default, besides 2 m [s]."""
+
 COMPUTATION = "computation"  # the price of planning among the reward terms of environments
 
 
@@ -72,6 +76,7 @@ class Reward:
             keeps the velocity.
         names: of the features that are computed: `PAPER_FEATURES` or `FEATURES`, then user-defined ones (static).
         own: functions of the user-defined features, which the last names belong to (static).
+        headway: time gap that the headway feature wants [s].
     """
 
     weights: Float[Array, "features"]
@@ -80,6 +85,7 @@ class Reward:
     comfort: Float[Array, "2"]
     names: tuple[str, ...] = field(metadata={"static": True})
     own: tuple[Feature, ...] = field(default=(), metadata={"static": True})
+    headway: float | Float[Array, ""] = TIME_HEADWAY
 
 
 def add_feature(name: str, function: Feature) -> None:

@@ -1,18 +1,21 @@
 """Drive like humans: plan for a reward learned from demonstrations or from recorded traffic."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
+import numpy as np
 from highway_env.road.road import Road
 
 from ms_highway.control.fixed import FixedModel
-from ms_highway.game.learned_reward import commuter_weights, shipped
+from ms_highway.game.game import Game
+from ms_highway.game.learned_reward import commuter_traits, commuter_weights, shipped
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings
 from ms_highway.game.scenario import driving_game
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.human_models import Naive
 from ms_highway.vehicle.planning import PlanningVehicle
-from ms_highway.vehicle.road_view import look
+from ms_highway.vehicle.road_view import RoadView, look
 
 __all__ = ["CommuterVehicle", "HumanVehicle"]
 
@@ -65,21 +68,49 @@ class HumanVehicle(PlanningVehicle):
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan for the own reward: in the game given by `drive_with`, or else on the present road."""
         if not action and self.controller is None and self.road is not None:
-            view = look(self, self.route)
-            game = driving_game(view.scene, view.speed_limit, self.weights, solver=self.solver, planning=self.planning)
-            self.drive_with(FixedModel(game, Naive()))
+            self.drive_with(FixedModel(self._own_game(look(self, self.route)), Naive()))
         super().act(action)
+
+    def _own_game(self, view: RoadView) -> Game:
+        """Return the game that it plays when it drives by itself."""
+        return driving_game(view.scene, view.speed_limit, self.weights, solver=self.solver, planning=self.planning)
 
 
 class CommuterVehicle(HumanVehicle):
-    """Drive with the traffic, like the drivers recorded on US-101.
+    """Drive with the traffic, like the drivers recorded on US-101, each in its own way.
 
-    The weights of speed, distances and comfort are learned from them. Dense traffic on a straight highway tells little
+    The weights of speed, distances and comfort are learned from them, and so is how they differ: desired speed, headway
+    and patience are drawn for every car, by the road's random numbers. Dense traffic on a straight highway tells little
     about leaving a lane that ends and avoiding collisions; these weights are the paper's: with the learned weights
     alone, humans hit standing cars and obstacles at the end of a ramp. The speed limit attracts it weakly: on an empty
     road it takes minutes to reach it.
+
+    Attributes:
+        traits: its own, the desired speed as a share of the speed limit.
     """
 
     COLOR = (150, 90, 200)
     weights = commuter_weights()
     solver = "newton"
+
+    def __init__(
+        self,
+        road: Road | None,
+        position: Sequence[float],
+        heading: float = 0,
+        speed: float = 0,
+        enable_lane_change: bool = True,
+    ) -> None:
+        super().__init__(road, position, heading, speed, enable_lane_change)
+        prior = commuter_traits()
+        self.traits = prior.draw(road.np_random, 1.0) if road else prior.traits(np.zeros(3), 1.0)
+
+    def desired_speed(self, view: RoadView) -> float:
+        """Return its own desired speed [m/s]: a share of what the road and `target_speed` allow, perhaps above 1."""
+        return super().desired_speed(view) * float(self.traits.desired_speed)
+
+    def _own_game(self, view: RoadView) -> Game:
+        game = super()._own_game(view)
+        comfort = np.asarray(game.robot.comfort) * [1.0, self.traits.patience]
+        own = replace(game.robot, headway=self.traits.headway, comfort=comfort.astype(np.float32))
+        return replace(game, robot=own, human=own)

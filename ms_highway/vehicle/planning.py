@@ -43,9 +43,8 @@ def _seen(cars: Sequence[Vehicle | None]) -> _Seen:
     return _Seen(np.array([car is not None for car in cars]), states_of(filter(None, cars)))
 
 
-def _at(view: RoadView, game: Game, speed_limit: float) -> Game:
-    """Return a game in a driver's view of a road."""
-    limit = min(view.speed_limit, speed_limit)
+def _at(view: RoadView, game: Game, limit: float) -> Game:
+    """Return a game in a driver's view of a road, at a speed limit."""
     robot, human = (replace(reward, speed_limit=limit) for reward in (game.robot, game.human))
     return replace(game, scene=view.scene, robot=robot, human=human)
 
@@ -147,7 +146,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         """Plan as if the lane were straight, and add its bend to the plan's first control."""
         view = look(self, self.route)
         self.route = self.route and view.route
-        controller.game = _at(view, controller.game, self.target_speed)
+        controller.game = _at(view, controller.game, self.desired_speed(view))
         if self.target_speed <= 0:
             self.execute(braking_control(controller.game, view.states[0]) + np.array([view.bend, 0.0]))
             self._before = None
@@ -160,6 +159,10 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self.last_state = view.states[[0, *(number + 1 for number in order)]]
         self._take(controller.step(self.last_state, self._before and self._before.along(view)), view.bend)
         self._before = _seen([self, *(view.cars[number] for number in order)])
+
+    def desired_speed(self, view: RoadView) -> float:
+        """Return the speed at which its reward of speed is highest [m/s]: the road's limit, at most `target_speed`."""
+        return min(view.speed_limit, self.target_speed)
 
     def _partners_place(self, view: RoadView) -> int:
         """Return the place of the neighbour that is the partner from now on; 0 if there is none."""

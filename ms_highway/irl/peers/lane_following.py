@@ -15,8 +15,9 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float
 from scipy import optimize
 
+from ms_highway.game.learned_drivers import Spread
 from ms_highway.irl.moments import STEPS, Moments, lanes_of
-from ms_highway.irl.outlook import Modes, Spread, log_density
+from ms_highway.irl.outlook import Modes, log_density
 from ms_highway.runtime.compilation import jit_quickly
 
 __all__ = ["FIRST_KALMAN", "KalmanSettings", "fit_kalman", "lane_modes"]
@@ -136,7 +137,7 @@ def _surprise(
 
     def surprise(parameters: jax.Array) -> jax.Array:
         own, rest = parameters[: -len(FIRST_SPREAD)], parameters[-len(FIRST_SPREAD) :]
-        spread = Spread(rest[:3], rest[3:6], rest[6:8], jnp.exp(rest[8]))
+        spread = Spread(rest[:3], rest[3:6], rest[6:8], jnp.stack([jnp.exp(rest[8]), jnp.zeros(())]))
         each = log_density(_modes(KalmanSettings(*jnp.exp(own)), past), spread, positions)[:, EVERY - 1 :: EVERY]
         return -jnp.sum(jnp.where(known, each, 0.0)) / jnp.sum(known)
 

@@ -15,10 +15,10 @@ from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.game.collision_risk import CAR_SHARPNESS
-from ms_highway.game.features import ATTENTION, OWN_LANE, SMALLEST_GAP, STANDSTILL_GAP, TIME_HEADWAY
+from ms_highway.game.features import ATTENTION, OWN_LANE, SMALLEST_GAP, STANDSTILL_GAP
 from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.neighbours import FAR_AWAY
-from ms_highway.game.reward import Reward, linear_reward
+from ms_highway.game.reward import TIME_HEADWAY, Reward, linear_reward
 from ms_highway.game.road import RoadScene, interpolate, place, project
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.optimization.damped_newton import SHARES, best_of, damped_factor, damped_solve
