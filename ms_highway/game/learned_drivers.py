@@ -46,10 +46,9 @@ class TraitPrior:
     noise: float | Float[Array, ""]
 
     def __post_init__(self) -> None:
-        values = [self.median, self.deviations, self.noise]
-        given = not any(isinstance(value, jax.Array) for value in values)  # and not traced
-        if given and any((np.asarray(value) <= 0).any() for value in values if np.ndim(value) or np.isscalar(value)):
-            raise ValueError(f"the prior of traits is {values}; medians, deviations and noise must be positive")
+        numbers = [leaf for leaf in jax.tree.leaves(vars(self)) if isinstance(leaf, float | np.ndarray)]  # not traced
+        if any((np.asarray(number) <= 0).any() for number in numbers):
+            raise ValueError(f"the prior of traits is {vars(self)}; medians, deviations and noise must be positive")
 
     def traits(self, logarithms: Float[Any, "*drivers 3"], speed_limit: Number) -> Traits:
         """Return the traits of drivers from the deviations of their logarithms from the medians'."""
@@ -173,7 +172,7 @@ PARTS = {"prior": (TraitPrior, (3, 3, 1)), "intention": (Intention, (2, 6)), "sp
 
 
 def _array(value: Any) -> Any:
-    return np.asarray(value, dtype=float) if isinstance(value, list) else float(value)
+    return tuple(map(float, value)) if isinstance(value, list) else float(value)
 
 
 def _finite(value: Any) -> bool:

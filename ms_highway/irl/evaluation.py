@@ -35,7 +35,7 @@ from ms_highway.runtime.progress import Progress, silent
 
 __all__ = ["cross_validate", "evaluate", "kept_log_likelihoods", "load_evaluation"]
 
-LEAST_DEVIATION = 1e-6  # of scaled controls
+LEAST_DEVIATION, MOST = 1e-6, 1e3  # of scaled controls; and of tails
 
 
 def evaluate(
@@ -198,10 +198,11 @@ def kept_log_likelihoods(windows: Windows) -> Float[np.ndarray, "n"]:
     size = off[0].size
 
     def each(logarithms: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n"]:
-        scales, tails = np.maximum(np.exp(logarithms[:2]), LEAST_DEVIATION), np.exp(logarithms[2])
+        scales, tails = np.exp(logarithms[:2]), np.exp(logarithms[2])
         squares = np.sum((off / scales) ** 2, axis=(1, 2))
         shape = special.gammaln((tails + size) / 2) - special.gammaln(tails / 2) - size / 2 * np.log(tails * np.pi)
         return shape - size / 2 * np.log(scales).sum() - (tails + size) / 2 * np.log1p(squares / tails)
 
     first = np.log([*np.maximum(np.sqrt(np.mean(off**2, axis=(0, 1))), LEAST_DEVIATION), 2.0])
-    return each(optimize.minimize(lambda logarithms: -each(logarithms).mean(), first, method="Nelder-Mead").x)
+    bounds = np.log([(LEAST_DEVIATION, MOST), (LEAST_DEVIATION, MOST), (1 / MOST, MOST)])
+    return each(optimize.minimize(lambda logs: -each(logs).mean(), first, method="Nelder-Mead", bounds=bounds).x)

@@ -96,7 +96,7 @@ def learn_drivers(
     modes = _predict_unknown(moments, known, found, chosen) or predict(moments, drivers)
     recorded = np.where(_of_drivers(moments, chosen)[:, None, None], moments.recorded, np.nan)
     values = dict(zip(FIRST, np.exp(found[: len(FIRST)]).tolist(), strict=True))
-    return LearnedDrivers(
+    learned = LearnedDrivers(
         weights={name: values[name] for name in LEARNED} | {"comfort_acceleration": COMFORT},
         prior=jax.tree.map(np.asarray, drivers.prior),
         changing=dict(zip(CHANGING, np.exp(found[len(FIRST) :]).tolist(), strict=True)),
@@ -104,6 +104,7 @@ def learn_drivers(
         spread=fit_spread(modes, recorded),
         deviations=dict(zip(NAMES, _deviations(found, moments, known), strict=True)) if intervals else {},
     )
+    return LearnedDrivers.read(learned.written())
 
 
 def drivers_of(learned: LearnedDrivers) -> Drivers:

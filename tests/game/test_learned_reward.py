@@ -40,7 +40,7 @@ def broken(tmp_path, **changes):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"version": 0}, "of version 0, not 2"),
+        ({"version": 0}, "of version 0, not 3"),
         ({"version": None}, "of version None"),
         ({"weights": {"sped": 1.0}}, "unknown reward features"),
         ({"weights": {"speed": float("nan")}}, "the weight of speed is nan"),

@@ -142,7 +142,7 @@ def test_tables_show_what_was_found():
     assert "(1.5)" in text  # not identifiable
     assert "25.00%" in text
     tables = evaluation_tables(evaluation())
-    assert "12 stretches of road of 3 drivers; the others as predicted" in printed(tables[0])
+    assert "12 stretches of road of 3 drivers, others predicted" in printed(tables[0])
     assert printed(tables[0]).count("2.50") == 2 * len(PREDICTORS)  # FDE and RMSE
     assert "90%" in printed(tables[1])
     assert printed(tables[2]).count("1.50") == len(PREDICTORS)

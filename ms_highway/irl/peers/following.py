@@ -27,7 +27,7 @@ SLIP = np.sin(np.arctan(np.tan(np.pi / 3) / 2))  # of the largest slip angle, th
 SINE = np.sin(np.pi / 4)  # of the largest heading
 HORIZONS = (10, 20, 30, 50)  # steps, after which errors count in a fit
 SCALES = ((0.4, 0.1), (1.0, 0.3), (1.8, 0.5), (3.5, 0.8))  # m, of these errors along and across the road
-EVALUATIONS = 80
+EVALUATIONS = 50
 
 
 @jax.tree_util.register_dataclass

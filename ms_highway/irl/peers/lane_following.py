@@ -26,7 +26,7 @@ TIME_STEP = 0.1  # s
 SIDES = np.array([0, -1, 1])  # lanes to the right, of each mode
 EVERY = 5  # steps between those at which predictions count in a fit
 FIRST_SPREAD = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.5)  # as in `ms_highway.irl.outlook`
-EVALUATIONS = 60
+EVALUATIONS = 30
 
 
 @jax.tree_util.register_dataclass
