@@ -9,9 +9,11 @@ import pytest
 from scipy import stats
 
 from ms_highway.cli.main import main
+from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.learned_drivers import Spread
 from ms_highway.game.learned_reward import load, shipped
 from ms_highway.game.reward_model import RewardModel
+from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl.driving import predict
 from ms_highway.irl.errors import errors
 from ms_highway.irl.evaluation import cross_validate, evaluate, kept_log_likelihoods
@@ -162,7 +164,8 @@ def test_controls_around_those_that_keep_the_velocity_are_more_likely_the_nearer
     recording.states[:, 0, 3] += np.random.default_rng(0).normal(scale=0.3, size=61)
     windows = cut_windows([replace(recording, measured=False)], 5)
     likely = kept_log_likelihoods(windows)
-    off = np.square(np.asarray(windows.controls)[..., 1]).sum(axis=1)
+    kept = keep_velocity(PAPER_DYNAMICS, np.asarray(windows.start))[:, None]
+    off = np.square(np.asarray(windows.controls) - kept)[..., 1].sum(axis=1)
     np.testing.assert_array_equal(np.argsort(likely), np.argsort(-off))
 
 
