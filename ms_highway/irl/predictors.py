@@ -21,12 +21,12 @@ __all__ = ["PREDICTORS", "Prediction", "learn_peers", "predictions"]
 PREDICTORS = {
     "model": "learned drivers",
     "constant_velocity": "constant velocity",
-    "turn_and_accelerate": "constant turn rate and acceleration",
-    "idm": "IDM (highway-env's)",
+    "turn_and_accelerate": "CTRA",
+    "idm": "IDM of highway-env",
     "fitted_idm": "IDM, fitted",
-    "lane_modes": "Kalman filter over lanes",
+    "lane_modes": "Kalman over lanes",
 }
-"""Names and labels of the predictors, the learned one first."""
+"""Names and labels of the predictors, the learned one first; CTRA is constant turn rate and acceleration."""
 
 
 class Prediction(NamedTuple):

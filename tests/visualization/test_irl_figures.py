@@ -143,9 +143,9 @@ def test_tables_show_what_was_found():
     assert "25.00%" in text
     tables = evaluation_tables(evaluation())
     assert "12 stretches of road of 3 drivers, others predicted" in printed(tables[0])
-    assert printed(tables[0]).count("2.50") == 2 * len(PREDICTORS)  # FDE and RMSE
-    assert "90%" in printed(tables[1])
-    assert printed(tables[2]).count("1.50") == len(PREDICTORS)
+    assert printed(tables[0]).count(" 2.50") == 3 * len(PREDICTORS)  # FDE, RMSE and log p
+    assert "90.0%" in printed(tables[0])
+    assert printed(tables[1]).count("1.50") == len(PREDICTORS)
     assert "25.00" in printed(tables[-1])
     drivers = printed(drivers_table(shipped("us101").drivers))
     assert "patiences" in drivers

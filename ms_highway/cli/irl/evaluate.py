@@ -11,7 +11,7 @@ __all__ = ["add_evaluate"]
 
 HELP = """\
 Predict recorded drivers for up to 5 s and compare with where they went, beside constant velocity, constant turn rate
-and acceleration, highway-env's IDM, a fitted IDM and a Kalman filter over lanes, on the same stretches of road.
+and acceleration (CTRA), highway-env's IDM, a fitted IDM and a Kalman filter over lanes, on the same stretches of road.
 
 With --folds instead of --theta, everything is learned from the other recordings, fold after fold. FDE, the distance at
 the horizon, and RMSE are in metres; a miss is more than 2 m off; log p is the mean log density of the recorded position

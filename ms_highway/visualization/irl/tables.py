@@ -77,30 +77,32 @@ def recovery_table(rows: pd.DataFrame) -> Table:
 
 
 def evaluation_tables(evaluation: Mapping[str, Any]) -> tuple[Table, ...]:
-    """Tabulate an evaluation: errors by horizon, likelihood and calibration, situations, and windows."""
-    return _errors(evaluation), _likelihoods(evaluation), *_situations(evaluation), _windows(evaluation)
+    """Tabulate an evaluation: all measures by horizon, situations, and windows."""
+    return _measures(evaluation), *_situations(evaluation), _windows(evaluation)
 
 
-def _errors(evaluation: Mapping[str, Any]) -> Table:
-    title = (
-        f"{evaluation['windows']} stretches of road of {evaluation['tracks']} drivers, others {evaluation['others']}"
+MEASURES = {
+    "fde": ("FDE", "{:.2f}"),
+    "rmse": ("RMSE", "{:.2f}"),
+    "miss": ("miss", "{:.0%}"),
+    "log_p": ("log p", "{:.2f}"),
+}
+MEASURES |= {f"inside {level}": (f"in {level} %", "{:.1%}") for level in LEVELS}
+
+
+def _measures(evaluation: Mapping[str, Any]) -> Table:
+    number, tracks, others = (evaluation[part] for part in ("windows", "tracks", "others"))
+    grid = _grid(
+        f"{number} stretches of road of {tracks} drivers, others {others}",
+        ["after", *(label for label, _ in MEASURES.values())],
     )
-    kinds = {"fde": ("FDE", "{:.2f}"), "rmse": ("RMSE", "{:.2f}"), "miss": ("miss", "{:.0%}")}
-    return _by_horizon(title, evaluation["predictors"], kinds)
-
-
-def _likelihoods(evaluation: Mapping[str, Any]) -> Table:
-    kinds = {"log_p": ("log p", "{:.2f}"), **{f"inside {level}": (f"in {level} %", "{:.0%}") for level in LEVELS}}
-    return _by_horizon("log density of positions, and drivers in the regions", evaluation["predictors"], kinds)
-
-
-def _by_horizon(title: str, rows: Mapping[str, Any], kinds: Mapping[str, tuple[str, str]]) -> Table:
-    """Tabulate kinds of measures, given by their labels and formats, by predictor and horizon."""
-    grid = _grid(title, [f"{label} {horizon} s" for label, _ in kinds.values() for horizon in HORIZONS])
-    for name, label in PREDICTORS.items():
-        if name in rows:
-            cells = [(rows[name][kind].get(str(at)), form) for kind, (_, form) in kinds.items() for at in HORIZONS]
-            grid.add_row(label, *("" if value is None else form.format(value) for value, form in cells))
+    for horizon in map(str, HORIZONS):
+        for name, label in PREDICTORS.items():
+            row = evaluation["predictors"].get(name, {})
+            cells = [form.format(row[kind][horizon]) for kind, (_, form) in MEASURES.items() if horizon in row[kind]]
+            if cells:
+                grid.add_row(label, f"{horizon} s", *cells)
+        grid.add_section()
     return grid
 
 
@@ -130,5 +132,5 @@ def _grid(title: str, columns: Sequence[str], first: str = "predicted by") -> Ta
     grid = Table(title=title, box=SIMPLE, title_justify="left", title_style="bold")
     grid.add_column(first, no_wrap=True)
     for column in columns:
-        grid.add_column(column, justify="right")
+        grid.add_column(column, justify="right", no_wrap=" " not in column)
     return grid
