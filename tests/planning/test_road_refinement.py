@@ -1,6 +1,7 @@
 """Refined plans of the robot on any road."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import numpy as np
@@ -14,28 +15,35 @@ from ms_highway.planning.road.motion import bodies, drive
 from ms_highway.planning.road.refinement import refine, total_slope
 from ms_highway.planning.road.reward import RoadReward, stage_rewards
 from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS, OWN = RoadPlanning(), RoadReward(), 1
 NOBODY, NOTHING = np.zeros(TRAFFIC, bool), np.zeros((TRAFFIC, PLANNING.steps), np.float32)
 STRAIGHT_ON = np.zeros((PLANNING.steps, 2), np.float32)
 
-refined = jax.jit(
-    lambda scene, start, others, tom, answers, lane: refine(scene, PLANNING, start, others, tom, answers, lane)
-)
-slope = jax.jit(
-    lambda scene, controls, others, tom, answers: total_slope(scene, PLANNING, controls, others, tom, answers, OWN)
-)
+
+@jit_quickly
+def refined_by(weights, scene, start, others, tom, answers, lane):
+    return refine(scene, PLANNING, start, others, tom, answers, lane, weights)
 
 
-@jax.jit
-def earned(scene, controls, others, lane=OWN):
+refined = partial(refined_by, WEIGHTS)
+
+
+@jit_quickly
+def slope(scene, controls, others, tom, answers):
+    return total_slope(scene, PLANNING, controls, others, tom, answers, OWN)
+
+
+@jit_quickly
+def earned(scene, controls, others, lane):
     states, held = drive(scene, PLANNING, controls)
     return jnp.sum(stage_rewards(scene, PLANNING, WEIGHTS, states, held, others, lane))
 
 
-@jax.jit
+@jit_quickly
 def driven(scene, controls):
-    return drive(scene, PLANNING, controls)[0]
+    return drive(scene, PLANNING, controls)
 
 
 SCENES = {
@@ -54,7 +62,7 @@ def test_refining_never_earns_less_and_keeps_within_limits(name, lane):
     start = jnp.asarray(np.random.default_rng(lane).normal(size=(PLANNING.steps, 2)) * [0.005, 1.0], jnp.float32)
     found = refined(scene, start, others, NOBODY, NOTHING, lane)
     assert float(earned(scene, found, others, lane)) > float(earned(scene, start, others, lane))
-    np.testing.assert_allclose(drive(scene, PLANNING, found)[1], found, atol=1e-4)
+    np.testing.assert_allclose(driven(scene, found)[1], found, atol=1e-4)
 
 
 def test_without_answers_the_slope_is_that_of_the_reward():
@@ -62,9 +70,11 @@ def test_without_answers_the_slope_is_that_of_the_reward():
     others = keeping_velocity(scene, PLANNING)
     controls = jnp.asarray(np.random.default_rng(0).normal(size=(PLANNING.steps, 2)) * [0.002, 0.3], jnp.float32)
     found = np.asarray(slope(scene, controls, others, NOBODY, NOTHING))
-    np.testing.assert_allclose(found, jax.jit(jax.grad(earned, 1))(scene, controls, others), rtol=1e-3, atol=1e-2)
+    np.testing.assert_allclose(
+        found, jit_quickly(jax.grad(earned, 1))(scene, controls, others, OWN), rtol=1e-3, atol=1e-2
+    )
     for step, control, change in ((0, 0, 1e-4), (5, 0, 1e-4), (0, 1, 0.02), (9, 1, 0.02)):
-        ends = (earned(scene, controls.at[step, control].add(way * change), others) for way in (1, -1))
+        ends = (earned(scene, controls.at[step, control].add(way * change), others, OWN) for way in (1, -1))
         difference = float(jnp.subtract(*ends)) / (2 * change)
         assert found[step, control] == pytest.approx(
             difference, rel=0.03, abs=0.02 * float(np.abs(found[:, control]).max())
@@ -75,7 +85,7 @@ def test_the_robot_keeps_to_its_lane_on_a_circle():
     scene = scene_of(bend=1 / 30, robot=(0.0, 0.0, 0.0, 10.0), applied=(1 / 30, 0.0))
     start = np.stack([np.full(PLANNING.steps, 1 / 30), np.zeros(PLANNING.steps)], -1).astype(np.float32)
     _, d, heading, speed = np.asarray(
-        driven(scene, refined(scene, start, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, OWN))
+        driven(scene, refined(scene, start, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, OWN))[0]
     ).T
     assert np.abs(d).max() < 0.1
     assert np.abs(heading).max() < 0.05
@@ -85,17 +95,17 @@ def test_the_robot_keeps_to_its_lane_on_a_circle():
 def test_the_robot_changes_lanes():
     scene = scene_of(robot=(0.0, 0.0, 0.0, 25.0))
     for lane, goal in ((0, -4.0), (2, 4.0)):
-        states = driven(scene, refined(scene, STRAIGHT_ON, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, lane))
+        states, _ = driven(scene, refined(scene, STRAIGHT_ON, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, lane))
         assert abs(float(states[-1, 1]) - goal) < 0.3
 
 
 def test_the_robot_brakes_for_a_slow_car_ahead_and_waits_for_a_car_beside():
     scene = SCENES["slow car ahead"]
     found = refined(scene, STRAIGHT_ON, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, OWN)
-    assert float(driven(scene, found)[-1, 3]) < 15.0
+    assert float(driven(scene, found)[0][-1, 3]) < 15.0
     scene = scene_of(cars=[(3.0, 1, 20.0)])
     others = keeping_velocity(scene, PLANNING)
-    states = driven(scene, refined(scene, STRAIGHT_ON, others, NOBODY, NOTHING, 2))
+    states, _ = driven(scene, refined(scene, STRAIGHT_ON, others, NOBODY, NOTHING, 2))
     x, y, _ = bodies(scene, states)
     clear = (np.abs(x - others[0, 0]) > 5.5) | (np.abs(y - others[0, 1]) > 2.3)
     assert clear.all()
@@ -105,7 +115,7 @@ def test_cars_that_are_not_there_do_not_matter():
     scene = SCENES["car beside"]
     others = keeping_velocity(scene, PLANNING)
     gone = others.at[5:].set(1.0)
-    assert float(earned(scene, STRAIGHT_ON, others)) == float(earned(scene, STRAIGHT_ON, gone))
+    assert float(earned(scene, STRAIGHT_ON, others, OWN)) == float(earned(scene, STRAIGHT_ON, gone, OWN))
 
 
 MERGING = scene_of(cars=[(-5.0, 1, 20.0), (40.0, 1, 22.0)])
@@ -114,7 +124,7 @@ CUT_IN = np.zeros((PLANNING.steps, 2), np.float32)
 CUT_IN[:4, 0], CUT_IN[4:8, 0] = 0.004, -0.004
 
 
-@jax.jit
+@jit_quickly
 def settled(controls, first):
     """The answer of car 0 to controls, and all trajectories with it."""
     states = drive(MERGING, PLANNING, controls)[0]
@@ -154,6 +164,7 @@ def test_plans_count_on_those_who_answer():
 
 def test_weights_are_arguments():
     scene, others = SCENES["free"], keeping_velocity(SCENES["free"], PLANNING)
-    cautious = jax.jit(lambda weights: refine(scene, PLANNING, STRAIGHT_ON, others, NOBODY, NOTHING, OWN, weights))
-    fast, slow = (driven(scene, cautious(replace(WEIGHTS, acceleration=weight)))[-1, 3] for weight in (0.02, 1.0))
+    careful = (replace(WEIGHTS, acceleration=weight) for weight in (0.02, 1.0))
+    plans = [refined_by(weights, scene, STRAIGHT_ON, others, NOBODY, NOTHING, OWN) for weights in careful]
+    fast, slow = (driven(scene, plan)[0][-1, 3] for plan in plans)
     assert float(slow) < float(fast) - 1.0
