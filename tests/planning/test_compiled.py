@@ -69,7 +69,7 @@ def test_low_latency_makes_a_plan_and_a_decision_one_kernel_each_that_plans_the_
     assert len(outside) == 1 + len(more)
     assert max(outside) < 5
     game, state = played("stay_back")
-    expected = jit_quickly(MODELS["naive"].plan)(game, state).robot
+    expected = jax.jit(MODELS["naive"].plan)(game, state).robot
     np.testing.assert_allclose(controls.reshape(5, 2), expected, atol=1e-5)
 
 
