@@ -30,13 +30,13 @@ def refined_by(weights, scene, start, others, tom, answers, lane):
 refined = partial(refined_by, WEIGHTS)
 
 
-@jit_quickly
+@jax.jit
 def slope(scene, controls, others, tom, answers):
     return total_slope(scene, PLANNING, controls, others, tom, answers, OWN)
 
 
-@jit_quickly
-def earned(scene, controls, others, lane):
+@jax.jit
+def earned(scene, controls, others, lane=OWN):
     states, held = drive(scene, PLANNING, controls)
     return jnp.sum(stage_rewards(scene, PLANNING, WEIGHTS, states, held, others, lane))
 
@@ -70,11 +70,9 @@ def test_without_answers_the_slope_is_that_of_the_reward():
     others = keeping_velocity(scene, PLANNING)
     controls = jnp.asarray(np.random.default_rng(0).normal(size=(PLANNING.steps, 2)) * [0.002, 0.3], jnp.float32)
     found = np.asarray(slope(scene, controls, others, NOBODY, NOTHING))
-    np.testing.assert_allclose(
-        found, jit_quickly(jax.grad(earned, 1))(scene, controls, others, OWN), rtol=1e-3, atol=1e-2
-    )
+    np.testing.assert_allclose(found, jax.jit(jax.grad(earned, 1))(scene, controls, others), rtol=1e-3, atol=1e-2)
     for step, control, change in ((0, 0, 1e-4), (5, 0, 1e-4), (0, 1, 0.02), (9, 1, 0.02)):
-        ends = (earned(scene, controls.at[step, control].add(way * change), others, OWN) for way in (1, -1))
+        ends = (earned(scene, controls.at[step, control].add(way * change), others) for way in (1, -1))
         difference = float(jnp.subtract(*ends)) / (2 * change)
         assert found[step, control] == pytest.approx(
             difference, rel=0.03, abs=0.02 * float(np.abs(found[:, control]).max())
@@ -115,7 +113,7 @@ def test_cars_that_are_not_there_do_not_matter():
     scene = SCENES["car beside"]
     others = keeping_velocity(scene, PLANNING)
     gone = others.at[5:].set(1.0)
-    assert float(earned(scene, STRAIGHT_ON, others, OWN)) == float(earned(scene, STRAIGHT_ON, gone, OWN))
+    assert float(earned(scene, STRAIGHT_ON, others)) == float(earned(scene, STRAIGHT_ON, gone))
 
 
 MERGING = scene_of(cars=[(-5.0, 1, 20.0), (40.0, 1, 22.0)])
@@ -124,7 +122,7 @@ CUT_IN = np.zeros((PLANNING.steps, 2), np.float32)
 CUT_IN[:4, 0], CUT_IN[4:8, 0] = 0.004, -0.004
 
 
-@jit_quickly
+@jax.jit
 def settled(controls, first):
     """The answer of car 0 to controls, and all trajectories with it."""
     states = drive(MERGING, PLANNING, controls)[0]
