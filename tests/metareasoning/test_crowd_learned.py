@@ -14,14 +14,13 @@ from ms_highway.metareasoning.crowd.rule import CrowdCosts, CrowdOutcome, first_
 from ms_highway.metareasoning.crowd.situation import describe_humans, human_description_names
 from ms_highway.metareasoning.crowd.values import CrowdValues, load_crowd_values, save_crowd_values
 from ms_highway.planning.crowd import NAIVE, TOM, CrowdPlan
-from ms_highway.runtime.compilation import jit_quickly
 
 HUMANS = 2
 CROWD = crowd_game(DENSE_MERGE, HUMANS, planning=PlanningSettings(horizon=5))
 START, _ = draw_crowd(DENSE_MERGE, HUMANS, np.random.default_rng(0), CROWD.game.human)
 COSTS = CrowdCosts(0.003, np.array([0.0, 0.0006, 0.002], np.float32))
 INPUTS = len(human_description_names())
-describe_quickly = jit_quickly(describe_humans)
+describe_quickly = jax.jit(describe_humans)
 
 
 def rule_with(gains, price=0.0):
@@ -31,7 +30,7 @@ def rule_with(gains, price=0.0):
     return LearnedCrowdValue(COSTS, price, network, np.zeros(INPUTS, np.float32), np.ones(INPUTS, np.float32))
 
 
-@jit_quickly
+@jax.jit
 def choose(rule, state):
     still = np.zeros((5, 2), np.float32)
     plan = CrowdPlan(still, np.stack([still] * HUMANS))

@@ -18,9 +18,8 @@ from ms_highway.metareasoning.rule import PUBLISHED_COSTS, first_memory
 from ms_highway.metareasoning.situation import describe, description_names
 from ms_highway.metareasoning.values import load_values, save_values
 from ms_highway.planning.human_models import ladder
-from ms_highway.runtime.compilation import jit_quickly
 
-describe_quickly = jit_quickly(describe)
+describe_quickly = jax.jit(describe)
 SHIPPED = load_values("shipped")
 LADDER = ladder(("naive", "turn", "tom"))
 COSTS = np.array([PUBLISHED_COSTS[model.name] for model in LADDER])

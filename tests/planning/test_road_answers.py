@@ -16,10 +16,8 @@ from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
 from ms_highway.planning.road.answers import UNIT, Driver, answer, cruise, driver_of, follow, within_reach
 from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING = RoadPlanning()
-answer_quickly = jit_quickly(answer)
 TIMES = np.arange(1, PLANNING.steps + 1) * PLANNING.time_step
 NOTHING = jnp.zeros(PLANNING.steps)
 
@@ -33,7 +31,7 @@ AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)
 
 
 def answered(scene, robot, start=NOTHING):
-    return np.asarray(answer_quickly(scene, PLANNING, 0, robot, keeping_velocity(scene, PLANNING), start))
+    return np.asarray(jax.jit(answer)(scene, PLANNING, 0, robot, keeping_velocity(scene, PLANNING), start))
 
 
 @pytest.mark.parametrize("bend", [0.0, 1 / 30, -1 / 60])
@@ -69,7 +67,7 @@ BUSY = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1
 
 def busy_driver():
     cut_in = robot_at(8 + 20 * TIMES, 20.0 + 0 * TIMES, jnp.asarray(np.minimum(-4 + 2 * TIMES, 0)))
-    return jit_quickly(driver_of)(BUSY, PLANNING, 0, cut_in, keeping_velocity(BUSY, PLANNING))
+    return jax.jit(driver_of)(BUSY, PLANNING, 0, cut_in, keeping_velocity(BUSY, PLANNING))
 
 
 def test_the_reward_is_the_commuters_on_a_straight_road():
@@ -94,8 +92,8 @@ def test_the_reward_is_the_commuters_on_a_straight_road():
 
 def test_its_derivatives_are_exact():
     driver, at = busy_driver(), jnp.full(PLANNING.steps, -0.1)
-    expansion = jit_quickly(Driver.expand)(driver, at)
-    gradient, hessian = (jit_quickly(of(driver.earned))(at) for of in (jax.grad, jax.hessian))
+    expansion = jax.jit(Driver.expand)(driver, at)
+    gradient, hessian = (jax.jit(of(driver.earned))(at) for of in (jax.grad, jax.hessian))
     np.testing.assert_allclose(expansion.gradient, gradient, atol=1e-4 * np.abs(gradient).max())
     np.testing.assert_allclose(expansion.hessian, hessian, atol=1e-4 * np.abs(hessian).max())
     for k in (0, 7):
@@ -156,7 +154,7 @@ def test_many_trajectories_are_answered_at_once():
     scene = scene_of(cars=[(0.0, 0, 20.0), (40.0, 0, 20.0)])
     robots = jnp.stack([robot_at(ahead + 20 * TIMES, 20.0 + 0 * TIMES) for ahead in (12.0, 30.0)])
     others = keeping_velocity(scene, PLANNING)
-    together = jit_quickly(jax.vmap(partial(answer, scene, PLANNING, 0), (0, None, None)))(robots, others, NOTHING)
+    together = jax.jit(jax.vmap(partial(answer, scene, PLANNING, 0), (0, None, None)))(robots, others, NOTHING)
     np.testing.assert_allclose(together, [answered(scene, robot) for robot in robots], atol=0.01)
 
 
