@@ -15,7 +15,6 @@ from ms_highway.game.features import features
 from ms_highway.game.game import constant_velocity
 from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.planning.crowd import NAIVE, TOM, TURN, CrowdPlan, plan_crowd, predict_human
-from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.simulation.crowd import CrowdEpisodes, CrowdLoop, simulate_crowd
 from ms_highway.simulation.devices import use_devices
 
@@ -61,16 +60,9 @@ def test_a_batch_gives_the_same_again_alone_and_on_any_number_of_devices(episode
     assert same(simulate_crowd(LOOP, last), [part[2:] for part in records])
 
 
-def moved(game, state, controls):
-    """The next state, and what the robot earns in it."""
-    scaled = controls * game.planner.control_scale
-    after = step(game.world, state, within_grip(game.world, jnp.float32(game.planner.grip), state[:, 3], scaled))
-    return after, features(game.scene, game.robot, after) @ game.robot.weights
-
-
 def test_a_batch_agrees_with_a_plain_loop_of_the_same_functions(episodes, records):
     game = CROWD.game
-    plan, predict, advance = (jit_quickly(function) for function in (plan_crowd, predict_human, moved))
+    plan, predict = jax.jit(plan_crowd), jax.jit(predict_human)
     truth, state = replace(CROWD, weights=episodes.weights[1]), jnp.asarray(episodes.starts[1], jnp.float32)
     kept = jax.vmap(partial(constant_velocity, game))(state)
     start = CrowdPlan(kept[0], kept[1:])
@@ -78,7 +70,9 @@ def test_a_batch_agrees_with_a_plain_loop_of_the_same_functions(episodes, record
         planned = plan(CROWD, state, jnp.asarray(episodes.schedules[1, number]), start)
         start = jax.tree.map(lambda part: jnp.concatenate([part[..., 1:, :], part[..., -1:, :]], axis=-2), planned)
         controls = jnp.stack([planned.robot[0], *(predict(truth, state, human)[0] for human in range(HUMANS))])
-        state, earned = advance(game, state, controls)
+        scaled = controls * game.planner.control_scale
+        state = step(game.world, state, within_grip(game.world, jnp.float32(game.planner.grip), state[:, 3], scaled))
+        earned = features(game.scene, game.robot, state) @ game.robot.weights
         np.testing.assert_allclose(records.states[1, number], state, rtol=1e-5, atol=1e-4)
         np.testing.assert_allclose(records.reward[1, number], earned, rtol=1e-3, atol=1e-3)
 
