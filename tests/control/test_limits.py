@@ -81,8 +81,8 @@ def test_plans_of_the_papers_models_are_left_as_they_are(played, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("planning", [{"control_limit": [0.05, 6.0]}, {"grip": GRIP}])
-def test_batches_keep_to_the_limits_as_environments_do(reckless, planning):
+def test_batches_keep_to_the_limits_as_environments_do(reckless):
+    planning = {"control_limit": [0.05, 6.0], "grip": GRIP}
     costs, controllers = {"naive": 0.1, "reckless": 0.1}, ["naive", "reckless"]
     comparison = Comparison({"merger": controllers}, seeds=2, costs=costs, ladder=["naive"], planning=planning)
     envs = [make_environment("merger", name, costs=costs, **comparison.common_config()) for name in controllers]

@@ -49,20 +49,18 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the
     assert info["road"]["decisions"] == []
     accelerations = total_accelerations(env)
     frames = int(env.unwrapped.config["simulation_frequency"] // env.unwrapped.config["policy_frequency"])
-    for step in range(2):
-        observation, reward, terminated, _, info = env.step(env.action_space.sample())
-        assert env.observation_space.contains(observation)
-        assert np.isfinite(reward).all()
-        told = info["road"]
-        assert told["source"] in ("refined", "proposal", "last plan", "braking")
-        assert all(np.isfinite(told[key]) for key in ("planning_seconds", "decision_seconds", "acceleration", "jerk"))
-        assert set(told["rungs"]) <= {"", "naive", "idm", "turn", "tom"}
-        if np.any(terminated):
-            break
-        assert len(accelerations) == (step + 1) * frames
-        assert told["acceleration"] >= max(accelerations[-frames:]) - 1e-9
+    observation, reward, terminated, _, info = env.step(env.action_space.sample())
+    assert env.observation_space.contains(observation)
+    assert np.isfinite(reward).all()
+    assert not np.any(terminated)
+    told = info["road"]
+    assert told["source"] in ("refined", "proposal", "last plan", "braking")
+    assert all(np.isfinite(told[key]) for key in ("planning_seconds", "decision_seconds", "acceleration", "jerk"))
+    assert set(told["rungs"]) <= {"", "naive", "idm", "turn", "tom"}
+    assert len(accelerations) == frames
+    assert told["acceleration"] >= max(accelerations) - 1e-9
     assert max(accelerations) <= 5.0
-    assert env.unwrapped.time * env.unwrapped.config["policy_frequency"] == pytest.approx(step + 1)
+    assert env.unwrapped.time * env.unwrapped.config["policy_frequency"] == pytest.approx(1)
 
 
 def test_it_plans_five_times_a_second_whatever_the_policy_frequency_is():
@@ -148,7 +146,7 @@ def test_a_car_with_several_paths_has_the_colour_of_its_dearest_rung():
 
 
 def test_a_plan_that_is_none_is_not_drawn():
-    env = ms_highway.drive(gym.make("merge-v0", render_mode="rgb_array"), {"driver": "proposals"})
+    env = ms_highway.drive(gym.make("merge-v0", render_mode="rgb_array"), {"driver": "fixed:naive"})
     env.reset(seed=0)
     robot = env.robots[0]
     scene = replace(robot.look(), robot=np.full(4, np.nan, np.float32))
@@ -189,7 +187,9 @@ def test_videos_have_every_frame_of_the_simulation(outside, tmp_path):
 
 
 def test_vector_environments_are_driven():
-    envs = gym.vector.SyncVectorEnv([lambda: ms_highway.drive(gym.make("highway-fast-v0"))] * 2)
+    envs = gym.vector.SyncVectorEnv(
+        [lambda: ms_highway.drive(gym.make("highway-fast-v0"), {"driver": "fixed:idm"})] * 2
+    )
     envs.reset(seed=[5, 5])
     for _ in range(2):
         observations, rewards, _, _, infos = envs.step(envs.action_space.sample())
@@ -204,6 +204,7 @@ import ms_highway
 
 
 def make():
+    ms_highway.keep_compilations()
     return ms_highway.drive(gym.make("highway-fast-v0"), {"driver": "fixed:naive"})
 
 
@@ -245,7 +246,7 @@ worker.join()
 
 
 def test_a_worker_that_was_forked_after_jax_had_begun_says_so_instead_of_waiting_for_ever():
-    done = subprocess.run([sys.executable, "-c", FORKED], timeout=120, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", FORKED], timeout=600, capture_output=True, text=True)
     assert "start it with context='forkserver' or 'spawn'" in done.stdout
 
 
@@ -253,7 +254,7 @@ def test_a_worker_that_was_forked_after_jax_had_begun_says_so_instead_of_waiting
 def test_workers_of_a_vector_environment_drive(tmp_path):
     script = tmp_path / "vector.py"
     script.write_text(VECTOR)
-    done = subprocess.run([sys.executable, script], timeout=200, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, script], timeout=600, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 

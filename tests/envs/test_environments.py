@@ -459,7 +459,7 @@ if __name__ == "__main__":
 def test_workers_of_a_vector_environment_find_and_step_the_environments(context, tmp_path):
     script = tmp_path / "vector.py"
     script.write_text(VECTOR.format(context=context))
-    done = subprocess.run([sys.executable, script], timeout=120, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, script], timeout=600, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -493,7 +493,7 @@ worker.join()
 
 
 def test_a_worker_that_was_forked_after_jax_had_begun_says_so_instead_of_waiting_for_ever():
-    done = subprocess.run([sys.executable, "-c", FORKED], timeout=120, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", FORKED], timeout=600, capture_output=True, text=True)
     assert done.stdout.count("start it with context='forkserver' or 'spawn'") == 2
 
 

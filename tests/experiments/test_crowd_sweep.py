@@ -36,6 +36,7 @@ def records(batch):
     return run_episodes(batch, batch.keys())
 
 
+@pytest.mark.slow
 def test_an_episode_agrees_with_the_environment_step_by_step(batch, records):
     table = tabulated(batch, batch.keys(), records).set_index("controller")
     for place, controller in enumerate(CONTROLLERS):
@@ -64,6 +65,7 @@ def test_episodes_are_drawn_as_the_environment_draws_them(batch):
     assert drawn.seeds.tolist() == [env.robot.controller.seed] * 2
 
 
+@pytest.mark.slow
 def test_rows_of_episodes_and_steps_say_what_the_records_hold(batch, records):
     keys = batch.keys()
     steps, episodes = tabulated(batch, keys, records), summarised(batch, keys, records)
@@ -81,6 +83,7 @@ def test_rows_of_episodes_and_steps_say_what_the_records_hold(batch, records):
     assert sweep_summary(episodes)[list(OUTCOMES)].to_numpy().tolist() == episodes[list(OUTCOMES)].to_numpy().tolist()
 
 
+@pytest.mark.slow
 def test_a_robot_that_collided_does_not_succeed_though_it_ends_in_its_lane(batch, records):
     target = float(batch.loop.crowd.game.scene.target_lane)
     states, collision = np.array(records.states), np.zeros_like(records.collision)
@@ -91,6 +94,7 @@ def test_a_robot_that_collided_does_not_succeed_though_it_ends_in_its_lane(batch
     assert success[1:].all()
 
 
+@pytest.mark.slow
 def test_fallbacks_are_plans_that_failed_and_not_ways_out(batch, records):
     status = np.zeros_like(records.status)
     status[0, :3] = STATUSES.index("way out")

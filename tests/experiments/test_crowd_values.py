@@ -34,11 +34,13 @@ def learned():
     return list(learn_crowd(LEARNING, [COURSE], None, device_mesh(jax.local_devices()[:1])))
 
 
+@pytest.mark.slow
 def test_each_round_ends_in_values_of_all_examples_so_far(learned):
     assert [(step.round, step.course) for step in learned] == [(1, "dense_merge"), (1, ""), (2, "dense_merge"), (2, "")]
     assert [step.values.provenance["examples"] for step in learned[1::2]] == [12, 24]  # two humans in each state
 
 
+@pytest.mark.slow
 def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_devices(learned, tmp_path):
     kept = tmp_path / "kept.npz"
     list(islice(learn_crowd(LEARNING, [COURSE], kept, use_devices()), 1))
@@ -48,11 +50,13 @@ def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_d
         next(learn_crowd(replace(LEARNING, seed=2), [COURSE], kept, use_devices()))
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_values(learned):
     *_, last = learn_crowd(replace(LEARNING, rounds=1, seed=4), [COURSE], None, device_mesh())
     assert not same(last.values, learned[1].values)
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_file_of_values_and_says_where(tmp_path, capsys):
     file = tmp_path / "values.npz"
     assert main(["values", "learn", "dense_merge", *QUICK, "--out", str(file)]) == 0

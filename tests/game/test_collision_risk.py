@@ -49,6 +49,6 @@ def test_the_risk_takes_every_shape_of_times(played, times):
     game, state = played("stay_back")
     states = jnp.broadcast_to(state, (*times, *state.shape))
     own, others = apart(jnp.moveaxis(states, -2, 0))
-    risk, collision = collision_risk(game.scene, own, others)
+    risk, collision = jit_quickly(collision_risk)(game.scene, own, others)
     assert risk.shape == collision.shape == times
-    np.testing.assert_allclose(risk, plain_collision_risk(game.scene, own, others), rtol=1e-4)
+    np.testing.assert_allclose(risk, jit_quickly(plain_collision_risk)(game.scene, own, others), rtol=1e-4)

@@ -24,6 +24,7 @@ from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_crowd import CrowdCosts
 from ms_highway.planning.crowd import NAIVE, TOM, TURN, CrowdPlan
 from ms_highway.planning.human_models import MODELS, PAPER_MODELS, ladder
+from ms_highway.runtime.compilation import jit_quickly
 
 COSTS = CrowdCosts(0.09, np.array([0.0, 0.08, 0.28]))  # s, of the paper's decisions
 LANE = 100 / 30  # m
@@ -43,7 +44,7 @@ def outcome(played):
     return crowd, CrowdOutcome(state, state, kept[0, 0], kept[1:, 0], np.float32(0), plan)
 
 
-@jax.jit
+@jit_quickly
 def choose(rule, crowd, memory, outcome):
     return rule.choose(crowd, memory, outcome)
 

@@ -72,7 +72,7 @@ def test_no_plan_leaves_its_limits_or_the_finite_numbers_from_wild_starts(played
     random = np.random.default_rng(0)
     wild = np.asarray(state) + random.normal(0, [10, 4, 0.6, 10], (32, *state.shape))
     wild[::4, 0] = wild[::4, 1]  # the robot within the human
-    plans = jax.jit(jax.vmap(partial(MODELS[name].plan, game)))(jnp.asarray(wild, dtype=jnp.float32))
+    plans = jit_quickly(jax.vmap(partial(MODELS[name].plan, game)))(jnp.asarray(wild, dtype=jnp.float32))
     for controls in plans:
         assert np.isfinite(controls).all()
     assert (abs(plans.robot * game.planner.control_scale) <= limit * 1.0001).all()

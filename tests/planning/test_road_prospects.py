@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 from roads import scene_of
 
@@ -12,6 +11,7 @@ from ms_highway.planning.road.proposals import PROFILES, profiles, speed_caps
 from ms_highway.planning.road.prospects import missing_room, prospects
 from ms_highway.planning.road.scoring import RoadWeights
 from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING = RoadPlanning()
 MEMORY = first_memory(PLANNING)
@@ -19,19 +19,25 @@ LANES = np.asarray(profiles(MEMORY.controls, 1).lane)
 CLOSING_UP, KEEPING_SPEED = PROFILES + 4, PROFILES + 8  # in the own lane
 
 
+propose_quickly = jit_quickly(propose)
+lost_after = jit_quickly(
+    lambda scene, rollouts: prospects(scene, PLANNING, rollouts, LANES, speed_caps(scene, PLANNING))[0]
+)
+room_missing = jit_quickly(missing_room)
+
+
 def proposed(scene):
-    return jax.jit(propose)(scene, PLANNING, RoadWeights(), np.full(TRAFFIC, IDM), MEMORY)
+    return propose_quickly(scene, PLANNING, RoadWeights(), np.full(TRAFFIC, IDM), MEMORY)
 
 
 def lost(scene):
     """Loss of speed after each proposal [m/s]."""
-    found = proposed(scene)
-    return np.asarray(prospects(scene, PLANNING, found.rollouts, LANES, speed_caps(scene, PLANNING))[0])
+    return np.asarray(lost_after(scene, proposed(scene).rollouts))
 
 
 def missing(scene, goals=(-4.0, 0.0, 4.0)):
     found = proposed(scene)
-    return np.asarray(missing_room(scene, PLANNING, found.rollouts, np.asarray(goals, np.float32)[LANES]))
+    return np.asarray(room_missing(scene, PLANNING, found.rollouts, np.asarray(goals, np.float32)[LANES]))
 
 
 def test_on_a_free_road_no_speed_is_lost_after_a_plan_at_the_desired_speed():

@@ -1,6 +1,7 @@
 """Refined plans of the robot on any road."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import numpy as np
@@ -14,17 +15,24 @@ from ms_highway.planning.road.motion import bodies, drive
 from ms_highway.planning.road.refinement import refine, total_slope
 from ms_highway.planning.road.reward import RoadReward, stage_rewards
 from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS, OWN = RoadPlanning(), RoadReward(), 1
 NOBODY, NOTHING = np.zeros(TRAFFIC, bool), np.zeros((TRAFFIC, PLANNING.steps), np.float32)
 STRAIGHT_ON = np.zeros((PLANNING.steps, 2), np.float32)
 
-refined = jax.jit(
-    lambda scene, start, others, tom, answers, lane: refine(scene, PLANNING, start, others, tom, answers, lane)
-)
-slope = jax.jit(
-    lambda scene, controls, others, tom, answers: total_slope(scene, PLANNING, controls, others, tom, answers, OWN)
-)
+
+@jit_quickly
+def refined_by(weights, scene, start, others, tom, answers, lane):
+    return refine(scene, PLANNING, start, others, tom, answers, lane, weights)
+
+
+refined = partial(refined_by, WEIGHTS)
+
+
+@jax.jit
+def slope(scene, controls, others, tom, answers):
+    return total_slope(scene, PLANNING, controls, others, tom, answers, OWN)
 
 
 @jax.jit
@@ -33,9 +41,9 @@ def earned(scene, controls, others, lane=OWN):
     return jnp.sum(stage_rewards(scene, PLANNING, WEIGHTS, states, held, others, lane))
 
 
-@jax.jit
+@jit_quickly
 def driven(scene, controls):
-    return drive(scene, PLANNING, controls)[0]
+    return drive(scene, PLANNING, controls)
 
 
 SCENES = {
@@ -54,7 +62,7 @@ def test_refining_never_earns_less_and_keeps_within_limits(name, lane):
     start = jnp.asarray(np.random.default_rng(lane).normal(size=(PLANNING.steps, 2)) * [0.005, 1.0], jnp.float32)
     found = refined(scene, start, others, NOBODY, NOTHING, lane)
     assert float(earned(scene, found, others, lane)) > float(earned(scene, start, others, lane))
-    np.testing.assert_allclose(drive(scene, PLANNING, found)[1], found, atol=1e-4)
+    np.testing.assert_allclose(driven(scene, found)[1], found, atol=1e-4)
 
 
 def test_without_answers_the_slope_is_that_of_the_reward():
@@ -75,7 +83,7 @@ def test_the_robot_keeps_to_its_lane_on_a_circle():
     scene = scene_of(bend=1 / 30, robot=(0.0, 0.0, 0.0, 10.0), applied=(1 / 30, 0.0))
     start = np.stack([np.full(PLANNING.steps, 1 / 30), np.zeros(PLANNING.steps)], -1).astype(np.float32)
     _, d, heading, speed = np.asarray(
-        driven(scene, refined(scene, start, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, OWN))
+        driven(scene, refined(scene, start, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, OWN))[0]
     ).T
     assert np.abs(d).max() < 0.1
     assert np.abs(heading).max() < 0.05
@@ -85,17 +93,17 @@ def test_the_robot_keeps_to_its_lane_on_a_circle():
 def test_the_robot_changes_lanes():
     scene = scene_of(robot=(0.0, 0.0, 0.0, 25.0))
     for lane, goal in ((0, -4.0), (2, 4.0)):
-        states = driven(scene, refined(scene, STRAIGHT_ON, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, lane))
+        states, _ = driven(scene, refined(scene, STRAIGHT_ON, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, lane))
         assert abs(float(states[-1, 1]) - goal) < 0.3
 
 
 def test_the_robot_brakes_for_a_slow_car_ahead_and_waits_for_a_car_beside():
     scene = SCENES["slow car ahead"]
     found = refined(scene, STRAIGHT_ON, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, OWN)
-    assert float(driven(scene, found)[-1, 3]) < 15.0
+    assert float(driven(scene, found)[0][-1, 3]) < 15.0
     scene = scene_of(cars=[(3.0, 1, 20.0)])
     others = keeping_velocity(scene, PLANNING)
-    states = driven(scene, refined(scene, STRAIGHT_ON, others, NOBODY, NOTHING, 2))
+    states, _ = driven(scene, refined(scene, STRAIGHT_ON, others, NOBODY, NOTHING, 2))
     x, y, _ = bodies(scene, states)
     clear = (np.abs(x - others[0, 0]) > 5.5) | (np.abs(y - others[0, 1]) > 2.3)
     assert clear.all()
@@ -154,6 +162,7 @@ def test_plans_count_on_those_who_answer():
 
 def test_weights_are_arguments():
     scene, others = SCENES["free"], keeping_velocity(SCENES["free"], PLANNING)
-    cautious = jax.jit(lambda weights: refine(scene, PLANNING, STRAIGHT_ON, others, NOBODY, NOTHING, OWN, weights))
-    fast, slow = (driven(scene, cautious(replace(WEIGHTS, acceleration=weight)))[-1, 3] for weight in (0.02, 1.0))
+    careful = (replace(WEIGHTS, acceleration=weight) for weight in (0.02, 1.0))
+    plans = [refined_by(weights, scene, STRAIGHT_ON, others, NOBODY, NOTHING, OWN) for weights in careful]
+    fast, slow = (driven(scene, plan)[0][-1, 3] for plan in plans)
     assert float(slow) < float(fast) - 1.0

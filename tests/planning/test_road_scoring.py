@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting, rect_corners
@@ -33,8 +32,8 @@ def judged(scene, controls, lanes):
     return rollouts, score(scene, PLANNING, WEIGHTS, ways, rollouts, plans.lane, speed_caps(scene, PLANNING))
 
 
-room_missing = jax.jit(missing_room)
-in_the_way = jax.jit(lambda scene, rollouts: blocks(scene, ways_of(scene), rollouts))
+room_missing = jit_quickly(missing_room)
+in_the_way = jit_quickly(lambda scene, rollouts: blocks(scene, ways_of(scene), rollouts))
 
 
 def scores_of(scene, *plans, lanes=(OWN, OWN)):

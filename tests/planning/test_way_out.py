@@ -1,6 +1,5 @@
 """The robot keeps a way out from cones and from humans who do not yield."""
 
-import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
@@ -9,6 +8,7 @@ from ms_highway.game.crowd_scenario import DENSE_MERGE, crowd_game
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import features
 from ms_highway.planning.way_out import keep_way_out
+from ms_highway.runtime.compilation import jit_quickly
 
 STEPS = 45
 
@@ -20,7 +20,7 @@ def game():
 
 @pytest.fixture(scope="module")
 def escape(game):
-    return jax.jit(lambda state, control: keep_way_out(game, state, control))
+    return jit_quickly(lambda state, control: keep_way_out(game, state, control))
 
 
 def beside(game, offsets):

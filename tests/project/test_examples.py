@@ -13,6 +13,8 @@ EXAMPLES = sorted(path for path in DIRECTORY.glob("*.py") if path.stem != "learn
 
 PROGRAM = """
 import runpy, sys
+import ms_highway
+ms_highway.keep_compilations()
 for example in sys.argv[1:]:
     runpy.run_path(example, run_name="__main__")
     print("----")

@@ -21,6 +21,7 @@ QUICK = {
     "EPISODES": 3,
     "FOLDS": 1,
     "HELD_OUT": 1,
+    "HUMANS": 2,
     "MERGING_LAMBDAS": [0.001, 0.01, 0.1],
     "PASSING_LAMBDAS": [0.4, 5],
     "RECORDINGS": 1,
@@ -82,7 +83,7 @@ def code(notebook):
 @pytest.mark.slow
 def test_a_notebook_runs_and_shows_what_the_committed_one_shows(committed, tmp_path):
     quick = quickened(committed, tmp_path / "results")
-    client = NotebookClient(quick, timeout=300, resources={"metadata": {"path": str(NOTEBOOKS[0].parent)}})
+    client = NotebookClient(quick, timeout=1200, resources={"metadata": {"path": str(NOTEBOOKS[0].parent)}})
     places = dict.fromkeys(("HOME", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "XDG_RUNTIME_DIR"), str(tmp_path))
     client.execute(env={**os.environ, **places})
     for cell, before in zip(code(quick), code(committed), strict=True):

@@ -15,6 +15,7 @@ import gymnasium as gym, ms_highway, pathlib
 assert "site-packages" in ms_highway.__file__, ms_highway.__file__
 for name in ("py.typed", "data/report.html.jinja", "data/NOTICE.txt"):
     assert (pathlib.Path(ms_highway.__file__).parent / name).exists(), name
+ms_highway.keep_compilations()
 for name in ("stay-back", "merger", "give-way"):
     env = gym.make(f"ms-highway/{name}-v0", config={"controller": {"type": "fixed", "model": "naive"}})
     env.reset(seed=0)
