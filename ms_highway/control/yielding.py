@@ -11,7 +11,7 @@ __all__ = ["Unmoved"]
 
 ROOM = 8.0  # m between bumpers, that is made for the robot
 MAKING_ROOM = 3.0  # m/s^2, of braking for it
-HARDEST = 6.0  # m/s^2
+HARDEST = 8.0  # m/s^2
 CLOSEST = 0.5  # m, gap from which on braking grows no more
 BESIDE = 1.5  # lanes to the side, up to which room is made
 

@@ -30,7 +30,6 @@ def updated_belief(
     observed: Float[SameArray, "*humans 2"],
     noise: tuple[float, float] = NOISE,
     keeps: float = KEEPS,
-    tail: float = 0.0,
 ) -> Float[SameArray, "*humans models"]:
     """Return the probabilities of the models after a step; where a control is not finite, only the mixing is done.
 
@@ -40,15 +39,12 @@ def updated_belief(
         observed: control in the step, unscaled.
         noise: see `NOISE`.
         keeps: see `KEEPS`.
-        tail: least density of a control, as a share of the highest: where all models are far off, none is told apart.
     """
     xp = belief.__array_namespace__()
     models = belief.shape[-1]
     mixed = keeps * belief + (1 - keeps) / models
     off = (predicted - observed[..., None, :]) / xp.asarray(noise)
     log_likelihood = -xp.sum(off**2, axis=-1) / 2
-    if tail:
-        log_likelihood = xp.log(xp.exp(log_likelihood) + tail)
     known = xp.all(xp.isfinite(log_likelihood), axis=-1, keepdims=True)
     log_likelihood = xp.where(known, log_likelihood, xp.zeros_like(log_likelihood))
     joint = mixed * xp.exp(log_likelihood - xp.max(log_likelihood, axis=-1, keepdims=True))

@@ -18,7 +18,6 @@ from ms_highway.runtime.timing import timed, warm_up
 __all__ = ["CompiledBelief", "belief_function", "counted_on"]
 
 LEAST_RESPONSE = 0.3  # probability of turn or tom below which nobody counts on a human
-TAIL = 0.02
 RESPONDING = [RUNGS.index(name) for name in ("turn", "tom")]
 
 
@@ -77,7 +76,7 @@ def belief_function(layout: Layout, fuses: bool) -> jax.stages.Wrapped:
         crowd: Crowd = layout.unpack(numbers)
         last = 1 + crowd.humans
         observed = recover_control(crowd.game.world, before[1:last], after[1:last])
-        return updated_belief(belief, next_controls(crowd, before, robot), observed, tail=TAIL)
+        return updated_belief(belief, next_controls(crowd, before, robot), observed)
 
     return jax.jit(in_one_kernel(update) if fuses else update, compiler_options=known_options(QUICKLY))
 
