@@ -111,8 +111,7 @@ class PlanningController:
         """Prepare what is compiled for a game."""
         self._plans = CompiledPlans(game)
         if self.infers:
-            human = replace(game, planner=replace(game.planner, solver="gradient"))  # which humans plan by
-            self._inference = CompiledBelief(Crowd(human, np.asarray(game.human.weights)[None]))
+            self._inference = CompiledBelief(Crowd(game, np.asarray(game.human.weights)[None]))
 
     def reset(self) -> None:
         """Forget the last plan, and the human."""

@@ -101,7 +101,7 @@ class CrowdDriver:
     def reset(self) -> None:
         """Forget the past, before a new episode."""
         self._memory = first_crowd_memory(self.crowd.humans, self.seed)
-        self._belief = self._inference and self._inference.first
+        self._belief = self._inference.first if self._inference else None
         self._checking = 0.0  # seconds of the last look for a way out, which comes after the plan
         self._rest: CrowdPlan | None = None  # scaled controls of the coming steps, as last planned
         self._seen: CrowdObservation | None = None  # the last step, not yet its outcome
@@ -127,7 +127,7 @@ class CrowdDriver:
         outcome = self._outcome(now, before)
         inferring = self._infer(outcome)
         decision, deciding = self._decision.decide(self._memory, outcome)
-        rungs = [int(rung) for rung in self._counted(decision.memory.rungs)]
+        rungs = [int(rung) for rung in self._counted(np.asarray(decision.memory.rungs))]
         plan, planning = self._plans.plan(now, rungs, self._rest and self._whole(self._rest))
         elapsed = perf_counter() - start + self._checking
         late = self.budget is not None and elapsed > self.budget

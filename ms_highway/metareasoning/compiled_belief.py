@@ -31,7 +31,7 @@ class CompiledBelief:
     def __init__(self, crowd: Crowd) -> None:
         self.first: Float[np.ndarray, "humans models"] = np.full((crowd.humans, len(RUNGS)), 1 / len(RUNGS), np.float32)
         self._numbers, layout = pack(crowd)
-        self._function = belief_function(layout, crowd.game.planner.solver == "gradient")
+        self._function = belief_function(layout)
 
     def update(
         self,
@@ -44,7 +44,8 @@ class CompiledBelief:
 
         Args:
             belief: probabilities before the step, at first `first`.
-            before, after: all cars before and after it.
+            before: all cars before the step.
+            after: all cars after it.
             robot: scaled controls that the robot followed from there on.
         """
         single = (np.asarray(part, np.float32) for part in (belief, before, after, robot))
@@ -58,12 +59,10 @@ class CompiledBelief:
 
 
 @cache
-def belief_function(layout: Layout, fuses: bool) -> jax.stages.Wrapped:
-    """Compile `ms_highway.metareasoning.belief.updated_belief` for all crowds of a layout.
+def belief_function(layout: Layout) -> jax.stages.Wrapped:
+    """Compile `ms_highway.metareasoning.belief.updated_belief` once for all crowds of a layout.
 
-    Args:
-        layout: of packed crowds.
-        fuses: whether answers are found by gradients, without LAPACK, whose calls cannot be part of a kernel.
+    The compiled function takes the numbers of a packed crowd and what `CompiledBelief.update` takes.
     """
 
     def update(
@@ -78,7 +77,7 @@ def belief_function(layout: Layout, fuses: bool) -> jax.stages.Wrapped:
         observed = recover_control(crowd.game.world, before[1:last], after[1:last])
         return updated_belief(belief, next_controls(crowd, before, robot), observed)
 
-    return jax.jit(in_one_kernel(update) if fuses else update, compiler_options=known_options(QUICKLY))
+    return jax.jit(in_one_kernel(update), compiler_options=known_options(QUICKLY))
 
 
 def counted_on(belief: Float[np.ndarray, "humans models"]) -> Bool[np.ndarray, "humans"]:
