@@ -40,7 +40,8 @@ def controller_config(text: str) -> dict[str, Any]:
     These are the human models, such as ``tom`` or ``tom@8+warm``; ``switching:0.1``, ``horizon:0.1`` and
     ``learned:0.1`` with a lambda, and ``learned:0.1:FILE`` with values of one's own; ``schedule:tom=6,naive``, tom for
     six steps and then naive; ``period:tom=1,naive=3``, tom in every fourth step and naive in between; and
-    ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
+    ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares. With ``+belief`` at the end,
+    such as ``tom+belief``, any of them counts on no response that the human does not show.
 
     Raises:
         ValueError: if it stands for none.

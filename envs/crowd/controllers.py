@@ -253,7 +253,8 @@ def crowd_controller_config(text: str) -> dict[str, Any]:
     gains, ``budget:20:FILE`` with those of a file, and ``budget:20:one_step`` with Algorithm 1's; ``nearest:2``,
     ``ttc:2`` and ``influence:2``, theory of mind about the two nearest humans, those with the shortest time to
     collision, or those that influence the plan most; and ``random:naive=0.7,tom=0.3``, for every human and step a model
-    that is drawn with these shares.
+    that is drawn with these shares. With ``+belief`` at the end, such as ``tom+belief``, any of them counts on no
+    response that a human does not show.
 
     Raises:
         ValueError: if it stands for none.
