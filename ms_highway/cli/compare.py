@@ -76,7 +76,7 @@ def add_compare(commands: Any) -> None:
     add_scenarios(parser, known=[*SCENARIO_NAMES, *CROWD_NAMES])
     add_controllers(parser)
     parser.add_argument("--seeds", type=int, default=30, help="episodes per controller (default: 30)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first of them, others count on (default: 0)")
+    parser.add_argument("--first-seed", dest="seed", type=int, default=0, help="of the first one (default: 0)")
     add_ladder(parser)
     add_semantics(parser)
     parser.add_argument(
