@@ -115,6 +115,8 @@ def comparison(options: argparse.Namespace) -> "Comparison":
     if options.seeds < 1:
         raise ValueError(f"--seeds is {options.seeds}; there must be at least one episode")
     check_most(options, seeds=MOST)
+    if options.seed < 0:
+        raise ValueError(f"--first-seed is {options.seed}; it must not be negative")
     asked = asked_comparison(options, controllers_by_scenario(options), options.seeds)
     asked.check()
     return asked
