@@ -26,6 +26,9 @@ class CompiledBelief:
 
     Args:
         crowd: the game, with the humans' rewards as the robot believes them.
+
+    Attributes:
+        first: probabilities before anything was seen, the same for all models.
     """
 
     def __init__(self, crowd: Crowd) -> None:
@@ -43,7 +46,7 @@ class CompiledBelief:
         """Return the probabilities of the models after a step, and the seconds that it took.
 
         Args:
-            belief: probabilities before the step, at first `first`.
+            belief: probabilities before the step; before the first one, those of ``first``.
             before: all cars before the step.
             after: all cars after it.
             robot: scaled controls that the robot followed from there on.
