@@ -1,6 +1,6 @@
 """The environment that the scenarios share: a road, a human, a robot, and who drives it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import jax
@@ -14,6 +14,7 @@ from jaxtyping import Float
 from ms_highway.control.controller import Controller
 from ms_highway.control.fixed import FixedModel, ScheduledModels
 from ms_highway.control.switching import ModelSwitching
+from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.controllers import ChoosingSettings, FixedSettings, controller_settings
 from ms_highway.envs.graphics import InteractionViewer
@@ -46,7 +47,8 @@ class InteractionEnv(StageEnv):
       "lambda": 0.1}``, the paper's Algorithm 1 does; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule",
       "models": ["tom", "tom", "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom",
       "naive"]}``, the same repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, a model per step
-      that is drawn when the episode starts.
+      that is drawn when the episode starts. Any of them with ``"belief": True`` infers from what the human does which
+      model predicts it (`ms_highway.planning.hypotheses`), and counts on no response that the human does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
       ``"best"``.
     * ``costs``: T(M): ``"published"``, ``"measured"`` on this machine, or seconds by model (``tom@8`` in proportion).
@@ -68,10 +70,15 @@ class InteractionEnv(StageEnv):
       robot and human plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step
       size are None, what suits the horizon is chosen; steps that are longer than
       `ms_highway.game.planning_settings.longest_step` are warned of.
+    * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward; ``"never"`` yield, but keep
+      their velocity; ``"always"``, make room for it (`ms_highway.control.yielding.Unmoved`); or ``"mixed"``, each of
+      them never or always, drawn when the episode starts.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push
-    each other nor stop, and ``info["collision_effect"]`` says so.
+    each other nor stop, and ``info["collision_effect"]`` says so. With a controller's ``belief``, ``info["belief"]``
+    holds the probability of every model for every human, an array [humans, 4] in the order of
+    `ms_highway.planning.road.settings.RUNGS`: naive, idm, turn, tom.
     """
 
     scenario: ClassVar[Scenario]
@@ -96,6 +103,7 @@ class InteractionEnv(StageEnv):
             "grip": None,
             "solver": "gradient",
             "warm_start": False,
+            "yielding": "usual",
             "horizon": PAPER_PLANNING.horizon,
             "time_step": PAPER_PLANNING.time_step,
             "iterations": PAPER_PLANNING.iterations,
@@ -242,9 +250,17 @@ class InteractionEnv(StageEnv):
     def _drive(self, cars: list[Any], states: Float[np.ndarray, "cars 4"]) -> None:
         """Say who drives the cars, which are in these states."""
         robot, human, *others = cars
-        human.drive_with(FixedModel(swap_roles(self.game), Naive()), [robot, *others])
+        game, yields = swap_roles(self.game), self._draw_yielding(1)[0]
+        human.drive_with(FixedModel(game, Naive()) if yields is None else Unmoved(game, yields), [robot, *others])
         if self.drives_itself:
             robot.drive_with(self._controller(states), [human, *others])
+
+    def _draw_yielding(self, humans: int) -> Sequence[bool | None]:
+        """Say of every human whether it always yields, or never; None for those who plan for their reward."""
+        kind = self.config["yielding"]
+        if kind == "mixed":
+            return [bool(each) for each in self.np_random.uniform(size=humans) < 0.5]
+        return [{"never": False, "always": True}.get(kind)] * humans
 
     @property
     def drives_itself(self) -> bool:
@@ -262,16 +278,17 @@ class InteractionEnv(StageEnv):
 
     def _controller(self, states: Float[np.ndarray, "cars 4"]) -> Controller:
         controller, warm_start = controller_settings(self.config["controller"]), bool(self.config["warm_start"])
+        belief = controller.belief
         costs = self.costs(states)  # to be measured now, if at all, and not within a step
         if isinstance(self.action_type, HumanModelAction):
             return FixedModel(self.game, self.models[0], self.models, warm_start)
         if isinstance(controller, ChoosingSettings):
             rule = controller.rule(self.models, costs, self.settings.semantics)
-            return ModelSwitching(self.game, rule, warm_start)
+            return ModelSwitching(self.game, rule, warm_start, belief)
         if isinstance(controller, FixedSettings):
-            return FixedModel(self.game, human_model(controller.model), warm_start=warm_start)
+            return FixedModel(self.game, human_model(controller.model), (), warm_start, belief)
         names = controller.draw(self.episode_steps, self.np_random)
-        return ScheduledModels(self.game, [human_model(name) for name in names], warm_start)
+        return ScheduledModels(self.game, [human_model(name) for name in names], warm_start, belief)
 
     def costs(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "rungs"]:
         """T(M) of every model on the ladder [s]; where to be measured, once after each change of configuration."""
@@ -323,6 +340,7 @@ class InteractionEnv(StageEnv):
             "gains": step.gains if step else {},
             "choice_failed": bool(step and step.choice_failed),
             "status": step.status if step else None,
+            "belief": step.belief if step else None,
             "reward": sum(self._terms.values()),
             "collision": self.collision,
         }
@@ -347,6 +365,8 @@ class InteractionEnv(StageEnv):
                 "choice_failed": step.choice_failed,
                 "timing": Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds),
             }
+            if step.belief is not None:
+                info["belief"] = step.belief
             if self._costs and step.model in self._costs:
                 info["counted_seconds"] = float(self._costs[step.model])  # T(M)
         return info

@@ -37,6 +37,7 @@ CHOICES: dict[str, tuple[str | None, ...]] = {
     "semantics": ("paper", "released"),
     "influence": (None, "exact", "damped"),
     "solver": ("gradient", "newton"),
+    "yielding": ("usual", "never", "always", "mixed"),
     "density": tuple(DENSITIES),
 }
 TIME_STEPS = 0.01, 1.0  # s, the shortest and the longest

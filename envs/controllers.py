@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from itertools import cycle, islice
 from math import nan
 from os import PathLike
@@ -40,7 +40,14 @@ PLACE = "config['controller']"
 ROUNDING = 1e-6  # how far a sum of shares may be from 1
 
 
-class ControllerSettings(ABC):
+@dataclass(frozen=True)
+class BeliefSettings:
+    """Whether a controller infers which model predicts each human, see `ms_highway.metareasoning.belief`."""
+
+    belief: bool = field(default=False, kw_only=True)
+
+
+class ControllerSettings(BeliefSettings, ABC):
     """What a controller's configuration says. Impossible values raise a ValueError."""
 
     type: ClassVar[str]
@@ -246,6 +253,18 @@ def controller_settings(config: Any) -> ControllerSettings:
     kind = KINDS[config["type"]]
     if kind is SwitchingSettings and "model" in config:
         raise ValueError(f"{PLACE} has a 'model' but is of type 'switching'; say 'type': 'fixed' to always use a model")
-    keys = {field.name: "lambda" if field.name == "price" else field.name for field in fields(kind)}
+    return read_fields(kind, config)
+
+
+def read_fields(kind: type[Any], config: Mapping[str, Any]) -> Any:
+    """Return the settings of a kind that a configuration gives, those that it does not name None.
+
+    Raises:
+        ValueError: for unknown keys and impossible values.
+    """
+    keys = {each.name: "lambda" if each.name == "price" else each.name for each in fields(kind)}
     refuse_unknown(PLACE, config, {"type", *keys.values()})
-    return kind(**{name: config.get(key) for name, key in keys.items()})
+    belief = config.get("belief", False)
+    if not isinstance(belief, bool):
+        raise ValueError(f"{PLACE}['belief'] is {belief!r}; it must be True or False")
+    return kind(**{name: config.get(key) for name, key in keys.items()} | {"belief": belief})

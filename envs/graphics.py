@@ -2,26 +2,24 @@
 
 import os
 import sys
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import jax
-import matplotlib
 import numpy as np
 import pygame
-import pygame.freetype
 from highway_env.envs.common.graphics import EnvViewer
 from highway_env.road.graphics import LaneGraphics
 from highway_env.vehicle.graphics import VehicleGraphics
 from jaxtyping import Float
 
 from ms_highway.control.switching import ModelSwitching
+from ms_highway.envs.words import Color, words
 from ms_highway.game.dynamics import step
 from ms_highway.game.scenario import title
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.planning.effort import Effort, base_of
 from ms_highway.planning.human_models import MODELS, human_model, is_model
+from ms_highway.planning.road.settings import RUNGS
 
 __all__ = [
     "INK",
@@ -36,8 +34,6 @@ __all__ = [
     "model_meaning",
     "words",
 ]
-
-Color = tuple[int, int, int]
 
 MODEL_COLORS: dict[str, Color] = {"naive": (112, 178, 214), "turn": (240, 180, 50), "tom": (214, 68, 140)}
 ROAD_COLORS: dict[str, Color] = {"idm": (120, 170, 90)}  # of models that predict on roads only
@@ -223,6 +219,17 @@ class InteractionViewer(Viewer):
                 lines.append(_reason(record, isinstance(controller.rule, LearnedValue)))
         for place, line in enumerate(lines):
             self._text(line, MEDIUM, INK, (MARGIN, top + 48 + 26 * place))
+        if record["belief"] is not None:
+            self._belief(pygame.Rect(MARGIN, top + 119, TEXT_WIDTH - 5 * MARGIN, 17), record["belief"][0])
+
+    def _belief(self, box: pygame.Rect, shares: Float[np.ndarray, "models"]) -> None:
+        """Draw the probabilities of the models of a human, side by side, with their names where there is room."""
+        ends = np.cumsum([0.0, *(box.width * shares)])
+        for name, left, right in zip(RUNGS, ends, ends[1:], strict=False):
+            part, label = pygame.Rect(box.left + left, box.top, right - left + 1, box.height), words(name, SMALL, PAPER)
+            pygame.draw.rect(self.sim_surface, model_color(name), part)
+            if part.width > label.get_width():
+                self.sim_surface.blit(label, label.get_rect(center=part.center))
 
     def _chart(self, box: pygame.Rect, heading: str, low: str, high: str) -> None:
         """Draw the frame of a chart: a heading above, a line below, and the values of its ends on the left."""
@@ -298,21 +305,3 @@ def check_display() -> None:
         unseen = True
     if unseen:
         raise OSError("there is no display for a person to drive at; use a desktop, or let a program drive")
-
-
-def words(text: str, size: int, color: Color) -> pygame.Surface:
-    """Draw a line of text in a kerned font of ``size`` px, on a surface of the same height for every text.
-
-    The font is Matplotlib's, so that pictures are the same on every machine. It is opened anew each time, since closing
-    any of highway-env's viewers ends the font module.
-    """
-    pygame.freetype.init()
-    font = pygame.freetype.Font(_font_file(), size)
-    font.kerning = font.pad = True
-    surface, _ = font.render(text, color)
-    return surface
-
-
-@cache
-def _font_file() -> str:
-    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")

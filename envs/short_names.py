@@ -1,13 +1,15 @@
 """Parse the short names of controllers, such as ``learned:0.1`` or ``schedule:tom=6,naive``."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
 from typing import Any
 
 from ms_highway.envs.controllers import CHOOSING, ControllerSettings, controller_settings
 from ms_highway.planning.human_models import is_model, model_names
 
-__all__ = ["controller_config", "named_controller", "number_of", "shares_of"]
+__all__ = ["controller_config", "named_controller", "number_of", "shares_of", "with_belief"]
 
+BELIEF = "+belief"
 MOST_DIGITS = 5  # of a number of steps
 
 
@@ -20,13 +22,26 @@ def named_controller(text: str) -> ControllerSettings:
     return controller_settings(controller_config(text))
 
 
+def with_belief(read: Callable[[str], dict[str, Any]]) -> Callable[[str], dict[str, Any]]:
+    """Let short names end in ``+belief``, which sets ``belief``; the rest is read by a function of names without."""
+
+    @wraps(read)
+    def reading(text: str) -> dict[str, Any]:
+        name = text.removesuffix(BELIEF)
+        return read(name) | ({"belief": True} if name != text else {})
+
+    return reading
+
+
+@with_belief
 def controller_config(text: str) -> dict[str, Any]:
     """Return the configuration that a controller's short name stands for.
 
     These are the human models, such as ``tom`` or ``tom@8+warm``; ``switching:0.1``, ``horizon:0.1`` and
     ``learned:0.1`` with a lambda, and ``learned:0.1:FILE`` with values of one's own; ``schedule:tom=6,naive``, tom for
     six steps and then naive; ``period:tom=1,naive=3``, tom in every fourth step and naive in between; and
-    ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares.
+    ``random:naive=0.7,tom=0.3``, for every step a model that is drawn with these shares. With ``+belief`` at the end,
+    such as ``tom+belief``, any of them counts on no response that the human does not show.
 
     Raises:
         ValueError: if it stands for none.

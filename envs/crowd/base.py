@@ -8,10 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.control.crowd import CrowdDriver, CrowdStep, HumanDriver
+from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.crowd.controllers import crowd_controller_config
 from ms_highway.envs.crowd.graphics import CrowdViewer
 from ms_highway.envs.crowd.settings import CrowdEnvSettings, merged_crowd
+from ms_highway.game.crowd import human_game
 from ms_highway.game.crowd_scenario import CROWD_PLANNING, REACHED, CrowdScenario, draw_crowd
 from ms_highway.game.scenario import GRIP
 from ms_highway.planning.compiled_crowd import CrowdCosts, measure_crowd_costs
@@ -121,8 +123,10 @@ class CrowdEnv(InteractionEnv):
 
     def _drive(self, cars: list[Any], states: Float[np.ndarray, "cars 4"]) -> None:
         crowd = self.settings.crowd(self.scenario, self.weights)
-        for number, human in enumerate(cars[1:]):
-            human.drive_with(HumanDriver(crowd, number), [car for car in cars if car is not human])
+        yielding = self._draw_yielding(crowd.humans)
+        for number, (human, yields) in enumerate(zip(cars[1:], yielding, strict=True)):
+            driver = HumanDriver(crowd, number) if yields is None else Unmoved(human_game(crowd, number), yields)
+            human.drive_with(driver, [car for car in cars if car is not human])
         if self.drives_itself:
             cars[0].drive_with(self._controller(states), cars[1:])
 
@@ -133,7 +137,7 @@ class CrowdEnv(InteractionEnv):
             costs = CrowdCosts(float(seconds[0]), seconds - seconds[0])
         crowd = self.settings.crowd(self.scenario, self.weights if self.settings.beliefs == "true" else None)
         rule, seed = controller.rule(costs), _draw_seed(self.np_random)
-        return CrowdDriver(crowd, rule, controller.budget, seed, bool(self.config["way_out"]))
+        return CrowdDriver(crowd, rule, controller.budget, seed, bool(self.config["way_out"]), controller.belief)
 
     def _measured_costs(self, states: Float[np.ndarray, "cars 4"]) -> list[float]:
         quantile = self.settings.controller.quantile

@@ -2,16 +2,23 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import nan
 from os import PathLike
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ms_highway.envs.checks import is_number, is_one_of, is_whole, refuse_unknown
-from ms_highway.envs.controllers import PLACE, ControllerSettings, RandomSettings, check_price
-from ms_highway.envs.short_names import named_controller, number_of, shares_of
+from ms_highway.envs.checks import is_number, is_one_of, is_whole
+from ms_highway.envs.controllers import (
+    PLACE,
+    BeliefSettings,
+    ControllerSettings,
+    RandomSettings,
+    check_price,
+    read_fields,
+)
+from ms_highway.envs.short_names import named_controller, number_of, shares_of, with_belief
 from ms_highway.metareasoning.crowd.baselines import AllOfOne, Influence, Nearest, RandomRungs, TimeToCollision
 from ms_highway.metareasoning.crowd.budget import Budget
 from ms_highway.metareasoning.crowd.rule import CrowdRule
@@ -24,7 +31,7 @@ from ms_highway.planning.crowd import RUNGS
 __all__ = ["CrowdSettings", "any_controller", "crowd_controller_config", "crowd_settings"]
 
 
-class CrowdSettings(ABC):
+class CrowdSettings(BeliefSettings, ABC):
     """What the configuration of a controller for several humans says. Impossible values raise a ValueError.
 
     Attributes:
@@ -234,11 +241,10 @@ def crowd_settings(config: Any) -> CrowdSettings:
     if not isinstance(config, Mapping) or config.get("type") is None or not is_one_of(config["type"], KINDS):
         raise ValueError(f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(KINDS)}")
     kind = KINDS[config["type"]]
-    keys = {field.name: "lambda" if field.name == "price" else field.name for field in fields(kind)}
-    refuse_unknown(PLACE, config, {"type", *keys.values()})
-    return kind(**{name: config.get(key) for name, key in keys.items()})
+    return read_fields(kind, config)
 
 
+@with_belief
 def crowd_controller_config(text: str) -> dict[str, Any]:
     """Return the configuration that the short name of a controller for several humans stands for.
 
@@ -247,7 +253,8 @@ def crowd_controller_config(text: str) -> dict[str, Any]:
     gains, ``budget:20:FILE`` with those of a file, and ``budget:20:one_step`` with Algorithm 1's; ``nearest:2``,
     ``ttc:2`` and ``influence:2``, theory of mind about the two nearest humans, those with the shortest time to
     collision, or those that influence the plan most; and ``random:naive=0.7,tom=0.3``, for every human and step a model
-    that is drawn with these shares.
+    that is drawn with these shares. With ``+belief`` at the end, such as ``tom+belief``, any of them counts on no
+    response that a human does not show.
 
     Raises:
         ValueError: if it stands for none.

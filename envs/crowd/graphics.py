@@ -76,6 +76,17 @@ class CrowdViewer(InteractionViewer):
         lines = [f"cones in {cones:.0f} m"] if cones < inf else []
         lines += [status] if status not in (None, STATUSES[PLANNED]) else []
         self._text("    ".join(lines), MEDIUM, INK, (MARGIN, top + 126))
+        self._beliefs(record, top + 151)
+
+    def _beliefs(self, record: dict[str, Any], top: int) -> None:
+        """Draw the probabilities of the models of every human, one human beside the other, behind its number."""
+        if record["belief"] is None:
+            return
+        width, number = BAR.width // len(record["belief"]), words("12", SMALL, INK).get_width() + 3
+        for place, shares in enumerate(record["belief"]):
+            left = BAR.left + place * width
+            self._text(str(place + 1), SMALL, INK, (left, top))
+            self._belief(pygame.Rect(left + number, top, width - number - 6, 17), shares)
 
     def _chip(self, text: str, rung: str, left: int, top: int) -> int:
         """Draw a text on the colour of a model; return where the next one begins."""

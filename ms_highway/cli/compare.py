@@ -45,6 +45,9 @@ name stands for all humans; nearest:K, ttc:K and influence:K predict K humans by
 smallest time to collision, or those with the largest influence on the plan, and the others naively; budget:MILLISECONDS
 chooses what is worth most within this time of planning and deciding per step.
 
+Any controller with +belief at the end, such as tom+belief, infers from what each human does whether it is predicted by
+naive, idm, turn or tom, and plans naively where a model would count on a response that the human does not show.
+
 Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
 SCENARIO_bars.png (of three lambdas or more _curve.png, reward against computation), _timeline.png and _decisions.png;
 settings.json and provenance.json say what they were made with. If stopped and started again with the same --out, it
@@ -59,7 +62,12 @@ examples:
   ms-highway compare give_way --semantics released --costs measured --out results/measured
   ms-highway compare stay_back --controllers naive turn --solver newton --seeds 100 --out results/newton
   ms-highway compare dense_merge --controllers naive tom nearest:1 budget:20 --out results/dense_merge
+  ms-highway compare merger --yielding never --controllers tom tom+belief --out results/never
   ms-highway compare merger --horizon 10 --control-limit 0.2,9 --out results/second"""
+
+
+YIELDING = ("usual", "never", "always", "mixed")
+"""What the humans of environments may do beside the robot; told here so that help needs no JAX."""
 
 
 def add_compare(commands: Any) -> None:
@@ -67,7 +75,8 @@ def add_compare(commands: Any) -> None:
     parser = add_command(commands, "compare", "compare controllers over many episodes", HELP, EXAMPLES)
     add_scenarios(parser, known=[*SCENARIO_NAMES, *CROWD_NAMES])
     add_controllers(parser)
-    parser.add_argument("--seeds", type=int, default=30, help="episodes per controller, seeded 0, 1, ... (default: 30)")
+    parser.add_argument("--seeds", type=int, default=30, help="episodes per controller (default: 30)")
+    parser.add_argument("--first-seed", dest="seed", type=int, default=0, help="of the first one (default: 0)")
     add_ladder(parser)
     add_semantics(parser)
     parser.add_argument(
@@ -80,6 +89,19 @@ def add_compare(commands: Any) -> None:
     add_costs(parser)
     add_planning(parser)
     add_humans(parser)
+    parser.add_argument(
+        "--yielding",
+        choices=YIELDING,
+        help="what humans do beside the robot: usual, plan for their reward (default); never yield, but keep their "
+        "velocity; always make room for it; or mixed, each of them never or always, drawn for every episode",
+    )
+    parser.add_argument(
+        "--no-way-out",
+        dest="way_out",
+        action="store_const",
+        const=False,
+        help=f"let plans leave no escape from humans who do not yield, in {', '.join(CROWD_NAMES)}",
+    )
     add_out(parser, "results/compare")
     parser.set_defaults(run=_compare)
 
@@ -93,6 +115,8 @@ def comparison(options: argparse.Namespace) -> "Comparison":
     if options.seeds < 1:
         raise ValueError(f"--seeds is {options.seeds}; there must be at least one episode")
     check_most(options, seeds=MOST)
+    if options.seed < 0:
+        raise ValueError(f"--first-seed is {options.seed}; it must not be negative")
     asked = asked_comparison(options, controllers_by_scenario(options), options.seeds)
     asked.check()
     return asked

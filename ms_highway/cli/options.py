@@ -177,14 +177,15 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
 
 
 def planning(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the values of the options of `add_planning` and `add_humans` that are given, by key of the configuration.
+    """Return what the options of plans and of humans give, by key of the configuration.
 
     Raises:
         ValueError: if the limits are no numbers.
     """
     from ms_highway.envs.settings import PLANNING
 
-    given = {key: value for key in (*PLANNING, "humans") if (value := getattr(options, key, None)) is not None}
+    own = ("humans", "yielding", "way_out")
+    given = {key: value for key in (*PLANNING, *own) if (value := getattr(options, key, None)) is not None}
     if "control_limit" in given:
         given["control_limit"] = control_limit("--control-limit", given["control_limit"])
     return given

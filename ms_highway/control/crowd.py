@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ms_highway.control.controller import ControlStep
 from ms_highway.control.fallback import Status, brake
@@ -13,12 +13,13 @@ from ms_highway.control.fixed import FixedModel
 from ms_highway.game.crowd import Crowd, human_game
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
+from ms_highway.metareasoning.compiled_belief import CompiledBelief, counted_on
 from ms_highway.metareasoning.crowd.budget import Budget
 from ms_highway.metareasoning.crowd.compiled_decision import CompiledCrowdDecision, CrowdObservation
 from ms_highway.metareasoning.crowd.rule import CrowdRule, first_crowd_memory, highest_gains
 from ms_highway.planning.compiled_crowd import CompiledCrowdPlans, first_crowd_plan
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
-from ms_highway.planning.crowd import RUNGS, CrowdPlan
+from ms_highway.planning.crowd import NAIVE, RUNGS, TOM, CrowdPlan
 from ms_highway.planning.human_models import HumanModel, JointPlan, Naive
 from ms_highway.runtime.forks import refuse_after_fork
 
@@ -59,12 +60,20 @@ class CrowdDriver:
         budget: time of a cycle, decision and plan [s]; None for no limit.
         way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out`.
         seed: of the episode, for rules that draw; may be replaced before a `reset`.
+        belief: whether to infer which model predicts every human, and to predict naively, instead of by theory of mind,
+            those who show that they do not respond.
     """
 
     def __init__(
-        self, crowd: Crowd, rule: CrowdRule, budget: float | None = None, seed: int = 0, way_out: bool = True
+        self,
+        crowd: Crowd,
+        rule: CrowdRule,
+        budget: float | None = None,
+        seed: int = 0,
+        way_out: bool = True,
+        belief: bool = False,
     ) -> None:
-        self.rule, self.budget, self.seed, self.way_out = rule, budget, seed, way_out
+        self.rule, self.budget, self.seed, self.way_out, self.infers = rule, budget, seed, way_out, belief
         self.crowd = crowd
         self.reset()
 
@@ -77,6 +86,7 @@ class CrowdDriver:
     def crowd(self, crowd: Crowd) -> None:
         self._plans = CompiledCrowdPlans(crowd)
         self._decision = CompiledCrowdDecision(self.rule, crowd)
+        self._inference = CompiledBelief(crowd) if self.infers else None
         self._warm = False
 
     @property
@@ -91,6 +101,7 @@ class CrowdDriver:
     def reset(self) -> None:
         """Forget the past, before a new episode."""
         self._memory = first_crowd_memory(self.crowd.humans, self.seed)
+        self._belief = self._inference.first if self._inference else None
         self._checking = 0.0  # seconds of the last look for a way out, which comes after the plan
         self._rest: CrowdPlan | None = None  # scaled controls of the coming steps, as last planned
         self._seen: CrowdObservation | None = None  # the last step, not yet its outcome
@@ -113,12 +124,15 @@ class CrowdDriver:
         now = checked_state(state)
         compiling = self._warm_up(now)
         start = perf_counter()
-        decision, deciding = self._decision.decide(self._memory, self._outcome(now, before))
-        rungs = [int(rung) for rung in decision.memory.rungs]
+        outcome = self._outcome(now, before)
+        inferring = self._infer(outcome)
+        decision, deciding = self._decision.decide(self._memory, outcome)
+        rungs = [int(rung) for rung in self._counted(np.asarray(decision.memory.rungs))]
         plan, planning = self._plans.plan(now, rungs, self._rest and self._whole(self._rest))
         elapsed = perf_counter() - start + self._checking
         late = self.budget is not None and elapsed > self.budget
-        self._memory, gains = decision.memory, np.asarray(decision.gains)
+        self._memory = decision.memory._replace(rungs=np.asarray(rungs, np.int32))
+        gains = np.asarray(decision.gains)
         followed, status = self._follow(plan, late, state)
         control, status, checking = self._executed(followed, status, now)
         self._checking = checking
@@ -131,11 +145,12 @@ class CrowdDriver:
             humans[0],
             RUNGS[max(rungs)],
             planning + checking,
-            deciding,
+            inferring + deciding,
             compiling,
             {name: float(gain) for name, gain in zip(RUNGS, highest_gains(gains), strict=True) if np.isfinite(gain)},
             bool(decision.failed),
             status,
+            self._belief,
             humans=humans,
             rungs=tuple(RUNGS[rung] for rung in rungs),
             human_gains=gains,
@@ -150,10 +165,26 @@ class CrowdDriver:
             return 0.0
         self._warm = True
         seconds = self._plans.warm_up(state) + self._decision.warm_up(state)
+        if self._inference is not None:
+            seconds += self._inference.warm_up(state, np.zeros((self.game.planner.horizon, 2)))
         if isinstance(self.rule, Budget) and not self.rule.deciding:
             self.rule = replace(self.rule, deciding=self._decision.measure(state, quantile=QUANTILE))
             self._decision = CompiledCrowdDecision(self.rule, self.crowd)
         return seconds
+
+    def _infer(self, seen: CrowdObservation) -> float:
+        """Update the belief by the last step, once there was one; return the seconds spent."""
+        if self._inference is None or self._belief is None or self._seen is None:
+            return 0.0
+        robot = np.concatenate([seen.control[None], seen.plan.robot[1:]])
+        self._belief, seconds = self._inference.update(self._belief, seen.before, seen.after, robot)
+        return seconds
+
+    def _counted(self, rungs: Int[np.ndarray, "humans"]) -> Int[np.ndarray, "humans"]:
+        """Return the rungs, naive instead of theory of mind for humans who show that they do not respond."""
+        if self._belief is None:
+            return rungs
+        return np.where((rungs == TOM) & ~counted_on(self._belief), NAIVE, rungs)
 
     def _outcome(
         self, now: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None

@@ -23,12 +23,14 @@ class ModelSwitching(PlanningController):
         game: of which car 0 is driven.
         rule: chooses the models, see `ms_highway.metareasoning.rule.Rule`.
         warm_start: whether plans start from the last one instead of from zero controls.
+        belief: see `ms_highway.control.controller.PlanningController`; the cheapest rung then takes the place of one
+            that responds.
 
     Raises:
         ValueError: if there is not one cost for each rung of the ladder.
     """
 
-    def __init__(self, game: Game, rule: Rule, warm_start: bool = False) -> None:
+    def __init__(self, game: Game, rule: Rule, warm_start: bool = False, belief: bool = False) -> None:
         check_costs(rule)
         strange = [model for model in rule.ladder if not hasattr(model, "plan")]
         if strange:
@@ -37,7 +39,7 @@ class ModelSwitching(PlanningController):
             told = f"the price is {rule.price} and the costs are {np.asarray(rule.costs).tolist()}"
             raise ValueError(f"{told}; neither may be negative, nor the price NaN")
         self.rule = rule
-        super().__init__(game, warm_start)
+        super().__init__(game, warm_start, belief)
 
     def _prepare(self, game: Game) -> None:
         super()._prepare(game)
@@ -56,7 +58,6 @@ class ModelSwitching(PlanningController):
 
     def _start_again(self) -> None:
         self._memory = first_memory(self.rule)
-        self._before: Float[np.ndarray, "cars 4"] | None = None
 
     def step(
         self, state: Float[np.ndarray, "cars 4"], before: Float[np.ndarray, "cars 4"] | None = None
@@ -73,11 +74,14 @@ class ModelSwitching(PlanningController):
         refuse_after_fork()
         now = checked_state(state)
         compiling = self._warm_up(now)
+        inferring = self._infer(now, before)
         happened = self._observed(now, before)
         chosen = {} if happened is None else self._choose(happened)
+        if self._refuses(self.rule.ladder[int(self._memory.rung)]):
+            self._memory = self._memory._replace(rung=np.zeros((), np.int32))
         planned = self._plan(self.rule.ladder[int(self._memory.rung)], state, now)
-        self._before = now
-        self._last = replace(planned, compile_seconds=compiling, **chosen)
+        deciding = inferring + chosen.pop("decision_seconds", 0.0)
+        self._last = replace(planned, compile_seconds=compiling, decision_seconds=deciding, **chosen)
         return self._last
 
     def _observed(
@@ -95,7 +99,8 @@ class ModelSwitching(PlanningController):
         if self._warm:
             return 0.0
         self._warm = True
-        return self._plans.warm_up(self.rule.ladder, state) + self._decision.warm_up(self._memory, state)
+        compiling = self._plans.warm_up(self.rule.ladder, state) + self._decision.warm_up(self._memory, state)
+        return compiling + self._warm_up_belief(state)
 
     def _choose(self, happened: Observation) -> dict[str, Any]:
         """Decide; return what the step's record says of it."""

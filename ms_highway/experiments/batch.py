@@ -113,12 +113,17 @@ def configurations(comparison: Comparison, scenario: str) -> list[dict[str, Any]
     """Return the whole configuration of a scenario's environment with each of its controllers.
 
     Raises:
-        ValueError: for anything unknown or impossible, and where there are no controllers.
+        ValueError: for anything unknown or impossible, for what is not simulated, and where there are no controllers.
     """
     controllers = comparison.controllers.get(scenario, [])
     if not controllers:
         raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")
-    return [comparison.config(scenario, controller) for controller in controllers]
+    configs = [comparison.config(scenario, controller) for controller in controllers]
+    for name, config in zip(controllers, configs, strict=True):
+        if config["yielding"] != "usual" or config["controller"].get("belief"):
+            told = f"{scenario} has yielding {config['yielding']!r} and the controller {name!r}"
+            raise ValueError(f"{told}; a simulation has the usual humans and no beliefs; use `compare`")
+    return configs
 
 
 def checked_environment(scenario: str, config: Mapping[str, Any], base: type[InteractionEnv]) -> InteractionEnv:

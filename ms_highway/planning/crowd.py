@@ -85,7 +85,11 @@ def cold_crowd_start(crowd: Crowd, state: State) -> CrowdPlan:
 
 
 def predict_human(
-    crowd: Crowd, state: State, human: Int[jax.Array, ""], start: Float[jax.Array, "steps 2"] | None = None
+    crowd: Crowd,
+    state: State,
+    human: Int[jax.Array, ""],
+    start: Float[jax.Array, "steps 2"] | None = None,
+    robot: Trajectory | None = None,
 ) -> Float[jax.Array, "steps 2"]:
     """Return a human's plan for its own reward among all others, who keep their velocity: how humans drive, and turn.
 
@@ -94,12 +98,14 @@ def predict_human(
         state: all cars now.
         human: number of the human.
         start: scaled controls to improve; by default, zero (``gradient``) or those that keep the velocity.
+        robot: trajectory that the human answers; by default, the robot keeps its velocity, too.
     """
     game, car = human_game(crowd, human), state[1 + human]
     if start is None:
         start = constant_velocity(game, car)
         start = jnp.zeros_like(start) if game.planner.solver == "gradient" else start
-    around = coasting(game, state)[jnp.asarray(others_of(len(state)))[1 + human]]
+    paths = coasting(game, state) if robot is None else coasting(game, state).at[0].set(robot)
+    around = paths[jnp.asarray(others_of(len(state)))[1 + human]]
     return optimize_controls(
         game.planner,
         partial(move, game, car),

@@ -1,0 +1,49 @@
+"""What every human would do next under each model."""
+
+import jax
+import numpy as np
+import pytest
+
+from ms_highway.control.fixed import FixedModel
+from ms_highway.game.crowd import Crowd
+from ms_highway.game.game import swap_roles
+from ms_highway.planning.human_models import Naive
+from ms_highway.planning.hypotheses import next_controls
+
+NAIVE, IDM, TURN, TOM = range(4)
+STRAIGHT = np.tile(np.float32([0.0, 0.12]), (5, 1))  # keeps 20 m/s
+CUTTING_IN = STRAIGHT + np.float32([-0.3, 0.0])
+
+
+@pytest.fixture
+def predicted(played):
+    game, state = played("merger")
+    crowd = Crowd(game, np.asarray(game.human.weights)[None])
+
+    def predict(plan, robot=None):
+        cars = np.array(state)
+        cars[0, :2] = cars[0, :2] if robot is None else robot
+        return np.asarray(jax.jit(next_controls)(crowd, cars, plan))[0], cars, game
+
+    return predict
+
+
+def test_turn_is_what_a_human_of_this_package_does_and_naive_makes_up_for_friction(predicted):
+    controls, cars, game = predicted(STRAIGHT)
+    human = FixedModel(swap_roles(game), Naive()).step(cars[[1, 0, *range(2, len(cars))]])
+    np.testing.assert_allclose(controls[TURN], human.control, atol=0.01)
+    np.testing.assert_allclose(controls[NAIVE], [0.0, 0.2 * cars[1, 3]], rtol=1e-4)
+
+
+def test_idm_brakes_for_the_robot_once_it_is_in_its_lane(predicted):
+    beside, cars, _ = predicted(STRAIGHT)
+    x, y = cars[1, :2]
+    ahead, *_ = predicted(STRAIGHT, robot=(x + 6.0, y))
+    assert ahead[IDM, 1] < beside[IDM, 1] - 1.0
+    assert ahead[NAIVE, 1] == beside[NAIVE, 1]
+
+
+def test_theory_of_mind_answers_the_robots_plan_and_turn_does_not(predicted):
+    straight, cuts_in = (predicted(plan)[0] for plan in (STRAIGHT, CUTTING_IN))
+    np.testing.assert_array_equal(straight[:TOM], cuts_in[:TOM])
+    assert cuts_in[TOM, 1] < straight[TOM, 1] - 1.0
