@@ -5,6 +5,8 @@ relative to the path. World coordinates are highway-env's: y points to the right
 """
 
 from dataclasses import dataclass
+from math import pi
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -25,7 +27,10 @@ __all__ = [
     "interpolate",
     "place",
     "project",
+    "wrapped",
 ]
+
+Angle = TypeVar("Angle", float, np.ndarray, jax.Array)
 
 SPACING = 2.0
 """Distance between knots of a path [m]."""
@@ -110,6 +115,11 @@ class RoadScene:
     priority: Bool[Array, "traffic"]
 
 
+def wrapped(angle: Angle) -> Angle:
+    """Return an angle in [-pi, pi)."""
+    return (angle + pi) % (2 * pi) - pi
+
+
 def interpolate(values: Float[Array, "knots"], s: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
     """Interpolate values at the knots of a path linearly; beyond its ends, the outermost are kept."""
     knots = np.shape(values)[-1]
@@ -150,7 +160,7 @@ def project(
         bend = jnp.where((s > -BEHIND) & (s < last), interpolate(path.curvature, s), 0.0)
         s = s + ahead / jnp.maximum(1 - aside * bend, 0.2)
     _, d, along = _offset(path, s, x, y)
-    return s, d, (heading - along + np.pi) % (2 * np.pi) - np.pi
+    return s, d, wrapped(heading - along)
 
 
 def _offset(

@@ -9,13 +9,13 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.road import LANES, SPACING, RoadScene, interpolate
 from ms_highway.planning.road.motion import advance, within_limits
-from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import FAR, Ways, aside, crossings, follow, on_route, wanted_speeds
+from ms_highway.planning.road.settings import CORNERING, RoadPlanning
+from ms_highway.planning.road.traffic import FAR, Crossings, Ways, aside, crossings, follow, on_route, wanted_speeds
 
 __all__ = [
     "FULL_BRAKING",
     "PROPOSALS",
-    "WAITING",
+    "STOPPING",
     "Manners",
     "Profiles",
     "Rollouts",
@@ -23,6 +23,7 @@ __all__ = [
     "profiles",
     "simulate",
     "speed_caps",
+    "waiting_lines",
 ]
 
 FOLLOWING = np.array([1.0, 0.75, 0.5, 0.25], np.float32)  # shares of the desired speed, in profiles that follow by IDM
@@ -38,7 +39,6 @@ FULL_BRAKING = tuple(lane * PROFILES + len(FOLLOWING) + CLOSING_UP for lane in r
 
 FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
 SIDEWAYS = 3.0  # m/s^2, of lateral acceleration for it at most
-CORNERING = 0.85  # share of the grip that bends may take
 SLOWING = 2.5  # m/s^2, before bends
 EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
 CLOSE = 0.7, 2.0  # s and m, time gap and standstill gap of the robot
@@ -51,8 +51,10 @@ PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
 ROOM = 0.4  # m, lateral, between bodies that pass
 WAITING = 1.2  # m, between the robot that waits and those who cross
-STOPPING = 3.5  # m/s^2, before crossings
 CREEPING = 3.0  # m/s, at which cars come that stand
+
+STOPPING = 3.5
+"""Deceleration before crossings [m/s^2]."""
 
 
 class Manners(NamedTuple):
@@ -123,6 +125,11 @@ def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Float[jax.Array, "kn
     return jnp.sqrt(jnp.maximum(jax.lax.cummin(allowed + ahead, reverse=True) - ahead, 1.0))
 
 
+def waiting_lines(scene: RoadScene, crossing: Crossings) -> Float[jax.Array, "traffic"]:
+    """Return the places on the route where the front of the robot waits for those who cross it [m]."""
+    return crossing.first - jnp.asarray(scene.sizes)[:, 1] / 2 - WAITING
+
+
 def profiles(last: Float[jax.Array, "steps 2"], last_lane: Int[jax.Array, ""]) -> Profiles:
     """Return the profiles of all proposals: each lane at each speed, and the rest of the last plan."""
     lanes, kinds = np.divmod(np.arange(LANES * PROFILES), PROFILES)
@@ -147,17 +154,25 @@ def as_given(controls: Float[jax.Array, "plans steps 2"], lane: Int[jax.Array, "
     return Profiles(lane, ones, 0 * ones, ones < 0, ones < 0, 0 * ones, ones > 0, controls)
 
 
-def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Manners, plans: Profiles) -> Rollouts:
+def simulate(
+    scene: RoadScene,
+    planning: RoadPlanning,
+    ways: Ways,
+    caps: Float[jax.Array, "knots"],
+    manners: Manners,
+    plans: Profiles,
+) -> Rollouts:
     """Drive plans among others who answer each of them.
 
     Args:
         scene: the road.
         planning: limits and wishes.
         ways: `ms_highway.planning.road.traffic.ways_of` the scene.
+        caps: `speed_caps` of the route.
         manners: how others move.
         plans: what the robot does.
     """
-    caps, wanted, now = speed_caps(scene, planning), wanted_speeds(scene), jnp.asarray(scene.states)
+    wanted, now = wanted_speeds(scene), jnp.asarray(scene.states)
     across = aside(scene, jnp.arange(1, planning.steps + 1) * jnp.asarray(planning.time_step))
     length, width = scene.size
     lengths, widths = jnp.asarray(scene.sizes).T
@@ -165,7 +180,7 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
     leaders, present = jnp.asarray(scene.leaders), jnp.asarray(scene.present)
     led = (leaders >= 0) & present
     crossing = crossings(ways)
-    line = crossing.first - widths / 2 - WAITING
+    line = waiting_lines(scene, crossing)
     arrival = jnp.maximum(crossing.begin - lengths / 2, 0.0) / jnp.maximum(now[:, 3], CREEPING)
     crosses = present & jnp.asarray(scene.moving)
 
