@@ -6,7 +6,7 @@ relative to the path. World coordinates are highway-env's: y points to the right
 
 from dataclasses import dataclass
 from math import pi
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -24,6 +24,7 @@ __all__ = [
     "TRAFFIC_KNOTS",
     "Path",
     "RoadScene",
+    "Traits",
     "interpolate",
     "place",
     "project",
@@ -65,6 +66,18 @@ class Path:
     curvature: Float[Array, "*paths knots"]
 
 
+class Traits(NamedTuple):
+    """What the drivers of others are like.
+
+    Attributes:
+        speed: that they desire [m/s].
+        headway: time gap that they desire [s].
+    """
+
+    speed: Float[Array, "traffic"]
+    headway: Float[Array, "traffic"]
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RoadScene:
@@ -89,8 +102,10 @@ class RoadScene:
         leaders: place of the car ahead of each other car on its path, -1 without one.
         gaps: distance of centres to that car [m].
         owners: number of the car that each path belongs to, in the order of distance; -1 where none does.
+        names: number of the car that each path belongs to, the same as long as the car lives; -1 where none does.
         moving: which of the others can move; obstacles cannot.
         priority: which of the others the robot has to give way to where their ways cross.
+        traits: of the drivers of others, None where nothing is known of them.
     """
 
     route: Path
@@ -111,8 +126,10 @@ class RoadScene:
     leaders: Int[Array, "traffic"]
     gaps: Float[Array, "traffic"]
     owners: Int[Array, "traffic"]
+    names: Int[Array, "traffic"]
     moving: Bool[Array, "traffic"]
     priority: Bool[Array, "traffic"]
+    traits: Traits | None = None
 
 
 def wrapped(angle: Angle) -> Angle:

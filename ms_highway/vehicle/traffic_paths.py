@@ -1,8 +1,10 @@
 """Find the ways that other vehicles may take, and who follows whom and who gives way on them."""
 
 from dataclasses import dataclass
+from itertools import count as counter
 from itertools import pairwise
 from math import sin
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
@@ -50,6 +52,7 @@ class Traffic:
     leaders: Int[np.ndarray, "traffic"]
     gaps: Float[np.ndarray, "traffic"]
     owners: Int[np.ndarray, "traffic"]
+    names: Int[np.ndarray, "traffic"]
     moving: Bool[np.ndarray, "traffic"]
     priority: Bool[np.ndarray, "traffic"]
 
@@ -89,6 +92,7 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, chain: Chain, way:
         leaders=leaders,
         gaps=gaps,
         owners=owners,
+        names=np.array([_name(car) for car in cars] + [-1] * unused, dtype=np.int32),
         moving=np.array([_drives(car) for car in cars] + [False] * unused),
         priority=np.array(priority + [False] * unused),
     )
@@ -105,6 +109,17 @@ def _seen(vehicle: Vehicle) -> list[RoadObject]:
     in_sight = distances < np.where(delta @ vehicle.direction > 0, AHEAD, BEHIND_SIGHT)
     nearest = [number for number in np.argsort(distances, kind="stable") if in_sight[number]]
     return [others[number] for number in nearest[:MOST_VEHICLES]]
+
+
+_names: WeakKeyDictionary[RoadObject, int] = WeakKeyDictionary()
+_unused_names = counter()
+
+
+def _name(car: RoadObject) -> int:
+    """Return a number that belongs to a vehicle as long as it lives."""
+    if car not in _names:
+        _names[car] = next(_unused_names)
+    return _names[car]
 
 
 def _drives(car: RoadObject) -> bool:

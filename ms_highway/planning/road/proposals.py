@@ -10,7 +10,19 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.game.road import LANES, SPACING, RoadScene, interpolate
 from ms_highway.planning.road.motion import advance, within_limits
 from ms_highway.planning.road.settings import CORNERING, RoadPlanning
-from ms_highway.planning.road.traffic import FAR, Crossings, Ways, aside, crossings, follow, on_route, wanted_speeds
+from ms_highway.planning.road.traffic import (
+    FAR,
+    ROOM,
+    Crossings,
+    Ways,
+    aside,
+    crossings,
+    follow,
+    gaps_to_robot,
+    headways,
+    on_route,
+    wanted_speeds,
+)
 
 __all__ = [
     "FULL_BRAKING",
@@ -46,10 +58,8 @@ LATE, CLOSEST, REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
 HASTE = 3.0  # m/s^2, of accelerations for the desired speed
 HURRY = 4.5  # m/s^2, of those of cars that cross others' ways, where time is short
 SLOWEST = 3.0  # m/s, below which steering is not sharper than at this speed
-SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
 PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
-ROOM = 0.4  # m, lateral, between bodies that pass
 WAITING = 1.2  # m, between the robot that waits and those who cross
 CREEPING = 3.0  # m/s, at which cars come that stand
 
@@ -172,7 +182,7 @@ def simulate(
         manners: how others move.
         plans: what the robot does.
     """
-    wanted, now = wanted_speeds(scene), jnp.asarray(scene.states)
+    wanted, headway, now = wanted_speeds(scene), headways(scene), jnp.asarray(scene.states)
     across = aside(scene, jnp.arange(1, planning.steps + 1) * jnp.asarray(planning.time_step))
     length, width = scene.size
     lengths, widths = jnp.asarray(scene.sizes).T
@@ -233,10 +243,11 @@ def simulate(
             where = on_route(ways, along, sideways)
             control = choose(plan, car, held, along, (*where, speeds))
             gap = jnp.where(led, jnp.asarray(scene.gaps) + along[leaders] - along, FAR)
-            front = car[0] + length / 2
-            before = (where[0] < front) & (jnp.abs(where[1] - car[1]) < apart) & (where[2] > SAME_WAY)
-            to_robot = jnp.where(before, front - where[0], FAR)
-            answer = jnp.minimum(follow(speeds, wanted, gap, speeds[leaders]), follow(speeds, wanted, to_robot, car[3]))
+            to_robot = gaps_to_robot(car[0] + length / 2, car[1], where, apart)
+            answer = jnp.minimum(
+                follow(speeds, wanted, gap, speeds[leaders], headway),
+                follow(speeds, wanted, to_robot, car[3], headway),
+            )
             unanswered = jnp.where(scene.moving, 0.0, -speeds)  # who has crashed slides to a stop
             acceleration = jnp.where(manners.told, told, jnp.where(manners.follows, answer, unanswered))
             acceleration = jnp.where(speeds < 0, 0.0, jnp.maximum(acceleration, -speeds / planning.time_step))
