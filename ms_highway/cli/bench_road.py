@@ -26,9 +26,10 @@ simulation [m/s^2], jerk the root mean square [m/s^3], ms the time of a decision
 
 Drivers of this package: switching, switching:LAMBDA, budget:MILLISECONDS, fixed:RUNG (naive, idm, turn, tom) and
 proposals, which refines nothing; with +traits, the desired speed and headway of each car are estimated, with +belief,
-the model that its driver follows (such as switching+traits+belief). Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps
-speed and lane; random, which chooses the environment's actions by chance; dqn, DQN of stable-baselines3 in the setting
-of highway-env's documentation (needs the extra "learning"). Drivers above 10 m/s^2 are labelled unphysical."""
+the model that its driver follows (such as switching+traits+belief). Others: idm, highway-env's IDM and MOBIL in the
+place of the ego; idle, which keeps speed and lane; random, which chooses the environment's actions by chance; dqn, DQN
+of stable-baselines3 in the setting of highway-env's documentation (needs the extra "learning"). Drivers above 10 m/s^2
+are labelled unphysical."""
 
 EXAMPLES = """\
 examples:

@@ -35,7 +35,7 @@ HEADWAY = 1.3  # s, median of the prior
 SPREAD = (0.15, 0.4)  # standard deviations of the logarithms of speed and headway in the prior
 NOISE = 0.7  # m/s^2, of accelerations around the model
 MOST_SURPRISING = 1.5  # m/s^2, up to which innovations count
-DRIFT = (0.01, 0.01)  # of the logarithms in a step, standard deviation: drivers change
+DRIFT = (0.03, 0.02)  # of the logarithms in a step, standard deviation: drivers change
 LOWEST, HIGHEST = (0.0, -1.2), (4.0, 1.4)  # logarithms of 1 m/s, 0.3 s and of 55 m/s, 4 s
 
 
