@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from roads import scene_of
 
+from ms_highway.control.drivers_seen import _update_function
 from ms_highway.control.road import RoadDriver, _look_function, _plan_function
 from ms_highway.game.road import TRAFFIC
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
@@ -19,8 +20,8 @@ BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
 PLANS = ("refined", "proposal", "last plan")
 
 
-def driver(choice=FixedRung("naive")):  # noqa: B008
-    return RoadDriver(PLANNING, choice, costs=COSTS)
+def driver(choice=FixedRung("naive"), **known):  # noqa: B008
+    return RoadDriver(PLANNING, choice, costs=COSTS, **known)
 
 
 def test_a_step_tells_what_was_planned_and_predicted():
@@ -128,3 +129,24 @@ def test_before_a_wall_of_cars_the_robot_brakes_hardest_and_says_that_no_plan_ho
     assert step.broken
     assert not step.failed
     assert step.control[1] < -0.95 * PLANNING.grip
+
+
+def test_a_driver_with_a_belief_counts_on_nobody_who_has_not_shown_that_it_makes_way():
+    steps = {belief: driver(FixedRung("tom"), belief=belief).step(SCENE) for belief in (False, True)}
+    assert steps[False].belief is None
+    assert set(steps[False].rungs[:3]) == {"tom"}
+    np.testing.assert_allclose(steps[True].belief, 1 / len(RUNGS))
+    assert set(steps[True].rungs[:3]) == {"idm"}
+
+
+def test_a_driver_with_traits_learns_them_from_step_to_step_and_compiles_once():
+    robot = driver(FixedRung("idm"), traits=True)
+    first = robot.step(SCENE)
+    slower = replace(SCENE, states=SCENE.states - np.array([0, 0, 0, 0.3], np.float32))
+    compiled = _update_function()._cache_size()
+    second = robot.step(slower)
+    assert first.traits.speed[1] == pytest.approx(0.9 * 30.0)
+    assert second.traits.speed[1] < first.traits.speed[1] - 0.5
+    assert _update_function()._cache_size() == compiled
+    robot.reset()
+    np.testing.assert_array_equal(robot.step(SCENE).traits.speed, first.traits.speed)

@@ -311,3 +311,22 @@ def test_a_policy_refuses_what_it_cannot_drive_and_says_how_to_make_it(config, m
 def test_a_policy_of_nothing_is_refused():
     with pytest.raises(ValueError, match="str is neither an environment"):
         ms_highway.RoadPolicy("highway-fast-v0")
+
+
+def test_belief_and_traits_are_told_and_shown_where_they_are_configured():
+    pictures = []
+    for config in ({}, {"belief": True, "traits": True}):
+        env = ms_highway.drive(gym.make("merge-v0", render_mode="rgb_array"), {"driver": "fixed:idm", **config})
+        env.reset(seed=0)
+        told = env.step(0)[4]["road"]
+        assert (told["belief"] is None) == (told["traits"] is None) == (not config)
+        if config:
+            present = np.array(told["rungs"]) != ""
+            np.testing.assert_allclose(told["belief"].sum(axis=1), 1.0, atol=1e-6)
+            assert (np.abs(told["belief"][present] - 0.25) > 0.01).any()
+            assert ((told["traits"].speed > 1) & (told["traits"].headway > 0.2)).all()
+            robot = env.unwrapped.vehicle
+            pictures = [env.render()]
+            robot.last_step = replace(robot.last_step, belief=None)
+            pictures.append(env.render())
+    assert (pictures[0] != pictures[1]).any()
