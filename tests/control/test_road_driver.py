@@ -145,8 +145,8 @@ def test_a_driver_with_traits_learns_them_from_step_to_step_and_compiles_once():
     slower = replace(SCENE, states=SCENE.states - np.array([0, 0, 0, 0.3], np.float32))
     compiled = _update_function()._cache_size()
     second = robot.step(slower)
-    assert first.traits.speed[1] == pytest.approx(0.9 * 30.0)
-    assert second.traits.speed[1] < first.traits.speed[1] - 0.5
+    assert first.traits.speed[1] == pytest.approx(0.75 * 30.0)
+    assert second.traits.speed[1] < first.traits.speed[1] - 0.3
     assert _update_function()._cache_size() == compiled
     robot.reset()
     np.testing.assert_array_equal(robot.step(SCENE).traits.speed, first.traits.speed)

@@ -30,7 +30,7 @@ __all__ = [
     "updated_traits",
 ]
 
-SHARE_OF_LIMIT = 0.9  # that drivers desire at least, by the prior
+SHARE_OF_LIMIT = 0.75  # that drivers desire at least, by the prior
 HEADWAY = 1.3  # s, median of the prior
 SPREAD = (0.15, 0.4)  # standard deviations of the logarithms of speed and headway in the prior
 NOISE = 0.7  # m/s^2, of accelerations around the model
