@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from roads import scene_of
 
-from ms_highway.control.drivers_seen import _update_function
+from ms_highway.control.drivers_seen import DriversSeen, _update_function
 from ms_highway.control.road import RoadDriver, _look_function, _plan_function
 from ms_highway.game.road import TRAFFIC
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
@@ -139,14 +139,17 @@ def test_a_driver_with_a_belief_counts_on_nobody_who_has_not_shown_that_it_makes
     assert set(steps[True].rungs[:3]) == {"idm"}
 
 
-def test_a_driver_with_traits_learns_them_from_step_to_step_and_compiles_once():
-    robot = driver(FixedRung("idm"), traits=True)
-    first = robot.step(SCENE)
+def test_traits_are_learned_from_step_to_step_and_compiled_once():
     slower = replace(SCENE, states=SCENE.states - np.array([0, 0, 0, 0.3], np.float32))
+    path = np.zeros((PLANNING.steps, 3), np.float32)
+    seen = DriversSeen(traits=True, time_step=0.2)
+    seen.prepare(SCENE, PLANNING.steps)
     compiled = _update_function()._cache_size()
-    second = robot.step(slower)
+    first = seen.look(SCENE)
+    seen.planned(first, path)
+    second = seen.look(slower)
     assert first.traits.speed[1] == pytest.approx(0.75 * 30.0)
     assert second.traits.speed[1] < first.traits.speed[1] - 0.3
+    seen.planned(second, path[:0])  # a plan that failed
+    np.testing.assert_array_equal(seen.look(SCENE).traits.speed, first.traits.speed)
     assert _update_function()._cache_size() == compiled
-    robot.reset()
-    np.testing.assert_array_equal(robot.step(SCENE).traits.speed, first.traits.speed)
