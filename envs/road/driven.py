@@ -46,7 +46,9 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
         env: a highway, merge, roundabout, intersection, exit, two-way, u-turn or racetrack environment.
         config: any of these keys, see `ms_highway.envs.road.settings.RoadSettings`: ``driver`` (``"switching"`` by
             default; ``"fixed:naive"``, ``"proposals"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
-            ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder`` and ``costs``.
+            ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs``,
+            ``traits`` (whether each driver's desired speed and headway are estimated) and ``belief`` (whether the robot
+            infers which model each driver follows).
 
     Returns:
         The environment, driven.
@@ -83,6 +85,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
 
     * ``rungs``, ``gains``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``,
       ``compile_seconds`` of the last plan, see `ms_highway.control.road.RoadStep`;
+    * ``traits``, ``belief``: what is known of the driver on each path then, None if that is not configured;
     * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then;
     * ``rung_counts``: how many cars each rung predicted, summed over these plans;
     * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
@@ -158,6 +161,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             "planning_seconds": last.planning_seconds if last else 0.0,
             "decision_seconds": last.decision_seconds if last else 0.0,
             "compile_seconds": last.compile_seconds if last else 0.0,
+            "traits": last and last.traits,
+            "belief": last and last.belief,
             "decisions": [step.planning_seconds + step.decision_seconds for step in robot.steps],
             "sources": [step.source for step in robot.steps],
             "rung_counts": Counter(rung for step in robot.steps for rung in step.rungs if rung),

@@ -1,4 +1,4 @@
-"""Show what the robot thinks on a stock environment's picture: plan, predictions, rungs, and a line of text below."""
+"""Show on a stock environment's picture what the robot thinks: plan, predictions, rungs, belief; and a line of text."""
 
 from collections import Counter
 from operator import itemgetter
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pygame
+from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Float
 
 from ms_highway.control.road import RoadStep
@@ -15,6 +16,7 @@ from ms_highway.planning.road.settings import RUNGS
 __all__ = ["RoadViewer", "show"]
 
 PANEL, SIZE, GAP = 24, 13, 10  # px: height of the line of text, of its letters, and between its parts
+BAR, BARS = 4, 14  # px: width and height of a bar of probability 1
 NEAR = 8.0  # m, within which a prediction begins from the car that it is of
 
 
@@ -66,16 +68,32 @@ class RoadViewer(Viewer):
         dearest_last = sorted(filter(itemgetter(0), thoughts), key=lambda thought: RUNGS.index(thought[0]))
         for rung, path in dearest_last:  # so that a car with several paths has the colour of the dearest
             color = model_color(rung)
-            distances = [float(np.linalg.norm(car.position - path[0])) for car in others]
-            if min(distances, default=NEAR) < NEAR:
-                body = others[int(np.argmin(distances))].polygon()
-                pygame.draw.polygon(self.sim_surface, color, [self._place(corner) for corner in body])
+            car = _car_of(path, others)
+            if car is not None:
+                pygame.draw.polygon(self.sim_surface, color, [self._place(corner) for corner in car.polygon()])
             for point in path[1::2]:
                 pygame.draw.circle(self.sim_surface, PAPER, self._place(point), 3)
                 pygame.draw.circle(self.sim_surface, color, self._place(point), 2)
         line = [self.env.vehicle.position, *np.asarray(step.path, dtype=float)[:, :2]]
         for color, width in ((PAPER, 4), (INK, 2)) if len(line) > 1 else ():
             pygame.draw.lines(self.sim_surface, color, False, [self._place(point) for point in line], width)
+
+        if step.belief is not None:
+            self._believe(step, step.belief, others)
+
+    def _believe(self, step: RoadStep, belief: Float[np.ndarray, "traffic models"], others: list[Vehicle]) -> None:
+        """Draw the probability of each model as a bar on the car that it is of, in the colours of the rungs."""
+        for path, rung, probabilities in zip(step.predictions, step.rungs, belief.tolist(), strict=True):
+            car = _car_of(np.asarray(path, dtype=float), others) if rung else None
+            if car is None:
+                continue
+            x, y = self._place(car.position)
+            left, width = x - len(RUNGS) * BAR // 2, len(RUNGS) * BAR
+            pygame.draw.rect(self.sim_surface, PAPER, (left - 1, y - BARS - 1, width + 2, BARS + 2))
+            for number, probability in enumerate(probabilities):
+                height = round(BARS * probability)
+                bar = (left + BAR * number, y - height, BAR, height)
+                pygame.draw.rect(self.sim_surface, model_color(RUNGS[number]), bar)
 
     def _place(self, point: Float[np.ndarray, "2"]) -> tuple[int, int]:
         x, y = self.sim_surface.vec2pix(point)
@@ -102,3 +120,9 @@ class RoadViewer(Viewer):
         label = words(text, SIZE, color)
         self.picture.blit(label, label.get_rect(midleft=(place, self.picture.get_height() - PANEL // 2)))
         return place + label.get_width() + GAP
+
+
+def _car_of(path: Float[np.ndarray, "steps 2"], cars: list[Vehicle]) -> Vehicle | None:
+    """Return the car whose prediction a path is, None where there is none near its begin."""
+    distances = [float(np.linalg.norm(car.position - path[0])) for car in cars]
+    return cars[int(np.argmin(distances))] if min(distances, default=NEAR) < NEAR else None

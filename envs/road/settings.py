@@ -33,6 +33,9 @@ class RoadSettings:
         desired_speed: [m/s]; None for what the scene rewards.
         acceleration: total acceleration at most [m/s^2].
         curvature: of the path at most [1/m].
+        traits: whether the desired speed and time headway of each driver are estimated while driving, and used.
+        belief: whether the robot infers which model each driver follows, and counts on a yield only of those who have
+            shown one: for others, tom falls back to idm.
     """
 
     driver: str = "switching"
@@ -43,6 +46,8 @@ class RoadSettings:
     desired_speed: float | None = None
     acceleration: float = 5.0
     curvature: float = 0.2
+    traits: bool = False
+    belief: bool = False
 
     def __post_init__(self) -> None:
         for name in ("price", "budget", "desired_speed", "acceleration", "curvature"):
@@ -52,6 +57,9 @@ class RoadSettings:
             if not is_number(value) or value < 0 or (value == 0 and name != "price"):
                 least = "from 0" if name == "price" else "above 0"
                 raise ValueError(f"config[{name!r}] is {value!r}; it must be a number {least} to {LARGEST:.2g}")
+        for name in ("traits", "belief"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"config[{name!r}] is {getattr(self, name)!r}; it must be True or False")
         if self.costs is not None:
             if not isinstance(self.costs, Mapping):
                 raise ValueError(
@@ -126,7 +134,8 @@ class RoadSettings:
         costs = None
         if self.costs is not None:
             costs = RoadCosts(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in RUNGS]))
-        return RoadDriver(planning, self.choice(), refines=self.driver != "proposals", costs=costs)
+        refines = self.driver != "proposals"
+        return RoadDriver(planning, self.choice(), refines, costs=costs, traits=self.traits, belief=self.belief)
 
 
 def _number(text: str, part: str, wanted: str) -> float:

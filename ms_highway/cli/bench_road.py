@@ -25,9 +25,11 @@ it was rear-ended in a lane that it had kept for a second. |a| is the largest ac
 simulation [m/s^2], jerk the root mean square [m/s^3], ms the time of a decision, without compilation.
 
 Drivers of this package: switching, switching:LAMBDA, budget:MILLISECONDS, fixed:RUNG (naive, idm, turn, tom) and
-proposals, which refines nothing. Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps
-speed and lane; random, which chooses the environment's actions by chance; dqn, DQN of stable-baselines3 in the setting
-of highway-env's documentation (needs the extra "learning"). Drivers above 10 m/s^2 are labelled unphysical."""
+proposals, which refines nothing; with +traits, the desired speed and headway of each car are estimated, with +belief,
+the model that its driver follows (such as switching+traits+belief). Others: idm, highway-env's IDM and MOBIL in the
+place of the ego; idle, which keeps speed and lane; random, which chooses the environment's actions by chance; dqn, DQN
+of stable-baselines3 in the setting of highway-env's documentation (needs the extra "learning"). Drivers above 10 m/s^2
+are labelled unphysical."""
 
 EXAMPLES = """\
 examples:
@@ -35,7 +37,7 @@ examples:
   ms-highway bench road --seeds 100 --seed 1000 --json road.json --log road.csv
   ms-highway bench road roundabout --drivers switching fixed:naive --traffic commuter --films films"""
 
-TRAFFIC_NAMES = ("idm", "commuter")
+TRAFFIC_NAMES = ("idm", "commuter", "unyielding")
 """The names of `ms_highway.benchmarks.road.episodes.TRAFFIC`; listed here so that help needs no JAX."""
 
 
@@ -51,7 +53,10 @@ def add_bench_road(bench: Command) -> None:
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="episodes of each (default: 20)")
     parser.add_argument("--seed", type=int, default=0, metavar="FIRST", help="of the first episode (default: 0)")
     parser.add_argument(
-        "--traffic", choices=TRAFFIC_NAMES, default="idm", help="highway-env's IDM (default), or learned commuters"
+        "--traffic",
+        choices=TRAFFIC_NAMES,
+        default="idm",
+        help="highway-env's IDM (default), learned commuters, or IDM that never yields to the ego",
     )
     parser.add_argument("--jobs", type=int, metavar="N", help="processes at once (default: number of cores)")
     parser.add_argument("--dqn-steps", type=int, default=20_000, metavar="N", help="of training (default: 20000)")

@@ -1,6 +1,6 @@
 """Drive on a road: choose how to predict each car, plan, and fall back where a plan is none."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from time import perf_counter
 
@@ -9,11 +9,14 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.game.road import TRAFFIC, RoadScene
+from ms_highway.control.drivers_seen import DriversSeen
+from ms_highway.game.road import TRAFFIC, RoadScene, Traits
 from ms_highway.metareasoning.road import RoadCosts, RungChoice
+from ms_highway.metareasoning.road_belief import counted_on
 from ms_highway.planning.road.plan import (
     LAST_PLAN,
     REFINED,
+    TOM,
     Memory,
     RoadPlan,
     first_memory,
@@ -52,6 +55,8 @@ class RoadStep:
         source: what drives: ``refined``, ``proposal``, ``last plan`` or ``braking``.
         broken: whether the best plan breaks a constraint: it hits somebody, leaves the road or lacks the room to stop.
         failed: whether the plan is not finite, so that the last plan or, without one, braking drives.
+        traits: estimated of the driver on each path, None if they are not.
+        belief: probability of each of `RUNGS` for the driver on each path, None if none is kept.
     """
 
     control: Float[np.ndarray, "2"]
@@ -66,6 +71,8 @@ class RoadStep:
     source: str
     broken: bool = False
     failed: bool = False
+    traits: Traits | None = None
+    belief: Float[np.ndarray, "traffic models"] | None = None
 
 
 @cache
@@ -94,6 +101,9 @@ class RoadDriver:
         refines: whether the best proposal is refined.
         weights: what counts.
         costs: of models; measured in the first step with others by default.
+        traits: whether desired speeds and headways of others are estimated, and used to predict them.
+        belief: whether the robot infers which model each driver follows, and counts on a yield only of those who have
+            shown one.
     """
 
     def __init__(
@@ -103,33 +113,50 @@ class RoadDriver:
         refines: bool = True,
         weights: RoadWeights | None = None,
         costs: RoadCosts | None = None,
+        traits: bool = False,
+        belief: bool = False,
     ) -> None:
         self.planning, self.choice, self.refines = planning, choice, refines
         self.weights = weights or RoadWeights()
         self.costs = costs
+        self.traits, self.belief = traits, belief
         self.reset()
 
     def reset(self) -> None:
         """Forget the last plan, before a new episode."""
         self._memory = first_memory(self.planning)
         self._left = 0  # controls of the last plan that are left
+        self._seen = DriversSeen(self.traits, float(self.planning.time_step))
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Return what to do now."""
         refuse_after_fork()
-        begin = perf_counter()
+        begin, looking = perf_counter(), 0.0
+        if self.traits or self.belief:
+            if self._left == 0:
+                self._seen.prepare(scene, self.planning.steps)
+            start = perf_counter()
+            scene = self._seen.look(scene)
+            looking = perf_counter() - start
+        belief = self._seen.belief if self.belief else None
         costs = self._prepared(scene)
-        compiling = perf_counter() - begin
+        compiling = perf_counter() - begin - looking
         start = perf_counter()
         gains = np.zeros(TRAFFIC, np.float32)
         if self.choice.looks:
             gains = np.asarray(_look_function()(scene, self.planning, self.weights, self._memory))
-        deciding = perf_counter() - start
+        if belief is not None:
+            gains = gains * belief[:, TOM]
+        deciding = looking + perf_counter() - start
         rungs = np.where(scene.moving & scene.present, self.choice.choose(gains, costs, deciding), 0)
-        deciding = perf_counter() - start
+        if belief is not None:
+            rungs = counted_on(rungs, belief)
+        deciding = looking + perf_counter() - start
         plan, seconds = self._planned(scene, rungs.astype(np.int32))
         plan = jax.tree.map(np.asarray, plan)
-        return self._taken(scene, plan, rungs, gains, seconds, deciding, compiling)
+        step = self._taken(scene, plan, rungs, gains, seconds, deciding, compiling)
+        self._seen.planned(scene, step.path)
+        return replace(step, traits=scene.traits, belief=belief)
 
     def _planned(self, scene: RoadScene, rungs: Int[np.ndarray, "traffic"]) -> tuple[RoadPlan, float]:
         return timed(_plan_function(self.refines), scene, self.planning, self.weights, rungs, self._memory)

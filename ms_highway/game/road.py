@@ -5,6 +5,8 @@ relative to the path. World coordinates are highway-env's: y points to the right
 """
 
 from dataclasses import dataclass
+from math import pi
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -22,10 +24,14 @@ __all__ = [
     "TRAFFIC_KNOTS",
     "Path",
     "RoadScene",
+    "Traits",
     "interpolate",
     "place",
     "project",
+    "wrapped",
 ]
+
+Angle = TypeVar("Angle", float, np.ndarray, jax.Array)
 
 SPACING = 2.0
 """Distance between knots of a path [m]."""
@@ -60,6 +66,18 @@ class Path:
     curvature: Float[Array, "*paths knots"]
 
 
+class Traits(NamedTuple):
+    """What the drivers of others are like.
+
+    Attributes:
+        speed: that they desire [m/s].
+        headway: time gap that they desire [s].
+    """
+
+    speed: Float[Array, "traffic"]
+    headway: Float[Array, "traffic"]
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RoadScene:
@@ -84,8 +102,10 @@ class RoadScene:
         leaders: place of the car ahead of each other car on its path, -1 without one.
         gaps: distance of centres to that car [m].
         owners: number of the car that each path belongs to, in the order of distance; -1 where none does.
+        names: number of the car that each path belongs to, the same as long as the car lives; -1 where none does.
         moving: which of the others can move; obstacles cannot.
         priority: which of the others the robot has to give way to where their ways cross.
+        traits: of the drivers of others, None where nothing is known of them.
     """
 
     route: Path
@@ -106,8 +126,15 @@ class RoadScene:
     leaders: Int[Array, "traffic"]
     gaps: Float[Array, "traffic"]
     owners: Int[Array, "traffic"]
+    names: Int[Array, "traffic"]
     moving: Bool[Array, "traffic"]
     priority: Bool[Array, "traffic"]
+    traits: Traits | None = None
+
+
+def wrapped(angle: Angle) -> Angle:
+    """Return an angle in [-pi, pi)."""
+    return (angle + pi) % (2 * pi) - pi
 
 
 def interpolate(values: Float[Array, "knots"], s: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
@@ -150,7 +177,7 @@ def project(
         bend = jnp.where((s > -BEHIND) & (s < last), interpolate(path.curvature, s), 0.0)
         s = s + ahead / jnp.maximum(1 - aside * bend, 0.2)
     _, d, along = _offset(path, s, x, y)
-    return s, d, (heading - along + np.pi) % (2 * np.pi) - np.pi
+    return s, d, wrapped(heading - along)
 
 
 def _offset(

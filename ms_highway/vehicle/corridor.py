@@ -8,11 +8,10 @@ from scipy.spatial import cKDTree
 
 from ms_highway.game.road import LANES
 from ms_highway.vehicle.lane_paths import FINE, Curve, samples
-from ms_highway.vehicle.road_map import BLOCK, Chain, Goal, LaneIndex, RoadMap
+from ms_highway.vehicle.road_map import BLOCK, LIMIT, Chain, Goal, LaneIndex, RoadMap
 
 __all__ = ["Corridor", "corridor"]
 
-DEFAULT_LIMIT = 20.0  # m/s, where a lane has none
 AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
 BEYOND = 3.0  # m, up to which a lane is taken to go straight on
 NEARBY = 2.0  # widths of a lane, up to which a lane that leads elsewhere can be changed to
@@ -97,7 +96,7 @@ def _measure(roads: RoadMap, curve: Curve, chain: Chain, goal: Goal) -> Corridor
     ways = curve.samples[4]
     count = ways.size
     lanes, is_open = np.zeros((LANES, count)), np.zeros((LANES, count), dtype=bool)
-    edges, limit = np.zeros((2, count)), np.full(count, DEFAULT_LIMIT)
+    edges, limit = np.zeros((2, count)), np.full(count, LIMIT)
     sections = _sections(roads, chain, goal, ways[-1])
     for number, section in enumerate(sections):
         low = 0 if number == 0 else int(np.searchsorted(ways, section.low))
@@ -121,7 +120,7 @@ def _measure(roads: RoadMap, curve: Curve, chain: Chain, goal: Goal) -> Corridor
         edges[0, here] = np.min(found, axis=0) - width / 2
         edges[1, here] = np.max(found, axis=0) + width / 2
         reference = own or section.lanes[0] or section.lanes[2] or chain[-1]
-        limit[here] = roads.lanes[reference].speed_limit or DEFAULT_LIMIT
+        limit[here] = roads.limit(reference)
     return Corridor(curve, _bridged(lanes), is_open, _bridged(edges), limit)
 
 

@@ -6,7 +6,6 @@ Lanes need not meet where one follows the other, and their curvature jumps there
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from math import pi
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, StraightLane
@@ -14,9 +13,9 @@ from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter1d
 
-from ms_highway.game.road import BEHIND, SPACING, Path
+from ms_highway.game.road import BEHIND, SPACING, Path, wrapped
 
-__all__ = ["FINE", "Curve", "join_lanes", "samples", "starts_of", "wrapped"]
+__all__ = ["FINE", "Curve", "join_lanes", "samples", "starts_of"]
 
 FINE = 0.5
 """Distance between samples of curves [m]."""
@@ -78,16 +77,11 @@ class Curve:
         step = ahead / max(1 - bend * aside, 0.2)
         s = (low + nearest) * FINE + step
         d = aside - bend * ahead * step / 2
-        return float(s), float(d), wrapped(heading - along - bend * step)
+        return float(s), float(d), float(wrapped(heading - along - bend * step))
 
     def way(self, s: float) -> float:
         """Return the way at a distance from the curve's beginning [m]."""
         return float(np.interp(s, FINE * np.arange(self.samples.shape[1]), self.samples[4]))
-
-
-def wrapped(angle: float) -> float:
-    """Return an angle between -pi and pi."""
-    return float((angle + pi) % (2 * pi) - pi)
 
 
 def starts_of(lanes: Sequence[AbstractLane]) -> list[float]:

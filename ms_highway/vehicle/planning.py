@@ -18,7 +18,7 @@ from ms_highway.game.game import Game
 from ms_highway.game.neighbours import far_behind, headways
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
 from ms_highway.vehicle.bicycle import BicycleVehicle
-from ms_highway.vehicle.road_view import RoadView, Route, along_route, look, remaining_route, states_of
+from ms_highway.vehicle.road_view import RoadView, Route, at_constant_speed, look, states_of
 
 __all__ = ["PlanningVehicle", "RobotVehicle"]
 
@@ -197,12 +197,8 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
     def predict_trajectory_constant_speed(
         self, times: Float[np.ndarray, "times"]
     ) -> tuple[list[Float[np.ndarray, "2"]], list[float]]:
-        """Predict positions and headings at times from now [s], at constant speed in its lane and along its route."""
-        index, network = self.lane_index, self.road.network
-        place, _ = network.get_lane(index).local_coordinates(self.position)
-        return along_route(
-            network, remaining_route(self.route or [index], index), index, place + self.speed * np.asarray(times)
-        )
+        """See `ms_highway.vehicle.road_view.at_constant_speed`."""
+        return at_constant_speed(self, times)
 
     def on_state_update(self) -> None:
         """Update the lane that it is on."""

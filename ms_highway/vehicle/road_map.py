@@ -1,17 +1,19 @@
 """Find which lanes follow which in a highway-env network, keeping what has been computed."""
 
+from bisect import bisect_right
 from collections.abc import Hashable, Mapping
 from functools import cache, cached_property
-from math import cos, inf, pi, sin
+from math import cos, inf, sin
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import RoadNetwork
 
+from ms_highway.game.road import wrapped
 from ms_highway.vehicle.lane_paths import Curve, join_lanes, starts_of
 
-__all__ = ["Chain", "Goal", "LaneIndex", "RoadMap", "road_map"]
+__all__ = ["LIMIT", "Chain", "Goal", "LaneIndex", "RoadMap", "road_map"]
 
 LaneIndex: TypeAlias = tuple[str, str, int]
 Chain: TypeAlias = tuple[LaneIndex, ...]
@@ -19,6 +21,9 @@ Chain: TypeAlias = tuple[LaneIndex, ...]
 
 Goal: TypeAlias = str | tuple[tuple[str, str], ...] | None
 """A node to reach, or roads to follow where they begin, or none."""
+
+LIMIT = 20.0
+"""Speed limit where a lane has none [m/s]."""
 
 REACH = 0.5  # widths of a lane, sideways at a joint, up to which a lane leads to the next
 BRIDGED = 10.0  # m, along the lane at a joint
@@ -69,6 +74,10 @@ class RoadMap:
         """Return whether changes to a lane are forbidden."""
         return bool(self.lanes[index].forbidden)
 
+    def limit(self, index: LaneIndex) -> float:
+        """Return the speed limit of a lane [m/s]."""
+        return float(self.lanes[index].speed_limit or LIMIT)
+
     def _joint(self, index: LaneIndex, following: LaneIndex) -> tuple[float, float]:
         """Return how far a lane begins beside the end of another, in widths, and how unevenly it continues it [m].
 
@@ -77,11 +86,11 @@ class RoadMap:
         one, other = self.lanes[index], self.lanes[following]
         x, y = other.position(0.0, 0.0) - one.position(one.length, 0.0)
         before = one.heading_at(one.length)
-        turn = (other.heading_at(0.0) - before + pi) % (2 * pi) - pi
+        turn = wrapped(other.heading_at(0.0) - before)
         mean = before + turn / 2
         aside = abs(cos(mean) * y - sin(mean) * x)
         aside += max(abs(cos(mean) * x + sin(mean) * y) - BRIDGED, 0.0) + (inf if abs(turn) > SHARPEST_TURN else 0.0)
-        later = (other.heading_at(min(other.length, BRIDGED)) - before + pi) % (2 * pi) - pi
+        later = wrapped(other.heading_at(min(other.length, BRIDGED)) - before)
         return aside / float(one.width_at(one.length)), aside + TURN * (abs(turn) + abs(later) / 10)
 
     def _following(self, index: LaneIndex, reach: float = REACH) -> Chain:
@@ -184,6 +193,10 @@ class RoadMap:
     def _starts(self, chain: Chain) -> list[float]:
         """Return the way along a chain at which each of its lanes begins, and its end [m]."""
         return starts_of([self.lanes[index] for index in chain])
+
+    def leg(self, chain: Chain, way: float) -> int:
+        """Return the number of the lane of a chain at a way [m]."""
+        return min(max(bisect_right(self.starts(chain), way) - 1, 0), len(chain) - 1)
 
     def curve(self, chain: Chain, way: float) -> Curve:
         """Return the curve along a chain near a way [m]."""

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from ms_highway.control.road import RoadDriver, RoadStep
 from ms_highway.game.road import RoadScene
 from ms_highway.vehicle.road_scene import observe_road
-from ms_highway.vehicle.road_view import along_route, remaining_route
+from ms_highway.vehicle.road_view import at_constant_speed
 
 __all__ = ["GRIP", "MARGIN", "PERIOD", "Motion", "RoadRobot", "held", "steering_of"]
 
@@ -223,9 +223,5 @@ class RoadRobot(Vehicle):
     def predict_trajectory_constant_speed(
         self, times: Float[np.ndarray, "times"]
     ) -> tuple[list[Float[np.ndarray, "2"]], list[float]]:
-        """Predict positions and headings at times from now [s], at constant speed in its lane and along its route."""
-        index, network = self.lane_index, self.road.network
-        place, _ = network.get_lane(index).local_coordinates(self.position)
-        return along_route(
-            network, remaining_route(self.route or [index], index), index, place + self.speed * np.asarray(times)
-        )
+        """See `ms_highway.vehicle.road_view.at_constant_speed`."""
+        return at_constant_speed(self, times)

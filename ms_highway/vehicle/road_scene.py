@@ -30,11 +30,6 @@ class _Ride:
     chain: Chain
     way: float
 
-    def leg(self, way: float) -> int:
-        """Return the number of the lane at a way."""
-        number = int(np.searchsorted(self.roads.starts(self.chain), way, side="right")) - 1
-        return min(max(number, 0), len(self.chain) - 1)
-
 
 _rides: WeakKeyDictionary[Vehicle, _Ride] = WeakKeyDictionary()
 
@@ -60,7 +55,7 @@ def observe_road(
     s, d, heading = around.curve.project(rear, vehicle.heading, ride.way)
     route = around.curve.path(s, KNOTS)
     lanes, is_open, edges, limit = around.at(s - BEHIND + SPACING * np.arange(KNOTS))
-    starts, own = roads.starts(ride.chain), ride.leg(ride.way + vehicle.LENGTH / 2)
+    starts, own = roads.starts(ride.chain), roads.leg(ride.chain, ride.way + vehicle.LENGTH / 2)
     changes, room = _changes(roads, ride.chain[own], goal, ride.way + vehicle.LENGTH / 2 - starts[own])
     others = traffic_of(vehicle, roads, route, ride.chain, ride.way)
     return RoadScene(
@@ -87,7 +82,7 @@ def _ride(vehicle: Vehicle, rear: Float[np.ndarray, "2"], roads: RoadMap, goal: 
     s, _, _ = curve.project(rear, vehicle.heading, ride.way)
     way = curve.way(s)
     _, d, heading = curve.project(vehicle.position, vehicle.heading, way)
-    leg = ride.leg(way + vehicle.LENGTH / 2)
+    leg = roads.leg(ride.chain, way + vehicle.LENGTH / 2)
     near = ride.chain[max(leg - 1, 0) : leg + 2]
     index = vehicle.lane_index
     if index not in near:
@@ -97,7 +92,7 @@ def _ride(vehicle: Vehicle, rear: Float[np.ndarray, "2"], roads: RoadMap, goal: 
     starts = roads.starts(ride.chain)
     if starts[-1] - way > NEEDED:
         return _Ride(roads, goal, ride.chain, way)
-    first = ride.leg(way - KEPT_BEHIND)
+    first = roads.leg(ride.chain, way - KEPT_BEHIND)
     chain = ride.chain[first:leg] + roads.ahead(ride.chain[leg], goal, PLANNED + way - starts[leg])
     return _Ride(roads, goal, chain, way - starts[first])
 

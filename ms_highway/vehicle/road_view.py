@@ -5,8 +5,8 @@ Views have arrays of the same shapes for all roads and any number of vehicles, s
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import dist, pi
-from typing import TypeAlias, TypeVar
+from math import dist
+from typing import TypeAlias
 
 import numpy as np
 from highway_env.road.lane import AbstractLane
@@ -16,6 +16,7 @@ from highway_env.vehicle.objects import Landmark, RoadObject
 from jaxtyping import Float
 
 from ms_highway.game.neighbours import FAR_AWAY, neighbours, places
+from ms_highway.game.road import wrapped
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
 from ms_highway.game.scene import Scene
 
@@ -25,13 +26,13 @@ __all__ = [
     "RoadView",
     "Route",
     "along_route",
+    "at_constant_speed",
     "followed_lane",
     "look",
     "remaining_route",
     "states_of",
 ]
 
-Number = TypeVar("Number", float, np.ndarray)
 LaneIndex: TypeAlias = tuple[str, str, int]
 Route: TypeAlias = list[tuple[str, str, int | None]]
 """Roads to follow in order, as in highway-env's vehicles; the lane of a road may be None."""
@@ -122,7 +123,7 @@ def look(driver: Vehicle, route: Route | None = None) -> RoadView:
         corner=0.5,
         target_lane=nearest[0] if left[0][2] is None else centres[left[0][2]],
         length_unit=PAPER_UNIT,
-        bend=_wrapped(lane.heading_at(place + ahead) - lane.heading_at(place)) / ahead,
+        bend=wrapped(lane.heading_at(place + ahead) - lane.heading_at(place)) / ahead,
     )
     return RoadView(
         scene,
@@ -169,6 +170,16 @@ def along_route(
     return positions, headings
 
 
+def at_constant_speed(
+    vehicle: Vehicle, times: Float[np.ndarray, "times"]
+) -> tuple[list[Float[np.ndarray, "2"]], list[float]]:
+    """Predict positions and headings of a vehicle at times from now [s], at constant speed along its lane and route."""
+    index, network = vehicle.lane_index, vehicle.road.network
+    place, _ = network.get_lane(index).local_coordinates(vehicle.position)
+    route = remaining_route(vehicle.route or [index], index)
+    return along_route(network, route, index, place + vehicle.speed * np.asarray(times))
+
+
 def _bend_limit(network: RoadNetwork, route: Route, index: LaneIndex, place: float) -> float:
     """Return the highest speed [m/s] from which moderate braking suffices for all bends ahead.
 
@@ -179,7 +190,7 @@ def _bend_limit(network: RoadNetwork, route: Route, index: LaneIndex, place: flo
         place: position along that lane [m].
     """
     _, headings = along_route(network, route, index, place + BENDS_SPACING * np.arange(BENDS_SEEN + 1))
-    bends = np.maximum(np.abs(_wrapped(np.diff(headings))) / BENDS_SPACING, STRAIGHT)
+    bends = np.maximum(np.abs(wrapped(np.diff(headings))) / BENDS_SPACING, STRAIGHT)
     ahead = BENDS_SPACING * np.arange(BENDS_SEEN)
     return float(np.sqrt(np.maximum(CORNERING / bends, SLOWEST**2) + 2 * SLOWING * ahead).min())
 
@@ -193,16 +204,12 @@ def followed_lane(driver: Vehicle, route: Route | None) -> LaneIndex:
     return min(lanes, key=lambda index: network.get_lane(index).distance_with_heading(driver.position, driver.heading))
 
 
-def _wrapped(angle: Number) -> Number:
-    return (angle + pi) % (2 * pi) - pi
-
-
 def _straightened(lane: AbstractLane, place: float, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars 4"]:
     """Transform states of cars from highway-env's coordinates to those of a lane, with x from ``place`` on."""
     straight = []
     for *position, heading, speed in states:
         x, y = lane.local_coordinates(np.array(position))
-        straight.append((x - place, y, _wrapped(heading - lane.heading_at(x)), speed))
+        straight.append((x - place, y, wrapped(heading - lane.heading_at(x)), speed))
     return np.array(straight, dtype=float)
 
 

@@ -1,17 +1,18 @@
 """Find the ways that other vehicles may take, and who follows whom and who gives way on them."""
 
 from dataclasses import dataclass
+from itertools import count as counter
 from itertools import pairwise
 from math import sin
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.road import BEHIND, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path
-from ms_highway.vehicle.lane_paths import wrapped
-from ms_highway.vehicle.road_map import Chain, LaneIndex, RoadMap
+from ms_highway.game.road import BEHIND, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path, wrapped
+from ms_highway.vehicle.road_map import LIMIT, Chain, LaneIndex, RoadMap
 
 __all__ = ["Traffic", "Way", "traffic_of"]
 
@@ -27,7 +28,6 @@ JOINED = 5.0  # m after a joint, up to which a vehicle still has the right of wa
 NO_GAP = 1e3  # m, without a leader
 FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
-LIMIT = 20.0  # m/s, where a lane has no limit
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,7 @@ class Traffic:
     leaders: Int[np.ndarray, "traffic"]
     gaps: Float[np.ndarray, "traffic"]
     owners: Int[np.ndarray, "traffic"]
+    names: Int[np.ndarray, "traffic"]
     moving: Bool[np.ndarray, "traffic"]
     priority: Bool[np.ndarray, "traffic"]
 
@@ -79,23 +80,19 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, chain: Chain, way:
     present = np.arange(TRAFFIC) < count
     stacked = Path(*(np.stack([getattr(path, name) for path in paths]) for name in ("x", "y", "heading", "curvature")))
     leaders, gaps = _leaders(stacked, cars, owners)
-    starts = roads.starts(chain)
-    robot = _Progress(chain, starts, way)
     priority = [
-        _gives_way(roads, robot, ways[number], conflicts[number]) and _drives(ways[number].car) for number in order
+        _gives_way(roads, chain, way, ways[number], conflicts[number]) and _drives(ways[number].car) for number in order
     ]
     return Traffic(
         paths=stacked,
         states=np.array([drawn[number][1] for number in order] + [(0.0,) * 4] * unused, dtype=np.float32),
         sizes=np.array([(car.LENGTH, car.WIDTH) for car in cars] + [(5.0, 2.0)] * unused, dtype=np.float32),
         present=present,
-        limits=np.array(
-            [roads.lanes[ways[number].chain[0]].speed_limit or LIMIT for number in order] + [LIMIT] * unused,
-            dtype=np.float32,
-        ),
+        limits=np.array([roads.limit(ways[number].chain[0]) for number in order] + [LIMIT] * unused, dtype=np.float32),
         leaders=leaders,
         gaps=gaps,
         owners=owners,
+        names=np.array([_name(car) for car in cars] + [-1] * unused, dtype=np.int32),
         moving=np.array([_drives(car) for car in cars] + [False] * unused),
         priority=np.array(priority + [False] * unused),
     )
@@ -112,6 +109,17 @@ def _seen(vehicle: Vehicle) -> list[RoadObject]:
     in_sight = distances < np.where(delta @ vehicle.direction > 0, AHEAD, BEHIND_SIGHT)
     nearest = [number for number in np.argsort(distances, kind="stable") if in_sight[number]]
     return [others[number] for number in nearest[:MOST_VEHICLES]]
+
+
+_names: WeakKeyDictionary[RoadObject, int] = WeakKeyDictionary()
+_unused_names = counter()
+
+
+def _name(car: RoadObject) -> int:
+    """Return a number that belongs to a vehicle as long as it lives."""
+    if car not in _names:
+        _names[car] = next(_unused_names)
+    return _names[car]
 
 
 def _drives(car: RoadObject) -> bool:
@@ -198,22 +206,8 @@ def _conflict(path: Path, route: Path) -> tuple[float, float, float] | None:
     return first * EVERY * SPACING, on_route * EVERY * SPACING, float(distances[first, on_route])
 
 
-@dataclass(frozen=True)
-class _Progress:
-    """How far along a chain of lanes a vehicle is."""
-
-    chain: Chain
-    starts: list[float]
-    way: float
-
-    def leg(self, ahead: float = 0.0) -> int:
-        """Return the number of the lane some metres ahead."""
-        number = int(np.searchsorted(self.starts, self.way + ahead, side="right")) - 1
-        return min(max(number, 0), len(self.chain) - 1)
-
-
-def _gives_way(roads: RoadMap, robot: _Progress, way: Way, conflict: tuple[float, float, float] | None) -> bool:
-    """Return whether the robot has to give way to a vehicle.
+def _gives_way(roads: RoadMap, chain: Chain, at: float, way: Way, conflict: tuple[float, float, float] | None) -> bool:
+    """Return whether the robot, at a way along a chain of lanes, has to give way to a vehicle.
 
     It has to
 
@@ -224,14 +218,14 @@ def _gives_way(roads: RoadMap, robot: _Progress, way: Way, conflict: tuple[float
     """
     if conflict is None or conflict[2] > CROSSING:
         return False
-    other = _Progress(way.chain, roads.starts(way.chain), way.place)
-    until, mine_until = other.leg(conflict[0]), robot.leg(conflict[1])
+    until = roads.leg(way.chain, way.place + conflict[0])
+    here, mine_until = roads.leg(chain, at), roads.leg(chain, at + conflict[1])
     theirs = min(_priority(roads, index) for index in way.chain[: until + 1])
-    mine = min(_priority(roads, index) for index in robot.chain[robot.leg() : mine_until + 1])
+    mine = min(_priority(roads, index) for index in chain[here : mine_until + 1])
     if theirs != mine:
         return theirs > mine
     meeting = way.chain[: until + 2]
-    for before, lane in pairwise(robot.chain[robot.leg() :]):
+    for before, lane in pairwise(chain[here:]):
         if lane in meeting:
             if roads.continues_best(before, lane):
                 return False

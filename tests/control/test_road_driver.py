@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from roads import scene_of
 
+from ms_highway.control.drivers_seen import DriversSeen, _update_function
 from ms_highway.control.road import RoadDriver, _look_function, _plan_function
 from ms_highway.game.road import TRAFFIC
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
@@ -19,8 +20,8 @@ BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
 PLANS = ("refined", "proposal", "last plan")
 
 
-def driver(choice=FixedRung("naive")):  # noqa: B008
-    return RoadDriver(PLANNING, choice, costs=COSTS)
+def driver(choice=FixedRung("naive"), **known):  # noqa: B008
+    return RoadDriver(PLANNING, choice, costs=COSTS, **known)
 
 
 def test_a_step_tells_what_was_planned_and_predicted():
@@ -128,3 +129,27 @@ def test_before_a_wall_of_cars_the_robot_brakes_hardest_and_says_that_no_plan_ho
     assert step.broken
     assert not step.failed
     assert step.control[1] < -0.95 * PLANNING.grip
+
+
+def test_a_driver_with_a_belief_counts_on_nobody_who_has_not_shown_that_it_makes_way():
+    steps = {belief: driver(FixedRung("tom"), belief=belief).step(SCENE) for belief in (False, True)}
+    assert steps[False].belief is None
+    assert set(steps[False].rungs[:3]) == {"tom"}
+    np.testing.assert_allclose(steps[True].belief, 1 / len(RUNGS))
+    assert set(steps[True].rungs[:3]) == {"idm"}
+
+
+def test_traits_are_learned_from_step_to_step_and_compiled_once():
+    slower = replace(SCENE, states=SCENE.states - np.array([0, 0, 0, 0.3], np.float32))
+    path = np.zeros((PLANNING.steps, 3), np.float32)
+    seen = DriversSeen(traits=True, time_step=0.2)
+    seen.prepare(SCENE, PLANNING.steps)
+    compiled = _update_function()._cache_size()
+    first = seen.look(SCENE)
+    seen.planned(first, path)
+    second = seen.look(slower)
+    assert first.traits.speed[1] == pytest.approx(0.75 * 30.0)
+    assert second.traits.speed[1] < first.traits.speed[1] - 0.3
+    seen.planned(second, path[:0])  # a plan that failed
+    np.testing.assert_array_equal(seen.look(SCENE).traits.speed, first.traits.speed)
+    assert _update_function()._cache_size() == compiled

@@ -57,6 +57,7 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the
     assert told["source"] in ("refined", "proposal", "last plan", "braking")
     assert all(np.isfinite(told[key]) for key in ("planning_seconds", "decision_seconds", "acceleration", "jerk"))
     assert set(told["rungs"]) <= {"", "naive", "idm", "turn", "tom"}
+    assert told["belief"] is told["traits"] is None
     assert len(accelerations) == frames
     assert told["acceleration"] >= max(accelerations) - 1e-9
     assert max(accelerations) <= 5.0
@@ -312,3 +313,17 @@ def test_a_policy_refuses_what_it_cannot_drive_and_says_how_to_make_it(config, m
 def test_a_policy_of_nothing_is_refused():
     with pytest.raises(ValueError, match="str is neither an environment"):
         ms_highway.RoadPolicy("highway-fast-v0")
+
+
+def test_belief_and_traits_are_told_and_shown_where_they_are_configured():
+    config = {"driver": "proposals", "belief": True, "traits": True}
+    env = ms_highway.drive(gym.make("merge-v0", render_mode="rgb_array"), config)
+    env.reset(seed=0)
+    told = env.step(0)[4]["road"]
+    present = np.array(told["rungs"]) != ""
+    np.testing.assert_allclose(told["belief"].sum(axis=1), 1.0, atol=1e-6)
+    assert (np.abs(told["belief"][present] - 0.25) > 0.01).any()
+    assert ((told["traits"].speed > 1) & (told["traits"].headway > 0.2)).all()
+    robot, believed = env.unwrapped.vehicle, env.render()
+    robot.last_step = replace(robot.last_step, belief=None)
+    assert (believed != env.render()).any()

@@ -88,6 +88,8 @@ def test_what_others_have_set_in_highway_envs_drivers_is_left_alone(monkeypatch)
         ({"price": -1}, "from 0"),
         ({"acceleration": 0}, "above 0"),
         ({"desired_speed": float("nan")}, "above 0"),
+        ({"traits": "yes"}, r"config\['traits'\] is 'yes'; it must be True or False"),
+        ({"belief": 1}, r"config\['belief'\] is 1; it must be True or False"),
         ("fast", "must be a dictionary"),
     ],
 )

@@ -90,8 +90,9 @@ def earned(scene, controls, lane):
     """Total and broken constraints of a plan whose controls are given, while others keep their speed."""
     ways, nobody = ways_of(scene), jnp.zeros(TRAFFIC, bool)
     plans = as_given(controls[None], lane[None])
-    rollouts = simulate(scene, PLANNING, ways, Manners(nobody, nobody, jnp.zeros((1, TRAFFIC, STEPS))), plans)
-    scores = score(scene, PLANNING, WEIGHTS, ways, rollouts, plans.lane, speed_caps(scene, PLANNING))
+    caps, manners = speed_caps(scene, PLANNING), Manners(nobody, nobody, jnp.zeros((1, TRAFFIC, STEPS)))
+    rollouts = simulate(scene, PLANNING, ways, caps, manners, plans)
+    scores = score(scene, PLANNING, WEIGHTS, ways, rollouts, plans.lane, caps)
     return scores.total[0], scores.broken[0]
 
 

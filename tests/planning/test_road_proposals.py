@@ -30,7 +30,7 @@ def proposed(scene, follows=NAIVE, last=STRAIGHT_ON, told=NAIVE, accelerations=N
     """All proposals, and how they turn out."""
     plans = profiles(jnp.asarray(last), jnp.asarray(1))
     manners = Manners(follows, told, jnp.broadcast_to(accelerations, (PROPOSALS, *accelerations.shape)))
-    return plans, simulate(scene, PLANNING, ways_of(scene), manners, plans)
+    return plans, simulate(scene, PLANNING, ways_of(scene), speed_caps(scene, PLANNING), manners, plans)
 
 
 @jit_quickly
@@ -38,7 +38,8 @@ def given(scene, controls, lane, follows):
     """How a plan turns out whose controls are given."""
     manners = Manners(follows, jnp.zeros(TRAFFIC, bool), jnp.zeros((1, TRAFFIC, STEPS)))
     plans = as_given(jnp.asarray(controls)[None], jnp.asarray(lane)[None])
-    return jax.tree.map(lambda field: field[0], simulate(scene, PLANNING, ways_of(scene), manners, plans))
+    rollouts = simulate(scene, PLANNING, ways_of(scene), speed_caps(scene, PLANNING), manners, plans)
+    return jax.tree.map(lambda field: field[0], rollouts)
 
 
 def before_a_bend(speed, ahead):

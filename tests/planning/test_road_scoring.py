@@ -28,7 +28,7 @@ def judged(scene, controls, lanes):
     ways, nobody = ways_of(scene), jnp.zeros(TRAFFIC, bool)
     plans = as_given(jnp.asarray(controls), jnp.asarray(lanes))
     manners = Manners(nobody, nobody, jnp.zeros((len(controls), TRAFFIC, STEPS)))
-    rollouts = simulate(scene, PLANNING, ways, manners, plans)
+    rollouts = simulate(scene, PLANNING, ways, speed_caps(scene, PLANNING), manners, plans)
     return rollouts, score(scene, PLANNING, WEIGHTS, ways, rollouts, plans.lane, speed_caps(scene, PLANNING))
 
 

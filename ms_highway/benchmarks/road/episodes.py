@@ -19,6 +19,7 @@ __all__ = ["TRAFFIC", "Block", "Episode", "make_driver", "run_episode"]
 TRAFFIC = {
     "idm": "highway_env.vehicle.behavior.IDMVehicle",
     "commuter": "ms_highway.vehicle.CommuterVehicle",
+    "unyielding": "ms_highway.benchmarks.road.unyielding.UnyieldingVehicle",
 }
 """Types of other vehicles, by name."""
 
@@ -93,7 +94,8 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
     if block.driver not in PEERS:
         from ms_highway.envs.road.driven import drive
 
-        return drive(env, {"driver": block.driver})
+        name, *known = block.driver.split("+")
+        return drive(env, {"driver": name, "traits": "traits" in known, "belief": "belief" in known})
     if block.driver == "dqn":
         return Dqn(env, block.dqn_steps, block.models)
     return {"idm": Idm, "idle": Idle, "random": Random}[block.driver](env)

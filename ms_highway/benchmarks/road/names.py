@@ -31,7 +31,7 @@ DRIVERS = (
 """Drivers that are measured by default."""
 
 NUMBER = r":(\d+\.?\d*|\.\d+)(e[+-]?\d+)?"
-OWN = re.compile(rf"switching({NUMBER})?|budget{NUMBER}|fixed:(naive|idm|turn|tom)|proposals")
+OWN = re.compile(rf"(switching({NUMBER})?|budget{NUMBER}|fixed:(naive|idm|turn|tom)|proposals)(\+traits)?(\+belief)?")
 
 
 def known_scenes(names: Iterable[str]) -> list[str]:
@@ -60,7 +60,7 @@ def check_drivers(drivers: Iterable[str], scenes: Iterable[str]) -> None:
     """
     for name in drivers:
         if name not in PEERS and not OWN.fullmatch(name):
-            known = f"{', '.join(DRIVERS)}, dqn, switching:LAMBDA, budget:MILLISECONDS"
+            known = f"{', '.join(DRIVERS)}, dqn, switching:LAMBDA, budget:MILLISECONDS, DRIVER+traits, DRIVER+belief"
             raise ValueError(f"unknown driver {name!r}; the drivers are {known}")
         if name == "dqn":
             continuous = [scene for scene in scenes if scene.startswith("racetrack")]

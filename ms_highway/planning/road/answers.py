@@ -72,10 +72,11 @@ class Driver:
 
     Attributes:
         planning: time step and number of steps.
-        reward: the commuters'.
+        reward: the commuters'; its speed limit is the speed that the human desires.
         size: length and width of all cars [m].
         state: of the human.
         others: fields of their `ms_highway.game.dynamics.Motion` after each step.
+        headway: time gap between bumpers that it desires [s].
     """
 
     planning: RoadPlanning
@@ -83,6 +84,7 @@ class Driver:
     size: Float[jax.Array, "2"]
     state: Float[jax.Array, "4"]
     others: Float[jax.Array, "5 others steps"]
+    headway: float | Float[jax.Array, ""] = TIME_HEADWAY
 
     def earned(self, scaled: Accelerations) -> Float[jax.Array, ""]:
         """Return the reward less the discomfort of accelerations."""
@@ -169,7 +171,7 @@ class Driver:
         ahead, aside = x - s, y - _settled(self.planning, self.state[1])
         gap = jnp.maximum(jnp.abs(ahead) - self.size[0], 0.0) / PAPER_UNIT
         attention = jnp.exp(-gap / ATTENTION - (aside / (OWN_LANE * LANE_WIDTH)) ** 2 / 2)
-        headway = (gap - STANDSTILL_GAP - TIME_HEADWAY * speed / PAPER_UNIT) ** 2
+        headway = (gap - STANDSTILL_GAP - self.headway * speed / PAPER_UNIT) ** 2
         closing = ((speed - pace) / self.reward.speed_limit) ** 2
         faster = jnp.maximum(pace - speed, 0.0) / PAPER_UNIT
         braking = (faster**2 / (2 * jnp.maximum(gap, SMALLEST_GAP))) ** 2
@@ -226,8 +228,11 @@ def driver_of(
     _, nearest = jax.lax.top_k(-jnp.where(matters, far.min(axis=1), jnp.inf), NEAREST)
     motions = motions[:, nearest].at[0].add(jnp.where(matters[nearest], 0.0, -FAR_AWAY)[:, None])
     near = jnp.concatenate([along_path(scene, i, robot[:, None]), motions], axis=1)
-    reward = replace(_commuter(), speed_limit=jnp.asarray(scene.limits)[i])
-    return Driver(planning, reward, jnp.asarray(scene.sizes)[i], state, near)
+    traits = scene.traits
+    desired, headway = (scene.limits, None) if traits is None else traits
+    reward = replace(_commuter(), speed_limit=jnp.asarray(desired)[i])
+    kept_gap = TIME_HEADWAY if headway is None else jnp.asarray(headway)[i]
+    return Driver(planning, reward, jnp.asarray(scene.sizes)[i], state, near, kept_gap)
 
 
 def along_path(

@@ -30,7 +30,7 @@ from ms_highway.planning.road.proposals import (
 from ms_highway.planning.road.refinement import refine
 from ms_highway.planning.road.scoring import RoadWeights, Scores, score
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
-from ms_highway.planning.road.traffic import positions, ways_of
+from ms_highway.planning.road.traffic import Ways, positions, ways_of
 from ms_highway.runtime.arrays import Array
 
 __all__ = [
@@ -72,10 +72,12 @@ class Proposed(NamedTuple):
     """All proposals, judged.
 
     Attributes:
+        plans: what they do.
         rollouts: how they turn out.
         scores: what they earn.
     """
 
+    plans: Profiles
     rollouts: Rollouts
     scores: Scores
 
@@ -122,11 +124,7 @@ def propose(
         rungs: of each of the others, numbers of `RUNGS`.
         memory: of the last plan.
     """
-    plans = profiles(jnp.asarray(memory.controls), last_lane(scene, memory))
-    nothing = jnp.zeros((PROPOSALS, len(rungs), planning.steps))
-    return _judged(
-        scene, planning, weights, plans, Manners(_follows(scene, rungs), jnp.zeros_like(rungs, bool), nothing)
-    )
+    return _propose(_judge(scene, planning, weights), rungs, memory)
 
 
 def highest_gains(scores: Scores) -> Float[jax.Array, "traffic"]:
@@ -144,18 +142,18 @@ def plan_road(
     refines: bool = True,
 ) -> RoadPlan:
     """Plan with a model for each of the others; takes the arguments of `propose`, and whether plans are refined."""
-    proposed = propose(scene, planning, weights, rungs, memory)
+    judge = _judge(scene, planning, weights)
+    proposed = _propose(judge, rungs, memory)
     _, numbers = jax.lax.top_k(proposed.scores.preference, ANSWERED)
-    few, plans = jax.tree.map(
-        lambda field: field[numbers], (proposed, profiles(jnp.asarray(memory.controls), last_lane(scene, memory)))
-    )
+    few = jax.tree.map(lambda field: field[numbers], proposed)
+    plans = few.plans
     rational = (rungs >= TURN) & jnp.asarray(scene.moving & scene.present)
     told = jnp.zeros((ANSWERED, len(rungs), planning.steps))
 
     def again() -> tuple[Proposed, Float[jax.Array, "few traffic steps"]]:
         answers = _answers(scene, planning, rungs, rational, few.rollouts)
         manners = Manners(_follows(scene, rungs), rational, answers)
-        return _judged(scene, planning, weights, plans, manners), answers
+        return judge.judged(plans, manners), answers
 
     collides = few.scores.collides  # if others only follow: nobody is counted on to make way
     few, told = jax.lax.cond(rational.any(), again, lambda: (few, told))
@@ -173,8 +171,8 @@ def plan_road(
         )
         following = Manners(_follows(scene, rungs), jnp.zeros_like(rational), jnp.zeros_like(told[:1]))
         manners = Manners(_follows(scene, rungs), rational, told[best, None])
-        refined = _judged(scene, planning, weights, as_given(controls[None], plans.lane[best, None]), manners)
-        unanswered = _judged(scene, planning, weights, as_given(controls[None], plans.lane[best, None]), following)
+        given = as_given(controls[None], plans.lane[best, None])
+        refined, unanswered = judge.judged(given, manners), judge.judged(given, following)
         broken = refined.scores.broken[0] | unanswered.scores.collides[0]
         better = ~broken & (refined.scores.total[0] >= drives.scores.total[0])
         chosen = jnp.where(better, REFINED, chosen)
@@ -189,13 +187,31 @@ def _follows(scene: RoadScene, rungs: Int[jax.Array, "traffic"]) -> Bool[jax.Arr
     return (rungs >= IDM) & jnp.asarray(scene.moving)
 
 
-def _judged(
-    scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, plans: Profiles, manners: Manners
-) -> Proposed:
-    """Simulate plans and judge them."""
-    ways = ways_of(scene)
-    rollouts = simulate(scene, planning, ways, manners, plans)
-    return Proposed(rollouts, score(scene, planning, weights, ways, rollouts, plans.lane, speed_caps(scene, planning)))
+class _Judge(NamedTuple):
+    """What all plans of a step are simulated and judged with."""
+
+    scene: RoadScene
+    planning: RoadPlanning
+    weights: RoadWeights
+    ways: Ways
+    caps: Float[jax.Array, "knots"]
+
+    def judged(self, plans: Profiles, manners: Manners) -> Proposed:
+        """Simulate plans and judge them."""
+        scene, planning, weights, ways, caps = self
+        rollouts = simulate(scene, planning, ways, caps, manners, plans)
+        return Proposed(plans, rollouts, score(scene, planning, weights, ways, rollouts, plans.lane, caps))
+
+
+def _judge(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights) -> _Judge:
+    return _Judge(scene, planning, weights, ways_of(scene), speed_caps(scene, planning))
+
+
+def _propose(judge: _Judge, rungs: Int[jax.Array, "traffic"], memory: Memory) -> Proposed:
+    """See `propose`."""
+    plans = profiles(jnp.asarray(memory.controls), last_lane(judge.scene, memory))
+    nothing = jnp.zeros((PROPOSALS, len(rungs), judge.planning.steps))
+    return judge.judged(plans, Manners(_follows(judge.scene, rungs), jnp.zeros_like(rungs, bool), nothing))
 
 
 def _worlds(scene: RoadScene, rollouts: Rollouts) -> Float[jax.Array, "plans traffic 4 steps"]:

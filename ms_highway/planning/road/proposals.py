@@ -9,13 +9,25 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.road import LANES, SPACING, RoadScene, interpolate
 from ms_highway.planning.road.motion import advance, within_limits
-from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import FAR, Ways, aside, crossings, follow, on_route, wanted_speeds
+from ms_highway.planning.road.settings import CORNERING, RoadPlanning
+from ms_highway.planning.road.traffic import (
+    FAR,
+    ROOM,
+    Crossings,
+    Ways,
+    aside,
+    crossings,
+    follow,
+    gaps_to_robot,
+    headways,
+    on_route,
+    wanted_speeds,
+)
 
 __all__ = [
     "FULL_BRAKING",
     "PROPOSALS",
-    "WAITING",
+    "STOPPING",
     "Manners",
     "Profiles",
     "Rollouts",
@@ -23,6 +35,7 @@ __all__ = [
     "profiles",
     "simulate",
     "speed_caps",
+    "waiting_lines",
 ]
 
 FOLLOWING = np.array([1.0, 0.75, 0.5, 0.25], np.float32)  # shares of the desired speed, in profiles that follow by IDM
@@ -38,7 +51,6 @@ FULL_BRAKING = tuple(lane * PROFILES + len(FOLLOWING) + CLOSING_UP for lane in r
 
 FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
 SIDEWAYS = 3.0  # m/s^2, of lateral acceleration for it at most
-CORNERING = 0.85  # share of the grip that bends may take
 SLOWING = 2.5  # m/s^2, before bends
 EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
 CLOSE = 0.7, 2.0  # s and m, time gap and standstill gap of the robot
@@ -46,13 +58,13 @@ LATE, CLOSEST, REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
 HASTE = 3.0  # m/s^2, of accelerations for the desired speed
 HURRY = 4.5  # m/s^2, of those of cars that cross others' ways, where time is short
 SLOWEST = 3.0  # m/s, below which steering is not sharper than at this speed
-SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
 PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
-ROOM = 0.4  # m, lateral, between bodies that pass
 WAITING = 1.2  # m, between the robot that waits and those who cross
-STOPPING = 3.5  # m/s^2, before crossings
 CREEPING = 3.0  # m/s, at which cars come that stand
+
+STOPPING = 3.5
+"""Deceleration before crossings [m/s^2]."""
 
 
 class Manners(NamedTuple):
@@ -123,6 +135,11 @@ def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Float[jax.Array, "kn
     return jnp.sqrt(jnp.maximum(jax.lax.cummin(allowed + ahead, reverse=True) - ahead, 1.0))
 
 
+def waiting_lines(scene: RoadScene, crossing: Crossings) -> Float[jax.Array, "traffic"]:
+    """Return the places on the route where the front of the robot waits for those who cross it [m]."""
+    return crossing.first - jnp.asarray(scene.sizes)[:, 1] / 2 - WAITING
+
+
 def profiles(last: Float[jax.Array, "steps 2"], last_lane: Int[jax.Array, ""]) -> Profiles:
     """Return the profiles of all proposals: each lane at each speed, and the rest of the last plan."""
     lanes, kinds = np.divmod(np.arange(LANES * PROFILES), PROFILES)
@@ -147,17 +164,25 @@ def as_given(controls: Float[jax.Array, "plans steps 2"], lane: Int[jax.Array, "
     return Profiles(lane, ones, 0 * ones, ones < 0, ones < 0, 0 * ones, ones > 0, controls)
 
 
-def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Manners, plans: Profiles) -> Rollouts:
+def simulate(
+    scene: RoadScene,
+    planning: RoadPlanning,
+    ways: Ways,
+    caps: Float[jax.Array, "knots"],
+    manners: Manners,
+    plans: Profiles,
+) -> Rollouts:
     """Drive plans among others who answer each of them.
 
     Args:
         scene: the road.
         planning: limits and wishes.
         ways: `ms_highway.planning.road.traffic.ways_of` the scene.
+        caps: `speed_caps` of the route.
         manners: how others move.
         plans: what the robot does.
     """
-    caps, wanted, now = speed_caps(scene, planning), wanted_speeds(scene), jnp.asarray(scene.states)
+    wanted, headway, now = wanted_speeds(scene), headways(scene), jnp.asarray(scene.states)
     across = aside(scene, jnp.arange(1, planning.steps + 1) * jnp.asarray(planning.time_step))
     length, width = scene.size
     lengths, widths = jnp.asarray(scene.sizes).T
@@ -165,7 +190,7 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
     leaders, present = jnp.asarray(scene.leaders), jnp.asarray(scene.present)
     led = (leaders >= 0) & present
     crossing = crossings(ways)
-    line = crossing.first - widths / 2 - WAITING
+    line = waiting_lines(scene, crossing)
     arrival = jnp.maximum(crossing.begin - lengths / 2, 0.0) / jnp.maximum(now[:, 3], CREEPING)
     crosses = present & jnp.asarray(scene.moving)
 
@@ -218,10 +243,11 @@ def simulate(scene: RoadScene, planning: RoadPlanning, ways: Ways, manners: Mann
             where = on_route(ways, along, sideways)
             control = choose(plan, car, held, along, (*where, speeds))
             gap = jnp.where(led, jnp.asarray(scene.gaps) + along[leaders] - along, FAR)
-            front = car[0] + length / 2
-            before = (where[0] < front) & (jnp.abs(where[1] - car[1]) < apart) & (where[2] > SAME_WAY)
-            to_robot = jnp.where(before, front - where[0], FAR)
-            answer = jnp.minimum(follow(speeds, wanted, gap, speeds[leaders]), follow(speeds, wanted, to_robot, car[3]))
+            to_robot = gaps_to_robot(car[0] + length / 2, car[1], where, apart)
+            answer = jnp.minimum(
+                follow(speeds, wanted, gap, speeds[leaders], headway),
+                follow(speeds, wanted, to_robot, car[3], headway),
+            )
             unanswered = jnp.where(scene.moving, 0.0, -speeds)  # who has crashed slides to a stop
             acceleration = jnp.where(manners.told, told, jnp.where(manners.follows, answer, unanswered))
             acceleration = jnp.where(speeds < 0, 0.0, jnp.maximum(acceleration, -speeds / planning.time_step))

@@ -8,12 +8,11 @@ from jaxtyping import Float, Int
 
 from ms_highway.game.road import RoadScene, interpolate
 from ms_highway.planning.road.motion import bodies
-from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.settings import CORNERING, RoadPlanning
 from ms_highway.runtime.arrays import Array
 
 __all__ = ["RoadReward", "efforts", "residuals", "reward_along", "stage_rewards"]
 
-CURVE_SHARE = 0.85  # of the grip, that may be spent on the road's curves
 SPEED_SCALE, LATERAL_SCALE = 5.0, 1.0  # m/s and m, from which on the cost of a deviation grows linearly
 EDGE_MARGIN = 0.3  # m, between corners and edges
 LENGTH_MARGIN, CLOSING_TIME, WIDTH_MARGIN = 1.5, 0.2, 0.5  # m, s, m, by which bodies are enlarged
@@ -145,7 +144,7 @@ def _flattened(deviation: Float[jax.Array, "steps"], scale: float) -> Float[jax.
 def _wished_speed(planning: RoadPlanning, scene: RoadScene, s: Float[jax.Array, "steps"]) -> Float[jax.Array, "steps"]:
     """Return the desired speed, within the road's limit and what its curve allows."""
     curvature = jnp.abs(jnp.asarray(scene.route.curvature))
-    in_curves = jnp.sqrt(CURVE_SHARE * planning.grip / jnp.maximum(curvature, 1e-4))
+    in_curves = jnp.sqrt(CORNERING * planning.grip / jnp.maximum(curvature, 1e-4))
     fastest = jnp.minimum(jnp.minimum(in_curves, scene.speed_limit), planning.desired_speed)
     return interpolate(fastest, s)
 

@@ -7,11 +7,14 @@ from jaxtyping import Float
 
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["RUNGS", "RoadPlanning"]
+__all__ = ["CORNERING", "RUNGS", "RoadPlanning"]
 
 RUNGS = ("naive", "idm", "turn", "tom")
 """Names of the models that predict traffic, cheapest first: keep the velocity along the lane; follow by IDM; optimise
 the own reward while the robot keeps its velocity; answer the robot's plan optimally (theory of mind)."""
+
+CORNERING = 0.85
+"""Share of the grip that bends may take."""
 
 
 @jax.tree_util.register_dataclass

@@ -13,12 +13,15 @@ from ms_highway.game.road import BEHIND, SPACING, RoadScene, interpolate, place,
 
 __all__ = [
     "FAR",
+    "ROOM",
     "STANDING",
     "Crossings",
     "Ways",
     "aside",
     "crossings",
     "follow",
+    "gaps_to_robot",
+    "headways",
     "on_route",
     "positions",
     "wanted_speeds",
@@ -28,6 +31,9 @@ __all__ = [
 FAR = 1e3
 """Distance to what is not there [m]."""
 
+ROOM = 0.4
+"""Lateral distance between bodies that pass [m]."""
+
 STANDING = 1.0
 """Speed up to which a car stands [m/s]."""
 
@@ -36,6 +42,7 @@ HARDEST = 6.0  # m/s^2, of braking
 SETTLING = 1.0  # s, in which cars move to the middle of their path
 SHARED = 0.85  # cosine of the angle from which cars share a lane
 CORRIDOR = 3.0  # m, of the robot's way to each side
+SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
 
 
@@ -93,7 +100,7 @@ def follow(
     wanted: float | Float[jax.Array, "*shape"],
     gap: Float[jax.Array, "*shape"],
     ahead: Float[jax.Array, "*shape"],
-    headway: float = HEADWAY,
+    headway: float | Float[jax.Array, "*shape"] = HEADWAY,
     standstill: float = STANDSTILL,
 ) -> Float[jax.Array, "*shape"]:
     """Return the acceleration of the Intelligent Driver Model, by default with highway-env's parameters.
@@ -113,9 +120,37 @@ def follow(
 
 
 def wanted_speeds(scene: RoadScene) -> Float[jax.Array, "traffic"]:
-    """Return the speeds that others seem to want: their own; the limit if they are much slower than that."""
+    """Return the speeds that others desire.
+
+    Where nothing is known of their drivers, these are the present ones, or the limit if they are much slower.
+    """
+    if scene.traits is not None:
+        return jnp.asarray(scene.traits.speed)
     speed = jnp.asarray(scene.states)[:, 3]
     return jnp.where(speed < SLOWLY * jnp.asarray(scene.limits), scene.limits, speed)
+
+
+def headways(scene: RoadScene) -> float | Float[jax.Array, "traffic"]:
+    """Return the time gaps that others desire [s]; highway-env's where nothing is known of their drivers."""
+    return HEADWAY if scene.traits is None else jnp.asarray(scene.traits.headway)
+
+
+def gaps_to_robot(
+    s: Float[jax.Array, ""],
+    d: Float[jax.Array, ""],
+    where: tuple[jax.Array, jax.Array, jax.Array],
+    apart: Float[jax.Array, "traffic"],
+) -> Float[jax.Array, "traffic"]:
+    """Return the distances of others to the robot's centre where they follow it [m], `FAR` where they do not.
+
+    Args:
+        s: of the robot's centre [m].
+        d: of the robot [m].
+        where: the others are, see `on_route`.
+        apart: lateral distance up to which they follow it [m].
+    """
+    before = (where[0] < s) & (jnp.abs(where[1] - d) < apart) & (where[2] > SAME_WAY)
+    return jnp.where(before, s - where[0], FAR)
 
 
 def aside(scene: RoadScene, times: Float[jax.Array, "steps"]) -> Float[jax.Array, "traffic steps"]:
