@@ -15,6 +15,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
+from ms_highway.game.learned_reward import commuter_traits
 from ms_highway.game.road import RoadScene, Traits
 from ms_highway.planning.road.traffic import FAR, ROOM, follow, gaps_to_robot, on_route, ways_of
 from ms_highway.runtime.arrays import Array
@@ -31,8 +32,9 @@ __all__ = [
 ]
 
 SHARE_OF_LIMIT = 0.75  # that drivers desire at least, by the prior
-HEADWAY = 1.3  # s, median of the prior
-SPREAD = (0.15, 0.4)  # standard deviations of the logarithms of speed and headway in the prior
+LEARNED = commuter_traits()  # of how drivers differ, on US-101
+HEADWAY = LEARNED.median[1]  # s, median of the prior
+SPREAD = tuple(LEARNED.deviations[:2])  # standard deviations of the logarithms of speed and headway in the prior
 NOISE = 0.7  # m/s^2, of accelerations around the model
 MOST_SURPRISING = 1.5  # m/s^2, up to which innovations count
 DRIFT = (0.03, 0.02)  # of the logarithms in a step, standard deviation: drivers change
