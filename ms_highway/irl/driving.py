@@ -75,7 +75,7 @@ def predict(moments: Moments, drivers: Drivers, others: Others = "predicted") ->
     """Predict the drivers of moments: keeping their lane, changing to the left, changing to the right.
 
     Args:
-        moments: their `Moments.future` is read only if the others move as recorded.
+        moments: whose future is read only if the others move as recorded.
         drivers: what was learned.
         others: see `Others`.
     """

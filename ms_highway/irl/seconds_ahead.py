@@ -80,7 +80,7 @@ def learn_drivers(
     Args:
         moments: to learn from.
         chosen: which of them; all by default. One compilation serves any choice.
-        intervals: whether to compute `LearnedDrivers.deviations`.
+        intervals: whether to compute `ms_highway.game.learned_drivers.LearnedDrivers.deviations`.
         progress: called with a message when a part begins.
 
     Raises:

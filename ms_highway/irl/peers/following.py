@@ -59,7 +59,7 @@ class IdmParameters:
 
 
 HIGHWAY_ENV_IDM = IdmParameters(0.0, 1.5, 10.0, 3.0, 5.0, 0.6, 0.2, lengths=0.0, margin=1.0)
-"""As in highway-env's `IDMVehicle`, whose target is its first speed."""
+"""As in IDMVehicle of highway-env, whose target is its first speed."""
 
 FIRST_IDM = IdmParameters(20.0, 1.2, 2.0, 1.0, 2.0, 5.0, 0.5)
 """Parameters that a fit starts from."""

@@ -32,6 +32,7 @@ STYLES = {
 DRAWN = ("model", "constant_velocity", "fitted_idm")  # of the predictors, in paths
 RECORDED = "#111318"
 BEFORE, AFTER = 15.0, 25.0  # m of road drawn behind and ahead of where cars drive
+NEAR = 0.05  # of what is right, in calibrations
 LIKELY = 0.05  # probability from which on a mode is drawn
 
 
@@ -152,14 +153,18 @@ def likelihood_figure(evaluation: Mapping[str, Any]) -> Figure:
 
 
 def calibration_figure(evaluation: Mapping[str, Any]) -> Figure:
-    """Draw how often drivers are in the predicted regions of 50, 90 and 99 %, against the horizon; a panel for each."""
+    """Draw how often drivers are in the predicted regions of 50, 90 and 99 %, against the horizon, a panel for each.
+
+    The band is five points to each side of what is right.
+    """
     figure = Figure(figsize=(11, 3.9), layout="constrained")
     panels = figure.subplots(1, len(LEVELS))
     for axes, level in zip(panels, LEVELS, strict=True):
         _against_horizon(axes, evaluation, f"inside {level}")
         axes.axhline(level / 100, color=RECORDED, linewidth=1, linestyle="--")
+        axes.axhspan(level / 100 - NEAR, min(level / 100 + NEAR, 1.0), color="#f1f2f4", zorder=0)
         axes.set_title(f"region of {level} %")
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     panels[0].set_ylabel("share of drivers in it")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return figure
