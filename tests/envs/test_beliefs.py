@@ -70,12 +70,11 @@ def test_who_counts_on_such_a_human_collides():
     assert any(info["collision"] for info in drive("merger", "tom", 15, yielding="never")[2])
 
 
-def test_the_filter_is_compiled_once_and_takes_the_time_of_a_cheap_plan(trusted):
+def test_the_filter_is_compiled_once(trusted):
     game, robot = trusted[0].game, trusted[0].robot
     layout = pack(Crowd(game, np.asarray(game.human.weights)[None]))[1]
     assert belief_function(layout)._cache_size() == 1
     assert robot.last_step.belief.dtype == np.float32
-    assert min(info["timing"].decision_seconds for info in trusted[2][1:]) < 1e-3  # on a machine that may be busy
 
 
 @pytest.mark.parametrize("controller", ["tom+belief", "budget:100:one_step+belief"])
