@@ -42,7 +42,7 @@ class Prediction(NamedTuple):
 
 
 def learn_peers(moments: Moments, chosen: Bool[np.ndarray, "n"] | None = None) -> dict[str, Any]:
-    """Fit the parameters and the spread of every peer, by name, as plain numbers for `ms_highway.game.learned_drivers.LearnedDrivers`'s peers.
+    """Fit the parameters and the spread of every peer, by name, as plain numbers, to be kept with learned drivers.
 
     Args:
         moments: to learn from.
