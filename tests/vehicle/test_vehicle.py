@@ -14,6 +14,7 @@ from ms_highway.control.switching import ModelSwitching
 from ms_highway.envs.stage import Cone
 from ms_highway.game.dynamics import step
 from ms_highway.game.planning_settings import PlanningSettings
+from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import driving_game
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.human_models import MODELS, ladder
@@ -138,6 +139,28 @@ def test_a_commuter_follows_at_the_distances_of_real_drivers_and_stops_behind_a_
     assert commuter.last_step.status == "planned"
     assert commuter.speed == pytest.approx(leader_speed, abs=1.0)
     assert gaps[0] < leader.position[0] - commuter.position[0] - commuter.LENGTH < gaps[1]
+
+
+def test_commuters_differ_by_the_roads_random_numbers():
+    one, same = (
+        [CommuterVehicle(road, [20.0 * number, 0.0], speed=20.0).traits for number in range(3)]
+        for road in (straight_road(), straight_road())
+    )
+    assert one == same
+    assert len({traits.headway for traits in one}) == 3
+    assert all(0.3 < traits.headway < 4 and 0.6 < traits.desired_speed < 1.6 for traits in one)
+
+
+def test_a_commuter_plans_for_its_own_headway_patience_and_desired_speed():
+    road = straight_road()
+    commuter = CommuterVehicle(road, [0.0, 0.0], speed=20.0)
+    road.vehicles = [commuter]
+    road.act()
+    robot = commuter.controller.game.robot
+    assert float(robot.headway) == pytest.approx(commuter.traits.headway)
+    assert float(robot.speed_limit) == pytest.approx(20.0 * commuter.traits.desired_speed)
+    typical = linear_reward(commuter.weights, 1.0).comfort[1]
+    assert float(robot.comfort[1]) == pytest.approx(typical * commuter.traits.patience, rel=1e-5)
 
 
 @pytest.mark.slow
