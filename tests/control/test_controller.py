@@ -214,4 +214,4 @@ def test_switching_with_impossible_numbers_or_rungs_is_refused(played, changes, 
     with pytest.raises(ValueError, match=message):
         ModelSwitching(game, replace(switching, **changes))
     with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
-        ModelSwitching(game, replace(switching, ladder=ladder(("tom", "naive"))), belief=True)
+        ModelSwitching(game, replace(switching, ladder=ladder(("tom@4", "tom"))), belief=True)
