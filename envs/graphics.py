@@ -228,7 +228,7 @@ class InteractionViewer(Viewer):
         for name, left, right in zip(RUNGS, ends, ends[1:], strict=False):
             part, label = pygame.Rect(box.left + left, box.top, right - left + 1, box.height), words(name, SMALL, PAPER)
             pygame.draw.rect(self.sim_surface, model_color(name), part)
-            if part.width > label.get_width():
+            if part.width > label.get_width() and part.height >= label.get_height():
                 self.sim_surface.blit(label, label.get_rect(center=part.center))
 
     def _chart(self, box: pygame.Rect, heading: str, low: str, high: str) -> None:

@@ -79,14 +79,16 @@ class CrowdViewer(InteractionViewer):
         self._beliefs(record, top + 151)
 
     def _beliefs(self, record: dict[str, Any], top: int) -> None:
-        """Draw the probabilities of the models of every human, one human beside the other, behind its number."""
+        """Draw the probabilities of the models of every human, behind its number, or below it where room is short."""
         if record["belief"] is None:
             return
         width, number = BAR.width // len(record["belief"]), words("12", SMALL, INK).get_width() + 3
         for place, shares in enumerate(record["belief"]):
             left = BAR.left + place * width
+            below = pygame.Rect(left, top + 16, width - 6, 8)
+            behind = pygame.Rect(left + number, top, width - number - 6, 17)
             self._text(str(place + 1), SMALL, INK, (left, top))
-            self._belief(pygame.Rect(left + number, top, width - number - 6, 17), shares)
+            self._belief(behind if behind.width > number else below, shares)
 
     def _chip(self, text: str, rung: str, left: int, top: int) -> int:
         """Draw a text on the colour of a model; return where the next one begins."""

@@ -27,7 +27,7 @@ class ModelSwitching(PlanningController):
             that responds.
 
     Raises:
-        ValueError: if there is not one cost for each rung of the ladder.
+        ValueError: if there is not one cost for each rung of the ladder, or if with a belief the first one responds.
     """
 
     def __init__(self, game: Game, rule: Rule, warm_start: bool = False, belief: bool = False) -> None:
@@ -35,6 +35,9 @@ class ModelSwitching(PlanningController):
         strange = [model for model in rule.ladder if not hasattr(model, "plan")]
         if strange:
             raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
+        if belief and rule.ladder[0].responds:
+            told = f"the ladder begins with {rule.ladder[0].name}, which counts on a response"
+            raise ValueError(f"{told}; with a belief, begin it with a model that does not, such as naive")
         if not (np.asarray(rule.price) >= 0).all() or (np.asarray(rule.costs) < 0).any():
             told = f"the price is {rule.price} and the costs are {np.asarray(rule.costs).tolist()}"
             raise ValueError(f"{told}; neither may be negative, nor the price NaN")

@@ -15,7 +15,7 @@ from ms_highway.runtime.arrays import SameArray
 __all__ = ["KEEPS", "LEAST", "NOISE", "updated_belief"]
 
 KEEPS = 0.98
-"""Probability that a human keeps to its model for a step of 0.1 s, five seconds on average."""
+"""Probability that a human keeps to its model for 0.1 s, so for five seconds on average."""
 
 NOISE = (0.005, 1.0)
 """Standard deviations of humans around the controls of their model: curvature [1/m], acceleration [m/s^2]."""
@@ -28,8 +28,8 @@ def updated_belief(
     belief: Float[SameArray, "*humans models"],
     predicted: Float[SameArray, "*humans models 2"],
     observed: Float[SameArray, "*humans 2"],
+    time_step: float | Float[SameArray, ""],
     noise: tuple[float, float] = NOISE,
-    keeps: float = KEEPS,
 ) -> Float[SameArray, "*humans models"]:
     """Return the probabilities of the models after a step; where a control is not finite, only the mixing is done.
 
@@ -37,11 +37,12 @@ def updated_belief(
         belief: probabilities before the step, sum 1.
         predicted: control of each model for the step, unscaled.
         observed: control in the step, unscaled.
+        time_step: duration of the step [s].
         noise: see `NOISE`.
-        keeps: see `KEEPS`.
     """
     xp = belief.__array_namespace__()
     models = belief.shape[-1]
+    keeps = KEEPS ** (time_step / 0.1)
     mixed = keeps * belief + (1 - keeps) / models
     off = (predicted - observed[..., None, :]) / xp.asarray(noise)
     log_likelihood = -xp.sum(off**2, axis=-1) / 2

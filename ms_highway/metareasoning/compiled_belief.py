@@ -4,6 +4,7 @@ from functools import cache
 
 import jax
 import numpy as np
+from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
 from ms_highway.game.crowd import Crowd
@@ -78,7 +79,8 @@ def belief_function(layout: Layout) -> jax.stages.Wrapped:
         crowd: Crowd = layout.unpack(numbers)
         last = 1 + crowd.humans
         observed = recover_control(crowd.game.world, before[1:last], after[1:last])
-        return updated_belief(belief, next_controls(crowd, before, robot), observed)
+        predicted = next_controls(crowd, before, robot)
+        return updated_belief(belief, predicted, observed, jnp.asarray(crowd.game.world.time_step))
 
     return jax.jit(in_one_kernel(update), compiler_options=known_options(QUICKLY))
 

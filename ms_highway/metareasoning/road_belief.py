@@ -18,7 +18,7 @@ from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.game.road import RoadScene, Traits, project
-from ms_highway.metareasoning.belief import KEEPS, updated_belief
+from ms_highway.metareasoning.belief import updated_belief
 from ms_highway.planning.road.settings import RUNGS
 from ms_highway.planning.road.traffic import FAR, headways, wanted_speeds
 from ms_highway.planning.road.traits import followed, jointly, matched, observed_accelerations
@@ -46,7 +46,7 @@ class Belief(NamedTuple):
 
 def first_belief(scene: RoadScene) -> Belief:
     """Return the same probability of all models."""
-    return Belief(jnp.asarray(scene.names), jnp.full((len(scene.names), len(RUNGS)), 1 / len(RUNGS)))
+    return Belief(jnp.asarray(scene.names), jnp.full((len(scene.names), len(RUNGS)), 1 / len(RUNGS), jnp.float32))
 
 
 def updated_road_belief(
@@ -68,7 +68,7 @@ def updated_road_belief(
         jnp.asarray(belief.probabilities)[place],
         jnp.stack([jnp.zeros_like(predicted), predicted], axis=-1),
         jnp.stack([jnp.zeros_like(observed), observed], axis=-1),
-        keeps=KEEPS ** (time_step / 0.1),
+        time_step,
     )
     new = first_belief(now)
     return Belief(new.names, jnp.where(found[:, None], mixed, new.probabilities))

@@ -10,7 +10,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Bool, Float
 
-from ms_highway.control.controller import Controller, ControlStep
+from ms_highway.control.controller import Controller, ControlStep, PlanningController
 from ms_highway.control.fallback import braking_control
 from ms_highway.control.switching import ModelSwitching
 from ms_highway.game.dynamics import within_grip
@@ -176,7 +176,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         """Move for ``dt`` seconds; with a ``grip``, within it and never backwards.
 
         Raises:
-            ValueError: if it drives by itself with Algorithm 1, and ``dt`` is not the time step of its game.
+            ValueError: if it drives by itself with Algorithm 1 or a belief, and ``dt`` is not its game's time step.
         """
         self._check_rate(dt)
         grip = self.controller.game.planner.grip if self.controller else None
@@ -186,12 +186,14 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         super().step(dt)
 
     def _check_rate(self, dt: float) -> None:
-        """Check that a car with Algorithm 1 that drives by itself acts at the time step of its game."""
+        """Check that a car that drives by itself and learns from its steps acts at the time step of its game."""
         controller = self.controller
-        if isinstance(controller, ModelSwitching) and not self.companions:
+        if not isinstance(controller, PlanningController) or self.companions:
+            return
+        if isinstance(controller, ModelSwitching) or controller.infers:
             wanted = float(controller.game.world.time_step)
             if abs(dt - wanted) > 1e-6:
-                told = f"the road moves in steps of {dt:g} s, and the game of Algorithm 1 in steps of {wanted:g} s"
+                told = f"the road moves in steps of {dt:g} s, and the robot's game in steps of {wanted:g} s"
                 raise ValueError(f"{told}; configure the environment with 'simulation_frequency': {1 / wanted:g}")
 
     def predict_trajectory_constant_speed(

@@ -12,6 +12,7 @@ from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.benchmarks.road.episodes import TRAFFIC, Block, make_driver, run_episode
 from ms_highway.benchmarks.road.measures import Watch, measured
+from ms_highway.benchmarks.road.names import check_drivers
 from ms_highway.benchmarks.road.peers import Idm
 from ms_highway.benchmarks.road.summary import summary
 from ms_highway.cli.bench_road import TRAFFIC_NAMES
@@ -124,6 +125,20 @@ def test_the_same_seed_gives_the_same_episode(driver):
     block = Block("merge-v0", driver)
     one, again = (replace(run_episode(block, 3, env), decisions=()) for env in (None, make_driver(block)))
     assert one == again
+
+
+@pytest.mark.parametrize(
+    ("name", "driver", "traits", "belief"),
+    [
+        ("switching:1e+3", "switching:1e+3", False, False),
+        ("switching:1e+3+traits+belief", "switching:1e+3", True, True),
+        ("fixed:tom+belief", "fixed:tom", False, True),
+    ],
+)
+def test_drivers_are_named_with_what_they_know_of_others(name, driver, traits, belief):
+    check_drivers([name], ["merge-v0"])
+    settings = make_driver(Block("merge-v0", name)).settings
+    assert (settings.driver, settings.traits, settings.belief) == (driver, traits, belief)
 
 
 def test_idm_is_paid_for_its_speed_like_an_ego_with_target_speeds():

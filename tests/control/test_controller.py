@@ -213,3 +213,5 @@ def test_switching_with_impossible_numbers_or_rungs_is_refused(played, changes, 
     switching = Switching(np.array([0.09, 0.37]), 0.1, ladder(("naive", "tom")))
     with pytest.raises(ValueError, match=message):
         ModelSwitching(game, replace(switching, **changes))
+    with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
+        ModelSwitching(game, replace(switching, ladder=ladder(("tom@4", "tom"))), belief=True)

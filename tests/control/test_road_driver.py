@@ -150,6 +150,9 @@ def test_traits_are_learned_from_step_to_step_and_compiled_once():
     second = seen.look(slower)
     assert first.traits.speed[1] == pytest.approx(0.75 * 30.0)
     assert second.traits.speed[1] < first.traits.speed[1] - 0.3
-    seen.planned(second, path[:0])  # a plan that failed
+    seen.planned(second, path)
+    third = seen.look(slower)  # learned from what was learned
+    assert third.traits.speed[1] != second.traits.speed[1]
+    seen.planned(third, path[:0])  # a plan that failed
     np.testing.assert_array_equal(seen.look(SCENE).traits.speed, first.traits.speed)
     assert _update_function()._cache_size() == compiled

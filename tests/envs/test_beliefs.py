@@ -117,7 +117,9 @@ def test_mixed_humans_are_drawn_for_every_episode():
     assert {*drawn(0)} == {True, False}
 
 
-@pytest.mark.parametrize(("scenario", "config"), [("merger", {}), ("dense_merge", TWO)])
+@pytest.mark.parametrize(
+    ("scenario", "config"), [("merger", {}), ("dense_merge", TWO), ("dense_merge", TWO | {"humans": 12})]
+)
 def test_a_frame_shows_every_humans_belief(scenario, config):
     def shown(controller):
         env = make_environment(scenario, controller, render=True, **config)

@@ -94,8 +94,9 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
     if block.driver not in PEERS:
         from ms_highway.envs.road.driven import drive
 
-        name, *known = block.driver.split("+")
-        return drive(env, {"driver": name, "traits": "traits" in known, "belief": "belief" in known})
+        name = block.driver.removesuffix("+belief")
+        driver = name.removesuffix("+traits")
+        return drive(env, {"driver": driver, "traits": driver != name, "belief": name != block.driver})
     if block.driver == "dqn":
         return Dqn(env, block.dqn_steps, block.models)
     return {"idm": Idm, "idle": Idle, "random": Random}[block.driver](env)

@@ -60,7 +60,7 @@ def check_drivers(drivers: Iterable[str], scenes: Iterable[str]) -> None:
     """
     for name in drivers:
         if name not in PEERS and not OWN.fullmatch(name):
-            known = f"{', '.join(DRIVERS)}, dqn, switching:LAMBDA, budget:MILLISECONDS, DRIVER+traits, DRIVER+belief"
+            known = f"{', '.join(DRIVERS)}, dqn, switching:LAMBDA, budget:MILLISECONDS, DRIVER[+traits][+belief]"
             raise ValueError(f"unknown driver {name!r}; the drivers are {known}")
         if name == "dqn":
             continuous = [scene for scene in scenes if scene.startswith("racetrack")]
