@@ -13,7 +13,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.learned_drivers import Intention, TraitPrior, Traits
+from ms_highway.game.learned_drivers import Intention, RewardTraits, TraitPrior
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.moments import PAST, STEPS, Moments, lanes_of
 from ms_highway.irl.outlook import Modes
@@ -254,7 +254,7 @@ def _around(
 
 def _personal(
     drivers: Drivers, logarithms: Float[jax.Array, "cars 3"], changes: Bool[jax.Array, "cars"], limit: jax.Array
-) -> tuple[DrivingWeights, Traits]:
+) -> tuple[DrivingWeights, RewardTraits]:
     """Return the weights and traits of all cars."""
     factors = drivers.changing
     weights = DrivingWeights(
@@ -265,7 +265,7 @@ def _personal(
     )
     traits = drivers.prior.traits(logarithms, limit)
     speed = traits.desired_speed * jnp.where(changes, factors.desired_speed, 1.0)
-    return weights, Traits(speed, traits.headway * jnp.where(changes, factors.headway, 1.0), traits.patience)
+    return weights, RewardTraits(speed, traits.headway * jnp.where(changes, factors.headway, 1.0), traits.patience)
 
 
 def _cars(states: Float[jax.Array, "cars 4"]) -> _Cars:

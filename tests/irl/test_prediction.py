@@ -202,6 +202,19 @@ def test_a_reward_without_drivers_cannot_be_evaluated():
         evaluate([following(20.0)], shipped("demonstrations"))
 
 
+def test_drivers_without_a_peer_or_one_of_its_parameters_predict_nothing():
+    peers = dict(DRIVERS.peers)
+    idm, moments = peers.pop("fitted_idm"), cut_moments([following(20.0)])
+    rest = {name: value for name, value in idm["parameters"].items() if name != "gap"}
+    for changed, message in (
+        (peers, "lacks the peer fitted_idm"),
+        ({**peers, "fitted_idm": {**idm, "parameters": rest}}, "fitted_idm .* gap"),
+        ({**DRIVERS.peers, "oracle": idm}, "oracle"),
+    ):
+        with pytest.raises(ValueError, match=rf"{message}.*irl fit"):
+            predictions(moments, replace(DRIVERS, peers=changed))
+
+
 def test_real_drivers_are_predicted_better_by_what_was_learned_than_by_any_peer(us101):
     moments = cut_moments(us101[::5])
     found = predictions(moments, DRIVERS)

@@ -182,12 +182,15 @@ def test_recovery_needs_enough_demonstrations(numbers, held_out, message, us101)
 def test_commands_refuse_what_they_cannot_use_before_anything_is_written(tmp_path, capsys):
     path, out = tmp_path / "evaluation.json", str(tmp_path / "out")
     path.write_text(json.dumps(evaluation()))
-    report = ["irl", "report", "--out", out, "--theta", "demonstrations"]
+    report = ["irl", "report", "--out", out, "--theta", "us101"]
+    simulated = ["--theta", "demonstrations", "--data", out]
     for arguments, message in (
         (["irl", "recover", "--data", "recordings", "--out", out], "true weights are known of simulated drivers only"),
         (["irl", "recover", "--data", "minari:ms-highway/absent-v0", "--out", out], "there is no data set"),
         ([*report, "--evaluation", str(tmp_path / "absent.json"), "--data", out], "cannot be read as an evaluation"),
         ([*report, "--evaluation", str(path), "--data", out], "is not a directory"),
+        ([*report, "--evaluation", str(path), *simulated], "--theta demonstrations: this reward has no drivers"),
+        (["irl", "evaluate", *simulated], "--theta demonstrations: this reward has no drivers"),
     ):
         assert main(arguments) == 2
         error = capsys.readouterr().err
