@@ -129,10 +129,15 @@ def load_evaluation(path: Path) -> dict[str, Any]:
     remedy = "write it again with `ms-highway irl evaluate --json`"
     if not isinstance(evaluation, dict):
         raise ValueError(f"{path} is no evaluation; {remedy}")
-    parts = ("windows", "tracks", "situations", "likelihood", "predictors")
+    parts = ("windows", "tracks", "others", "situations", "likelihood", "predictors")
     missing = [name for name in parts if name not in evaluation]
-    rows = evaluation.get("predictors")
-    rows = rows if isinstance(rows, dict) else {}
+    rows, likely, situations = (
+        part if isinstance(part := evaluation.get(name), dict) else {}
+        for name in ("predictors", "likelihood", "situations")
+    )
+    numbers = ("model", "constant_velocity", "windows")
+    missing += [f"likelihood.{name}" for name in numbers if not isinstance(likely.get(name), (int, float))]
+    missing += [f"situations.{name}" for name in ("distance", "log_p") if not isinstance(situations.get(name), dict)]
     missing += [f"predictors.{name}" for name in PREDICTORS if not isinstance(rows.get(name), dict)]
     for name, row in rows.items():
         kinds = ("fde", "rmse", "miss", "log_p", "inside 50", "inside 90", "inside 99")

@@ -45,7 +45,7 @@ class Prediction(NamedTuple):
 
 
 def learn_peers(moments: Moments, chosen: Bool[np.ndarray, "n"] | None = None) -> dict[str, Any]:
-    """Fit the parameters and the spread of every peer, by name, as plain numbers for `LearnedDrivers.peers`.
+    """Fit the parameters and the spread of every peer, by name, for `LearnedDrivers.peers`.
 
     Args:
         moments: to learn from.

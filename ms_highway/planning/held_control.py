@@ -96,7 +96,8 @@ def held_curvature(
     """Return the curvature [1/m] that, held for a horizon of steps of 0.1 s, earns most; at most 0.02 to each side.
 
     With the lateral position ``y_k = offset + v heading t_k + v^2 c t_k^2 / 2`` and the heading ``h_k = heading + v c
-    t_k`` it maximises ``sum_k -lane_alignment (y_k / U)^2 - direction h_k^2 / 2 - comfort (c U 0.6)^2 / 2``.
+    t_k`` it maximises ``sum_k -lane_alignment (y_k / U)^2 - (direction + 0.01 lane_alignment) h_k^2 / 2 - comfort
+    (c U 0.6)^2 / 2``.
 
     Args:
         weights: of the reward.

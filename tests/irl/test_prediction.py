@@ -89,6 +89,8 @@ def test_only_recorded_others_leak_that_a_leader_will_brake():
     }
     assert ends["recorded"] < ends["predicted"] - 5.0
     assert ends["coasting"] == pytest.approx(ends["predicted"], abs=3.0)
+    with pytest.raises(ValueError, match="others are 'known'; give one of predicted, recorded, coasting"):
+        predict(first, drivers_of(DRIVERS), "known")
 
 
 def test_who_drifts_to_the_next_lane_is_expected_there():
