@@ -199,6 +199,11 @@ def test_a_driver_that_is_never_seen_for_a_second_cannot_be_predicted():
         cut_moments([following(4.0, times=8)])
 
 
+def test_a_recording_of_another_time_step_cannot_be_predicted():
+    with pytest.raises(ValueError, match=r"a pair has a time step of 0\.2 s, not of 0\.1 s; resample it"):
+        cut_moments([replace(following(4.0), time_step=0.2)])
+
+
 def test_a_reward_without_drivers_cannot_be_evaluated():
     with pytest.raises(ValueError, match=r"no drivers .* irl fit"):
         evaluate([following(20.0)], shipped("demonstrations"))
