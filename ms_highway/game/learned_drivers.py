@@ -1,7 +1,7 @@
 """What is learned of drivers beside their reward: how they differ, when they change lanes, how far off they are."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, NamedTuple, Self
 
 import jax
@@ -11,12 +11,18 @@ from jaxtyping import Float
 
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["Intention", "LearnedDrivers", "Spread", "TraitPrior", "Traits"]
+__all__ = ["CHANGING", "LEARNED", "Intention", "LearnedDrivers", "RewardTraits", "Spread", "TraitPrior"]
 
 Number = float | Float[Array, "*drivers"]
 
+LEARNED = ("speed", "headway", "closing_speed", "lane_alignment", "direction", "comfort_steering")
+"""Weights that are learned seconds ahead, relative to that of the comfort of acceleration."""
 
-class Traits(NamedTuple):
+CHANGING = (*LEARNED, "desired speed", "typical headway")
+"""Weights and traits that have a factor while a driver changes lanes."""
+
+
+class RewardTraits(NamedTuple):
     """What a driver's reward has of its own.
 
     Attributes:
@@ -33,7 +39,7 @@ class Traits(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TraitPrior:
-    """Distribution of `Traits` over drivers: independent and log-normal.
+    """Distribution of `RewardTraits` over drivers: independent and log-normal.
 
     Attributes:
         median: of each trait, the desired speed as a share of the speed limit.
@@ -50,18 +56,18 @@ class TraitPrior:
         if any((np.asarray(number) <= 0).any() for number in numbers):
             raise ValueError(f"the prior of traits is {vars(self)}; medians, deviations and noise must be positive")
 
-    def traits(self, logarithms: Float[Any, "*drivers 3"], speed_limit: Number) -> Traits:
+    def traits(self, logarithms: Float[Any, "*drivers 3"], speed_limit: Number) -> RewardTraits:
         """Return the traits of drivers from the deviations of their logarithms from the medians'."""
         xp = jnp if isinstance(logarithms, jax.Array) else np
         speed, headway, patience = (
             xp.asarray(self.median)[trait] * xp.exp(logarithms[..., trait]) for trait in range(3)
         )
-        return Traits(speed * speed_limit, headway, patience)
+        return RewardTraits(speed * speed_limit, headway, patience)
 
-    def draw(self, random: np.random.Generator, speed_limit: float) -> Traits:
+    def draw(self, random: np.random.Generator, speed_limit: float) -> RewardTraits:
         """Draw the traits of a driver, within two standard deviations of the medians."""
         normal = np.clip(random.normal(size=3), -2.0, 2.0)
-        return Traits(*map(float, self.traits(normal * np.asarray(self.deviations), speed_limit)))
+        return RewardTraits(*map(float, self.traits(normal * np.asarray(self.deviations), speed_limit)))
 
 
 @jax.tree_util.register_dataclass
@@ -71,10 +77,10 @@ class Intention:
 
     Attributes:
         biases: to the left and to the right, with no advantage.
-        weights: of the advantages of that lane: the offset from the own lane's centre, in lane widths; the lateral
-            speed now, and over the last second [m/s]; the mean closing speed that is avoided, weighed by the nearness
-            of the leaders [m/s]; the distance to the leader there beyond that to the own one [10 m]; and the driver's
-            speed [10 m/s].
+        weights: of the advantages of that lane: the offset towards it from the own lane's centre, in lane widths; the
+            lateral speed towards it now, and over the last second [m/s]; the speed of the leader there beyond that of
+            the own one, each relative to the driver and weighed by its nearness [m/s]; the distance to the leader there
+            beyond that to the own one [10 m]; and the driver's speed [10 m/s].
     """
 
     biases: Float[Any, "2"]
@@ -139,26 +145,29 @@ class LearnedDrivers:
     peers: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, content: Mapping[str, Any]) -> Self:
+    def read(cls, content: Any) -> Self:
         """Return what `written` wrote.
 
         Raises:
-            KeyError, TypeError, ValueError: if a part is missing, of the wrong shape or not finite.
+            ValueError: naming what is missing, unknown, of the wrong shape, not finite or not positive.
         """
-        parts: dict[str, Any] = {}
-        for name, (kind, sizes) in PARTS.items():
-            values = {key: _array(value) for key, value in content[name].items()}
-            if tuple(map(np.size, values.values())) != sizes or not all(map(_finite, values.values())):
-                raise ValueError(f"{name} of the drivers is {content[name]}; it must hold {sizes} finite numbers")
-            parts[name] = kind(**values)
-        rest = {name: dict(content[name]) for name in ("weights", "changing", "deviations", "peers")}
-        for name in ("weights", "changing"):
-            if not all(isinstance(value, float) and 0 < value < np.inf for value in rest[name].values()):
-                raise ValueError(f"{name} of the drivers is {rest[name]}; it must have positive numbers by name")
-        return cls(**{**parts, **rest})
+        parts = _named(content, "drivers", [field.name for field in fields(cls)])
+        for peer, found in _named(parts["peers"], "peers").items():
+            both = _named(found, f"peers.{peer}", ("parameters", "spread"))
+            _numbers(both["parameters"], f"peers.{peer}.parameters")
+            _spread(both["spread"], f"peers.{peer}.spread")
+        return cls(
+            weights=_positive(parts["weights"], "weights", (*LEARNED, "comfort_acceleration")),
+            prior=TraitPrior(**_numbers(parts["prior"], "prior", {"median": 3, "deviations": 3, "noise": 0})),
+            changing=_positive(parts["changing"], "changing", CHANGING),
+            intention=Intention(**_numbers(parts["intention"], "intention", {"biases": 2, "weights": 6})),
+            spread=_spread(parts["spread"], "spread"),
+            deviations=_numbers(parts["deviations"], "deviations"),
+            peers=dict(parts["peers"]),
+        )
 
     def written(self) -> dict[str, Any]:
-        """Return plain numbers, lists and dictionaries."""
+        """Return plain numbers, lists, tuples and dictionaries."""
         return jax.tree.map(
             lambda value: np.asarray(value, dtype=float).tolist(),
             {
@@ -168,12 +177,44 @@ class LearnedDrivers:
         )
 
 
-PARTS = {"prior": (TraitPrior, (3, 3, 1)), "intention": (Intention, (2, 6)), "spread": (Spread, (3, 3, 2, 2))}
+def _named(content: Any, place: str, names: Iterable[str] | None = None) -> dict[str, Any]:
+    """Return a dictionary, which must have these names, if they are given."""
+    if not isinstance(content, dict):
+        raise ValueError(f"{place} is {content!r}; it must be given by name")
+    wanted = set(content if names is None else names)
+    for problem, wrong in (("lacks", wanted - set(content)), ("has unknown", set(content) - wanted)):
+        if wrong:
+            raise ValueError(f"{place} {problem} {', '.join(sorted(wrong))}")
+    return dict(content)
 
 
-def _array(value: Any) -> Any:
-    return tuple(map(float, value)) if isinstance(value, list) else float(value)
+def _numbers(content: Any, place: str, sizes: Mapping[str, int] | None = None) -> dict[str, Any]:
+    """Return finite numbers by name, or tuples of them of these sizes; 0, the default, is a single number."""
+    found = {}
+    for name, value in _named(content, place, sizes).items():
+        several, size = isinstance(value, list | tuple), sizes[name] if sizes else 0
+        numbers = value if several else [value]
+        if len(numbers) * several != size or not all(map(_finite, numbers)):
+            raise ValueError(
+                f"{place}.{name} is {value!r}; it must be {f'{size} finite numbers' if size else 'finite'}"
+            )
+        found[name] = tuple(map(float, numbers)) if several else float(value)
+    return found
+
+
+def _positive(content: Any, place: str, names: Iterable[str]) -> dict[str, Any]:
+    found = _numbers(_named(content, place, names), place)
+    if not all(value > 0 for value in found.values()):
+        raise ValueError(f"{place} is {found}; all of it must be positive")
+    return found
+
+
+def _spread(content: Any, place: str) -> Spread:
+    spread = Spread(**_numbers(content, place, {"along": 3, "across": 3, "changing": 2, "tails": 2}))
+    if spread.tails[0] <= 0:
+        raise ValueError(f"{place}.tails is {spread.tails}; the degrees of freedom must be positive")
+    return spread
 
 
 def _finite(value: Any) -> bool:
-    return bool(np.isfinite(value).all())
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))

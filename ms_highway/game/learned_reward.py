@@ -172,7 +172,8 @@ def _checked(content: Any, place: str) -> LearnedReward:
     fields = {name: value for name, value in content.items() if name != "version"}
     try:
         drivers = fields.pop("drivers", None)
-        read = drivers if drivers is None else LearnedDrivers.read(drivers)
+        read = None if drivers is None else LearnedDrivers.read(drivers)
         return LearnedReward(**{**fields, "learned": tuple(content["learned"]), "drivers": read})
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{place} is damaged: {error}; {REMEDY}") from error
+        problem = f"it lacks {error}" if isinstance(error, KeyError) else error
+        raise ValueError(f"{place} is damaged: {problem}; {REMEDY}") from error

@@ -6,17 +6,17 @@ among the others that this gives.
 """
 
 from functools import partial
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.learned_drivers import Intention, TraitPrior, Traits
+from ms_highway.game.learned_drivers import Intention, RewardTraits, TraitPrior
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.moments import PAST, STEPS, Moments, lanes_of
-from ms_highway.irl.outlook import Modes
+from ms_highway.irl.outlook import SIDES, Modes
 from ms_highway.planning.held_control import DrivingWeights, Leader, held_acceleration, held_curvature
 from ms_highway.runtime.batches import in_batches
 
@@ -33,8 +33,6 @@ FARTHEST = 1.5  # of the logarithm of a trait from the median's
 NOBODY = 60.0  # m, to a leader that is not seen, when lanes are compared
 NEARNESS = 30.0  # m, by which a leader's speed counts less when lanes are compared
 FAR = 1e4  # m
-
-SIDES = np.array([0, -1, 1])  # lanes to the right, of each mode
 
 
 class Changing(NamedTuple):
@@ -78,7 +76,12 @@ def predict(moments: Moments, drivers: Drivers, others: Others = "predicted") ->
         moments: whose future is read only if the others move as recorded.
         drivers: what was learned.
         others: see `Others`.
+
+    Raises:
+        ValueError: if the motion of the others is unknown.
     """
+    if others not in get_args(Others):
+        raise ValueError(f"others are {others!r}; give one of {', '.join(get_args(Others))}")
     probability, path = in_batches(lambda some: _predict(drivers, some, others), moments)
     return Modes(moments.drivers(probability), moments.drivers(path))
 
@@ -254,7 +257,7 @@ def _around(
 
 def _personal(
     drivers: Drivers, logarithms: Float[jax.Array, "cars 3"], changes: Bool[jax.Array, "cars"], limit: jax.Array
-) -> tuple[DrivingWeights, Traits]:
+) -> tuple[DrivingWeights, RewardTraits]:
     """Return the weights and traits of all cars."""
     factors = drivers.changing
     weights = DrivingWeights(
@@ -265,7 +268,7 @@ def _personal(
     )
     traits = drivers.prior.traits(logarithms, limit)
     speed = traits.desired_speed * jnp.where(changes, factors.desired_speed, 1.0)
-    return weights, Traits(speed, traits.headway * jnp.where(changes, factors.headway, 1.0), traits.patience)
+    return weights, RewardTraits(speed, traits.headway * jnp.where(changes, factors.headway, 1.0), traits.patience)
 
 
 def _cars(states: Float[jax.Array, "cars 4"]) -> _Cars:

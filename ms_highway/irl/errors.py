@@ -8,16 +8,21 @@ from jaxtyping import Float
 from ms_highway.game.learned_drivers import Spread
 from ms_highway.irl.outlook import Modes, expected_path, log_density, region_level
 
-__all__ = ["HORIZONS", "LEVELS", "MISS", "Outcomes", "errors", "measures", "outcomes"]
+__all__ = ["AT", "HORIZONS", "LEVELS", "MISS", "SCALES", "Outcomes", "errors", "measures", "outcomes"]
 
 HORIZONS = (1, 2, 3, 5)  # s
+AT = 10 * np.array(HORIZONS) - 1  # places of the horizons among the steps
+
+SCALES = np.array([[0.4, 0.1], [1.0, 0.3], [1.8, 0.5], [3.5, 0.8]])
+"""Usual errors at the horizons, along and across the road [m], by which fits weigh them."""
+
 MISS = 2.0  # m
 LEVELS = (50, 90, 99)
 """Percentages of probability in the predicted regions whose calibration is measured."""
 
 
 def errors(paths: Float[np.ndarray, "n 50 2"], recorded: Float[np.ndarray, "n 50 2"]) -> dict[str, dict[str, float]]:
-    """Return the displacement errors of predicted paths, by horizon in seconds; horizons that nobody reaches lack.
+    """Return the displacement errors of predicted paths, by horizon in seconds, of those that any driver reaches.
 
     Returns:
         ``fde``: mean distance at the horizon [m]; ``ade``: mean distance up to it [m]; ``rmse``: root mean square of

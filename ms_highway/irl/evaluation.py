@@ -25,7 +25,7 @@ from ms_highway.irl.errors import Outcomes, measures, outcomes
 from ms_highway.irl.learning import converged, folds, window_log_likelihoods
 from ms_highway.irl.maximum_entropy import differentiate, fit
 from ms_highway.irl.moments import Moments, cut_moments
-from ms_highway.irl.predictors import PREDICTORS, Prediction, learn_peers, predictions
+from ms_highway.irl.predictors import PREDICTORS, Prediction, check_drivers, learn_peers, predictions
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.regimes import by_regime
 from ms_highway.irl.seconds_ahead import learn_drivers
@@ -50,15 +50,11 @@ def evaluate(
     Raises:
         ValueError: if no driver was seen for long enough, or the reward has no drivers learned seconds ahead.
     """
-    if learned.drivers is None:
-        raise ValueError(
-            "this reward has no drivers that were learned seconds ahead; learn it from real recordings with "
-            "`ms-highway irl fit`, or give the one that comes with the package, us101"
-        )
+    drivers = check_drivers(learned.drivers)
     progress("cutting windows")
     moments, windows = cut_moments(recordings), regular_windows(recordings, learned.horizon)
     progress(f"predicting {moments.predicted.sum()} drivers")
-    predicted = predictions(moments, learned.drivers, others)
+    predicted = predictions(moments, drivers, others)
     progress(f"differentiating {len(windows)} windows")
     derivatives, model = differentiate(windows, learned.model.names), learned.model
     likely = window_log_likelihoods(derivatives, model, learned.weights, learned.temperature, learned.tails)
@@ -133,10 +129,15 @@ def load_evaluation(path: Path) -> dict[str, Any]:
     remedy = "write it again with `ms-highway irl evaluate --json`"
     if not isinstance(evaluation, dict):
         raise ValueError(f"{path} is no evaluation; {remedy}")
-    parts = ("windows", "tracks", "situations", "likelihood", "predictors")
+    parts = ("windows", "tracks", "others", "situations", "likelihood", "predictors")
     missing = [name for name in parts if name not in evaluation]
-    rows = evaluation.get("predictors")
-    rows = rows if isinstance(rows, dict) else {}
+    rows, likely, situations = (
+        part if isinstance(part := evaluation.get(name), dict) else {}
+        for name in ("predictors", "likelihood", "situations")
+    )
+    numbers = ("model", "constant_velocity", "windows")
+    missing += [f"likelihood.{name}" for name in numbers if not isinstance(likely.get(name), (int, float))]
+    missing += [f"situations.{name}" for name in ("distance", "log_p") if not isinstance(situations.get(name), dict)]
     missing += [f"predictors.{name}" for name in PREDICTORS if not isinstance(rows.get(name), dict)]
     for name, row in rows.items():
         kinds = ("fde", "rmse", "miss", "log_p", "inside 50", "inside 90", "inside 99")

@@ -38,12 +38,13 @@ from ms_highway.game.game import Game, move
 from ms_highway.game.reward import COMFORT
 from ms_highway.game.reward_model import RewardModel
 from ms_highway.irl.windows import Windows, control_deviation, driver_game, features_along, path_features
+from ms_highway.optimization.floored import floored
 from ms_highway.optimization.second_derivatives import Trajectory, second_order_expansion
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
 
-__all__ = ["FeatureDerivatives", "Fit", "differentiate", "fit", "floored", "log_likelihoods", "most_likely"]
+__all__ = ["FeatureDerivatives", "Fit", "differentiate", "fit", "log_likelihoods", "most_likely"]
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
 MANY = 600  # windows, of which half as many are fitted first
@@ -152,33 +153,6 @@ def _differentiate(game: Game, window: Windows) -> FeatureDerivatives:
 
     features = features_along(game, window, controls)
     return FeatureDerivatives(features, *jax.vmap(of_one)(jnp.eye(len(features))))
-
-
-@jax.custom_jvp
-def floored(symmetric: Float[jax.Array, "d d"], floor: Float[jax.Array, ""]) -> Float[jax.Array, "d d"]:
-    """Return a symmetric matrix with its eigenvalues below a floor set to the floor.
-
-    Its derivative is exact also at equal eigenvalues, where those of the eigenvectors are not finite: with divided
-    differences F of max(., floor), ``d floored = V (F * (V^T dA V)) V^T``.
-    """
-    values, vectors = jnp.linalg.eigh(symmetric)
-    return (vectors * jnp.maximum(values, floor)) @ vectors.T
-
-
-@floored.defjvp
-def _floored_jvp(
-    primals: tuple[jax.Array, jax.Array], tangents: tuple[jax.Array, jax.Array]
-) -> tuple[jax.Array, jax.Array]:
-    (symmetric, floor), (change, of_floor) = primals, tangents
-    values, vectors = jnp.linalg.eigh(symmetric)
-    high = values > floor
-    above, below = jnp.where(high, values, floor)[:, None], jnp.where(high, floor - 1.0, values)[None, :]
-    mixed = (above - floor) / (above - below)
-    one_of_two = high[:, None] ^ high[None, :]
-    shares = jnp.where(one_of_two, jnp.where(high[:, None], mixed, mixed.T), high[:, None] & high[None, :])
-    turned = vectors.T @ change @ vectors
-    back = vectors @ (shares * turned) @ vectors.T + of_floor * (vectors * ~high) @ vectors.T
-    return (vectors * jnp.maximum(values, floor)) @ vectors.T, back
 
 
 @jax.jit

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.recordings.recording import Recording, number_groups
 
 __all__ = ["PAST", "STEPS", "Moments", "cut_moments", "lanes_of"]
@@ -79,13 +80,16 @@ def cut_moments(recordings: Sequence[Recording]) -> Moments:
         recordings: the recordings to cut.
 
     Raises:
-        ValueError: if no driver was seen for a second.
+        ValueError: if no driver was seen for a second, or a recording's time step is not 0.1 s.
     """
     groups = number_groups(recordings)
     cars = max((CARS, *(item.states.shape[1] for item in recordings)))
     lanes = max((LANES, *(len(item.lanes) for item in recordings)))
     rows, first_track = [], 0
     for recording in recordings:
+        if not np.isclose(recording.time_step, TIME_STEP):
+            step = recording.time_step
+            raise ValueError(f"{recording.name} has a time step of {step} s, not of {TIME_STEP} s; resample it")
         tracks = np.full(cars, -1)
         tracks[recording.drivers] = first_track + np.arange(len(recording.drivers))
         first_track += len(recording.drivers)

@@ -10,10 +10,13 @@ from scipy import optimize
 
 from ms_highway.game.learned_drivers import Spread
 
-__all__ = ["DRAWS", "Modes", "expected_path", "fit_spread", "log_density", "region_level"]
+__all__ = ["DRAWS", "SIDES", "Modes", "expected_path", "fit_spread", "log_density", "region_level"]
 
 DRAWS = 256
 """Draws from a predicted distribution, by which the region that holds a position is measured."""
+
+SIDES = np.array([0, -1, 1])
+"""Lanes to the right of each mode of a driver who may change lanes."""
 
 EVERY = 5  # steps between those at which the spread is fitted
 FIRST = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.0, 0.0)  # parameters that a fit starts from, the tails' last
@@ -33,7 +36,7 @@ class Modes(NamedTuple):
 
 
 def expected_path(modes: Modes) -> Float[np.ndarray, "n 50 2"]:
-    """Return the mean of the modes' paths, the one prediction that errors are measured of."""
+    """Return the mean of the modes' paths, the single path that errors are measured by."""
     return np.einsum("nm,nmtc->ntc", np.asarray(modes.probability), np.asarray(modes.path))
 
 
@@ -75,8 +78,8 @@ def fit_spread(modes: Modes, positions: Float[np.ndarray, "n 50 2"]) -> Spread:
     known = np.isfinite(positions).all(axis=-1)[:, few]
 
     def value(parameters: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = _surprise(parameters, modes, np.nan_to_num(positions), known)
-        return float(value), np.asarray(slope, dtype=float)
+        surprise, slope = _surprise(parameters, modes, np.nan_to_num(positions), known)
+        return float(surprise), np.asarray(slope, dtype=float)
 
     found = optimize.minimize(value, np.array(FIRST), jac=True, method="L-BFGS-B")
     return _spread(found.x)

@@ -1,7 +1,7 @@
 """All predictors of recorded drivers by name: what was learned, and the peers that it is compared with."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from ms_highway.irl.peers.kinematic import constant_velocity, turn_and_accelerat
 from ms_highway.irl.peers.lane_following import KalmanSettings, fit_kalman, lane_modes
 from ms_highway.irl.seconds_ahead import drivers_of
 
-__all__ = ["PREDICTORS", "Prediction", "learn_peers", "predictions"]
+__all__ = ["PREDICTORS", "Prediction", "check_drivers", "learn_peers", "predictions"]
 
 PREDICTORS = {
     "model": "learned drivers",
@@ -27,6 +27,9 @@ PREDICTORS = {
     "lane_modes": "Kalman over lanes",
 }
 """Names and labels of the predictors, the learned one first; CTRA is constant turn rate and acceleration."""
+
+PARAMETERS = {"fitted_idm": IdmParameters, "lane_modes": KalmanSettings}  # of the peers that have any
+REMEDY = "learn it from real recordings with `ms-highway irl fit`, or use us101, which comes with the package"
 
 
 class Prediction(NamedTuple):
@@ -64,12 +67,37 @@ def predictions(moments: Moments, learned: LearnedDrivers, others: Others = "pre
         moments: to predict.
         learned: the drivers, and parameters and spread of the peers.
         others: what learned drivers meet, see `ms_highway.irl.driving.Others`; peers predict everybody by themselves.
+
+    Raises:
+        ValueError: if a peer lacks, see `check_drivers`, or the motion of the others is unknown.
     """
+    check_drivers(learned)
     found = {"model": Prediction(predict(moments, drivers_of(learned), others), learned.spread)}
     modes = _peers(moments, {name: peer["parameters"] for name, peer in learned.peers.items()})
     for name, peer in learned.peers.items():
         found[name] = Prediction(modes[name](), Spread(**{key: np.asarray(v) for key, v in peer["spread"].items()}))
     return found
+
+
+def check_drivers(drivers: LearnedDrivers | None) -> LearnedDrivers:
+    """Return the drivers of a learned reward.
+
+    Raises:
+        ValueError: if it has none, or a peer or one of its parameters is missing or unknown.
+    """
+    if drivers is None:
+        raise ValueError(f"this reward has no drivers that were learned seconds ahead; {REMEDY}")
+    wanted = {name: PARAMETERS.get(name) for name in PREDICTORS if name != "model"}
+    for name in wanted:
+        if name not in drivers.peers:
+            raise ValueError(f"this reward lacks the peer {name}; {REMEDY}")
+    for name, peer in drivers.peers.items():
+        kind = wanted.get(name)
+        names, found = {part.name for part in fields(kind)} if kind else set(), set(peer["parameters"])
+        if name not in wanted or names != found:
+            wrong = ", ".join(sorted(names ^ found)) or name
+            raise ValueError(f"the peer {name} of this reward lacks or does not know {wrong}; {REMEDY}")
+    return drivers
 
 
 def _peers(moments: Moments, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Callable[[], Modes]]:

@@ -14,28 +14,23 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 from scipy import optimize, special
 
-from ms_highway.game.learned_drivers import Intention, LearnedDrivers, TraitPrior
+from ms_highway.game.learned_drivers import CHANGING, LEARNED, Intention, LearnedDrivers, TraitPrior
 from ms_highway.irl.driving import Changing, Drivers, advantages, drive_together, predict
+from ms_highway.irl.errors import AT, SCALES
 from ms_highway.irl.moments import Moments, lanes_of
 from ms_highway.irl.outlook import Modes, fit_spread
 from ms_highway.planning.held_control import DrivingWeights
 from ms_highway.runtime.progress import Progress, silent
 
-__all__ = ["LEARNED", "drivers_of", "learn_drivers"]
+__all__ = ["drivers_of", "learn_drivers"]
 
-HORIZONS = np.array([10, 20, 30, 50])  # steps
-SCALES = np.array([[0.4, 0.1], [1.0, 0.3], [1.8, 0.5], [3.5, 0.8]])  # m, along and across, of errors at the horizons
 SURE = 20  # steps for which a driver must be seen, to know whether it changes lanes
-
-LEARNED = ("speed", "headway", "closing_speed", "lane_alignment", "direction", "comfort_steering")
-"""Weights that are learned seconds ahead, relative to that of the comfort of acceleration."""
 
 COMFORT = 0.1
 FIRST = {
     **dict(zip(LEARNED, (7e-4, 4e-3, 0.1, 0.1, 0.2, 0.05), strict=True)),
     **{"typical headway": 1.2, "desired speeds": 0.15, "headways": 0.5, "patiences": 0.4, "noise": 0.7},
 }  # that the fit starts from, and the medians of its prior: weights, median headway, deviations of traits, and noise
-CHANGING = (*LEARNED, "desired speed", "typical headway")  # what has a factor while changing lanes
 NAMES = (*FIRST, *(f"{name} while changing lanes" for name in CHANGING))
 WIDE, NARROW = 2.0, 0.7  # standard deviations of the prior, of logarithms of weights and of all else
 DEVIATIONS = np.array([WIDE if name in LEARNED else NARROW for name in (*FIRST, *CHANGING)])
@@ -195,8 +190,8 @@ def _off(
     drivers = _drivers(logarithms)
 
     def one(moment: Moments, known: _Known) -> tuple[jax.Array, jax.Array]:
-        path = drive_together(drivers, moment, known.lane, known.changes)[HORIZONS - 1, :, :2]
-        recorded = moment.future[HORIZONS - 1, :, :2]
+        path = drive_together(drivers, moment, known.lane, known.changes)[AT, :, :2]
+        recorded = moment.future[AT, :, :2]
         counts = jnp.isfinite(recorded).all(axis=-1) & known.counts
         error = jnp.where(counts[..., None], path - jnp.nan_to_num(recorded), 0.0) / SCALES[:, None]
         return jnp.sum(jnp.sqrt(1 + error**2) - 1, axis=(0, 2)), counts.sum(axis=0)

@@ -15,7 +15,7 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
 from ms_highway.game.features import ATTENTION, HEADING_SHARE, STANDSTILL_GAP
-from ms_highway.game.learned_drivers import Traits
+from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
 from ms_highway.runtime.arrays import Array
 
@@ -60,7 +60,7 @@ class Leader(NamedTuple):
 
 
 def held_acceleration(
-    weights: DrivingWeights, traits: Traits, speed: Float[jax.Array, "*cars"], leader: Leader, horizon: int = 5
+    weights: DrivingWeights, traits: RewardTraits, speed: Float[jax.Array, "*cars"], leader: Leader, horizon: int = 5
 ) -> Float[jax.Array, "*cars"]:
     """Return the acceleration [m/s^2] that, held for a horizon of steps of 0.1 s, earns most; -8 to 4.
 
@@ -96,7 +96,8 @@ def held_curvature(
     """Return the curvature [1/m] that, held for a horizon of steps of 0.1 s, earns most; at most 0.02 to each side.
 
     With the lateral position ``y_k = offset + v heading t_k + v^2 c t_k^2 / 2`` and the heading ``h_k = heading + v c
-    t_k`` it maximises ``sum_k -lane_alignment (y_k / U)^2 - direction h_k^2 / 2 - comfort (c U 0.6)^2 / 2``.
+    t_k`` it maximises ``sum_k -lane_alignment (y_k / U)^2 - (direction + 0.01 lane_alignment) h_k^2 / 2 - comfort
+    (c U 0.6)^2 / 2``.
 
     Args:
         weights: of the reward.

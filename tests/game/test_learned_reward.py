@@ -2,10 +2,13 @@
 
 import json
 from dataclasses import replace
+from functools import reduce
+from operator import getitem
 
 import numpy as np
 import pytest
 
+from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import SHIPPED, load, save, shipped
 from ms_highway.game.scenario import COMMON_WEIGHTS
 
@@ -68,6 +71,7 @@ def broken(tmp_path, **changes):
         ({"covariance": (-np.eye(4)).tolist()}, "covariance"),
         ({"covariance": [[1.0]]}, "covariance"),
         ({"learned": ["gap"]}, "damaged"),
+        ({"drivers": {}}, "drivers lacks changing"),
         ({"surprise": 1}, "damaged"),
     ],
 )
@@ -76,6 +80,48 @@ def test_a_damaged_file_or_one_of_another_version_is_refused_with_a_remedy(chang
         load(broken(tmp_path, **changes))
     assert "theta.json" in str(error.value)
     assert "ms-highway irl fit" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "message"),
+    [
+        (("prior",), None, "drivers lacks prior"),
+        (("prior", "noise"), None, "prior lacks noise"),
+        (("prior", "noise"), -1.0, "must be positive"),
+        (("weights", "headway"), None, "weights lacks headway"),
+        (("weights", "sped"), 1.0, "weights has unknown sped"),
+        (("weights", "headway"), 0.0, "weights is .* must be positive"),
+        (("changing", "typical headway"), None, "changing lacks typical headway"),
+        (("changing",), ["speed"], "changing is .* by name"),
+        (("intention",), {"weights": [0.0, 0.0], "biases": [0.0] * 6}, "weights is .* 6 finite numbers"),
+        (("spread", "along"), [0.0, float("nan"), 0.0], "spread.along is .* 3 finite numbers"),
+        (("spread", "tails"), [-1.0, 1.0], "degrees of freedom must be positive"),
+        (("deviations", "speed"), "much", "deviations.speed is 'much'"),
+        (("peers",), [], "peers is .* by name"),
+        (("peers", "idm", "spread"), None, "peers.idm lacks spread"),
+        (("peers", "fitted_idm", "parameters", "gap"), True, "peers.fitted_idm.parameters.gap is True"),
+    ],
+)
+def test_damaged_drivers_are_refused_with_a_remedy(part, value, message, tmp_path):
+    path = tmp_path / "theta.json"
+    save(shipped("us101"), path)
+    content = json.loads(path.read_text())
+    *outer, last = ("drivers", *part)
+    place = reduce(getitem, outer, content)
+    place[last] = value
+    if value is None:
+        del place[last]
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=rf"theta\.json is damaged: .*{message}.*ms-highway irl fit"):
+        load(path)
+
+
+def test_drivers_are_read_as_they_were_written_in_any_order():
+    drivers = shipped("us101").drivers
+    written = drivers.written()
+    assert LearnedDrivers.read(written) == drivers
+    turned = {name: dict(reversed(part.items())) for name, part in reversed(written.items())}
+    assert LearnedDrivers.read(turned) == drivers
 
 
 def test_a_file_of_version_1_which_named_a_key_otherwise_is_read(tmp_path):

@@ -1,6 +1,6 @@
 """Learning a reward: derivatives, likelihoods, and weights that are known because demonstrators drove for them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import gymnasium as gym
@@ -14,7 +14,7 @@ from ms_highway.envs import DEMONSTRATION_ID
 from ms_highway.game.reward import COMFORT, FEATURES, OWN_FEATURES
 from ms_highway.game.reward_model import NO_GRADIENT, RewardModel
 from ms_highway.irl.learning import SIMULATED, best_controls, expected_features
-from ms_highway.irl.maximum_entropy import FeatureDerivatives, differentiate, fit, floored, log_likelihoods, most_likely
+from ms_highway.irl.maximum_entropy import FeatureDerivatives, differentiate, fit, log_likelihoods, most_likely
 from ms_highway.irl.recordings.demonstrations import actions
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
 from ms_highway.irl.recordings.drivers import TEMPERATURE
@@ -59,23 +59,6 @@ def recorded(states: np.ndarray, scene, name: str) -> Recording:
 def quickly(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
     """The function of many at once, compiled."""
     return jit_quickly(jax.vmap(function))
-
-
-def symmetric(seed: int, eigenvalues: Sequence[float]) -> np.ndarray:
-    vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(len(eigenvalues),) * 2))[0]
-    return (vectors * eigenvalues) @ vectors.T
-
-
-@pytest.mark.parametrize("eigenvalues", [(3.0, 3.0, 2.0, 1.5), (3.0, 3.0, -1.0, -1.0), (0.2, -0.3, -5.0, 4.0)])
-def test_floored_eigenvalues_have_exact_derivatives_also_where_they_meet(eigenvalues):
-    with jax.enable_x64(True):
-        matrix, change = symmetric(0, eigenvalues), symmetric(1, (1.0, -0.5, 0.3, 0.7))
-        np.testing.assert_allclose(
-            np.linalg.eigvalsh(floored(matrix, 1.0)), np.sort(np.maximum(eigenvalues, 1.0)), atol=1e-12
-        )
-        slope = jax.jvp(floored, (matrix, 1.0), (change, 0.4))[1]
-        difference = (floored(matrix + 1e-6 * change, 1 + 4e-7) - floored(matrix - 1e-6 * change, 1 - 4e-7)) / 2e-6
-        np.testing.assert_allclose(slope, difference, atol=1e-7)
 
 
 def test_slopes_of_features_also_of_ones_own_are_those_of_automatic_differentiation(demonstrated, monkeypatch):

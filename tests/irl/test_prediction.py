@@ -89,6 +89,8 @@ def test_only_recorded_others_leak_that_a_leader_will_brake():
     }
     assert ends["recorded"] < ends["predicted"] - 5.0
     assert ends["coasting"] == pytest.approx(ends["predicted"], abs=3.0)
+    with pytest.raises(ValueError, match="others are 'known'; give one of predicted, recorded, coasting"):
+        predict(first, drivers_of(DRIVERS), "known")
 
 
 def test_who_drifts_to_the_next_lane_is_expected_there():
@@ -197,9 +199,27 @@ def test_a_driver_that_is_never_seen_for_a_second_cannot_be_predicted():
         cut_moments([following(4.0, times=8)])
 
 
+def test_a_recording_of_another_time_step_cannot_be_predicted():
+    with pytest.raises(ValueError, match=r"a pair has a time step of 0\.2 s, not of 0\.1 s; resample it"):
+        cut_moments([replace(following(4.0), time_step=0.2)])
+
+
 def test_a_reward_without_drivers_cannot_be_evaluated():
     with pytest.raises(ValueError, match=r"no drivers .* irl fit"):
         evaluate([following(20.0)], shipped("demonstrations"))
+
+
+def test_drivers_without_a_peer_or_one_of_its_parameters_predict_nothing():
+    peers = dict(DRIVERS.peers)
+    idm, moments = peers.pop("fitted_idm"), cut_moments([following(20.0)])
+    rest = {name: value for name, value in idm["parameters"].items() if name != "gap"}
+    for changed, message in (
+        (peers, "lacks the peer fitted_idm"),
+        ({**peers, "fitted_idm": {**idm, "parameters": rest}}, "fitted_idm .* gap"),
+        ({**DRIVERS.peers, "oracle": idm}, "oracle"),
+    ):
+        with pytest.raises(ValueError, match=rf"{message}.*irl fit"):
+            predictions(moments, replace(DRIVERS, peers=changed))
 
 
 def test_real_drivers_are_predicted_better_by_what_was_learned_than_by_any_peer(us101):

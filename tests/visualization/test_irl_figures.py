@@ -142,7 +142,7 @@ def test_tables_show_what_was_found():
     assert "(1.5)" in text  # not identifiable
     assert "25.00%" in text
     tables = evaluation_tables(evaluation())
-    assert "12 stretches of road of 3 drivers, others predicted" in printed(tables[0])
+    assert "12 predictions of 3 drivers, others predicted" in printed(tables[0])
     assert printed(tables[0]).count(" 2.50") == 3 * len(PREDICTORS)  # FDE, RMSE and log p
     assert "90.0%" in printed(tables[0])
     assert printed(tables[1]).count("1.50") == len(PREDICTORS)
@@ -159,6 +159,12 @@ def test_tables_show_what_was_found():
         ("[]", "is no evaluation"),
         (json.dumps({**evaluation(), "predictors": {}}), "lacks predictors.model, predictors.constant_velocity"),
         (json.dumps({key: value for key, value in evaluation().items() if key != "tracks"}), "lacks tracks"),
+        (json.dumps({key: value for key, value in evaluation().items() if key != "others"}), "lacks others"),
+        (
+            json.dumps({**evaluation(), "likelihood": {"model": 1.0, "windows": 2}}),
+            "lacks likelihood.constant_velocity",
+        ),
+        (json.dumps({**evaluation(), "situations": {"distance": {}}}), "lacks situations.log_p"),
     ],
 )
 def test_what_is_no_evaluation_is_refused(content, message, tmp_path):
@@ -182,12 +188,15 @@ def test_recovery_needs_enough_demonstrations(numbers, held_out, message, us101)
 def test_commands_refuse_what_they_cannot_use_before_anything_is_written(tmp_path, capsys):
     path, out = tmp_path / "evaluation.json", str(tmp_path / "out")
     path.write_text(json.dumps(evaluation()))
-    report = ["irl", "report", "--out", out, "--theta", "demonstrations"]
+    report = ["irl", "report", "--out", out, "--theta", "us101"]
+    simulated = ["--theta", "demonstrations", "--data", out]
     for arguments, message in (
         (["irl", "recover", "--data", "recordings", "--out", out], "true weights are known of simulated drivers only"),
         (["irl", "recover", "--data", "minari:ms-highway/absent-v0", "--out", out], "there is no data set"),
         ([*report, "--evaluation", str(tmp_path / "absent.json"), "--data", out], "cannot be read as an evaluation"),
         ([*report, "--evaluation", str(path), "--data", out], "is not a directory"),
+        ([*report, "--evaluation", str(path), *simulated], "--theta demonstrations: this reward has no drivers"),
+        (["irl", "evaluate", *simulated], "--theta demonstrations: this reward has no drivers"),
     ):
         assert main(arguments) == 2
         error = capsys.readouterr().err

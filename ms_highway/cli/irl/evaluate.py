@@ -5,18 +5,28 @@ import json
 from typing import Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
-from ms_highway.cli.irl.options import OTHERS, THETA_HELP, add_data, add_model, horizon, model, read, theta
+from ms_highway.cli.irl.options import (
+    OTHERS,
+    REAL_DRIVERS_HELP,
+    add_data,
+    add_model,
+    horizon,
+    model,
+    read,
+    real_drivers,
+)
 
 __all__ = ["add_evaluate"]
 
 HELP = """\
 Predict recorded drivers for up to 5 s and compare with where they went, beside constant velocity, constant turn rate
-and acceleration (CTRA), highway-env's IDM, a fitted IDM and a Kalman filter over lanes, on the same stretches of road.
+and acceleration (CTRA), highway-env's IDM, a fitted IDM and a Kalman filter over lanes. All predict every driver, from
+the same moments, once a second.
 
 With --folds instead of --theta, everything is learned from the other recordings, fold after fold. FDE, the distance at
 the horizon, and RMSE are in metres; a miss is more than 2 m off; log p is the mean log density of the recorded position
-in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the predicted probability. Windows are half
-seconds of controls, see irl fit."""
+in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the predicted probability. Windows are
+--horizon steps of controls, see irl fit."""
 
 EXAMPLES = """\
 examples:
@@ -29,7 +39,7 @@ def add_evaluate(commands: Any) -> None:
     parser = add_command(commands, "evaluate", "predict recorded drivers", HELP, EXAMPLES)
     add_data(parser)
     which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--theta", metavar="FILE", help=THETA_HELP)
+    which.add_argument("--theta", metavar="FILE", help=REAL_DRIVERS_HELP)
     which.add_argument("--folds", type=int, metavar="N", help="cross-validate by recording, in N folds")
     add_model(parser)
     parser.add_argument(
@@ -50,7 +60,7 @@ def _evaluate(options: argparse.Namespace) -> None:
 
     if options.theta and (options.learn or options.horizon):
         raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
-    learned = theta(options.theta) if options.theta else None
+    learned = real_drivers(options.theta) if options.theta else None
     recordings = read(options.data)
     with telling() as tell:
         if learned:

@@ -11,12 +11,13 @@ __all__ = ["add_fit"]
 
 HELP = """\
 Learn the weights of a reward by maximum entropy: the reward that makes it most likely that drivers did what they did,
-window after window of --horizon steps of 0.1 s (Levine and Koltun 2012). Half the least comfort weight is the floor of
-the curvature that a fit believes. --out gets weights, temperature, covariance, likelihoods and where all of it is from.
-The indicator of a collision has no gradient and is left out.
+window after window of --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts as at least
+half the smallest comfort weight. The indicator of a collision has no gradient and is left out.
 
-From real recordings, a second set of weights is learned by where drivers are 1 to 5 s later, and with them how drivers
-differ, when they change lanes and how far off predictions are: what irl evaluate predicts by."""
+From real recordings, a second set of weights is learned from where drivers are 1 to 5 s later, and with it how drivers
+differ, when they change lanes and how far off predictions are; irl evaluate predicts with these.
+
+Write to --out: weights, temperature, covariance, likelihoods, drivers and provenance."""
 
 EXAMPLES = """\
 examples:

@@ -19,10 +19,9 @@ __all__ = [
     "DENSITY_NAMES",
     "MINARI",
     "OTHERS",
+    "REAL_DRIVERS_HELP",
     "REAL_WEIGHTS",
-    "SHIPPED_NAMES",
     "SIMULATED_WEIGHTS",
-    "THETA_HELP",
     "add_data",
     "add_horizon",
     "add_model",
@@ -30,15 +29,12 @@ __all__ = [
     "horizon",
     "model",
     "read",
+    "real_drivers",
     "save_figures",
-    "theta",
 ]
 
 MINARI = "minari:"
 """Prefix of a Minari data set's name on the command line."""
-
-SHIPPED_NAMES = ("demonstrations", "us101")
-"""Keys of `ms_highway.game.learned_reward.SHIPPED`, for help texts."""
 
 DENSITY_NAMES = ("sparse", "medium", "dense")
 """Keys of `ms_highway.envs.routes.DENSITIES`; told here so that help needs no JAX."""
@@ -52,7 +48,7 @@ SIMULATED_WEIGHTS = ("speed", "lane_alignment", "collision_risk")
 REAL_WEIGHTS = (*SIMULATED_WEIGHTS, "direction", "headway", "closing_speed", "induced_braking", "comfort_steering")
 """Weights that `ms_highway.irl.learning.REAL` learns, for help texts."""
 
-THETA_HELP = f"a learned reward: a file, or one of {', '.join(SHIPPED_NAMES)}"
+REAL_DRIVERS_HELP = "a reward learned from real recordings: a file of `ms-highway irl fit`, or us101"
 
 DPI = 110
 HORIZON = 5  # steps, as the paper plans
@@ -99,11 +95,21 @@ def read(data: str) -> "list[Recording]":
     return read_directory(Path(data))
 
 
-def theta(name: str) -> "LearnedReward":
-    """Read the learned reward that ``--theta`` names."""
-    from ms_highway.game.learned_reward import SHIPPED, load, shipped
+def real_drivers(name: str) -> "LearnedReward":
+    """Read the learned reward that ``--theta`` names.
 
-    return shipped(name) if name in SHIPPED else load(Path(name))
+    Raises:
+        ValueError: naming it, if it cannot be read or has no drivers that were learned seconds ahead.
+    """
+    from ms_highway.game.learned_reward import SHIPPED, load, shipped
+    from ms_highway.irl.predictors import check_drivers
+
+    learned = shipped(name) if name in SHIPPED else load(Path(name))
+    try:
+        check_drivers(learned.drivers)
+    except ValueError as error:
+        raise ValueError(f"--theta {name}: {error}") from error
+    return learned
 
 
 def horizon(options: argparse.Namespace) -> int:

@@ -5,14 +5,14 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
-from ms_highway.cli.irl.options import THETA_HELP, add_data, check_directory, read, save_figures, theta
+from ms_highway.cli.irl.options import REAL_DRIVERS_HELP, add_data, check_directory, read, real_drivers, save_figures
 
 __all__ = ["add_report"]
 
 HELP = """\
-Draw what was learned, in the directory --out: of the evaluation, errors.png and likelihood.png (against the horizon),
-and calibration.png (how often drivers are in the predicted regions); paths.png (predicted and recorded paths of a few
-drivers of the recordings); and counts.png (feature counts, of the learned reward)."""
+Draw figures into the directory --out. From --evaluation: errors.png and likelihood.png (errors and log p against the
+horizon) and calibration.png (how often drivers are in the predicted regions). From --theta and --data: paths.png
+(predicted and recorded paths of a few drivers). From --theta: counts.png (feature counts)."""
 
 EXAMPLES = """\
 example:
@@ -26,7 +26,7 @@ def add_report(commands: Any) -> None:
     parser.add_argument(
         "--evaluation", type=Path, required=True, metavar="FILE", help="what `ms-highway irl evaluate --json` prints"
     )
-    parser.add_argument("--theta", required=True, metavar="FILE", help=THETA_HELP)
+    parser.add_argument("--theta", required=True, metavar="FILE", help=REAL_DRIVERS_HELP)
     add_data(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory of results")
     parser.set_defaults(run=_report)
@@ -38,7 +38,7 @@ def _report(options: argparse.Namespace) -> None:
     from ms_highway.irl.evaluation import load_evaluation
     from ms_highway.irl.moments import cut_moments
     from ms_highway.irl.outlook import Modes, expected_path
-    from ms_highway.irl.predictors import predictions
+    from ms_highway.irl.predictors import check_drivers, predictions
     from ms_highway.irl.regimes import examples
     from ms_highway.visualization.irl.prediction import (
         calibration_figure,
@@ -51,13 +51,12 @@ def _report(options: argparse.Namespace) -> None:
 
     check_directory(options.out)
     evaluation = load_evaluation(options.evaluation)
-    learned, recordings = theta(options.theta), read(options.data)
-    if learned.drivers is None:
-        raise ValueError(f"--theta {options.theta} has no drivers learned seconds ahead; give one of real recordings")
+    learned = real_drivers(options.theta)
+    drivers, recordings = check_drivers(learned.drivers), read(options.data)
     with telling() as tell:
         tell("predicting")
         moments = cut_moments(recordings)
-        found = predictions(moments, learned.drivers)
+        found = predictions(moments, drivers)
         coasting = np.linalg.norm(expected_path(found["constant_velocity"].modes) - moments.recorded, axis=-1)
         chosen = examples(moments, coasting)
     some = {

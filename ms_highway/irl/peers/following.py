@@ -13,20 +13,19 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 from scipy import optimize
 
+from ms_highway.game.scenario import TIME_STEP
+from ms_highway.irl.errors import AT, SCALES
 from ms_highway.irl.moments import STEPS, Moments, lanes_of
 from ms_highway.irl.outlook import Modes
 from ms_highway.runtime.compilation import jit_quickly
 
 __all__ = ["FIRST_IDM", "HIGHWAY_ENV_IDM", "IdmParameters", "fit_idm", "idm"]
 
-TIME_STEP = 0.1  # s
 EXPONENT = 4.0  # of the speed
 STRONGEST = 6.0  # m/s^2, acceleration
 AXLES = 2.5  # m, half the length from which highway-env steers
 SLIP = np.sin(np.arctan(np.tan(np.pi / 3) / 2))  # of the largest slip angle, the sine
 SINE = np.sin(np.pi / 4)  # of the largest heading
-HORIZONS = (10, 20, 30, 50)  # steps, after which errors count in a fit
-SCALES = ((0.4, 0.1), (1.0, 0.3), (1.8, 0.5), (3.5, 0.8))  # m, of these errors along and across the road
 EVALUATIONS = 50
 
 
@@ -102,8 +101,7 @@ def fit_idm(moments: Moments, evaluations: int = EVALUATIONS) -> IdmParameters:
         evaluations: of the error, at most.
     """
     scene = _scene(moments)
-    steps = np.array(HORIZONS) - 1
-    positions = np.moveaxis(np.asarray(moments.future)[:, steps, :, :2], 1, 2)
+    positions = np.moveaxis(np.asarray(moments.future)[:, AT, :, :2], 1, 2)
     known = jnp.asarray(np.isfinite(positions).all(axis=-1) & moments.predicted[..., None])
     targets = jnp.asarray(np.nan_to_num(positions))
 
@@ -126,7 +124,7 @@ def _error(
     """Return the robust error, averaged over all known positions, and its gradient."""
 
     def error(logarithms: jax.Array) -> jax.Array:
-        paths = _rolled(IdmParameters(*jnp.exp(logarithms)), scene)[:, :, np.array(HORIZONS) - 1]
+        paths = _rolled(IdmParameters(*jnp.exp(logarithms)), scene)[:, :, AT]
         off = jnp.where(known[..., None], paths - positions, 0.0) / jnp.array(SCALES)
         return jnp.sum(jnp.sqrt(1 + off**2) - 1) / jnp.sum(known)
 

@@ -7,6 +7,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.moments import STEPS, Moments
 from ms_highway.irl.outlook import Modes
 
@@ -17,8 +18,6 @@ WINDOW = 3.0
 
 FADING = (0.5, 0.25)
 """Seconds, time constants with which acceleration and turn rate fade: those with the least error on NGSIM."""
-
-TIME_STEP = 0.1  # s
 
 
 def constant_velocity(moments: Moments) -> Modes:

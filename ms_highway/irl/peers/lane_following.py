@@ -16,14 +16,13 @@ from jaxtyping import Bool, Float
 from scipy import optimize
 
 from ms_highway.game.learned_drivers import Spread
+from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.moments import STEPS, Moments, lanes_of
-from ms_highway.irl.outlook import Modes, log_density
+from ms_highway.irl.outlook import SIDES, Modes, log_density
 from ms_highway.runtime.compilation import jit_quickly
 
 __all__ = ["FIRST_KALMAN", "KalmanSettings", "fit_kalman", "lane_modes"]
 
-TIME_STEP = 0.1  # s
-SIDES = np.array([0, -1, 1])  # lanes to the right, of each mode
 EVERY = 5  # steps between those at which predictions count in a fit
 FIRST_SPREAD = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.5)  # as in `ms_highway.irl.outlook`
 EVALUATIONS = 30

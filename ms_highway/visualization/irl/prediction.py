@@ -138,7 +138,7 @@ def errors_figure(evaluation: Mapping[str, Any]) -> Figure:
     right.set(ylabel=f"share of drivers off by more than {MISS:g} m")
     right.yaxis.set_major_formatter(PercentFormatter(1.0))
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle(f"{evaluation['windows']} stretches of {evaluation['tracks']} drivers")
+    figure.suptitle(f"{evaluation['windows']} predictions of {evaluation['tracks']} drivers")
     return figure
 
 

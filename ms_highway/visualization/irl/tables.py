@@ -93,7 +93,7 @@ MEASURES |= {f"inside {level}": (f"in {level} %", "{:.1%}") for level in LEVELS}
 def _measures(evaluation: Mapping[str, Any]) -> Table:
     number, tracks, others = (evaluation[part] for part in ("windows", "tracks", "others"))
     grid = _grid(
-        f"{number} stretches of road of {tracks} drivers, others {others}",
+        f"{number} predictions of {tracks} drivers, others {others}",
         ["after", *(label for label, _ in MEASURES.values())],
     )
     for horizon in map(str, HORIZONS):
@@ -111,7 +111,7 @@ def _situations(evaluation: Mapping[str, Any]) -> list[Table]:
     tables = []
     for kind, title in (("distance", "mean error, m"), ("log_p", "mean log density")):
         for horizon in ("3", "5"):
-            grid = _grid(f"{title}, after {horizon} s", ["windows", *PREDICTORS.values()], "what drivers did")
+            grid = _grid(f"{title}, after {horizon} s", ["predictions", *PREDICTORS.values()], "what drivers did")
             for situation, row in evaluation["situations"][kind].items():
                 cells = [row.get(name, {}).get(horizon) for name in PREDICTORS]
                 count = f"{row['windows'][horizon]:.0f}"
@@ -122,7 +122,7 @@ def _situations(evaluation: Mapping[str, Any]) -> list[Table]:
 
 def _windows(evaluation: Mapping[str, Any]) -> Table:
     likely = evaluation["likelihood"]
-    grid = _grid(f"controls of {likely['windows']} windows of half a second", ["log p per window"])
+    grid = _grid(f"controls of {likely['windows']} windows", ["log p per window"])
     for name in ("model", "constant_velocity"):
         grid.add_row({"model": "learned reward"}.get(name, PREDICTORS[name]), f"{likely[name]:.2f}")
     return grid
