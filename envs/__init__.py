@@ -53,6 +53,7 @@ __all__ = [
     "stage",
     "stay_back",
     "two_player_scenario",
+    "words",
 ]
 
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {

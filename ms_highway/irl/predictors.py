@@ -74,8 +74,9 @@ def predictions(moments: Moments, learned: LearnedDrivers, others: Others = "pre
     check_drivers(learned)
     found = {"model": Prediction(predict(moments, drivers_of(learned), others), learned.spread)}
     modes = _peers(moments, {name: peer["parameters"] for name, peer in learned.peers.items()})
-    for name, peer in learned.peers.items():
-        found[name] = Prediction(modes[name](), Spread(**{key: np.asarray(v) for key, v in peer["spread"].items()}))
+    for name in modes:  # in the order of `PREDICTORS`
+        spread = learned.peers[name]["spread"]
+        found[name] = Prediction(modes[name](), Spread(**{key: np.asarray(value) for key, value in spread.items()}))
     return found
 
 

@@ -75,7 +75,7 @@ def learn_drivers(
     Args:
         moments: to learn from.
         chosen: which of them; all by default. One compilation serves any choice.
-        intervals: whether to compute `ms_highway.game.learned_drivers.LearnedDrivers.deviations`.
+        intervals: whether to compute the drivers' ``deviations``.
         progress: called with a message when a part begins.
 
     Raises:

@@ -8,7 +8,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, observe
 from ms_highway.game.game import rollout_reward
-from ms_highway.game.learned_drivers import Traits
+from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import features_for
 from ms_highway.game.scenario import driving_game
@@ -19,7 +19,7 @@ WEIGHTS = dict(shipped("us101").drivers.weights)
 LIMIT = 29.0
 
 
-def best_of_reward(car: np.ndarray, leader: np.ndarray, traits: Traits, held: np.ndarray) -> np.ndarray:
+def best_of_reward(car: np.ndarray, leader: np.ndarray, traits: RewardTraits, held: np.ndarray) -> np.ndarray:
     """Return which of held controls earns most by the reward's own features, along or across."""
     scene = Scene(np.zeros(1), 3.4, np.empty((0, 2)), np.ones(2), np.array([5.0, 2.0]), 0.5, 0.0, 100 / 3)
     weights = {name: 1e3 * weight for name, weight in WEIGHTS.items()}
@@ -38,7 +38,7 @@ def best_of_reward(car: np.ndarray, leader: np.ndarray, traits: Traits, held: np
 
 @pytest.mark.parametrize(("gap", "speed", "leading"), [(10.0, 15.0, 13.0), (30.0, 20.0, 22.0), (6.0, 8.0, 10.0)])
 def test_a_held_acceleration_is_the_best_of_the_reward(gap, speed, leading):
-    traits = Traits(LIMIT, 1.4, 1.3)
+    traits = RewardTraits(LIMIT, 1.4, 1.3)
     held = np.stack([np.zeros(141), np.linspace(-4, 3, 141)], axis=-1)
     car, leader = np.array([0.0, 0.0, 0.0, speed]), np.array([gap + 5.0, 0.0, 0.0, leading])
     found = held_acceleration(
@@ -52,7 +52,7 @@ def test_a_held_acceleration_is_the_best_of_the_reward(gap, speed, leading):
 
 @pytest.mark.parametrize(("offset", "heading"), [(0.8, 0.0), (-0.5, 0.02), (0.0, -0.03)])
 def test_a_held_curvature_is_the_best_of_the_reward(offset, heading):
-    traits = Traits(LIMIT, 1.4, 1.0)
+    traits = RewardTraits(LIMIT, 1.4, 1.0)
     held = np.stack([np.linspace(-0.02, 0.02, 161), np.zeros(161)], axis=-1)
     car, leader = np.array([0.0, offset, heading, 20.0]), np.array([-900.0, 0.0, 0.0, 0.0])
     found = held_curvature(DrivingWeights.of(WEIGHTS), *map(jnp.array, (offset, heading, 20.0)))
@@ -61,7 +61,7 @@ def test_a_held_curvature_is_the_best_of_the_reward(offset, heading):
 
 def test_without_a_leader_only_the_desired_speed_counts():
     nobody = Leader(jnp.array(0.0), jnp.array(0.0), jnp.array(False))
-    weights, slow, fast = DrivingWeights.of(WEIGHTS), Traits(15.0, 1.0, 1.0), Traits(30.0, 1.0, 1.0)
+    weights, slow, fast = DrivingWeights.of(WEIGHTS), RewardTraits(15.0, 1.0, 1.0), RewardTraits(30.0, 1.0, 1.0)
     assert float(held_acceleration(weights, slow, jnp.array(15.0), nobody)) == pytest.approx(0.0, abs=1e-6)
     assert float(held_acceleration(weights, fast, jnp.array(15.0), nobody)) > 0.0
     assert float(held_acceleration(weights, slow, jnp.array(20.0), nobody)) < 0.0

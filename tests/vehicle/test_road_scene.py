@@ -86,7 +86,9 @@ def test_all_scenes_have_the_same_shapes_and_finite_numbers_all_along(scene: str
         for field in fields(seen):
             for leaf in jax.tree.leaves(getattr(seen, field.name)):
                 expected = {"open": bool, "present": bool, "moving": bool, "priority": bool}.get(field.name, np.float32)
-                assert leaf.dtype == (np.int32 if field.name in ("leaders", "owners") else expected), field.name
+                assert leaf.dtype == (np.int32 if field.name in ("leaders", "owners", "names") else expected), (
+                    field.name
+                )
                 assert field.name == "room" or np.isfinite(leaf).all(), field.name
 
 
