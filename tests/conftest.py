@@ -22,10 +22,13 @@ function after the flags of the moment: after a test of a command, others would 
 
 
 @pytest.fixture(scope="session", autouse=True)
-def shared_compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All workers of a run, and the processes that tests start, find what one of them has compiled already."""
-    run = tmp_path_factory.getbasetemp()
-    cache = str((run.parent if "PYTEST_XDIST_WORKER" in os.environ else run) / "compilation_cache")
+def shared_compilation_cache() -> Path:
+    """All runs, their workers, and the processes that they start, find what one of them has compiled already.
+
+    JAX's keys hold the program, the compiler's options and the versions, so that the cache needs no other key.
+    """
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    cache = str(home / "ms-highway-tests")
     settings = {"jax_compilation_cache_dir": cache, "jax_persistent_cache_min_compile_time_secs": 0.1}
     for name, value in settings.items():
         os.environ[name.upper()] = str(value)
