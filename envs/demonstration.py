@@ -10,7 +10,7 @@ from highway_env.envs.common.action import ContinuousAction
 from highway_env.road.road import Road
 from jaxtyping import Bool, Float
 
-from ms_highway.envs.configuration import changed
+from ms_highway.envs.merging import changed
 from ms_highway.envs.graphics import Viewer
 from ms_highway.envs.observations import CarTracks
 from ms_highway.envs.routes import DENSITIES, draw_routes

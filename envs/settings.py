@@ -8,7 +8,7 @@ from warnings import warn
 import numpy as np
 
 from ms_highway.envs.checks import LARGEST, is_number, is_one_of, is_whole, refuse_unknown
-from ms_highway.envs.configuration import changed
+from ms_highway.envs.merging import changed
 from ms_highway.envs.controllers import ControllerSettings, controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.envs.checks import is_whole
-from ms_highway.envs.configuration import changed
+from ms_highway.envs.merging import changed
 from ms_highway.envs.crowd.controllers import CrowdSettings, crowd_settings
 from ms_highway.envs.settings import ACTION_DEFAULTS, read_costs, read_human_weights, read_limit, read_planning
 from ms_highway.game.crowd import Crowd
