@@ -133,9 +133,12 @@ def _remedy(annotation: Any, message: str) -> str:
     return "it must be True or False" if annotation is bool else message[:1].lower() + message[1:]
 
 
-def merged(
-    kind: type[Kind], defaults: Mapping[str, Any], changes: Mapping[str, Any] | None
-) -> tuple[dict[str, Any], Kind]:
+def read_own(kind: type[Kind], config: Mapping[str, Any]) -> Kind:
+    """Return a struct of those keys of a whole configuration that highway-env does not have, see `read`."""
+    return read(kind, "config", {each.encode_name: config[each.encode_name] for each in fields(kind)})
+
+
+def merged(kind: type[Struct], defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
     """Apply changes to a configuration, and check all of it.
 
     A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
@@ -146,9 +149,6 @@ def merged(
         defaults: the whole configuration.
         changes: of some of it.
 
-    Returns:
-        The whole configuration, and the struct of it.
-
     Raises:
         ValueError: naming key, value, place and remedy, for anything unknown or impossible.
     """
@@ -156,13 +156,9 @@ def merged(
     if not isinstance(changes, Mapping):
         raise ValueError(f"the configuration is {changes!r}; it must be a dictionary")
     refuse_unknown("config", changes, defaults)
-    config = {
-        key: changes[key] if key in changes and key in REPLACED else _merged_value(default, changes.get(key, default))
-        for key, default in defaults.items()
-    }
-    own = [each.encode_name for each in fields(kind)]
-    settings = read(kind, "config", {key: config[key] for key in own})
-    for key in config.keys() - {*own}:
+    config = {key: _merged_value(key, default, changes.get(key, default)) for key, default in defaults.items()}
+    read_own(kind, config)
+    for key in defaults.keys() - {each.encode_name for each in fields(kind)}:
         scalar = {bool: bool, int: Positive, float: Positive}.get(type(defaults[key]))
         if scalar is not None:
             _check(f"config[{key!r}]", _plain(config[key]), scalar)
@@ -172,15 +168,16 @@ def merged(
         if not isinstance(values, Mapping) or values.get("type") not in list(known):
             raise ValueError(f"config[{key!r}] is {values!r}; its 'type' must be one of {', '.join(known)}")
         refuse_unknown(f"config[{key!r}]", values, {"type"} | known[values["type"]])
-    if config["action"]["type"] == "HumanModelAction":
-        read(ModelAction, "config['action']", config["action"])
-    if "steering_range" in ACTIONS[config["action"]["type"]]:
-        config["action"] = {"steering_range": STEERING_RANGE, **config["action"]}
-    return config, settings
+    action = config["action"]
+    if "lambda" in ACTIONS[action["type"]]:
+        read(ModelAction, "config['action']", action)
+    if "steering_range" in ACTIONS[action["type"]]:
+        config["action"] = {"steering_range": STEERING_RANGE, **action}
+    return config
 
 
-def _merged_value(default: Any, value: Any) -> Any:
-    if not isinstance(default, Mapping) or not isinstance(value, Mapping):
+def _merged_value(key: str, default: Any, value: Any) -> Any:
+    if key in REPLACED or not isinstance(default, Mapping) or not isinstance(value, Mapping):
         return value
     same_type = value.get("type", default.get("type")) == default.get("type")
     return {**default, **value} if same_type else dict(value)
