@@ -9,7 +9,7 @@ import numpy as np
 from highway_env.road.road import Road
 from ms_highway.control.driver import Driver, fixed
 from ms_highway.game.arrays import HumansWeights, State
-from ms_highway.metareasoning.order import Order
+from ms_highway.metareasoning.rule import Order
 
 from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.configuration import read_own
@@ -22,7 +22,6 @@ from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import REACHED, TIME_STEP, Scenario, draw_episode
 from ms_highway.planning.compiled_plans import Costs, measure_costs
-from ms_highway.planning.human_models import Naive
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
 
@@ -214,7 +213,7 @@ class InteractionEnv(StageEnv):
         game = self.settings.game(self.scenario, self.weights)
         for number, yields in enumerate(self.draw_yielding(self.np_random)):
             own, human = swap_roles(game, number), cars[1 + number]
-            driver = fixed(own, Naive()) if yields is None else Unmoved(own, yields)
+            driver = fixed(own) if yields is None else Unmoved(own, yields)
             human.drive_with(driver, [car for car in cars if car is not human])
         if isinstance(self.action_type, (Autopilot, HumanModelAction)):
             if self.settings.beliefs == "learned":
@@ -227,7 +226,7 @@ class InteractionEnv(StageEnv):
         models, humans, asked = settings.models, settings.humans, isinstance(self.action_type, HumanModelAction)
         costs = self.costs(states) if asked or controller.chooses or humans == 1 or self._seconds else None
         start = Start(models, costs, settings.semantics, humans, self.episode_steps, self.np_random)
-        rule = Order(models, np.zeros((1, humans), int)) if asked else controller.rule(start)
+        rule = Order(np.zeros((1, 1), int), models) if asked else controller.rule(start)
         return Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
 
     def costs(self, states: State) -> Costs:
@@ -298,7 +297,7 @@ class InteractionEnv(StageEnv):
         if step is None:
             return info
         info |= {"model": step.model, "models": step.models, "status": step.status, "choice_failed": step.choice_failed}
-        info |= {"gains": step.highest_gains, "human_gains": step.gains}
+        info |= {"gains": step.highest_gains(), "human_gains": step.gains}
         info["timing"] = Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds)
         if streams:
             info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}

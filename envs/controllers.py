@@ -5,16 +5,16 @@ from math import nan
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
-from ms_highway.metareasoning.budget import Budget
-from ms_highway.metareasoning.order import Order
-from ms_highway.metareasoning.ranking import Influence, Nearest, TimeToCollision
+from ms_highway.metareasoning.budget import Budget, OneStepGains
+from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE, QuadraticRule
+from ms_highway.metareasoning.rankings import Influence, Nearest, TimeToCollision
 from msgspec import Meta, Struct, field
 
 from ms_highway.envs.configuration import NotNegative, Positive, read
 from ms_highway.game.scenario import Semantics
 from ms_highway.metareasoning.horizon import WholeHorizon
-from ms_highway.metareasoning.rule import Rule
-from ms_highway.metareasoning.switching import OneStepGains, Switching, trust_tolerance
+from ms_highway.metareasoning.rule import Order, Rule
+from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, human_model, is_model, model_names
@@ -92,14 +92,14 @@ class OrderSettings(ControllerSettings):
                 raise ValueError(f"{PLACE} names {name!r}; the human models are {model_names()}")
 
     def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
-        """Return the name of every human's model in every step, [steps, humans]; those of the last step are kept."""
-        return np.repeat(np.array(self.names())[:, None], humans, axis=1)
+        """Return the names of the humans' models in every step, [steps, humans], or one for all humans, [steps, 1]."""
+        return np.array(self.names())[:, None]
 
     def rule(self, start: Start) -> Rule:
         """See `ControllerSettings.rule`."""
         table = self.table(start.steps, start.humans, start.random)
         names = list(dict.fromkeys(table.ravel().tolist()))
-        return Order(tuple(map(human_model, names)), np.vectorize(names.index)(table))
+        return Order(np.vectorize(names.index)(table), tuple(map(human_model, names)))
 
 
 class FixedSettings(OrderSettings, tag="fixed"):
@@ -127,7 +127,7 @@ class PeriodSettings(ScheduleSettings, tag="period"):
 
     def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
         """See `OrderSettings.table`."""
-        return np.resize(super().table(steps, humans, random), (steps, humans))
+        return np.resize(self.names(), (steps, 1))
 
 
 class RandomSettings(OrderSettings, tag="random"):
@@ -155,11 +155,12 @@ class SwitchingSettings(ControllerSettings, tag="switching"):
     """Algorithm 1 chooses from the ladder, at a price per second of planning."""
 
     price: NotNegative = field(name="lambda")
-    algorithm: ClassVar[type[Switching]] = Switching
+    algorithm: ClassVar[type[QuadraticRule]] = Switching
 
     def rule(self, start: Start) -> Rule:
         """See `ControllerSettings.rule`."""
-        return self.algorithm(start.ladder, start.costs, self.price, trust_tolerance=trust_tolerance(start.semantics))
+        tolerance = RELEASED_TRUST_TOLERANCE if start.semantics == "released" else TRUST_TOLERANCE
+        return self.algorithm(start.costs, self.price, start.ladder, trust_tolerance=tolerance)
 
 
 class HorizonSettings(SwitchingSettings, tag="horizon"):
@@ -213,9 +214,10 @@ class BudgetSettings(ControllerSettings, tag="budget"):
 
     def rule(self, start: Start) -> Rule:
         """See `ControllerSettings.rule`."""
-        one_step = self.values == ONE_STEP
-        gains = OneStepGains(start.ladder, start.costs, 0.0) if one_step else _learned(self.values, start, 0.0)
-        return Budget(gains, start.costs, self.budget)
+        if self.values != ONE_STEP:
+            return Budget(_learned(self.values, start, 0.0), start.costs, self.budget)
+        switching = Switching(start.costs, 0.0, start.ladder)
+        return Budget(OneStepGains(switching, start.costs, start.ladder), start.costs, self.budget)
 
 
 class NearestSettings(ControllerSettings, tag="nearest"):
@@ -226,7 +228,7 @@ class NearestSettings(ControllerSettings, tag="nearest"):
 
     def rule(self, start: Start) -> Rule:
         """See `ControllerSettings.rule`."""
-        return self.ranking(start.ladder, start.costs, self.count)
+        return self.ranking(self.count, start.costs, start.ladder)
 
 
 class TimeToCollisionSettings(NearestSettings, tag="ttc"):

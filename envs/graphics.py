@@ -15,16 +15,16 @@ import pygame.freetype
 from highway_env.envs.common.graphics import EnvViewer
 from highway_env.road.graphics import LaneGraphics
 from highway_env.vehicle.graphics import VehicleGraphics
-from ms_highway.control.driver import ControlStep
+from ms_highway.control.controller import ControlStep
 from ms_highway.game.arrays import Belief, Car, Controls
-from ms_highway.metareasoning.order import Order
+from ms_highway.metareasoning.rule import Order
 
 from ms_highway.control.fallback import PLANNED, STATUSES
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import title
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.planning.effort import Effort, base_of
-from ms_highway.planning.human_models import MODELS, human_model, is_model, known_models
+from ms_highway.planning.human_models import MODELS, PACKAGE_MODELS, human_model, is_model, known_models
 
 Color = tuple[int, int, int]
 
@@ -164,11 +164,21 @@ class InteractionViewer(Viewer):
             VehicleGraphics.display(car, surface, offscreen=self.offscreen)
         if step:
             self._draw_plan(step)
-        names = ["human"] if len(env.humans) == 1 else [str(1 + number) for number in range(len(env.humans))]
-        for name, car in zip(["robot", *names], [env.robot, *env.humans], strict=True):
-            self._write(name, MEDIUM, center=surface.vec2pix(car.position))
+        self._draw_names(top - 14, bottom + 14)
         self._draw_panel(step)
         self.show(surface)
+
+    def _draw_names(self, above: int, below: int) -> None:
+        """Draw the names of robot and human at the roadside; of several humans, a number on each roof."""
+        env, place = self.env, self.sim_surface.vec2pix
+        if len(env.humans) > 1:
+            for number, human in enumerate(env.humans, start=1):
+                self._write(str(number), MEDIUM, center=place(human.position))
+        elif env.scenario.cars[0][1] < env.scenario.cars[1][1]:
+            above, below = below, above
+        self._write("robot", MEDIUM, center=(place(env.robot.position)[0], below))
+        if len(env.humans) == 1:
+            self._write("human", MEDIUM, center=(place(env.humans[0].position)[0], above))
 
     def _draw_plan(self, step: ControlStep) -> None:
         """Draw the predicted paths as dots in the colours of their models, and the robot's plan as a line."""
@@ -243,7 +253,7 @@ class InteractionViewer(Viewer):
             if len(belief) > 1:
                 start = self._write(str(place + 1), SMALL, topleft=(start, top)).right
             ends = np.interp(np.cumsum([0.0, *shares]), [0, 1], [start, left + (place + 1) * width - 4]).round()
-            for name, low, high in zip(BELIEVED, ends, ends[1:], strict=True):
+            for name, low, high in zip(PACKAGE_MODELS, ends, ends[1:], strict=True):
                 part = pygame.draw.rect(self.sim_surface, model_color(name), (low, top, high - low + 1, 17))
                 if part.width > NAMED:
                     self._write(name, SMALL, PAPER, center=part.center)
@@ -260,18 +270,21 @@ class InteractionViewer(Viewer):
         return np.linspace(box.left, box.right, 1 + max(self.env.episode_steps, len(self.env.history)))
 
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
-        """Draw a bar per step: its height is the planning time, its colours are those of the humans' models."""
-        seconds, order = np.array([step.planning_seconds for step in steps]), known_models(steps[-1].ladder)
-        longest = min(seconds.max(), LONGEST * np.median(seconds))
-        heights = np.clip(np.rint(box.height * seconds / longest), 3, box.height)
-        lefts = self._lefts(box)
+        """Draw a bar per step in the colours of the humans' models: its height is one human's planning time."""
+        humans, lefts = len(self.env.humans), self._lefts(box)
+        values, heading = np.full(len(steps), humans), "humans that each model predicts"
+        if humans == 1:
+            values = np.array([1e3 * step.planning_seconds for step in steps])
+            heading = "planning time of each step [ms], in the colour of its model"
+        most = min(values.max(), LONGEST * np.median(values))
+        heights = np.clip(np.rint(box.height * values / most), 3, box.height)
+        order = known_models({name for step in steps for name in step.models})
         for step, height, left, right in zip(steps, heights, lefts, lefts[1:], strict=False):
             part = height / len(step.models)
             for place, model in enumerate(sorted(step.models, key=order.index, reverse=True), start=1):
                 bar = (left, box.bottom - place * part, max(1, right - left - 2), part + 1)
                 pygame.draw.rect(self.sim_surface, model_color(model), bar)
-        heading = "planning time of each step [ms], in the colours of its models"
-        self._draw_chart(box, heading, "0", f"{1e3 * longest:.1f}")
+        self._draw_chart(box, heading, "0", f"{most:.3g}")
 
     def _draw_curve(self, box: pygame.Rect, rewards: Sequence[float]) -> None:
         """Draw the reward of each step, cut at its `WORST`; the line at 0 is drawn where it lies within."""
@@ -301,7 +314,7 @@ def _reason(step: ControlStep, learned: bool) -> str:
 
     Algorithm 1 estimates what a step earns more, a learned value what all coming steps are worth more.
     """
-    gains, model = step.highest_gains, step.model
+    gains, model = step.highest_gains(), step.model
     if step.choice_failed:
         return f"choice failed: {model} to be safe"
     if model in gains:

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.action import ActionType
 from highway_env.envs.common.observation import ObservationType
-from ms_highway.metareasoning.order import Order
+from ms_highway.metareasoning.rule import Order
 
 from ms_highway.envs.configuration import LARGEST
 from ms_highway.vehicle import RobotVehicle
@@ -16,7 +16,7 @@ SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
 
 
 class CarStates(ObservationType):
-    """An array [cars, 6]: ``x, y, vx, vy, cos_h, sin_h`` of robot, human and scripted cars, in this order, scaled to about [-1, 1].
+    """``x, y, vx, vy, cos_h, sin_h`` of robot, humans and scripted cars, [cars, 6], scaled to about [-1, 1].
 
     The robot's row is absolute, the others' positions and velocities are relative to it, as in highway-env's
     ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s. Nothing is clipped: who drives
@@ -40,7 +40,7 @@ class CarStates(ObservationType):
 
 
 class CarTracks(ObservationType):
-    """An array [cars, 5]: ``presence, x, y, heading, speed`` of the driver and of all others, in SI units, absolute and unscaled.
+    """``presence, x, y, heading, speed`` of the driver and of all others, [cars, 5], in SI units, not scaled.
 
     Always as many rows as there may be cars; rows of absent cars are zero. ``env.car_states`` may hold anything there,
     ``env.present`` says which cars are there.
@@ -116,4 +116,4 @@ class HumanModelAction(Autopilot):
         """
         if not self.space().contains(action):
             raise ValueError(f"action {action!r} is no place in the ladder {self.env.config['ladder']}")
-        self.controlled_vehicle.controller.rule = Order(self.env.settings.models, np.reshape(action, (1, -1)))
+        self.controlled_vehicle.controller.rule = Order(np.reshape(action, (1, -1)), self.env.settings.models)
