@@ -9,7 +9,6 @@ import numpy as np
 from highway_env.road.road import Road
 from ms_highway.control.driver import Driver, fixed
 from ms_highway.game.arrays import HumansWeights, State
-from ms_highway.metareasoning.rule import Order
 
 from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.configuration import read_own
@@ -21,6 +20,7 @@ from ms_highway.envs.stage import Cone, StageEnv, Timing, straight_road
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import REACHED, TIME_STEP, Scenario, draw_episode
+from ms_highway.metareasoning.rule import Order
 from ms_highway.planning.compiled_plans import Costs, measure_costs
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 

@@ -6,13 +6,13 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from ms_highway.metareasoning.budget import Budget, OneStepGains
-from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE, QuadraticRule
 from ms_highway.metareasoning.rankings import Influence, Nearest, TimeToCollision
 from msgspec import Meta, Struct, field
 
 from ms_highway.envs.configuration import NotNegative, Positive, read
 from ms_highway.game.scenario import Semantics
 from ms_highway.metareasoning.horizon import WholeHorizon
+from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE, QuadraticRule
 from ms_highway.metareasoning.rule import Order, Rule
 from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values

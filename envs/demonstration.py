@@ -9,6 +9,7 @@ from highway_env.road.road import Road
 from ms_highway.game.arrays import Car, Control, State
 from msgspec import Struct
 
+from ms_highway.envs.configuration import Positive
 from ms_highway.envs.routes import DENSITIES, draw_routes
 from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game.game import Game

@@ -34,11 +34,8 @@ REWARD = (
 )
 LIMIT = "give None for the usual limits, 'unlimited', or two positive bounds, (omega, acceleration)"
 GRIP = "give what tyres hold in m/s^2, such as 8 on a dry road, or None for no limit"
+WHOLE = "it must be a whole number from 1 to"
 LONGEST_HORIZON = 100  # steps
-
-
-def _whole(most: int, remedy: str = "") -> Meta:
-    return Meta(ge=1, le=most, description=f"it must be a whole number from 1 to {most}{remedy}")
 
 
 class Settings(Struct, frozen=True):
@@ -56,9 +53,11 @@ class Settings(Struct, frozen=True):
     grip: Annotated[Positive | None, Meta(description=GRIP)]
     way_out: bool
     solver: Solver
-    horizon: Annotated[int, _whole(LONGEST_HORIZON)]
+    horizon: Annotated[int, Meta(ge=1, le=LONGEST_HORIZON, description=f"{WHOLE} {LONGEST_HORIZON}")]
     time_step: Annotated[float, Meta(ge=0.01, le=1.0, description="it must be from 0.01 to 1 s")]
-    iterations: Annotated[int | None, _whole(MOST_ITERATIONS, ", or None")]
+    iterations: Annotated[
+        Annotated[int, Meta(ge=1, le=MOST_ITERATIONS)] | None, Meta(description=f"{WHOLE} {MOST_ITERATIONS}, or None")
+    ]
     step_size: Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
     duration: Positive
     terminate_on_collision: bool

@@ -7,9 +7,9 @@ import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.action import ActionType
 from highway_env.envs.common.observation import ObservationType
-from ms_highway.metareasoning.rule import Order
 
 from ms_highway.envs.configuration import LARGEST
+from ms_highway.metareasoning.rule import Order
 from ms_highway.vehicle import RobotVehicle
 
 SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
