@@ -9,19 +9,6 @@ from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game
 from ms_highway.runtime.arrays import Array, SameArray
 
-__all__ = [
-    "BRAKING",
-    "LATE",
-    "PLANNED",
-    "PREVIOUS_PLAN",
-    "STATUSES",
-    "WAY_OUT",
-    "Status",
-    "brake",
-    "braking_control",
-    "fallback_status",
-]
-
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
 """Source of a control: this step's plan; where that is not finite, the rest of the last finite plan; where nothing is
 left of it, braking in lane. Where the plan is late for its step, ``late``: again the rest of the last plan, or braking.

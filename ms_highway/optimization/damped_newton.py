@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float
 
 from ms_highway.optimization.second_derivatives import Trajectory, second_order_expansion
 
-__all__ = ["SHARES", "best_of", "damped_factor", "damped_newton_steps", "damped_solve"]
+STEPS = 4
+"""Usual number of steps of a plan."""
 
-STEPS = 4  # of a plan
 SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 10, 1 / 32, 0], dtype=np.float32)
 """Shares of a step that a line search tries."""
 
@@ -64,8 +64,9 @@ def damped_newton_steps(
     cost: Callable[[Controls], Float[jax.Array, ""]],
     start: Controls,
     bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
+    steps: int = STEPS,
 ) -> Controls:
-    """Improve controls by 4 damped Newton steps; for the arguments see `ms_highway.optimization.solvers`.
+    """Improve controls by some damped Newton steps; for the arguments see `ms_highway.optimization.solvers`.
 
     The line search takes the best of six shares of each step, projected on the limits; the last share is no step.
     """
@@ -76,4 +77,4 @@ def damped_newton_steps(
         candidates = bounded(controls + SHARES[:, None, None] * step)
         return best_of(candidates, jax.vmap(lambda tried: reward(path(tried)) - cost(tried))(candidates))
 
-    return jax.lax.fori_loop(0, STEPS, improve, bounded(start))
+    return jax.lax.fori_loop(0, steps, improve, bounded(start))

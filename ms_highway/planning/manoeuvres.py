@@ -8,8 +8,6 @@ from jaxtyping import Float
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.game import Game
 
-__all__ = ["manoeuvres"]
-
 ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of the manoeuvres
 FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
 SIDEWAYS = 6.0  # m/s^2, of lateral acceleration at most

@@ -6,8 +6,6 @@ from jaxtyping import Float, Int
 
 from ms_highway.runtime.arrays import Array
 
-__all__ = ["best_rungs"]
-
 
 def best_rungs(
     values: Float[jax.Array, "humans rungs"], costs: Float[Array, "rungs"], capacity: float | Float[Array, ""]
