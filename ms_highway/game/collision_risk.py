@@ -7,12 +7,11 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
+from ms_highway.game.arrays import Times
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.reductions import unrolled_reduce, unrolled_sum
-
-__all__ = ["CAR_SHARPNESS", "OBSTACLE_SHARE", "OBSTACLE_SHARPNESS", "collision_risk", "plain_collision_risk"]
 
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
@@ -22,7 +21,7 @@ CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
 MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of edges and of the body
 
 
-def plain_collision_risk(scene: Scene, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
+def plain_collision_risk(scene: Scene, own: Motion, others: Motion) -> Times:
     """Compute the risk of a collision by its formula, with the derivatives that JAX finds.
 
     Nine points of the car's body (corners, middles of the edges, centre) are measured in the frame of every other car
@@ -41,7 +40,7 @@ def plain_collision_risk(scene: Scene, own: Motion, others: Motion) -> Float[jax
     cosine, sine = own.cosine[..., None], own.sine[..., None]
     point_x, point_y = own.x[..., None] + cosine * x - sine * y, own.y[..., None] + sine * x + cosine * y
 
-    def closeness(bodies: Motion, size: Float[Array, "2"], sharpness: float) -> Float[jax.Array, "*times"]:
+    def closeness(bodies: Motion, size: Float[Array, "2"], sharpness: float) -> Times:
         body_x, body_y, cosine, sine, _ = (field[..., None] for field in bodies)
         dx, dy = point_x - body_x, point_y - body_y
         along, across = cosine * dx + sine * dy, cosine * dy - sine * dx
@@ -53,9 +52,7 @@ def plain_collision_risk(scene: Scene, own: Motion, others: Motion) -> Float[jax
     return risk + OBSTACLE_SHARE * obstacles
 
 
-def collision_risk(
-    scene: Scene, own: Motion, others: Motion
-) -> tuple[Float[jax.Array, "*times"], Float[jax.Array, "*times"]]:
+def collision_risk(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times]:
     """Return the risk of `plain_collision_risk` and the indicator of a collision: 1 where any point has D < 1, else 0.
 
     The indicator has no gradient, and the risk none in the shape of cars.

@@ -14,13 +14,15 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.game.arrays import Car, Controls, Index, ManyControls, Scalar, State, Trajectories, Trajectory
+from ms_highway.game.arrays import Car, HumansControls, State, Trajectories
 from ms_highway.game.dynamics import Dynamics, Motion, coast, keep_velocity, rollout, speeds, within_grip
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
+from ms_highway.optimization.arrays import Controls, ManyControls, Trajectory
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, project
+from ms_highway.runtime.arrays import Index, Scalar
 from ms_highway.runtime.reductions import unrolled_sum
 
 
@@ -183,7 +185,7 @@ def rollout_reward(game: Game, car: Car, controls: Controls, others: Motion) -> 
     return jnp.sum(motion_reward(game.scene, game.robot, own, others)) - discomfort(game, car, controls)
 
 
-def total_reward(game: Game, state: State, robot: Controls, humans: Float[Any, "humans steps 2"]) -> Scalar:
+def total_reward(game: Game, state: State, robot: Controls, humans: HumansControls) -> Scalar:
     """Sum the robot's reward over the states after each step, R_R(x, u_R, u_H); controls are scaled."""
     paths = move_all(game, state[1 : 1 + len(humans)], humans)
     return trajectory_reward(game, state, move(game, state[0], robot), paths)

@@ -5,8 +5,6 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.runtime.arrays import SameArray
 
-__all__ = ["NEIGHBOURS", "far_behind", "headways", "neighbours", "places"]
-
 SLOWEST = 1.0  # m/s, least speed of a follower in its headway
 FAR_AWAY = 1000.0  # m behind, where absent cars are
 

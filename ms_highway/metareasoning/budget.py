@@ -8,7 +8,6 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.arrays import Index, Number, Scalar
 from ms_highway.game.game import Game, each_human
 from ms_highway.metareasoning.knapsack import best_rungs
 from ms_highway.metareasoning.quadratic_rule import change_of_control
@@ -16,6 +15,7 @@ from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule, with_
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, Naive
+from ms_highway.runtime.arrays import Index, Number, Scalar
 
 SHARE = 0.8
 """Share of a budget that decision and plan may need; the rest is for times above the quantile that was measured."""

@@ -8,13 +8,14 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import Control, State, Vector
+from ms_highway.game.arrays import State
 from ms_highway.game.dynamics import recover_control
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule, first_memory
+from ms_highway.optimization.arrays import Control
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.arrays import Array, Vector
 from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
 from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up

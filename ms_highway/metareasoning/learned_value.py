@@ -17,13 +17,12 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.arrays import Index, Number, Vector
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.rule import Decision, Memory, Outcome
 from ms_highway.metareasoning.situation import describe
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.arrays import Array, Index, Number, Scalar, Vector
 
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
@@ -121,9 +120,9 @@ def network_inputs(
 def advantages(
     network: Network,
     inputs: Float[jax.Array, "inputs"],
-    price: Float[jax.Array, ""],
+    price: Scalar,
     costs: Float[jax.Array, "rungs"],
-    span: Float[jax.Array, ""],
+    span: Scalar,
 ) -> tuple[Float[jax.Array, "networks rungs"], Float[jax.Array, "networks rungs"]]:
     """Estimate the advantage of each rung over the top one, and its standard deviation, by each of the networks.
 
@@ -148,11 +147,11 @@ def outputs(
     return means, spreads
 
 
-def noise(spreads: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
+def noise(spreads: Numbers) -> Numbers:
     """Return standard deviations of outcomes from the second half of a network's `outputs`."""
     return LEAST_NOISE + jax.nn.softplus(spreads)
 
 
-def scale(price: Float[jax.Array, "*batch"], span: Float[jax.Array, ""]) -> Float[jax.Array, "*batch"]:
+def scale(price: Float[jax.Array, "*batch"], span: Scalar) -> Float[jax.Array, "*batch"]:
     """Return the size of advantages at a price, ``1 + lambda (T_top - T_0)``, in which errors are measured."""
     return 1 + price * span

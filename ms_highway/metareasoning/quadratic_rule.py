@@ -10,14 +10,15 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Float
 
-from ms_highway.game.arrays import Index, Matrix, Number, Scalar, State, Vector
+from ms_highway.game.arrays import HumansControl, State
 from ms_highway.game.game import Game, each_human
 from ms_highway.metareasoning.rule import Decision, Memory, Outcome, check_costs, with_human
+from ms_highway.optimization.arrays import Control
 from ms_highway.optimization.trust_region import trust_region_step
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
+from ms_highway.runtime.arrays import Index, Matrix, Number, Scalar, Vector
 
 TRUST_TOLERANCE = 1e-3
 """Share of the trust radius within which the length of a step is found."""
@@ -73,10 +74,10 @@ class QuadraticRule(ABC):
     def earned(self, game: Game, state: State, robot: Vector, human: Vector) -> Scalar:
         """Compute what the robot earns with these controls."""
 
-    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Any, "humans 2"]:
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> HumansControl:
         """Estimate every human's gains of going up and down; NaN where none is needed."""
 
-        def one(human: Index) -> Float[Any, "2"]:
+        def one(human: Index) -> Control:
             alone, seen = with_human(game, outcome, human)
             rung, checks = jnp.asarray(memory.rungs)[human], jnp.asarray(memory.last_check)[human]
             state = jnp.asarray(seen.before)
@@ -84,7 +85,7 @@ class QuadraticRule(ABC):
 
         return each_human(game, one)
 
-    def choose(self, memory: Memory, seen: Float[Any, "humans 2"]) -> Decision:
+    def choose(self, memory: Memory, seen: HumansControl) -> Decision:
         """Take a step that gains: to the top of the ladder, or one rung down."""
         up, down, rungs = seen[:, 0], seen[:, 1], jnp.asarray(memory.rungs)
         goes_up, now, top = up > 0, memory.step + 1, len(self.ladder) - 1
@@ -105,7 +106,7 @@ class QuadraticRule(ABC):
 @jax.jit
 def estimate_gains(
     rule: QuadraticRule, game: Game, memory: Memory, state: State, robot: Vector, human: Vector, reward: Scalar
-) -> Float[Any, "2"]:
+) -> Control:
     """Estimate the gains of going up and down about one human; NaN where none is needed.
 
     Args:

@@ -3,23 +3,22 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from math import nan
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Float
 
-from ms_highway.game.arrays import Controls, Index, Trajectories
+from ms_highway.game.arrays import HumansControl, PerHuman, Trajectories
 from ms_highway.game.dynamics import coast
 from ms_highway.game.game import Game, move, move_all, trajectory_reward
 from ms_highway.game.neighbours import far_behind
 from ms_highway.metareasoning.rule import Decision, Memory, Outcome, unestimated
+from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
+from ms_highway.runtime.arrays import Index
 
 LANES_AWAY = 1.5  # lanes to the side, beyond which a robot that changes lanes does not collide with a car
-
-PerHuman = Float[Any, "humans"]
 
 
 @dataclass(frozen=True)
@@ -43,11 +42,11 @@ class MostImportant(ABC):
     def unimportance(self, game: Game, outcome: Outcome) -> PerHuman:
         """Return what is lowest for the most important human."""
 
-    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Any, "humans 2"]:
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> HumansControl:
         """Return unimportances and distances."""
         return jnp.stack([self.unimportance(game, outcome), _distances(game, outcome)], axis=1)
 
-    def choose(self, memory: Memory, seen: Float[Any, "humans 2"]) -> Decision:
+    def choose(self, memory: Memory, seen: HumansControl) -> Decision:
         """See `ms_highway.metareasoning.rule.Rule.choose`; among equals, the nearest human comes first."""
         order = jnp.lexsort((seen[:, 1], seen[:, 0]))
         return unestimated(memory, jnp.where(jnp.argsort(order) < self.count, len(self.ladder) - 1, 0))

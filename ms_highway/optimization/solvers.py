@@ -8,10 +8,11 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
+from ms_highway.optimization.arrays import Control, ManyControls
 from ms_highway.optimization.damped_newton import STEPS, damped_newton_steps
 from ms_highway.optimization.newton import newton_steps
 from ms_highway.optimization.second_derivatives import Trajectory
-from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.arrays import Number, Scalar
 
 Controls = TypeVar("Controls", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton", "damped_newton"]
@@ -37,10 +38,10 @@ class Planner:
             into an obstacle (static).
     """
 
-    control_scale: Float[Array, "2"]
-    control_limit: Float[Array, "2"]
-    grip: float | Float[Array, ""] | None = None
-    step_size: float | Float[Array, ""] = 0.03
+    control_scale: Control
+    control_limit: Control
+    grip: Number | None = None
+    step_size: Number = 0.03
     horizon: int = field(default=5, metadata={"static": True})
     iterations: int = field(default=20, metadata={"static": True})
     newton_steps: int = field(default=STEPS, metadata={"static": True})
@@ -83,12 +84,12 @@ def projected_ascent(
 
 def optimize_controls(
     planner: Planner,
-    path: Callable[[Float[jax.Array, "steps 2"]], Trajectory],
-    reward: Callable[[Trajectory], Float[jax.Array, ""]],
-    cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]],
-    start: Float[jax.Array, "steps 2"],
-    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
-) -> Float[jax.Array, "steps 2"]:
+    path: Callable[[Controls], Trajectory],
+    reward: Callable[[Trajectory], Scalar],
+    cost: Callable[[Controls], Scalar],
+    start: Controls,
+    bounded: Callable[[ManyControls], ManyControls],
+) -> Controls:
     """Maximise ``reward(path(controls)) - cost(controls)`` over the controls, locally, by the planner's solver.
 
     * ``gradient``: `projected_ascent` along the reward's gradient g, the paper's solver.
@@ -108,7 +109,7 @@ def optimize_controls(
         bounded: projects scaled controls on their limits.
     """
 
-    def earned(controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
+    def earned(controls: Controls) -> Scalar:
         return reward(path(controls)) - cost(controls)
 
     if planner.solver == "gradient":

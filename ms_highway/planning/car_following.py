@@ -1,9 +1,8 @@
 """Follow the car ahead by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000)."""
 
-from typing import Any
-
 from jax import numpy as jnp
-from jaxtyping import Float
+
+from ms_highway.runtime.arrays import Numbers
 
 FAR = 1e3
 """Distance to a car ahead that is not there [m]."""
@@ -13,13 +12,13 @@ HARDEST = 6.0  # m/s^2, of braking
 
 
 def idm_acceleration(
-    speed: Float[Any, "*shape"],
-    wanted: float | Float[Any, "*shape"],
-    gap: Float[Any, "*shape"],
-    ahead: Float[Any, "*shape"],
-    headway: float | Float[Any, "*shape"] = HEADWAY,
+    speed: Numbers,
+    wanted: float | Numbers,
+    gap: Numbers,
+    ahead: Numbers,
+    headway: float | Numbers = HEADWAY,
     standstill: float = STANDSTILL,
-) -> Float[Any, "*shape"]:
+) -> Numbers:
     """Return the acceleration of a follower, by default with highway-env's parameters.
 
     Args:

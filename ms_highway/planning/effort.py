@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import Controls, State
+from ms_highway.game.arrays import State
 from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import MOST_ITERATIONS, SHARE, longest_step
+from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.plans import Plan
 
 if TYPE_CHECKING:

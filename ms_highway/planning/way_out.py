@@ -11,14 +11,16 @@ from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from ms_highway.game.arrays import Control, Flag, State
+from ms_highway.game.arrays import State
 from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.dynamics import Motion, coast, observe, step
 from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
+from ms_highway.optimization.arrays import Control
 from ms_highway.planning.manoeuvres import manoeuvres
+from ms_highway.runtime.arrays import Flag, Index
 from ms_highway.runtime.reductions import unrolled_sum
 
 ESCAPE_STEPS = 25  # steps of an escape: 2.5 s at 0.1 s, a full stop from 20 m/s
@@ -67,7 +69,7 @@ def _during(others: Motion, first: int, last: int | None) -> Motion:
     return Motion(*(field[:, first:last] for field in others))
 
 
-def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Int[jax.Array, ""]:
+def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Index:
     """Return 2 if a car keeps the margin to all others and obstacles on its way, 1 if it collides with none, else 0."""
     scene, own = game.scene, observe(way)
     wider = replace(
