@@ -46,7 +46,13 @@ class Driver:
     """
 
     def __init__(
-        self, game: Game, rule: Rule, *, budget: float | None = None, way_out: bool = False, belief: bool = False
+        self,
+        game: Game,
+        rule: Rule | Order,
+        *,
+        budget: float | None = None,
+        way_out: bool = False,
+        belief: bool = False,
     ) -> None:
         check_rule(rule)
         if belief and isinstance(rule, Order) and rule.ladder[0].responds:
@@ -176,10 +182,11 @@ class Driver:
 
     def _decide(self, happened: Observation | None, now: State) -> tuple[Decision, float]:
         """Choose the rungs; return the decision, and the seconds that it took."""
-        if isinstance(self.rule, Order) or self._decision is None:
-            rungs = self.rule.at(self._steps, self.game.number)  # type: ignore[attr-defined]
+        if isinstance(self.rule, Order):
+            rungs = self.rule.at(self._steps, self.game.number)
             unknown = np.full((len(rungs), len(self.rule.ladder)), np.nan)
             return Decision(self._memory._replace(rungs=rungs), unknown, np.bool_(False)), 0.0
+        assert self._decision is not None
         decision, seconds = self._decision.decide(self._memory, happened or self._decision.still(now))
         if self.game.number == 1:  # what it gains to switch: nothing for the model in use
             decision.gains[0, self._memory.rungs[0]] = np.nan

@@ -19,7 +19,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.runtime.arrays import Array, Number, SameArray
+from ms_highway.runtime.arrays import Array, SameArray, Scalar
 
 
 @jax.tree_util.register_dataclass
@@ -36,8 +36,8 @@ class Dynamics:
 
     steering: Literal["curvature", "yaw_rate"] = field(metadata={"static": True})
     friction: Literal["linear", "quadratic"] = field(metadata={"static": True})
-    drag: Number
-    time_step: Number
+    drag: Scalar
+    time_step: Scalar
 
 
 class Motion(NamedTuple):

@@ -54,7 +54,7 @@ class Game:
 
     @property
     def number(self) -> int:
-        """Number of humans."""
+        """Scalar of humans."""
         return int(np.shape(self.humans.weights)[0])
 
     def human(self, human: Index = 0) -> Reward:
@@ -70,7 +70,7 @@ def others_of(cars: int) -> Int[np.ndarray, "cars others"]:
 
 
 def each_human(game: Game, function: Callable[[Index], Any], at_once: bool = False) -> Any:
-    """Compute a function of every human's number, one after the other or all at once; results have an axis of humans."""
+    """Compute a function of every human's number, one by one or all at once; results have an axis of humans."""
     if game.number == 1:
         return jax.tree.map(lambda part: jnp.asarray(part)[None], function(0))
     numbers = jnp.arange(game.number)

@@ -12,7 +12,7 @@ SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, 
 AHEAD = np.array([True, False] * 3)  # whether a place is ahead, or behind
 
 NEIGHBOURS = len(SIDES)
-"""Number of places: ahead and behind, in the own lane, the left one and the right one, in this order."""
+"""Scalar of places: ahead and behind, in the own lane, the left one and the right one, in this order."""
 
 
 def places(

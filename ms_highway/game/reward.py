@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ms_highway.game.arrays import Weights
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Array, Number, Scalar
+from ms_highway.runtime.arrays import Array, Scalar
 
 PAPER_FEATURES = (
     "speed",
@@ -66,12 +66,12 @@ class Reward:
     """
 
     weights: Weights
-    speed_limit: Number
-    gap: Number
+    speed_limit: Scalar
+    gap: Scalar
     comfort: Float[Array, "2"]
     names: tuple[str, ...] = field(metadata={"static": True})
     own: tuple[Feature, ...] = field(default=(), metadata={"static": True})
-    headway: Number = TIME_HEADWAY
+    headway: Scalar = TIME_HEADWAY
 
 
 def add_feature(name: str, function: Feature) -> None:

@@ -154,9 +154,9 @@ def build_game(
 
     Args:
         scenario: to build.
-        semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners, and a damped response
-            of humans; ``released``: those of the released code, where planners ignore the world's drag, and the exact
-            response.
+        semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners, and humans with a
+            damped response; ``released``: those of the released code, where planners ignore the world's drag, and the
+            exact response.
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics; None
             for no bounds.
         grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`.

@@ -60,7 +60,7 @@ GIVE_WAY = Scenario(
 def _merge_among_several(
     name: str, steps: int, lanes: tuple[float, ...], first_cone: float, streams: tuple[Stream, ...]
 ) -> Scenario:
-    """Return a scenario in which the robot's lane ends, in plans for two seconds: merging takes longer than half a one."""
+    """Return a scenario in which the robot's lane ends; plans look two seconds ahead, as merging takes long."""
     return Scenario(
         name=name,
         lanes=lanes,

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.runtime.arrays import Array, Number
+from ms_highway.runtime.arrays import Array, Scalar
 
 SHAPES: dict[str, tuple[str | int, ...]] = {
     "lanes": ("n",),
@@ -41,14 +41,14 @@ class Scene:
     """
 
     lanes: Float[Array, "lanes"]
-    lane_width: Number
+    lane_width: Scalar
     obstacles: Float[Array, "obstacles 2"]
     obstacle_size: Float[Array, "2"]
     car_size: Float[Array, "2"]
-    corner: Number
-    target_lane: Number
-    length_unit: Number
-    bend: Number | None = None
+    corner: Scalar
+    target_lane: Scalar
+    length_unit: Scalar
+    bend: Scalar | None = None
     leader: int | None = field(default=None, metadata={"static": True})
 
     def __post_init__(self) -> None:

@@ -15,7 +15,7 @@ from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule, with_
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.runtime.arrays import Index, Number, Scalar
+from ms_highway.runtime.arrays import Index, Scalar
 
 SHARE = 0.8
 """Share of a budget that decision and plan may need; the rest is for times above the quantile that was measured."""
@@ -38,9 +38,9 @@ class Budget:
 
     gains: Rule
     costs: Costs
-    seconds: Number
-    share: Number = SHARE
-    deciding: Number = 0.0
+    seconds: Scalar
+    share: Scalar = SHARE
+    deciding: Scalar = 0.0
     price: ClassVar[float] = nan
     network: ClassVar[None] = None
     in_one_kernel: ClassVar[bool] = False

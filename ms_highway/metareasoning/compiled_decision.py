@@ -41,7 +41,7 @@ class CompiledDecision:
     """
 
     def __init__(self, rule: Rule, game: Game) -> None:
-        small = rule if rule.network is None else replace(rule, network=None)  # type: ignore[type-var]
+        small = rule if rule.network is None else replace(rule, network=None)
         self._numbers, layout = pack((small, game))
         leaves, network = jax.tree.flatten(rule.network)
         self._leaves = [jnp.asarray(leaf) for leaf in leaves]

@@ -5,10 +5,10 @@ from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.game.arrays import Gains, Rungs
-from ms_highway.runtime.arrays import Array, Index, Number
+from ms_highway.runtime.arrays import Array, Index, Scalar
 
 
-def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Number) -> Rungs:
+def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) -> Rungs:
     """Return the rungs of the highest summed value whose summed cost is within a capacity; of equals, the cheapest.
 
     Costs are the same for all humans, so they follow from how many humans have each rung: a dynamic programme over

@@ -22,7 +22,7 @@ from ms_highway.metareasoning.rule import Decision, Memory, Outcome
 from ms_highway.metareasoning.situation import describe
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.arrays import Array, Index, Number, Scalar, Vector
+from ms_highway.runtime.arrays import Array, Index, Scalar, Vector
 
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
@@ -54,9 +54,9 @@ class LearnedValue:
     """
 
     costs: Costs
-    price: Number
+    price: Scalar
     prices: Float[Array, "2"]
-    span: Number
+    span: Scalar
     network: Network
     centre: Float[Array, "inputs"]
     spread: Float[Array, "inputs"]

@@ -18,7 +18,7 @@ from ms_highway.optimization.arrays import Control
 from ms_highway.optimization.trust_region import trust_region_step
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.arrays import Index, Matrix, Number, Scalar, Vector
+from ms_highway.runtime.arrays import Index, Matrix, Scalar, Vector
 
 TRUST_TOLERANCE = 1e-3
 """Share of the trust radius within which the length of a step is found."""
@@ -54,10 +54,10 @@ class QuadraticRule(ABC):
     """
 
     costs: Costs
-    price: Number
+    price: Scalar
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-    trust_radius: Number = 1.5
-    trust_tolerance: Number = TRUST_TOLERANCE
+    trust_radius: Scalar = 1.5
+    trust_tolerance: Scalar = TRUST_TOLERANCE
     cooldown: Index = 3
     network: ClassVar[None] = None
     in_one_kernel: ClassVar[bool]

@@ -18,7 +18,7 @@ from ms_highway.optimization.arrays import Control
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Array, Flag, Index, Number, Scalar
+from ms_highway.runtime.arrays import Array, Flag, Index, Scalar
 
 PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
 """Planning time of each model in the decisions of the paper's experiments."""
@@ -102,7 +102,7 @@ class Rule(Protocol):
         """Planning time."""
 
     @property
-    def price(self) -> Number:
+    def price(self) -> Scalar:
         """Reward per second of planning."""
 
     @property
@@ -170,7 +170,7 @@ def with_human(game: Game, outcome: Outcome, human: Index) -> tuple[Game, Outcom
     )
 
 
-def check_rule(rule: Rule) -> None:
+def check_rule(rule: "Rule | Order") -> None:
     """Check a rule's ladder, and its costs and price where it decides by them.
 
     Raises:
@@ -199,13 +199,13 @@ def check_costs(rule: Rule) -> None:
         raise ValueError(f"costs are of shape {np.shape(rule.costs.each)}; give one for each of {names}")
 
 
-def first_memory(rule: Rule, humans: int) -> Memory:
+def first_memory(rule: "Rule | Order", humans: int) -> Memory:
     """Return the memory before the first step: every human is on the first rung, and every rung may be checked."""
     checks = np.full((humans, len(rule.ladder)), NEVER, np.int32)
     return Memory(np.zeros(humans, np.int32), np.zeros((), np.int32), checks)
 
 
-def at_price(rule: Any, price: Number) -> Any:
+def at_price(rule: Any, price: Scalar) -> Any:
     """Return a rule at another price, or unchanged if it has none."""
     return replace(rule, price=price) if "price" in {each.name for each in fields(rule)} else rule
 

@@ -62,7 +62,7 @@ def newton_steps(
 
 
 Search: TypeAlias = tuple[int, Controls, Optimum]
-"""Number of steps taken, the controls to look at next, and what was found at the last ones."""
+"""Scalar of steps taken, the controls to look at next, and what was found at the last ones."""
 
 
 def find_optimum(

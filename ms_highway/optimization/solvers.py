@@ -12,7 +12,7 @@ from ms_highway.optimization.arrays import Control, ManyControls
 from ms_highway.optimization.damped_newton import STEPS, damped_newton_steps
 from ms_highway.optimization.newton import newton_steps
 from ms_highway.optimization.second_derivatives import Trajectory
-from ms_highway.runtime.arrays import Number, Scalar
+from ms_highway.runtime.arrays import Scalar
 
 Controls = TypeVar("Controls", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton", "damped_newton"]
@@ -40,8 +40,8 @@ class Planner:
 
     control_scale: Control
     control_limit: Control
-    grip: Number | None = None
-    step_size: Number = 0.03
+    grip: Scalar | None = None
+    step_size: Scalar = 0.03
     horizon: int = field(default=5, metadata={"static": True})
     iterations: int = field(default=20, metadata={"static": True})
     newton_steps: int = field(default=STEPS, metadata={"static": True})

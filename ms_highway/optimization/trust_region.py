@@ -6,7 +6,7 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.optimization.second_derivatives import eigenpairs
-from ms_highway.runtime.arrays import Flag, Index, Matrix, Number, Scalar, Vector
+from ms_highway.runtime.arrays import Flag, Index, Matrix, Scalar, Vector
 from ms_highway.runtime.reductions import unrolled_sum
 
 HALVINGS = 60  # of the shift's bracket at most: more than float32 resolves
@@ -28,8 +28,8 @@ class _Bracket(NamedTuple):
 def trust_region_step(
     quadratic: Matrix,
     linear: Vector,
-    radius: Number,
-    tolerance: Number = 0.0,
+    radius: Scalar,
+    tolerance: Scalar = 0.0,
 ) -> Vector:
     """Maximise ``x^T A x / 2 + b^T x`` over the ball ``|x| <= radius``.
 

@@ -36,20 +36,20 @@ class Answering(NamedTuple):
         game: that is played.
         state: all cars now.
         order: numbers of the humans, those who answer first; None where the only human answers.
-        count: number of those who answer.
+        answering: how many answer.
     """
 
     game: Game
     state: State
     order: Rungs | None = None
-    count: Index = 1
+    answering: Index = 1
 
     def fold(self, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
         """Apply a function to the number of every human who answers, one after the other."""
         order = self.order
         if order is None:
             return function(0, carry)
-        return jax.lax.fori_loop(0, self.count, lambda place, carry: function(order[place], carry), carry)
+        return jax.lax.fori_loop(0, self.answering, lambda place, carry: function(order[place], carry), carry)
 
 
 class _Path(NamedTuple):

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ from ms_highway.planning.human_models import HumanModel, human_model
 from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
-from ms_highway.runtime.arrays import Array, Number
+from ms_highway.runtime.arrays import Array, Scalar
 from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.packing import Layout, pack
@@ -31,7 +31,7 @@ class Costs(NamedTuple):
         each: what a human adds under each rung; with one human, T(M) of the whole plan.
     """
 
-    base: Number
+    base: Scalar
     each: Float[Array, "rungs"]
 
     @classmethod
@@ -70,6 +70,7 @@ class CompiledPlans:
 
     def call(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple:
         """Return the compiled function of a plan, see `plan_function`, and its arguments."""
+        begin: Any
         if start is not None:
             begin = np.concatenate([start.robot[None], start.humans], dtype=np.float32)
         elif self.game.planner.solver == "damped_newton":

@@ -1,4 +1,4 @@
-"""Name arrays by their shapes; those on Any may be of NumPy or of JAX."""
+"""Name arrays by their shapes; all but `SameArray` may be of NumPy or of JAX, which a type checker cannot tell."""
 
 from typing import Any, TypeAlias, TypeVar
 
@@ -6,13 +6,12 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-Array: TypeAlias = jax.Array | np.ndarray
+Array: TypeAlias = Any
 SameArray = TypeVar("SameArray", jax.Array, np.ndarray)
 """An array of either kind, returned in the same kind."""
 
 Scalar: TypeAlias = Float[Any, ""]
-Number: TypeAlias = float | Scalar
-Index: TypeAlias = int | Int[Any, ""]
+Index: TypeAlias = Int[Any, ""]
 Flag: TypeAlias = Bool[Any, ""]
 Vector: TypeAlias = Float[Any, "n"]
 Matrix: TypeAlias = Float[Any, "n n"]
