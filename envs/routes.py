@@ -4,7 +4,7 @@ import numpy as np
 from ms_highway.game.arrays import Car, Times, Vector
 
 DENSITIES = {"sparse": 2, "medium": 4, "dense": 7}
-"""Number of cars around a driver, by name of the density of traffic."""
+"""Scalar of cars around a driver, by name of the density of traffic."""
 
 NEAR = (-30.0, 60.0)  # m along the road, where routes start
 SPEEDS = (18.0, 20.0)  # m/s along the road
