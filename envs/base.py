@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from math import nan
 from typing import Any, ClassVar
 
 import jax
 import numpy as np
 from highway_env.road.road import Road
-from ms_highway.control.driver import Driver, fixed
-from ms_highway.game.arrays import HumansWeights, State
 
+from ms_highway.control.driver import Driver, fixed
 from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.configuration import read_own
 from ms_highway.envs.controllers import Start, controller_settings
@@ -17,6 +17,7 @@ from ms_highway.envs.graphics import InteractionViewer, Shown
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction
 from ms_highway.envs.stage import Cone, StageEnv, Timing, straight_road
+from ms_highway.game.arrays import HumansWeights, State
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import REACHED, TIME_STEP, Scenario, draw_episode
@@ -86,8 +87,8 @@ class InteractionEnv(StageEnv):
     ``gains``, the highest estimated gain of each model over all humans; ``human_gains``, an array [humans, rungs];
     ``status``, ``human_status``, a status for each human; ``timing``, ``counted_seconds``, T of the plan; with a
     controller's ``belief``, ``belief``, the probability of every model for every human, [humans, 4] in the order
-    naive, idm, turn, tom. In scenarios with streams it also holds ``humans_MODEL``, how many humans each model above the
-    first predicts; ``success``, whether the robot is in the target lane and has not collided so far; and
+    naive, idm, turn, tom. In scenarios with streams it also holds ``humans_MODEL``, how many humans each model above
+    the first predicts; ``success``, whether the robot is in the target lane and has not collided so far; and
     ``distance_to_cones``, from the robot's front to the first cone ahead in its lane, infinite without one [m].
 
     Attributes:
@@ -224,7 +225,8 @@ class InteractionEnv(StageEnv):
         """Return the robot's driver; what it needs to know of planning times is measured now, and not within a step."""
         settings, controller = self.settings, controller_settings(self.config["controller"])
         models, humans, asked = settings.models, settings.humans, isinstance(self.action_type, HumanModelAction)
-        costs = self.costs(states) if asked or controller.chooses or humans == 1 or self._seconds else None
+        needed = asked or controller.chooses or humans == 1 or self._seconds
+        costs = self.costs(states) if needed else Costs.of([nan] * len(models), humans)
         start = Start(models, costs, settings.semantics, humans, self.episode_steps, self.np_random)
         rule = Order(np.zeros((1, 1), int), models) if asked else controller.rule(start)
         return Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
@@ -279,7 +281,7 @@ class InteractionEnv(StageEnv):
         super()._simulate(action)
         self._collided |= self.collision
         step = self.robot.last_step
-        if isinstance(self.action_type, HumanModelAction):
+        if isinstance(self.action_type, HumanModelAction) and step:
             self._terms[COMPUTATION] = -float(self.action_type.price * self.counted_seconds(step.models))
         self.history.append(Shown(step, sum(self._terms.values())))
 

@@ -5,15 +5,15 @@ from math import nan
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
-from ms_highway.metareasoning.budget import Budget, OneStepGains
-from ms_highway.metareasoning.rankings import Influence, Nearest, TimeToCollision
 from msgspec import Meta, Struct, field
 
 from ms_highway.envs.configuration import NotNegative, Positive, read
 from ms_highway.game.scenario import Semantics
+from ms_highway.metareasoning.budget import Budget, OneStepGains
 from ms_highway.metareasoning.horizon import WholeHorizon
 from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE, QuadraticRule
-from ms_highway.metareasoning.rule import Order, Rule
+from ms_highway.metareasoning.rankings import Influence, Nearest, TimeToCollision
+from ms_highway.metareasoning.rule import Order
 from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values
 from ms_highway.planning.compiled_plans import Costs
@@ -36,7 +36,7 @@ class Start(NamedTuple):
 
     Attributes:
         ladder: human models to choose from, cheapest first.
-        costs: of plans with them, None where no rule needs them.
+        costs: of plans with them, NaN where no rule needs them.
         semantics: of the scenario.
         humans: their number.
         steps: of the episode.
@@ -44,7 +44,7 @@ class Start(NamedTuple):
     """
 
     ladder: tuple[HumanModel, ...]
-    costs: Costs | None
+    costs: Costs
     semantics: Semantics
     humans: int
     steps: int
@@ -56,28 +56,30 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
 
     Attributes:
         belief: whether it infers which model predicts each human, see `ms_highway.metareasoning.belief`.
-        price: lambda, NaN where no rule chooses at one.
-        budget: time of a cycle [s], None without one.
         quantile: of planning times, by which costs are measured.
         chooses: whether a rule chooses from the ladder.
     """
 
-    price: ClassVar[float] = nan
     quantile: ClassVar[float] = 0.5
     chooses: ClassVar[bool] = True
     belief: bool = False
+
+    @property
+    def price(self) -> float:
+        """Lambda, NaN where no rule chooses at one."""
+        return nan
 
     @property
     def budget(self) -> float | None:
         """Time of a cycle [s], None without one."""
         return None
 
-    def rule(self, start: Start) -> Rule:
-        """Return the rule of an episode."""
+    def rule(self, start: Start) -> Any:
+        """Return the `Rule` of an episode, or its `Order`."""
         raise NotImplementedError
 
 
-class OrderSettings(ControllerSettings):
+class OrderSettings(ControllerSettings, frozen=True):
     """Plans each step with models that are known when the episode starts."""
 
     chooses: ClassVar[bool] = False
@@ -95,14 +97,14 @@ class OrderSettings(ControllerSettings):
         """Return the names of the humans' models in every step, [steps, humans], or one for all humans, [steps, 1]."""
         return np.array(self.names())[:, None]
 
-    def rule(self, start: Start) -> Rule:
+    def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
         table = self.table(start.steps, start.humans, start.random)
         names = list(dict.fromkeys(table.ravel().tolist()))
         return Order(np.vectorize(names.index)(table), tuple(map(human_model, names)))
 
 
-class FixedSettings(OrderSettings, tag="fixed"):
+class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
     """Always the same model."""
 
     model: str
@@ -112,7 +114,7 @@ class FixedSettings(OrderSettings, tag="fixed"):
         return (self.model,)
 
 
-class ScheduleSettings(OrderSettings, tag="schedule"):
+class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
     """A model per step, the last one is kept."""
 
     models: Models
@@ -122,7 +124,7 @@ class ScheduleSettings(OrderSettings, tag="schedule"):
         return self.models
 
 
-class PeriodSettings(ScheduleSettings, tag="period"):
+class PeriodSettings(ScheduleSettings, frozen=True, tag="period"):
     """A model per step, repeated to the end of the episode."""
 
     def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
@@ -130,7 +132,7 @@ class PeriodSettings(ScheduleSettings, tag="period"):
         return np.resize(self.names(), (steps, 1))
 
 
-class RandomSettings(OrderSettings, tag="random"):
+class RandomSettings(OrderSettings, frozen=True, tag="random"):
     """A model for every human and step, drawn when the episode starts."""
 
     shares: Shares
@@ -151,25 +153,25 @@ class RandomSettings(OrderSettings, tag="random"):
         return random.choice(self.names(), size=(steps, humans), p=shares / shares.sum())
 
 
-class SwitchingSettings(ControllerSettings, tag="switching"):
+class SwitchingSettings(ControllerSettings, frozen=True, tag="switching"):
     """Algorithm 1 chooses from the ladder, at a price per second of planning."""
 
     price: NotNegative = field(name="lambda")
     algorithm: ClassVar[type[QuadraticRule]] = Switching
 
-    def rule(self, start: Start) -> Rule:
+    def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
         tolerance = RELEASED_TRUST_TOLERANCE if start.semantics == "released" else TRUST_TOLERANCE
         return self.algorithm(start.costs, self.price, start.ladder, trust_tolerance=tolerance)
 
 
-class HorizonSettings(SwitchingSettings, tag="horizon"):
+class HorizonSettings(SwitchingSettings, frozen=True, tag="horizon"):
     """Algorithm 1 chooses with gains that are estimated over the whole horizon."""
 
     algorithm = WholeHorizon
 
 
-class LearnedSettings(ControllerSettings, tag="learned"):
+class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
     """A learned value of computation chooses, at a price per second of planning.
 
     Attributes:
@@ -182,16 +184,16 @@ class LearnedSettings(ControllerSettings, tag="learned"):
     def __post_init__(self) -> None:
         load_values(self.values or SHIPPED_VALUES)
 
-    def rule(self, start: Start) -> Rule:
+    def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
         return _learned(self.values, start, self.price)
 
 
-def _learned(values: str | None, start: Start, price: float) -> Rule:
+def _learned(values: str | None, start: Start, price: float) -> Any:
     return load_values(values or SHIPPED_VALUES, start.humans).rule(start.ladder, start.costs, price)
 
 
-class BudgetSettings(ControllerSettings, tag="budget"):
+class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
     """What gains most within the time of a cycle.
 
     Attributes:
@@ -212,7 +214,7 @@ class BudgetSettings(ControllerSettings, tag="budget"):
         """See `ControllerSettings`."""
         return self.milliseconds * 1e-3
 
-    def rule(self, start: Start) -> Rule:
+    def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
         if self.values != ONE_STEP:
             return Budget(_learned(self.values, start, 0.0), start.costs, self.budget)
@@ -220,24 +222,24 @@ class BudgetSettings(ControllerSettings, tag="budget"):
         return Budget(OneStepGains(switching, start.costs, start.ladder), start.costs, self.budget)
 
 
-class NearestSettings(ControllerSettings, tag="nearest"):
+class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
     """The top rung for the nearest humans, and the first for all others."""
 
     ranking: ClassVar[Any] = Nearest
     count: Annotated[int, Meta(ge=0, description="it must be a number of humans, 0 or more")]
 
-    def rule(self, start: Start) -> Rule:
+    def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
         return self.ranking(self.count, start.costs, start.ladder)
 
 
-class TimeToCollisionSettings(NearestSettings, tag="ttc"):
+class TimeToCollisionSettings(NearestSettings, frozen=True, tag="ttc"):
     """The top rung for the humans with the shortest time to collision."""
 
     ranking = TimeToCollision
 
 
-class InfluenceSettings(NearestSettings, tag="influence"):
+class InfluenceSettings(NearestSettings, frozen=True, tag="influence"):
     """The top rung for the humans that influence the robot's plan most."""
 
     ranking = Influence

@@ -6,12 +6,12 @@ from typing import Any, Literal
 
 import numpy as np
 from highway_env.road.road import Road
-from ms_highway.game.arrays import Car, Control, State
 from msgspec import Struct
 
 from ms_highway.envs.configuration import Positive
 from ms_highway.envs.routes import DENSITIES, draw_routes
 from ms_highway.envs.stage import StageEnv, straight_road
+from ms_highway.game.arrays import Car, State
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import (
     CAR_SIZE,
@@ -23,6 +23,7 @@ from ms_highway.game.scenario import (
     driving_game,
 )
 from ms_highway.game.scene import Scene
+from ms_highway.optimization.arrays import Control
 from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RoutedVehicle, states_of
 
 LANES = 3

@@ -1,10 +1,12 @@
 """Traffic that does not react: routes of cars that are worked out beforehand and never collide with each other."""
 
 import numpy as np
-from ms_highway.game.arrays import Car, Times, Vector
+
+from ms_highway.game.arrays import Car, Times
+from ms_highway.runtime.arrays import Vector
 
 DENSITIES = {"sparse": 2, "medium": 4, "dense": 7}
-"""Scalar of cars around a driver, by name of the density of traffic."""
+"""Number of cars around a driver, by name of the density of traffic."""
 
 NEAR = (-30.0, 60.0)  # m along the road, where routes start
 SPEEDS = (18.0, 20.0)  # m/s along the road
@@ -23,7 +25,8 @@ def draw_routes(
 ) -> np.ndarray:
     """Return states ``(x, y, heading, speed)``, [cars, times, 4], of cars that keep clear of each other.
 
-    At first, they keep clear of a driver as well. Each goes along its lane at its speed; some change to the lane beside it, along a quintic.
+    At first, they keep clear of a driver as well. Each goes along its lane at its speed; some change to the lane beside
+    it, along a quintic.
 
     Args:
         random: what they are drawn with.

@@ -1,16 +1,16 @@
-"""The settings of an `ms_highway.envs.base.InteractionEnv`: what its configuration says, with open choices filled in."""
+"""The settings of an `ms_highway.envs.base.InteractionEnv`: what its configuration says."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 from warnings import warn
 
-from ms_highway.game.arrays import HumansWeights
 from msgspec import Meta, Struct
 from msgspec.structs import force_setattr
 
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
 from ms_highway.envs.controllers import OrderSettings, controller_settings
+from ms_highway.game.arrays import HumansWeights
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
@@ -75,10 +75,10 @@ class Settings(Struct, frozen=True):
             refuse_unknown("config['human_reward']", self.human_reward, weight_names())
         if isinstance(self.costs, dict):
             refuse_unknown("config['costs']", self.costs, {*MODELS, *filter(is_model, self.costs)})
-        seconds = self.seconds
-        for model in self.models if seconds is not None else ():
-            if model.name not in seconds:
-                raise ValueError(f"config['costs'] has no seconds for {model.name!r}; {COSTS}")
+        models, seconds = self.models, self.seconds
+        missing = seconds is not None and [model.name for model in models if model.name not in seconds]
+        if missing:
+            raise ValueError(f"config['costs'] has no seconds for {missing[0]!r}; {COSTS}")
 
     def check(self, scenario: Scenario) -> None:
         """Check what depends on the scenario; warn of gradient steps that overshoot.

@@ -16,11 +16,11 @@ from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import Obstacle
 from jax import numpy as jnp
 from jaxtyping import Float
-from ms_highway.game.arrays import State
 
 from ms_highway.envs.configuration import merged, read_own, refuse_unknown
 from ms_highway.envs.graphics import Viewer
 from ms_highway.envs.spaces import Autopilot, CarStates, CarTracks, HumanModelAction, finite
+from ms_highway.game.arrays import State
 from ms_highway.game.features import features
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward
@@ -90,6 +90,7 @@ class StageEnv(AbstractEnv):
     config: dict[str, Any]
     metadata: dict[str, Any]
     action_space: spaces.Space | None
+    viewer: Viewer | None
     game: Game
 
     def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:

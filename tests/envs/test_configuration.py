@@ -28,7 +28,10 @@ WRONG = [
     ({"controller": {"type": "switching", "lambda": 1e308}}, "['lambda'] is 1e+308; it must be a number from 0"),
     ({"controller": {"type": "horizon"}}, "config['controller'] needs 'lambda': it must be a number from 0"),
     ({"controller": {"type": "fixed"}}, "config['controller'] needs 'model'"),
-    ({"controller": {"type": "fixed", "model": "oracle"}}, "names 'oracle'; the human models are naive, idm, turn, tom"),
+    (
+        {"controller": {"type": "fixed", "model": "oracle"}},
+        "names 'oracle'; the human models are naive, idm, turn, tom",
+    ),
     ({"controller": {"type": "fixed", "model": "tom", "belief": 1}}, "['belief'] is 1; it must be True or False"),
     ({"controller": {"type": "fixed", "model": "tom", "beliefs": True}}, "did you mean 'belief'?"),
     ({"controller": {"type": "schedule", "models": []}}, "['models'] is []; give a list of human models"),
