@@ -1,0 +1,54 @@
+"""The public names, where type checkers and the lazy loader of `ms_highway` find them."""
+
+from . import benchmarks as benchmarks
+from . import cli as cli
+from . import control as control
+from . import envs as envs
+from . import experiments as experiments
+from . import game as game
+from . import irl as irl
+from . import metareasoning as metareasoning
+from . import optimization as optimization
+from . import planning as planning
+from . import runtime as runtime
+from . import simulation as simulation
+from . import vehicle as vehicle
+from . import visualization as visualization
+from .control.fixed import FixedModel as FixedModel
+from .control.fixed import ScheduledModels as ScheduledModels
+from .control.switching import ModelSwitching as ModelSwitching
+from .envs import SCENARIOS as SCENARIOS
+from .envs import add_scenario as add_scenario
+from .envs.actions import Autopilot as Autopilot
+from .envs.base import InteractionEnv as InteractionEnv
+from .envs.road import RoadPolicy as RoadPolicy
+from .envs.road import drive as drive
+from .game.game import Game as Game
+from .game.reward import add_feature as add_feature
+from .game.scenario import COMMON_WEIGHTS as COMMON_WEIGHTS
+from .game.scenario import PAPER_UNIT as PAPER_UNIT
+from .game.scenario import Scenario as Scenario
+from .game.scenario import build_game as build_game
+from .game.scenario import driving_game as driving_game
+from .game.scene import Scene as Scene
+from .metareasoning.horizon import WholeHorizon as WholeHorizon
+from .metareasoning.rule import PUBLISHED_COSTS as PUBLISHED_COSTS
+from .metareasoning.switching import Switching as Switching
+from .metareasoning.switching import decide as decide
+from .planning.compiled_plans import plan as plan
+from .planning.human_models import HumanModel as HumanModel
+from .planning.human_models import Naive as Naive
+from .planning.human_models import TheoryOfMind as TheoryOfMind
+from .planning.human_models import Turn as Turn
+from .planning.human_models import ladder as ladder
+from .planning.human_models import register as register
+from .runtime.jax_settings import keep_compilations as keep_compilations
+from .runtime.jax_settings import low_latency as low_latency
+from .vehicle import BicycleVehicle as BicycleVehicle
+from .vehicle import CommuterVehicle as CommuterVehicle
+from .vehicle import HumanVehicle as HumanVehicle
+from .vehicle import PlanningVehicle as PlanningVehicle
+from .vehicle import RobotVehicle as RobotVehicle
+from .vehicle.road_robot import RoadRobot as RoadRobot
+
+__version__: str
