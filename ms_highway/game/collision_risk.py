@@ -9,8 +9,7 @@ from jaxtyping import Bool, Float
 
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.reductions import unrolled_reduce, unrolled_sum
+from ms_highway.runtime.arrays import Array, unrolled_reduce, unrolled_sum
 
 __all__ = ["CAR_SHARPNESS", "OBSTACLE_SHARE", "OBSTACLE_SHARPNESS", "collision_risk", "plain_collision_risk"]
 

@@ -17,8 +17,7 @@ from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.optimization.second_derivatives import Trajectory
-from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.reductions import unrolled_sum
+from ms_highway.runtime.arrays import Array, unrolled_sum
 
 __all__ = ["Crowd", "along_others", "coasting", "human_game", "others_of", "pair"]
 

@@ -16,7 +16,7 @@ from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.optimization.second_derivatives import Influence, Trajectory
 from ms_highway.optimization.solvers import Planner, project
-from ms_highway.runtime.reductions import unrolled_sum
+from ms_highway.runtime.arrays import unrolled_sum
 
 __all__ = [
     "Game",

@@ -7,8 +7,7 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.optimization.second_derivatives import eigenpairs
-from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.reductions import unrolled_sum
+from ms_highway.runtime.arrays import Array, unrolled_sum
 
 __all__ = ["trust_region_step"]
 

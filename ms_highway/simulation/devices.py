@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from ms_highway.runtime.cores import cores
+from ms_highway.runtime.jax_settings import cores
 
 __all__ = ["CHUNK", "CHUNKS", "device_mesh", "share_among", "use_devices", "usual_chunk"]
 
