@@ -40,8 +40,9 @@ def together(address: str, of: int, place: int) -> Iterator[None]:
     """
     links: Links = {}
     leaving = Event()
+    watching = Thread(target=_watch, args=(links, leaving), daemon=True)
     with ExitStack() as closing:
-        closing.callback(_close, links, leaving)
+        closing.callback(_close, links, leaving, watching)
         host, _, port = address.rpartition(":")
         host = host.strip("[]")
         try:
@@ -54,7 +55,6 @@ def together(address: str, of: int, place: int) -> Iterator[None]:
         except (ValueError, OSError, OverflowError) as error:
             remedy = "give HOST:PORT, a free port of the machine of process 0"
             raise ValueError(f"--coordinator {address}: {error}; {remedy}") from error
-        watching = Thread(target=_watch, args=(dict(links), leaving), daemon=True)
         watching.start()
         yield
         if place == 0:
@@ -120,11 +120,12 @@ def _watch(links: Links, leaving: Event) -> None:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         if hasattr(socket, "TCP_KEEPIDLE"):
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, SILENCE)
-    while links:
-        for link in select(links, (), ())[0]:
+    busy = dict(links)
+    while busy:
+        for link in select(busy, (), ())[0]:
             heard = _hear(link)
             if heard == DONE:
-                del links[link]
+                del busy[link]
             elif leaving.is_set():
                 return
             else:
@@ -133,9 +134,12 @@ def _watch(links: Links, leaving: Event) -> None:
                 end(f"ms-highway: {message}, and so does this one; start all again in the same way to resume", status=1)
 
 
-def _close(links: Links, leaving: Event) -> None:
+def _close(links: Links, leaving: Event, watching: Thread) -> None:
     leaving.set()
     for link in links:
         with suppress(OSError):  # the other process has closed it
-            link.shutdown(socket.SHUT_RDWR)  # ends the waiting of `_watch`
+            link.shutdown(socket.SHUT_RDWR)  # wakes `_watch`
+    if watching.is_alive():
+        watching.join()
+    for link in links:
         link.close()
