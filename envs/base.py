@@ -10,10 +10,10 @@ from highway_env.envs.common.action import ActionType, action_factory
 from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
 from jaxtyping import Float
-from ms_highway.control.fixed import FixedModel, ScheduledModels
-from ms_highway.control.switching import ModelSwitching
 
 from ms_highway.control.controller import Controller
+from ms_highway.control.fixed import FixedModel, ScheduledModels
+from ms_highway.control.switching import ModelSwitching
 from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.actions import Autopilot, HumanModelAction
 from ms_highway.envs.controllers import ChoosingSettings, FixedSettings, controller_settings
