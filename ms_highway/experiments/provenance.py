@@ -8,8 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from ms_highway.runtime.cores import cores
 from ms_highway.runtime.files import read_json, replacing
+from ms_highway.runtime.jax_settings import cores
 
 __all__ = ["PROVENANCE_FILE", "add_run", "differing_versions", "read_runs", "this_run"]
 

@@ -24,10 +24,10 @@ from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.windows import Windows, driver_game, regular_windows, with_window
 from ms_highway.optimization.solvers import optimize_controls
+from ms_highway.runtime.arrays import unrolled_sum
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.progress import Progress, silent
-from ms_highway.runtime.reductions import unrolled_sum
 
 __all__ = [
     "COMFORT_GIVEN",
