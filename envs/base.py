@@ -80,6 +80,9 @@ class InteractionEnv(StageEnv):
       `ms_highway.game.planning_settings.longest_step` are warned of.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
+    ``reset`` takes ``options={"initial_states": ...}``, an array [cars, 4] of x, y, heading, speed in SI units, robot
+    first, then the humans, then the scripted cars, instead of drawn starts.
+
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push
     each other nor stop, and ``info["collision_effect"]`` says so.
 
@@ -102,6 +105,7 @@ class InteractionEnv(StageEnv):
     settings_type, viewer_type = Settings, InteractionViewer
     reset_options = ("initial_states", "config")
     settings: Settings
+    history: list[Shown]
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -126,18 +130,11 @@ class InteractionEnv(StageEnv):
             **asdict(scenario.planning),
             "duration": scenario.steps * TIME_STEP,
             "terminate_on_collision": False,
-            "simulation_frequency": 10,
-            "policy_frequency": 10,
             "screen_width": 1280 if several else 960,
             "screen_height": 420 if several else 352,
             "scaling": 13.0,
             "centering_position": [0.4, 0.29],
         }
-
-    def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
-        self._initial_states: State | None = None
-        self.history: list[Shown] = []
-        super().__init__(config, render_mode)
 
     @classmethod
     def checked_config(
@@ -153,35 +150,15 @@ class InteractionEnv(StageEnv):
         super()._read()
         self.game, self._seconds = self.settings.game(self.scenario), self.settings.seconds
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode.
-
-        Args:
-            seed: seeds all that is drawn: starts, rewards of humans, who yields, and the models of a random controller.
-            options: ``"initial_states"``: array [cars, 4] of x, y, heading, speed in SI units, robot first, then the
-                humans, then the scripted cars, instead of drawn starts; ``"config"``: changes of the configuration.
-
-        Raises:
-            ValueError: for unknown options, or initial states that are not a finite array of that shape.
-        """
-        self._initial_states = (options or {}).get("initial_states")
-        return super().reset(seed=seed, options=options)
-
-    def _checked_states(self, states: Any) -> State:
-        states, shape = np.array(states, dtype=float), (self.cars, 4)
-        if states.shape != shape:
-            raise ValueError(f"options['initial_states'] has shape {states.shape}; {self.scenario.name} needs {shape}")
-        if not np.isfinite(states).all():
-            raise ValueError(f"options['initial_states'] is not finite: {states.tolist()}")
-        return states
-
     def _reset(self) -> None:
         """Build the road, place the cars, and say who drives them."""
         states, self.weights = self.draw_episode(self.np_random)
-        if self._initial_states is not None:  # and by now, the configuration is the new one
-            states = self._checked_states(self._initial_states)
+        given = self.options.get("initial_states")
+        if given is not None:
+            states, shape = np.array(given, dtype=float), (self.cars, 4)
+            if states.shape != shape or not np.isfinite(states).all():
+                message = f"{self.scenario.name} needs an array {shape} of finite numbers"
+                raise ValueError(f"options['initial_states'] is {states.tolist()}; {message}")
         humans = self.settings.humans
         kinds = [RobotVehicle, *[HumanVehicle] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]
         self.road = Road(straight_road(self.game), np_random=self.np_random)
@@ -204,7 +181,7 @@ class InteractionEnv(StageEnv):
 
     def draw_yielding(self, random: np.random.Generator) -> Sequence[bool | None]:
         """Say of every human whether it always yields, or never; None for those who plan for their reward."""
-        kind, humans = self.config["yielding"], self.settings.humans
+        kind, humans = self.settings.yielding, self.settings.humans
         if kind == "mixed":
             return [bool(each) for each in random.uniform(size=humans) < 0.5]
         return [{"never": False, "always": True}.get(kind)] * humans
@@ -287,25 +264,19 @@ class InteractionEnv(StageEnv):
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
         """Describe the last step, see `InteractionEnv`."""
-        info, streams = super()._info(obs, action), self.scenario.streams
+        info, step, streams = super()._info(obs, action), self.robot.last_step, bool(self.scenario.streams)
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
-        if self.steps == 0:
-            return info
-        info["human_status"] = tuple(human.last_step and human.last_step.status for human in self.humans)
-        if streams:
-            info["success"] = self.success
-        step = self.robot.last_step
+        if self.steps:
+            info["human_status"] = tuple(human.last_step and human.last_step.status for human in self.humans)
+            info |= {"success": self.success} if streams else {}
         if step is None:
             return info
-        info |= {"model": step.model, "models": step.models, "status": step.status, "choice_failed": step.choice_failed}
+        info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
         info |= {"gains": step.highest_gains(), "human_gains": step.gains}
         info["timing"] = Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds)
+        known = {"belief": step.belief, "counted_seconds": self.counted_seconds(step.models)}
+        info |= {name: value for name, value in known.items() if value is not None}
         if streams:
             info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}
-        if step.belief is not None:
-            info["belief"] = step.belief
-        counted = self.counted_seconds(step.models)
-        if counted is not None:
-            info["counted_seconds"] = counted
         return info

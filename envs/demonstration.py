@@ -99,8 +99,6 @@ class DemonstrationEnv(StageEnv):
             "action": dict(ACTION),
             "density": "medium",
             "duration": 5.0,
-            "simulation_frequency": 10,
-            "policy_frequency": 10,
             "screen_width": 960,
             "screen_height": 240,
             "scaling": 10.0,

@@ -40,14 +40,12 @@ def evaluate(scene: Scene, driver: Reward, states: State) -> Float[jax.Array, "2
 
 def straight_road(game: Game) -> RoadNetwork:
     """Build highway-env's road network of a game's lanes, with the robot's speed limit."""
-    scene, limit = game.scene, float(game.robot.speed_limit)
-    network, lanes, width = RoadNetwork(), np.asarray(scene.lanes, dtype=float), float(scene.lane_width)
-    apart = [True, *(np.diff(lanes) > 1.01 * width)]
-    for place, y in enumerate(lanes):
-        right = LineType.CONTINUOUS_LINE if place == len(lanes) - 1 else LineType.STRIPED
-        left = LineType.CONTINUOUS_LINE if place == 0 else LineType.STRIPED if apart[place] else LineType.NONE
-        ends = [ROAD_BEHIND, y], [ROAD_AHEAD, y]
-        lane = StraightLane(*ends, width=width, line_types=[left, right], speed_limit=limit)
+    network, lanes, width = RoadNetwork(), np.asarray(game.scene.lanes, dtype=float), float(game.scene.lane_width)
+    solid, striped, none = LineType.CONTINUOUS_LINE, LineType.STRIPED, LineType.NONE
+    left = [solid, *np.where(np.diff(lanes) > 1.01 * width, striped, none)]
+    for y, *lines in zip(lanes, left, [*[striped] * (len(lanes) - 1), solid], strict=True):
+        limit = float(game.robot.speed_limit)
+        lane = StraightLane([ROAD_BEHIND, y], [ROAD_AHEAD, y], width=width, line_types=lines, speed_limit=limit)
         network.add_lane("start", "end", lane)
     return network
 
@@ -93,12 +91,6 @@ class StageEnv(AbstractEnv):
     viewer: Viewer | None
     game: Game
 
-    def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
-        self.metadata = dict(type(self).metadata)  # highway-env would write the frame rate into the class's own
-        self._terms: dict[str, float] = {}
-        self.collision = False
-        super().__init__(config, render_mode)
-
     @classmethod
     def checked_config(
         cls, changes: Mapping[str, Any] | None, config: Mapping[str, Any] | None = None
@@ -125,7 +117,8 @@ class StageEnv(AbstractEnv):
         self.settings = read_own(self.settings_type, self.config)
 
     def update_metadata(self, video_real_time_ratio: int = 1) -> None:
-        """Frames per second of a video that plays at true speed."""
+        """Set the frames per second of a video that plays at true speed."""
+        self.metadata = dict(self.metadata)  # or else highway-env would write them into the class's own
         super().update_metadata(video_real_time_ratio)
 
     def define_spaces(self) -> None:
@@ -149,13 +142,13 @@ class StageEnv(AbstractEnv):
 
         Args:
             seed: seeds all that is drawn.
-            options: ``"config"``: changes of the configuration, of which all are made or none.
+            options: ``"config"``: changes of the configuration, of which all are made or none; others see the class.
 
         Raises:
             ValueError: for unknown options or an impossible configuration.
         """
-        refuse_unknown("the reset options", options or {}, self.reset_options)
-        before = self.config
+        self.options, before = options or {}, self.config
+        refuse_unknown("the reset options", self.options, self.reset_options)
         try:
             return super().reset(seed=seed, options=options)
         except ValueError:
@@ -184,10 +177,10 @@ class StageEnv(AbstractEnv):
         for car in self.road.vehicles:
             car.hit = False
         super()._simulate(action)
-        states, names = self.car_states.astype(np.float32), self.game.robot.names
-        phi, terms = np.asarray(evaluate(self.game.scene, self.game.robot, states)).tolist()
-        self._terms = dict(zip(names, terms, strict=True))
-        self.collision = bool(phi[names.index("collision")])
+        robot = self.game.robot
+        phi, terms = np.asarray(evaluate(self.game.scene, robot, self.car_states.astype(np.float32))).tolist()
+        self._terms = dict(zip(robot.names, terms, strict=True))
+        self.collision = bool(phi[robot.names.index("collision")])
 
     def _reward(self, action: Any) -> float:
         return sum(self._terms.values())

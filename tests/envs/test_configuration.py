@@ -63,7 +63,7 @@ WRONG = [
     ({"iterations": 2.5}, "config['iterations'] is 2.5; it must be a whole number from 1 to 5000"),
     ({"step_size": -0.1}, "config['step_size'] is -0.1; it must be a positive number, or None"),
     ({"time_step": 1e-320}, "it must be from 0.01 to 1 s"),
-    ({"time_step": 0.2, "policy_frequency": 10}, "steps of 0.2 s, so it must be 5"),
+    ({"time_step": 0.05, "policy_frequency": 10}, "steps of 0.05 s, so it must be 20"),
     ({"policy_frequency": 5}, "must be 10"),
     ({"duration": -1}, "config['duration'] is -1; it must be a positive number"),
     ({"duration": 0.01}, "one time step at least"),
