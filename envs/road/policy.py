@@ -14,7 +14,7 @@ from ms_highway.control.road import RoadStep
 from ms_highway.envs.road.driven import check_drivable, normalised
 from ms_highway.envs.road.goals import desired_speed_of, destination_of
 from ms_highway.envs.road.settings import RoadSettings
-from ms_highway.vehicle.road_robot import MARGIN, PERIOD, Motion, held
+from ms_highway.vehicle.road_robot import MARGIN, PERIOD, Velocity, keep_grip
 from ms_highway.vehicle.road_scene import observe_road
 
 __all__ = ["RoadPolicy"]
@@ -100,8 +100,8 @@ class _Pilot:
         if self.last_step is None or base.time - self._planned_at > PERIOD - 0.5 / base.config["policy_frequency"]:
             self.last_step = self.driver.step(observe_road(vehicle, destination_of(base), applied))
             self._planned_at = base.time
-        now, grip = Motion(vehicle.speed, vehicle.heading), MARGIN * self.settings.acceleration
-        control = held(self.last_step.control, now, before, vehicle.LENGTH, frame, grip)
+        now, grip = Velocity(vehicle.speed, vehicle.heading), MARGIN * self.settings.acceleration
+        control = keep_grip(self.last_step.control, now, before, vehicle.LENGTH, frame, grip)
         return normalised(base.action_type, np.array(control), vehicle.LENGTH)
 
     def _begin(self) -> None:
@@ -112,12 +112,12 @@ class _Pilot:
         self.vehicle, self.last_step = self.env.unwrapped.vehicle, None
 
 
-def _past(vehicle: Vehicle, frame: float) -> tuple[tuple[float, float], Motion]:
+def _past(vehicle: Vehicle, frame: float) -> tuple[tuple[float, float], Velocity]:
     """Return curvature and acceleration of a vehicle in its last frame, and how its centre moved in it."""
     slip = atan(tan(float(vehicle.action["steering"])) / 2)
     curvature, acceleration = 2 * sin(slip) / vehicle.LENGTH, float(vehicle.action["acceleration"])
     speed = vehicle.speed - acceleration * frame
-    return (curvature, acceleration), Motion(speed, vehicle.heading - speed * curvature * frame + slip)
+    return (curvature, acceleration), Velocity(speed, vehicle.heading - speed * curvature * frame + slip)
 
 
 def _check(env: Any) -> None:
