@@ -6,11 +6,11 @@ from typing import NamedTuple, TypeAlias
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
+from ms_highway.optimization.arrays import Controls, ManyControls
 from ms_highway.optimization.second_derivatives import Trajectory, damped_inverse, second_order_expansion
-
-__all__ = ["Optimum", "find_optimum", "newton_steps"]
+from ms_highway.runtime.arrays import Flag, Matrix, Scalar
 
 STEPS = 16  # of a plan
 HESSIAN_EVERY = 8  # steps; in between, the last Hessian serves
@@ -21,8 +21,6 @@ MOST_STEPS = 50  # of the search for an optimum
 FINE_SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(np.float32)  # of its steps
 TOLERANCE = 1e-3  # reward per scaled control, the gradient at which an optimum counts as found
 NOISE = 1e-6  # of a reward, relative, in float32
-
-Controls: TypeAlias = Float[jax.Array, "steps 2"]
 
 
 class Optimum(NamedTuple):
@@ -36,19 +34,19 @@ class Optimum(NamedTuple):
 
     controls: Controls
     gradient: Controls
-    hessian: Float[jax.Array, "n n"]
+    hessian: Matrix
 
 
 def newton_steps(
     path: Callable[[Controls], Trajectory],
-    reward: Callable[[Trajectory], Float[jax.Array, ""]],
-    cost: Callable[[Controls], Float[jax.Array, ""]],
+    reward: Callable[[Trajectory], Scalar],
+    cost: Callable[[Controls], Scalar],
     start: Controls,
-    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
+    bounded: Callable[[ManyControls], ManyControls],
 ) -> Controls:
     """Improve controls by 16 Newton steps, see `ms_highway.optimization.solvers`, also for the arguments."""
 
-    def earned(controls: Controls) -> Float[jax.Array, ""]:
+    def earned(controls: Controls) -> Scalar:
         return reward(path(controls)) - cost(controls)
 
     def with_hessian(_: int, controls: Controls) -> Controls:
@@ -64,15 +62,15 @@ def newton_steps(
 
 
 Search: TypeAlias = tuple[int, Controls, Optimum]
-"""Number of steps taken, the controls to look at next, and what was found at the last ones."""
+"""Scalar of steps taken, the controls to look at next, and what was found at the last ones."""
 
 
 def find_optimum(
     path: Callable[[Controls], Trajectory],
-    reward: Callable[[Trajectory], Float[jax.Array, ""]],
-    cost: Callable[[Controls], Float[jax.Array, ""]],
+    reward: Callable[[Trajectory], Scalar],
+    cost: Callable[[Controls], Scalar],
     start: Controls,
-    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
+    bounded: Callable[[ManyControls], ManyControls],
     floor: float,
 ) -> Optimum:
     """Find the local optimum that is uphill from the start.
@@ -89,10 +87,10 @@ def find_optimum(
         floor: the Hessian's eigenvalues l become ``-max(|l|, floor)``.
     """
 
-    def earned(controls: Controls) -> Float[jax.Array, ""]:
+    def earned(controls: Controls) -> Scalar:
         return reward(path(controls)) - cost(controls)
 
-    def climbing(search: Search) -> Bool[jax.Array, ""]:
+    def climbing(search: Search) -> Flag:
         count, controls, last = search
         moved = (count == 0) | (controls != last.controls).any()
         return moved & (count < MOST_STEPS) & (jnp.abs(last.gradient).max() > TOLERANCE)
@@ -114,10 +112,10 @@ def find_optimum(
 
 
 def _search_line(
-    earned: Callable[[Controls], Float[jax.Array, ""]],
-    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
+    earned: Callable[[Controls], Scalar],
+    bounded: Callable[[ManyControls], ManyControls],
     controls: Controls,
-    metric: Float[jax.Array, "n n"],
+    metric: Matrix,
     gradient: Controls,
     shares: Float[np.ndarray, "shares"],
 ) -> tuple[Float[jax.Array, "shares steps 2"], Float[jax.Array, "shares"]]:

@@ -2,18 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import jax
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
-from ms_highway.optimization.damped_newton import damped_newton_steps
+from ms_highway.optimization.arrays import Control, ManyControls
+from ms_highway.optimization.damped_newton import STEPS, damped_newton_steps
 from ms_highway.optimization.newton import newton_steps
 from ms_highway.optimization.second_derivatives import Trajectory
-from ms_highway.runtime.arrays import Array
-
-__all__ = ["Planner", "Solver", "optimize_controls", "project", "projected_ascent"]
+from ms_highway.runtime.arrays import Scalar
 
 Controls = TypeVar("Controls", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton", "damped_newton"]
@@ -33,16 +32,21 @@ class Planner:
         step_size: length of a gradient step per unit of gradient.
         horizon: number of planned controls, K in the paper (static).
         iterations: number of gradient steps (static).
+        newton_steps: number of steps of the solver ``damped_newton`` (static).
         solver: ``gradient``, the paper's, ``newton`` or ``damped_newton``, see `optimize_controls` (static).
+        persistent: whether plans start from the rest of the last one, and give way to a simple manoeuvre where they run
+            into an obstacle (static).
     """
 
-    control_scale: Float[Array, "2"]
-    control_limit: Float[Array, "2"]
-    grip: float | Float[Array, ""] | None = None
-    step_size: float | Float[Array, ""] = 0.03
+    control_scale: Control
+    control_limit: Control
+    grip: Scalar | None = None
+    step_size: Scalar = 0.03
     horizon: int = field(default=5, metadata={"static": True})
     iterations: int = field(default=20, metadata={"static": True})
+    newton_steps: int = field(default=STEPS, metadata={"static": True})
     solver: Solver = field(default="gradient", metadata={"static": True})
+    persistent: bool = field(default=False, metadata={"static": True})
 
 
 def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[jax.Array, "*batch 2"]:
@@ -56,14 +60,16 @@ def projected_ascent(
     direction: Callable[[Controls], Controls],
     start: Controls,
     bounded: Callable[[Controls], Controls],
+    steps: Any = None,
 ) -> Controls:
-    """Improve controls by ``iterations`` projected steps, ``z <- bounded(z + step_size * direction(z))``.
+    """Improve controls by projected steps, ``z <- bounded(z + step_size * direction(z))``.
 
     Args:
         planner: step size and number of steps.
         direction: of ascent at given controls; the gradient of the objective for gradient ascent.
         start: first controls, an array [..., 2] or a pytree of them, scaled.
         bounded: projects scaled controls on their limits.
+        steps: their number, the planner's ``iterations`` by default.
 
     Returns:
         The improved controls, like ``start``, within the limits.
@@ -73,17 +79,17 @@ def projected_ascent(
         slopes = direction(controls)
         return bounded(jax.tree.map(lambda u, slope: u + planner.step_size * slope, controls, slopes))
 
-    return jax.lax.fori_loop(0, planner.iterations, improve, start)
+    return jax.lax.fori_loop(0, planner.iterations if steps is None else steps, improve, start)
 
 
 def optimize_controls(
     planner: Planner,
-    path: Callable[[Float[jax.Array, "steps 2"]], Trajectory],
-    reward: Callable[[Trajectory], Float[jax.Array, ""]],
-    cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]],
-    start: Float[jax.Array, "steps 2"],
-    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
-) -> Float[jax.Array, "steps 2"]:
+    path: Callable[[Controls], Trajectory],
+    reward: Callable[[Trajectory], Scalar],
+    cost: Callable[[Controls], Scalar],
+    start: Controls,
+    bounded: Callable[[ManyControls], ManyControls],
+) -> Controls:
     """Maximise ``reward(path(controls)) - cost(controls)`` over the controls, locally, by the planner's solver.
 
     * ``gradient``: `projected_ascent` along the reward's gradient g, the paper's solver.
@@ -103,10 +109,11 @@ def optimize_controls(
         bounded: projects scaled controls on their limits.
     """
 
-    def earned(controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
+    def earned(controls: Controls) -> Scalar:
         return reward(path(controls)) - cost(controls)
 
     if planner.solver == "gradient":
         return projected_ascent(planner, jax.grad(earned), start, bounded)
-    steps = newton_steps if planner.solver == "newton" else damped_newton_steps
-    return steps(path, reward, cost, start, bounded)
+    if planner.solver == "newton":
+        return newton_steps(path, reward, cost, start, bounded)
+    return damped_newton_steps(path, reward, cost, start, bounded, planner.newton_steps)
