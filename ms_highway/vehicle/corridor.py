@@ -10,8 +10,8 @@ from jaxtyping import Bool
 from scipy.spatial import cKDTree
 
 from ms_highway.game.road import LANES
-from ms_highway.vehicle.lane_paths import FINE, Curve, Row, Rows, samples
-from ms_highway.vehicle.road_map import BLOCK, LIMIT, Chain, Goal, Lane, kept
+from ms_highway.vehicle.lane_paths import FINE, Curve, Row, Rows, from_heading, samples
+from ms_highway.vehicle.road_map import LIMIT, Chain, Goal, Lane, kept
 
 AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
 BEYOND = 3.0  # m, up to which a lane is taken to go straight on
@@ -43,7 +43,7 @@ class Corridor:
 @kept
 def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return what is around the route along a chain of lanes near a block of it."""
-    curve = chain.curve(block * BLOCK)
+    curve = chain.curve(block)
     ways = curve.samples[4]
     rows, is_open, low = np.zeros((LANES + 3, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
     lanes, edges, limit = rows[:LANES], rows[LANES:-1], rows[-1]
@@ -122,8 +122,6 @@ def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     low, high = max(ends[0] - AROUND, 0.0), min(ends[1] + AROUND, lane.length)
     _, centres, along = samples(lane.shape, *((low, high) if high - low > AROUND else (0.0, lane.length)))
     _, nearest = cKDTree(centres).query(points)
-    delta = centres[nearest] - points
-    cosine, sine = np.cos(heading), np.sin(heading)
-    ahead, aside = cosine * delta[:, 0] + sine * delta[:, 1], cosine * delta[:, 1] - sine * delta[:, 0]
+    ahead, aside = from_heading(heading, *(centres[nearest] - points).T)
     lateral = aside - ahead * np.clip(np.tan(along[nearest] - heading), -1.0, 1.0)
     return np.where(np.abs(ahead) < BEYOND, lateral, np.nan)

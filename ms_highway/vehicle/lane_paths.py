@@ -5,6 +5,7 @@ Lanes need not meet where one follows the other, and their curvature jumps there
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, StraightLane
@@ -17,6 +18,7 @@ from ms_highway.game.road import BEHIND, SPACING, Path, wrapped
 Point = Float[np.ndarray, "2"]
 Row = Float[np.ndarray, "samples"]
 Rows = Float[np.ndarray, "rows samples"]
+Points = Float[np.ndarray, "samples 2"]
 
 FINE = 0.5
 """Distance between samples of curves [m]."""
@@ -28,6 +30,12 @@ SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m, tried in order until no curve is too
 SHARPEST = 0.19  # 1/m
 NEAR = 20.0  # m, along a curve, in which a car is looked for
 TIGHTEST = 0.2  # of the radius of a bend, that a car is away from its centre at least
+
+
+def from_heading(heading: Any, x: Any, y: Any) -> tuple[Any, Any]:
+    """Return how far a displacement leads ahead and to the right of a heading, numbers or arrays."""
+    cosine, sine = np.cos(heading), np.sin(heading)
+    return cosine * x + sine * y, cosine * y - sine * x
 
 
 @dataclass(frozen=True)
@@ -68,9 +76,7 @@ class Curve:
         delta = position[:, None] - self.samples[:2, low:high]
         nearest = int(np.argmin((delta**2).sum(axis=0)))
         _, _, along, bend, _ = self.samples[:, low + nearest]
-        x, y = delta[:, nearest]
-        cosine, sine = np.cos(along), np.sin(along)
-        ahead, aside = cosine * x + sine * y, cosine * y - sine * x
+        ahead, aside = from_heading(along, *delta[:, nearest])
         step = ahead / max(1 - bend * aside, TIGHTEST)
         d = aside - bend * ahead * step / 2
         return float((low + nearest) * FINE + step), float(d), float(wrapped(heading - along - bend * step))
@@ -80,7 +86,7 @@ class Curve:
         return float(np.interp(s, FINE * np.arange(self.samples.shape[1]), self.samples[4]))
 
 
-def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Float[np.ndarray, "samples 2"], Row]:
+def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, Row]:
     """Return places, positions and headings along a lane, always at the same places between two bounds."""
     s = COARSE * np.arange(np.ceil(low / COARSE), np.floor(high / COARSE) + 1)
     if isinstance(lane, StraightLane):  # the only ones that take arrays
@@ -120,7 +126,7 @@ def join_lanes(lanes: Sequence[AbstractLane], starts: Sequence[float], low: floa
     return Curve(curve)
 
 
-def _bridged(ways: Row, points: Float[np.ndarray, "samples 2"], headings: Row) -> Rows:
+def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
     """Return x, y and way of points every `FINE` metres of a Hermite spline."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     spline = CubicHermiteSpline(along, points, np.stack([np.cos(headings), np.sin(headings)], axis=-1))

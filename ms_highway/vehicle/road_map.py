@@ -4,9 +4,9 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from functools import cached_property, wraps
 from itertools import accumulate, islice
-from math import cos, dist, inf, sin
-from typing import Any, TypeAlias, TypeVar, cast
-from weakref import WeakKeyDictionary
+from math import cos, hypot, inf, sin
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
+from weakref import WeakKeyDictionary, proxy
 
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import LaneIndex, RoadNetwork
@@ -77,37 +77,33 @@ class Lane:
         return self.roads.road(self.start, self.end)
 
     @cached_property
-    def joints(self) -> "dict[Lane, tuple[float, float]]":
-        """How far this lane begins beside the end of each lane before it, in widths, and how unevenly it goes on [m].
-
-        Beside is measured across the mean of both headings: an arc that touches both lanes has its chord along it.
-        """
+    def joints(self) -> "dict[Lane, Joint]":
+        """How this lane continues each lane before it."""
         return {lane: _joint(lane.shape, self.shape) for lane in self.roads.lanes.values() if lane.end == self.start}
 
     @kept
     def following(self, reach: float = REACH) -> "Lanes":
         """Return the nearest lane of each next road that this lane leads to, the most even one first."""
         roads = [self.roads.road(self.end, end) for end in self.roads.graph.get(self.end, {})]
-        nearest = [min(road, key=lambda other: other.joints[self][0]) for road in roads]
-        leading = [lane for lane in nearest if lane.joints[self][0] < reach]
-        return tuple(sorted(leading, key=lambda other: (other.joints[self][1], other.index)))
+        nearest = [min(road, key=lambda other: other.joints[self].aside) for road in roads]
+        leading = [lane for lane in nearest if lane.joints[self].aside < reach]
+        return tuple(sorted(leading, key=lambda other: (other.joints[self].kink, other.index)))
 
     @cached_property
-    def joined(self) -> set[str]:
+    def touched(self) -> set[str]:
         """Ends of the next roads of which a lane begins right where this one ends."""
-        end, reach = self.shape.position(self.length, 0), self.shape.width_at(self.length) / 2
         nexts = [lane for lane in self.roads.lanes.values() if lane.start == self.end]
-        return {lane.end for lane in nexts if dist(lane.shape.position(0, 0), end) < reach}
+        return {lane.end for lane in nexts if lane.joints[self].apart < REACH}
 
     @cached_property
     def preceding(self) -> "Lane | None":
         """The lane that this one continues best."""
-        best = min(self.joints, key=lambda other: self.joints[other][1], default=None)
-        return best if best and self.joints[best][0] < REACH else None
+        best = min(self.joints, key=lambda other: self.joints[other].kink, default=None)
+        return best if best and self.joints[best].aside < REACH else None
 
     def continues_best(self, before: "Lane") -> bool:
         """Return whether no other lane leads to this one clearly more evenly; whoever joins gives way."""
-        return self.joints[before][1] < min(kink for _, kink in self.joints.values()) + UNEVEN
+        return self.joints[before].kink < min(joint.kink for joint in self.joints.values()) + UNEVEN
 
     @cached_property
     def refuge(self) -> "Lane | None":
@@ -118,10 +114,9 @@ class Lane:
     @kept
     def continued(self, end: str, number: int | None) -> "Lane":
         """Return the lane of the road to a node that highway-env's drivers take, who may ask for the lane's number."""
-        road, point = self.roads.road(self.end, end), self.shape.position(self.length, 0)
-        if len(road) == len(self.siblings):
-            return road[self.number if number is None else number]
-        return min(road, key=lambda lane: lane.shape.distance(point))
+        last = self.shape.position(self.length, 0)
+        number, _ = self.roads.network.next_lane_given_next_road(*self.index, end, number, last)
+        return self.roads.lanes[self.end, end, number]
 
     def distance(self, vehicle: Vehicle) -> float:
         """Return how far a vehicle is from the lane, in position and heading."""
@@ -136,15 +131,29 @@ class Lane:
 Lanes: TypeAlias = tuple[Lane, ...]
 
 
-def _joint(one: AbstractLane, other: AbstractLane) -> tuple[float, float]:
+class Joint(NamedTuple):
+    """How a lane continues another one.
+
+    Attributes:
+        apart: distance from the other's end to its beginning, in widths.
+        aside: the same across the mean of both headings: an arc that touches both lanes has its chord along it.
+        kink: how unevenly it goes on [m].
+    """
+
+    apart: float
+    aside: float
+    kink: float
+
+
+def _joint(one: AbstractLane, other: AbstractLane) -> Joint:
     x, y = other.position(0.0, 0.0) - one.position(one.length, 0.0)
-    before = one.heading_at(one.length)
+    before, width = one.heading_at(one.length), float(one.width_at(one.length))
     turn = wrapped(other.heading_at(0.0) - before)
     mean = before + turn / 2
     aside = abs(cos(mean) * y - sin(mean) * x)
     aside += max(abs(cos(mean) * x + sin(mean) * y) - BRIDGED, 0.0) + (inf if abs(turn) > SHARPEST_TURN else 0.0)
     later = wrapped(other.heading_at(min(other.length, BRIDGED)) - before)
-    return aside / float(one.width_at(one.length)), aside + TURN * (abs(turn) + abs(later) / 10)
+    return Joint(hypot(x, y) / width, aside / width, aside + TURN * (abs(turn) + abs(later) / 10))
 
 
 class Chain:
@@ -161,11 +170,7 @@ class Chain:
 
     def leg(self, way: float) -> int:
         """Return the number of the lane at a way."""
-        return min(max(bisect_right(self.starts, way) - 1, 0), len(self.lanes) - 1)
-
-    def curve(self, way: float) -> Curve:
-        """Return the curve along the lanes near a way."""
-        return self._block(way // BLOCK)
+        return bisect_right(self.starts, way, 1, len(self.lanes)) - 1
 
     def at(self, way: float) -> tuple[Point, float]:
         """Return position and heading in the middle of the lanes at a way; beyond the end, along the last lane."""
@@ -174,7 +179,8 @@ class Chain:
         return shape.position(place, 0), shape.heading_at(place)
 
     @kept
-    def _block(self, block: float) -> Curve:
+    def curve(self, block: float) -> Curve:
+        """Return the curve along the lanes near a block, a number of `BLOCK` lengths."""
         low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
         return join_lanes([lane.shape for lane in self.lanes], self.starts, low, high)
 
@@ -245,12 +251,11 @@ class RoadMap:
     """The lanes of a network.
 
     Attributes:
-        graph: of the network.
         lanes: by their index.
     """
 
     def __init__(self, network: RoadNetwork) -> None:
-        self.graph: dict[str, dict[str, list[AbstractLane]]] = network.graph
+        self.network, self.graph = proxy(network), network.graph
         self.lanes = {index: Lane(self, index, shape) for index, shape in network.lanes_dict().items()}
 
     @kept

@@ -12,8 +12,8 @@ import numpy as np
 from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
-from jaxtyping import Float
 
+from ms_highway.game.arrays import State
 from ms_highway.game.neighbours import FAR_AWAY, far_behind, places
 from ms_highway.game.road import wrapped
 from ms_highway.game.scenario import PAPER_UNIT
@@ -23,8 +23,6 @@ from ms_highway.vehicle.road_map import Chain, Lane, road_map
 
 Route: TypeAlias = list[tuple[str, str, int | None]]
 """Roads to follow in order, as in highway-env's vehicles; the lane of a road may be None."""
-
-States: TypeAlias = Float[np.ndarray, "cars 4"]
 
 MAX_LANES = 6
 MAX_OBSTACLES = 4
@@ -56,7 +54,7 @@ class RoadView:
     """
 
     scene: Scene
-    states: States
+    states: State
     cars: tuple[Vehicle | None, ...]
     speed_limit: float
     route: Route
@@ -68,12 +66,12 @@ class RoadView:
         """Curvature of the lane at the driver [1/m], positive to the right."""
         return float(self.scene.bend or 0.0)
 
-    def straightened(self, states: States) -> States:
+    def straightened(self, states: State) -> State:
         """Transform states of cars from highway-env's coordinates to those of the lane."""
         return _straightened(self.lane, self.place, states)
 
 
-def states_of(cars: Iterable[Vehicle]) -> States:
+def states_of(cars: Iterable[Vehicle]) -> State:
     """Return ``(x, y, heading, speed)`` of highway-env vehicles."""
     return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
 
@@ -160,7 +158,7 @@ def _limit_before_bends(chain: Chain, place: float) -> float:
     return float(np.sqrt(np.maximum(CORNERING / bends, SLOWEST**2) + 2 * SLOWING * ahead).min())
 
 
-def _straightened(lane: Lane, place: float, states: States) -> States:
+def _straightened(lane: Lane, place: float, states: State) -> State:
     """Transform states of cars from highway-env's coordinates to those of a lane, with x from ``place`` on."""
     straight = []
     for *position, heading, speed in states:
@@ -169,7 +167,7 @@ def _straightened(lane: Lane, place: float, states: States) -> States:
     return np.array(straight, dtype=float)
 
 
-def _solid(lane: Lane, place: float, objects: Iterable[RoadObject]) -> tuple[States, Point]:
+def _solid(lane: Lane, place: float, objects: Iterable[RoadObject]) -> tuple[State, Point]:
     """Return positions of the nearest obstacles in the coordinates of a lane, and the largest size, assumed for all."""
     solid = [item for item in objects if not isinstance(item, Landmark)]
     placed = [(*lane.shape.local_coordinates(item.position), item.LENGTH, item.WIDTH) for item in solid]
@@ -189,7 +187,7 @@ def _centres(lane: Lane, route: Route, position: Point) -> list[float]:
     sides = list(zip(lane.siblings, along, strict=True))
     centres = [lane.shape.local_coordinates(side.shape.position(x, 0))[1] for side, x in sides]
     chosen = {end for start, end, _ in route if start == lane.end}
-    goes_on = [bool(side.joined & chosen if chosen else side.joined) for side in lane.siblings]
+    goes_on = [bool(side.touched & chosen if chosen else side.touched) for side in lane.siblings]
     onward = [centre for centre, on in zip(centres, goes_on, strict=True) if on]
     first, last = TAPER
     for number, (side, x) in enumerate(sides):

@@ -12,9 +12,10 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 from jaxtyping import Int
 
+from ms_highway.game.arrays import Car
 from ms_highway.game.road import BEHIND, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path, wrapped
-from ms_highway.vehicle.lane_paths import Row
-from ms_highway.vehicle.road_map import LIMIT, Chain, Lane, Lanes, RoadMap, kept
+from ms_highway.vehicle.lane_paths import Row, from_heading
+from ms_highway.vehicle.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
 
 AHEAD, BEHIND_SIGHT = 120.0, 60.0  # m, in which others are seen
 MOST_VEHICLES, MOST_WAYS = 16, 3
@@ -29,7 +30,19 @@ JOINED = 5.0  # m after a joint, up to which a vehicle still has the right of wa
 NO_GAP = 1e3  # m, without a leader
 FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
-USUAL_SIZE = 5.0, 2.0  # m, of nobody
+LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
+NOBODY = {
+    "paths": Path(LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE),
+    "states": np.zeros(4),
+    "sizes": np.array([5.0, 2.0]),
+    "present": False,
+    "limits": LIMIT,
+    "owners": -1,
+    "names": -1,
+    "moving": False,
+    "priority": False,
+}
+"""An unused row of what is known of others."""
 
 Owners = Int[np.ndarray, "traffic"]
 
@@ -51,7 +64,7 @@ class Way(NamedTuple):
     chain: Chain
     place: float
     path: Path
-    state: tuple[float, float, float, float]
+    state: Car
 
 
 class Conflict(NamedTuple):
@@ -75,30 +88,28 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, chain: Chain, at: 
     ways = [way for number, car in enumerate(_in_sight(vehicle)) for way in _ways(car, number, roads)]
     meeting = [(way, _conflict(way.path, route)) for way in ways]
     meeting = sorted(meeting, key=lambda item: (item[1] is None, item[0].owner))[:TRAFFIC]
-    ways = [way for way, _ in meeting]
-    line = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
-    nowhere = Path(line + np.float32(FAR), np.full_like(line, FAR), np.zeros_like(line), np.zeros_like(line))
-    paths = [way.path for way in ways] + [nowhere] * (TRAFFIC - len(ways))
-    stacked: Path = jax.tree.map(lambda *rows: np.stack(rows), *paths)
-    owners = _padded([way.owner for way in ways], -1, np.int32)
-    leaders, gaps = _leaders_of(stacked, [way.car for way in ways], owners)
-    return {
-        "paths": stacked,
-        "states": _padded([way.state for way in ways], (0.0,) * 4),
-        "sizes": _padded([(way.car.LENGTH, way.car.WIDTH) for way in ways], USUAL_SIZE),
-        "present": np.arange(TRAFFIC) < len(ways),
-        "limits": _padded([way.chain.lanes[0].limit for way in ways], LIMIT),
-        "leaders": leaders,
-        "gaps": gaps,
-        "owners": owners,
-        "names": _padded([_number_of(way.car) for way in ways], -1, np.int32),
-        "moving": _padded([_drives(way.car) for way in ways], False, bool),
-        "priority": _padded([_goes_first(way, meet, chain, at) for way, meet in meeting], False, bool),
-    }
+    rows = [
+        {
+            "paths": way.path,
+            "states": way.state,
+            "sizes": np.array([way.car.LENGTH, way.car.WIDTH]),
+            "present": True,
+            "limits": way.chain.lanes[0].limit,
+            "owners": way.owner,
+            "names": _number_of(way.car),
+            "moving": _drives(way.car),
+            "priority": _goes_first(way, conflict, chain, at),
+        }
+        for way, conflict in meeting
+    ]
+    table = jax.tree.map(_column, *rows, *[NOBODY] * (TRAFFIC - len(rows)))
+    leaders, gaps = _leaders_of(table["paths"], [way.car for way, _ in meeting], table["owners"])
+    return table | {"leaders": leaders, "gaps": gaps}
 
 
-def _padded(values: list[Any], absent: Any, kind: type = np.float32) -> np.ndarray:
-    return np.array([*values, *[absent] * (TRAFFIC - len(values))], dtype=kind)
+def _column(*values: Any) -> np.ndarray:
+    column = np.array(values)
+    return column.astype({"i": np.int32, "f": np.float32}.get(column.dtype.kind, bool))
 
 
 def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
@@ -138,10 +149,10 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap) -> list[Way]:
     found.sort(key=lambda item: item[0])
     ways = []
     for _, place, chain in found[: MOST_WAYS if _drives(car) else 1]:
-        curve = chain.curve(place)
+        curve = chain.curve(place // BLOCK)
         s, d, heading = curve.project(car.position, car.heading, place)
         path = curve.path(s, TRAFFIC_KNOTS)
-        ways.append(Way(car, owner, chain, place, path, (0.0, d, heading, float(car.speed))))
+        ways.append(Way(car, owner, chain, place, path, np.array([0.0, d, heading, car.speed])))
     return ways
 
 
@@ -238,13 +249,12 @@ def _leaders_of(paths: Path, cars: list[RoadObject], owners: Owners) -> tuple[Ow
     y = positions[None, :, None, 1] - paths.y[:count, None, :]
     nearest = np.argmin(x**2 + y**2, axis=-1)
     rows, columns = np.arange(count)[:, None], np.arange(count)[None, :]
-    x, y, heading = x[rows, columns, nearest], y[rows, columns, nearest], paths.heading[rows, nearest]
-    s = SPACING * nearest - BEHIND + np.cos(heading) * x + np.sin(heading) * y
-    d = np.cos(heading) * y - np.sin(heading) * x
+    ahead, d = from_heading(paths.heading[rows, nearest], x[rows, columns, nearest], y[rows, columns, nearest])
+    s = SPACING * nearest - BEHIND + ahead
     other = owners[:count, None] != owners[None, :count]
-    ahead = other & (np.abs(d) < IN_FRONT) & (s > 0) & (s < LEADER_AHEAD)
-    distance = np.where(ahead, s, NO_GAP)
+    leading = other & (np.abs(d) < IN_FRONT) & (s > 0) & (s < LEADER_AHEAD)
+    distance = np.where(leading, s, NO_GAP)
     leader = np.argmin(distance, axis=1)  # the first path of a car comes before its others
-    leaders[:count] = np.where(ahead.any(axis=1), leader, -1)
+    leaders[:count] = np.where(leading.any(axis=1), leader, -1)
     gaps[:count] = distance[np.arange(count), leader]
     return leaders, gaps
