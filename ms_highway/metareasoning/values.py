@@ -70,22 +70,22 @@ class Values:
             raise ValueError(f"the ladder has the models {list(self.ladder)}; there must be two at least")
         if self.inputs != input_names(self.baseline):
             raise ValueError("the inputs of the network are those of another version")
-        outputs = 2 * len(self.estimated)
         sizes = [len(self.inputs), *(np.shape(biases)[-1] for _, biases in self.network)]
         shapes = [np.shape(weights)[1:] for weights, _ in self.network]
-        if shapes != list(pairwise(sizes)) or sizes[-1] != outputs:
+        if shapes != list(pairwise(sizes)) or sizes[-1] != 2 * len(self.estimated):
             raise ValueError(f"the layers of the network are of shapes {shapes}, for {len(self.ladder)} models")
-        numbers = [self.centre, self.spread, *(part for layer in self.network for part in layer)]
-        fit = {np.shape(part) for part in numbers[:2]} == {(len(self.inputs),)}
-        if not fit or not all(np.isfinite(n).all() for n in numbers):
+        standard = np.array([self.centre, self.spread])
+        numbers = [standard, *(part for layer in self.network for part in layer)]
+        if standard.shape[1:] != (sizes[0],) or not all(np.isfinite(part).all() for part in numbers):
             raise ValueError("the numbers of the network are not finite, or not as many as its inputs")
-        if not (self.spread > 0).all():
-            raise ValueError("the spreads of the inputs must be positive")
-        if self.baseline == "top":
-            if len(self.costs) != len(self.ladder):
-                raise ValueError(f"there are {len(self.costs)} costs for {len(self.ladder)} models")
-            if len(self.prices) != 2 or not 0 < self.prices[0] <= self.prices[1] < np.inf:
-                raise ValueError(f"the prices are {self.prices}; they must be positive, the least and the largest")
+        positive = (*self.spread, *self.prices)
+        wanted = (len(self.ladder), 2) if self.baseline == "top" else (0, 0)
+        if (
+            min(positive) <= 0
+            or (len(self.costs), len(self.prices)) != wanted
+            or list(self.prices) != sorted(self.prices)
+        ):
+            raise ValueError(f"spreads and prices must be positive; costs are {self.costs}, prices {self.prices}")
 
     @property
     def estimated(self) -> tuple[str, ...]:

@@ -3,17 +3,14 @@
 Where the reward is not concave, its negative Hessian plus a multiple of the identity is factored: no eigenvalues.
 """
 
-from collections.abc import Callable
-
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
-from jaxtyping import Float
 
-from ms_highway.optimization.arrays import Controls, ManyControls
-from ms_highway.optimization.second_derivatives import Trajectory, second_order_expansion
-from ms_highway.runtime.arrays import Flag, Matrix, Numbers, Scalar, Vector
+from ms_highway.optimization.arrays import Controls
+from ms_highway.optimization.objective import Objective, best_of
+from ms_highway.runtime.arrays import Flag, Matrix, Scalar, Vector
 
 STEPS = 4
 """Usual number of steps of a plan."""
@@ -50,30 +47,15 @@ def damped_solve(factor: Matrix, vector: Vector) -> Vector:
     return jnp.where(jnp.isfinite(solved).all(), solved, 0.0)
 
 
-def best_of(candidates: Float[jax.Array, "n *shape"], earned: Vector) -> Numbers:
-    """Return the candidate that earns most of those that earn something finite; NaN where none does."""
-    known = jnp.isfinite(earned)
-    best = candidates[jnp.argmax(jnp.where(known, earned, -jnp.inf))]
-    return jnp.where(known.any(), best, jnp.nan)
-
-
-def damped_newton_steps(
-    path: Callable[[Controls], Trajectory],
-    reward: Callable[[Trajectory], Scalar],
-    cost: Callable[[Controls], Scalar],
-    start: Controls,
-    bounded: Callable[[ManyControls], ManyControls],
-    steps: int = STEPS,
-) -> Controls:
-    """Improve controls by some damped Newton steps; for the arguments see `ms_highway.optimization.solvers`.
+def damped_newton_steps(objective: Objective, start: Controls, steps: int = STEPS) -> Controls:
+    """Improve controls by some damped Newton steps.
 
     The line search takes the best of six shares of each step, projected on the limits; the last share is no step.
     """
 
     def improve(_: int, controls: Controls) -> Controls:
-        expansion = second_order_expansion(path, reward, controls, cost)
+        expansion = objective.expand(controls)
         step = damped_solve(damped_factor(expansion.hessian), expansion.gradient).reshape(controls.shape)
-        candidates = bounded(controls + SHARES[:, None, None] * step)
-        return best_of(candidates, jax.vmap(lambda tried: reward(path(tried)) - cost(tried))(candidates))
+        return best_of(*objective.search_line(controls, step, SHARES))
 
-    return jax.lax.fori_loop(0, steps, improve, bounded(start))
+    return jax.lax.fori_loop(0, steps, improve, objective.bounded(start))

@@ -8,13 +8,13 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
-from ms_highway.optimization.arrays import Control, ManyControls
+from ms_highway.optimization.arrays import Control, Controls
 from ms_highway.optimization.damped_newton import STEPS, damped_newton_steps
 from ms_highway.optimization.newton import newton_steps
-from ms_highway.optimization.second_derivatives import Trajectory
+from ms_highway.optimization.objective import Objective
 from ms_highway.runtime.arrays import Scalar
 
-Controls = TypeVar("Controls", bound=PyTree)
+Point = TypeVar("Point", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton", "damped_newton"]
 
 
@@ -57,11 +57,11 @@ def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[j
 
 def projected_ascent(
     planner: Planner,
-    direction: Callable[[Controls], Controls],
-    start: Controls,
-    bounded: Callable[[Controls], Controls],
+    direction: Callable[[Point], Point],
+    start: Point,
+    bounded: Callable[[Point], Point],
     steps: Any = None,
-) -> Controls:
+) -> Point:
     """Improve controls by projected steps, ``z <- bounded(z + step_size * direction(z))``.
 
     Args:
@@ -75,22 +75,15 @@ def projected_ascent(
         The improved controls, like ``start``, within the limits.
     """
 
-    def improve(_: int, controls: Controls) -> Controls:
+    def improve(_: int, controls: Point) -> Point:
         slopes = direction(controls)
         return bounded(jax.tree.map(lambda u, slope: u + planner.step_size * slope, controls, slopes))
 
     return jax.lax.fori_loop(0, planner.iterations if steps is None else steps, improve, start)
 
 
-def optimize_controls(
-    planner: Planner,
-    path: Callable[[Controls], Trajectory],
-    reward: Callable[[Trajectory], Scalar],
-    cost: Callable[[Controls], Scalar],
-    start: Controls,
-    bounded: Callable[[ManyControls], ManyControls],
-) -> Controls:
-    """Maximise ``reward(path(controls)) - cost(controls)`` over the controls, locally, by the planner's solver.
+def optimize_controls(planner: Planner, objective: Objective, start: Controls) -> Controls:
+    """Maximise an objective locally, from scaled controls, by the planner's solver.
 
     * ``gradient``: `projected_ascent` along the reward's gradient g, the paper's solver.
     * ``newton``: 16 steps along ``sum_i v_i v_i^T g / max(|l_i|, 12)``, with the eigenpairs (l_i, v_i) of the Hessian,
@@ -99,21 +92,9 @@ def optimize_controls(
       Unlike the gradient, it sees jumps of the reward, such as the cost of a collision.
     * ``damped_newton``: a few Newton steps with a Hessian each, damped until it can be factored: for horizons of
       seconds, see `ms_highway.optimization.damped_newton`.
-
-    Args:
-        planner: solver and step size.
-        path: trajectory under scaled controls.
-        reward: of a trajectory, a sum over its steps.
-        cost: of the controls themselves, a sum over them.
-        start: first controls, scaled.
-        bounded: projects scaled controls on their limits.
     """
-
-    def earned(controls: Controls) -> Scalar:
-        return reward(path(controls)) - cost(controls)
-
     if planner.solver == "gradient":
-        return projected_ascent(planner, jax.grad(earned), start, bounded)
+        return projected_ascent(planner, jax.grad(objective.earned), start, objective.bounded)
     if planner.solver == "newton":
-        return newton_steps(path, reward, cost, start, bounded)
-    return damped_newton_steps(path, reward, cost, start, bounded, planner.newton_steps)
+        return newton_steps(objective, start)
+    return damped_newton_steps(objective, start, planner.newton_steps)

@@ -19,8 +19,9 @@ from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.game import Game, bounded, discomfort, move, move_all, others_of, swap_roles, trajectory_reward
 from ms_highway.optimization.arrays import Controls, Trajectory
-from ms_highway.optimization.damped_newton import SHARES, best_of, damped_factor, damped_solve
-from ms_highway.optimization.second_derivatives import Expansion, response, second_order_expansion
+from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
+from ms_highway.optimization.objective import Objective, best_of
+from ms_highway.optimization.second_derivatives import response, second_order_expansion
 from ms_highway.optimization.solvers import projected_ascent
 from ms_highway.planning.manoeuvres import manoeuvres
 from ms_highway.planning.plans import Plan, within_limits
@@ -66,14 +67,14 @@ class _Path(NamedTuple):
             return robot[None]
         return jnp.concatenate([robot[None], self.humans])[jnp.asarray(others_of(1 + self.game.number))[1 + human]]
 
-    def expand(self, human: Index, controls: Controls) -> Expansion:
-        """Expand a human's reward in its own controls."""
+    def objective(self, human: Index) -> Objective:
+        """Return what a human maximises over its own controls."""
         game, car, others = swap_roles(self.game, human), self.state[1 + human], self.around(human, self.robot)
-        return second_order_expansion(
+        return Objective(
             partial(move, self.game, car),
             lambda own: trajectory_reward(game, self.state, own, others),
-            controls,
             partial(discomfort, game, car),
+            partial(bounded, game, car),
         )
 
     def slope(self, human: Index, robot: Trajectory) -> Trajectory:
@@ -119,7 +120,7 @@ def _direction(who: Answering, plan: Plan) -> Plan:
     along_robot, along_humans = jax.grad(trajectory_reward, argnums=(2, 3))(game, state, robot, path.humans)
 
     def respond(human: Index, slopes: Plan) -> Plan:
-        own = path.expand(human, plan.humans[human])
+        own = path.objective(human).expand(plan.humans[human])
         _, pull_human = jax.vjp(partial(move, game, state[1 + human]), plan.humans[human])
         pushed = response(game.influence, own.hessian, pull_human(along_humans[human])[0].ravel())
         through = path.through(human, own.jacobian, pushed)
@@ -150,11 +151,12 @@ def _newton_step(who: Answering, plan: Plan) -> Plan:
     )
 
     def answer(human: Index, answers: _Answers) -> _Answers:
-        own = path.expand(human, plan.humans[human])
+        wanted, now = path.objective(human), plan.humans[human]
+        own = wanted.expand(now)
         factor = damped_factor(own.hessian)
         pushed = damped_solve(factor, jnp.sum(own.jacobian * along[human][..., None], axis=(0, 1)))
         through = path.through(human, own.jacobian, pushed)
-        improved = _improved(path, human, plan.humans[human], damped_solve(factor, own.gradient))
+        improved = best_of(*wanted.search_line(now, damped_solve(factor, own.gradient).reshape(now.shape), SHARES))
         return _Answers(
             answers.slope + jnp.sum(robot.jacobian * through[..., None], axis=(0, 1)),
             answers.factors.at[human].set(factor),
@@ -182,18 +184,6 @@ def _newton_step(who: Answering, plan: Plan) -> Plan:
 
     candidates, earned = jax.vmap(after)(jnp.asarray(SHARES))
     return jax.tree.map(lambda tried: best_of(tried, earned), candidates)
-
-
-def _improved(path: _Path, human: Index, controls: Controls, step: Vector) -> Controls:
-    """Return a human's controls after the share of its Newton step that earns it most."""
-    game, car, others = swap_roles(path.game, human), path.state[1 + human], path.around(human, path.robot)
-    tried = bounded(game, car, controls + SHARES[:, None, None] * step.reshape(controls.shape))
-
-    def earned(controls: Controls) -> Scalar:
-        own = trajectory_reward(game, path.state, move(game, car, controls), others)
-        return own - discomfort(game, car, controls)
-
-    return best_of(tried, jax.vmap(earned)(tried))
 
 
 def around_obstacles(game: Game, state: State, plan: Plan) -> Plan:

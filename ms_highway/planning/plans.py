@@ -9,6 +9,7 @@ from jax import numpy as jnp
 from ms_highway.game.arrays import HumansControls, State
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, move_all, trajectory_reward
 from ms_highway.optimization.arrays import Controls
+from ms_highway.optimization.objective import Objective
 from ms_highway.optimization.solvers import optimize_controls
 
 
@@ -40,14 +41,13 @@ def cold_start(game: Game, state: State) -> Plan:
 def plan_against(game: Game, state: State, humans: HumansControls, start: Plan | None = None) -> Plan:
     """Optimise the robot's controls against fixed controls of the humans."""
     expected = move_all(game, state[1 : 1 + len(humans)], humans)
-    robot = optimize_controls(
-        game.planner,
+    objective = Objective(
         partial(move, game, state[0]),
         lambda robot: trajectory_reward(game, state, robot, expected),
         partial(discomfort, game, state[0]),
-        (cold_start(game, state) if start is None else start).robot,
         partial(bounded, game, state[0]),
     )
+    robot = optimize_controls(game.planner, objective, (cold_start(game, state) if start is None else start).robot)
     return Plan(robot, humans)
 
 
