@@ -6,9 +6,7 @@ from typing import Any
 from ms_highway.cli.console import add_command, count_episodes
 from ms_highway.cli.irl.options import DENSITY_NAMES
 from ms_highway.cli.options import MOST, check_most
-from ms_highway.irl.recordings.drivers import DRIVERS, TEMPERATURE
-
-__all__ = ["add_record"]
+from ms_highway.irl.recordings import DRIVERS, TEMPERATURE
 
 HELP = """\
 Record episodes of driving on a highway as a Minari data set, in $MINARI_DATASETS_PATH or ~/.minari/datasets.
@@ -52,9 +50,8 @@ def _record(options: argparse.Namespace) -> None:
     from ms_highway.irl.recordings.demonstrations import record
 
     check_most(options, episodes=MOST, seed=MOST_SEED)
-    counts = record(
-        options.driver, options.episodes, options.dataset, options.density, options.seed, options.temperature
-    )
+    asked = options.driver, options.episodes, options.dataset, options.density, options.seed, options.temperature
+    counts = record(*asked)
     already = next(counts)
     done = count_episodes(counts, already, options.episodes)
     print(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")
