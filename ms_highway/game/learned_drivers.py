@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.structures import Finite, Positive, Structure, pytree
 
-Number = float | Float[Array, "*drivers"]
+Scalar = float | Float[Array, "*drivers"]
 
 LEARNED = ("speed", "headway", "closing_speed", "lane_alignment", "direction", "comfort_steering")
 """Weights that are learned seconds ahead, relative to that of the comfort of acceleration."""
@@ -27,9 +27,9 @@ class RewardTraits(NamedTuple):
         patience: factor of its comfort of acceleration, 1 for the typical driver; who is patient closes gaps slowly.
     """
 
-    desired_speed: Number
-    headway: Number
-    patience: Number
+    desired_speed: Scalar
+    headway: Scalar
+    patience: Scalar
 
 
 @pytree
@@ -46,7 +46,7 @@ class TraitPrior(Structure):
     deviations: tuple[Positive, Positive, Positive]
     noise: Positive
 
-    def traits(self, logarithms: Float[Any, "*drivers 3"], speed_limit: Number) -> RewardTraits:
+    def traits(self, logarithms: Float[Any, "*drivers 3"], speed_limit: Scalar) -> RewardTraits:
         """Return the traits of drivers from the deviations of their logarithms from the medians'."""
         xp = logarithms.__array_namespace__()
         shares = xp.asarray(self.median) * xp.exp(logarithms)
