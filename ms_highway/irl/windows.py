@@ -20,7 +20,7 @@ from ms_highway.game.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT,
 from ms_highway.game.scene import Scene
 from ms_highway.irl.arrays import CarStates, Controls, Flags, Numbers, States, Values
 from ms_highway.irl.recordings.recording import Recording, number_groups, track_of
-from ms_highway.optimization.second_derivatives import Trajectory
+from ms_highway.optimization.arrays import Trajectory
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
 

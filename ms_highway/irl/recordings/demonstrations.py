@@ -9,7 +9,7 @@ import gymnasium as gym
 import jax
 import numpy as np
 
-from ms_highway.control.fixed import FixedModel
+from ms_highway.control.driver import fixed
 from ms_highway.envs import DEMONSTRATION_ID, DemonstrationEnv
 from ms_highway.envs.demonstration import KEYBOARD_ACTION, demonstration_game
 from ms_highway.envs.graphics import check_display
@@ -90,7 +90,7 @@ def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float
             yield env.action_type.last_action.astype(np.float32)
         raise KeyboardInterrupt
     if driver == "mpc":
-        controller = FixedModel(env.game, Naive())
+        controller = fixed(env.game, Naive())
         while True:
             yield env.action_for(controller.step(env.car_states).control)
     game = demonstration_game(DRIVER_WEIGHTS)

@@ -15,8 +15,10 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, rollout_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.arrays import Controls, Scalar, States
+from ms_highway.optimization.arrays import Trajectory
 from ms_highway.optimization.newton import Optimum, find_optimum
-from ms_highway.optimization.second_derivatives import Trajectory, eigenpairs
+from ms_highway.optimization.objective import Objective
+from ms_highway.optimization.second_derivatives import eigenpairs
 
 DRIVER_WEIGHTS = {
     **{name: weight for name, weight in COMMON_WEIGHTS.items() if name != "collision"},
@@ -57,7 +59,7 @@ def optimal(game: Game, car: States, others: Motion) -> Optimum:
         return jnp.sum(motion_reward(game.scene, game.robot, Motion(*path), others))
 
     path, cost, within = (partial(function, game, car) for function in (move, discomfort, bounded))
-    return find_optimum(path, reward, cost, constant_velocity(game, car), within, FLOOR)
+    return find_optimum(Objective(path, reward, cost, within), constant_velocity(game, car), FLOOR)
 
 
 def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature: float) -> Controls:
