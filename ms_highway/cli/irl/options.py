@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ms_highway.cli.options import check_least, check_most
+from ms_highway.cli.options import add_number
 
 if TYPE_CHECKING:
     from ms_highway.game.reward_model import RewardModel
@@ -44,7 +44,8 @@ def add_data(parser: argparse.ArgumentParser) -> None:
         help=f"names of the weights to learn (default: {', '.join(REAL_WEIGHTS)}; of those, from a Minari data set, "
         f"{', '.join(SIMULATED_WEIGHTS)}); comfort weights that are not learned are 0.1 and set the scale",
     )
-    parser.add_argument("--horizon", type=int, metavar="K", help=f"length of windows, in steps (default: {HORIZON})")
+    text = f"length of windows, in steps (default: {HORIZON})"
+    add_number(parser, "--horizon", None, text, most=MOST_STEPS, metavar="K")
 
 
 def read(data: str) -> "list[Recording]":
@@ -62,14 +63,12 @@ def model(options: argparse.Namespace, recordings: "list[Recording]") -> "tuple[
     """Return the reward that ``--learn`` selects, by default REAL or SIMULATED, and the steps of ``--horizon``.
 
     Raises:
-        ValueError: for an impossible model, or if the number of steps is out of range.
+        ValueError: for an impossible model.
     """
     from ms_highway.game.reward import COMFORT
     from ms_highway.game.reward_model import RewardModel
     from ms_highway.irl.learning import COMFORT_GIVEN, REAL, SIMULATED
 
-    check_least(options, horizon=1)
-    check_most(options, horizon=MOST_STEPS)
     usual, steps = REAL if recordings[0].measured else SIMULATED, options.horizon or HORIZON
     if not options.learn:
         return usual, steps
