@@ -25,7 +25,7 @@ from ms_highway.envs.road.settings import RoadSettings
 from ms_highway.envs.road.traffic import restore_traffic
 from ms_highway.envs.stage import StageEnv
 from ms_highway.optimization.arrays import Control
-from ms_highway.vehicle.road_robot import RoadRobot, steering_of
+from ms_highway.vehicle.road_robot import RoadRobot
 
 WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
 UNTIL_FIRST = {
@@ -175,32 +175,30 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
 
 
 def unheeded(action_type: ActionType) -> Any:
-    """Return an action that the environment's reward takes for what the robot does: idle, or what it applies now."""
+    """Return an action, for a car that drives itself, that rewards take for what it does: idle, or its own one."""
     if isinstance(action_type, MultiAgentAction):
         return tuple(map(unheeded, action_type.agents_action_types))
     if isinstance(action_type, DiscreteMetaAction):
         return action_type.actions_indexes["IDLE"]
-    action = normalised(action_type, action_type.controlled_vehicle.applied, action_type.controlled_vehicle.LENGTH)
+    action = normalised(action_type, action_type.controlled_vehicle.action)
     if isinstance(action_type, DiscreteAction):
         places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(int)
         return int(np.ravel_multi_index(tuple(places), (action_type.actions_per_axis,) * action_type.size))
     return action
 
 
-def normalised(action_type: ContinuousAction, control: Control, length: float) -> Control:
-    """Return a continuous action of highway-env for a control, throttle first, as far as it has both.
+def normalised(action_type: ContinuousAction, action: Mapping[str, float]) -> Control:
+    """Return a vehicle's action as a continuous action of highway-env, throttle first, as far as it has both.
 
     Args:
         action_type: says which ranges [-1, 1] stands for.
-        control: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
-        length: of the vehicle [m].
+        action: ``acceleration`` [m/s^2] and ``steering`` [rad].
     """
-    (curvature, acceleration), values = control.tolist(), []
-    for there, value, bounds in (
-        (action_type.longitudinal, acceleration, action_type.acceleration_range),
-        (action_type.lateral, steering_of(curvature, length), action_type.steering_range),
+    values = []
+    for key, there, (low, high) in (
+        ("acceleration", action_type.longitudinal, action_type.acceleration_range),
+        ("steering", action_type.lateral, action_type.steering_range),
     ):
         if there:
-            low, high = bounds
-            values.append(2 * (value - low) / (high - low) - 1)
+            values.append(2 * (action[key] - low) / (high - low) - 1)
     return np.clip(values, -1, 1).astype(np.float32)

@@ -14,7 +14,7 @@ from ms_highway.envs.road.driven import check_drivable, normalised
 from ms_highway.envs.road.goals import desired_speed_of, destination_of
 from ms_highway.envs.road.settings import RoadSettings
 from ms_highway.optimization.arrays import Control
-from ms_highway.vehicle.road_robot import MARGIN, PERIOD, Velocity, keep_grip
+from ms_highway.vehicle.road_robot import MARGIN, PERIOD, Velocity, keep_grip, steering_of
 from ms_highway.vehicle.road_scene import observe_road
 
 SLOWEST = 4.0  # Hz, of actions
@@ -97,8 +97,9 @@ class _Pilot:
             self.last_step = self.driver.step(observe_road(vehicle, destination_of(base), applied))
             self._planned_at = base.time
         now, grip = Velocity(vehicle.speed, vehicle.heading), MARGIN * self.settings.acceleration
-        control = keep_grip(self.last_step.control, now, before, vehicle.LENGTH, frame, grip)
-        return normalised(base.action_type, np.array(control), vehicle.LENGTH)
+        curvature, along = keep_grip(self.last_step.control, now, before, vehicle.LENGTH, frame, grip)
+        action = {"acceleration": along, "steering": steering_of(curvature, vehicle.LENGTH)}
+        return normalised(base.action_type, action)
 
 
 def _last_frame(vehicle: Vehicle, frame: float) -> tuple[tuple[float, float], Velocity]:

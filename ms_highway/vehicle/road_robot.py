@@ -95,7 +95,25 @@ def keep_grip(
     return curvature, min(max(acceleration, lowest), most_along, (fastest - speed) / dt)
 
 
-class RoadRobot(Vehicle):
+class OfferedSpeeds:
+    """What rewards of highway-env look for in the car that they control.
+
+    Attributes:
+        target_speeds: speeds that the environment offers to drivers of discrete actions [m/s].
+    """
+
+    speed: float
+    target_speeds = MDPVehicle.DEFAULT_TARGET_SPEEDS
+    index_to_speed = MDPVehicle.index_to_speed
+    speed_to_index = MDPVehicle.speed_to_index
+
+    @property
+    def speed_index(self) -> int:
+        """Index of the target speed that is nearest to the present speed."""
+        return int(self.speed_to_index(self.speed))
+
+
+class RoadRobot(OfferedSpeeds, Vehicle):
     """Car that drives itself with a `RoadDriver` whenever its road lets vehicles act; it ignores all actions.
 
     It plans every `PERIOD` and holds the control in between, within its grip in every frame. Rewards and rules of
@@ -106,7 +124,6 @@ class RoadRobot(Vehicle):
         goal: node of the road network that it drives to, None without one.
         grip: total acceleration at most [m/s^2].
         route: roads to follow, None without a route.
-        target_speeds: speeds that the environment offers to drivers of discrete actions [m/s].
         last_step: of the driver, None before the first.
         applied: curvature and acceleration in the last frame [1/m, m/s^2].
         steps: of the driver since `forget`.
@@ -118,7 +135,6 @@ class RoadRobot(Vehicle):
     def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
         super().__init__(road, position, heading, speed)
         self.route: Route | None = None
-        self.target_speeds = MDPVehicle.DEFAULT_TARGET_SPEEDS
         self.last_step: RoadStep | None = None
         self.applied = self._wanted = np.zeros(2)
         self._before: Velocity | None = None
@@ -183,12 +199,5 @@ class RoadRobot(Vehicle):
         """The lane that it is on."""
         return self.lane_index
 
-    @property
-    def speed_index(self) -> int:
-        """Index of the target speed that is nearest to the present speed."""
-        return self.speed_to_index(self.speed)
-
-    index_to_speed = MDPVehicle.index_to_speed
-    speed_to_index = MDPVehicle.speed_to_index
     plan_route_to = ControlledVehicle.plan_route_to
     predict_trajectory_constant_speed = at_constant_speed
