@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ms_highway.control.switching import ModelSwitching as ModelSwitching
     from ms_highway.envs import SCENARIOS as SCENARIOS
     from ms_highway.envs import add_scenario as add_scenario
-    from ms_highway.envs.actions import Autopilot as Autopilot
+    from ms_highway.envs.spaces import Autopilot as Autopilot
     from ms_highway.envs.base import InteractionEnv as InteractionEnv
     from ms_highway.envs.road import RoadPolicy as RoadPolicy
     from ms_highway.envs.road import drive as drive
@@ -69,7 +69,7 @@ _HOMES = {
         "control.switching": ["ModelSwitching"],
         "envs": ["SCENARIOS", "add_scenario"],
         "envs.base": ["InteractionEnv"],
-        "envs.actions": ["Autopilot"],
+        "envs.spaces": ["Autopilot"],
         "envs.road": ["RoadPolicy", "drive"],
         "game.game": ["Game"],
         "game.scene": ["Scene"],

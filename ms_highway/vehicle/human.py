@@ -7,13 +7,12 @@ from typing import Any, ClassVar
 import numpy as np
 from highway_env.road.road import Road
 
-from ms_highway.control.fixed import FixedModel
+from ms_highway.control.driver import fixed
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import commuter_traits, commuter_weights, shipped
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings
 from ms_highway.game.scenario import driving_game
 from ms_highway.optimization.solvers import Solver
-from ms_highway.planning.human_models import Naive
 from ms_highway.vehicle.planning import PlanningVehicle
 from ms_highway.vehicle.road_view import RoadView, look
 
@@ -68,7 +67,7 @@ class HumanVehicle(PlanningVehicle):
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan for the own reward: in the game given by `drive_with`, or else on the present road."""
         if not action and self.controller is None and self.road is not None:
-            self.drive_with(FixedModel(self._own_game(look(self, self.route)), Naive()))
+            self.drive_with(fixed(self._own_game(look(self, self.route))))
         super().act(action)
 
     def _own_game(self, view: RoadView) -> Game:

@@ -10,9 +10,9 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Bool, Float
 
-from ms_highway.control.controller import Controller, ControlStep, PlanningController
+from ms_highway.control.controller import Controller, ControlStep
+from ms_highway.control.driver import Driver
 from ms_highway.control.fallback import braking_control
-from ms_highway.control.switching import ModelSwitching
 from ms_highway.game.dynamics import within_grip
 from ms_highway.game.game import Game
 from ms_highway.game.neighbours import far_behind, headways
@@ -45,8 +45,8 @@ def _seen(cars: Sequence[Vehicle | None]) -> _Seen:
 
 def _at(view: RoadView, game: Game, limit: float) -> Game:
     """Return a game in a driver's view of a road, at a speed limit."""
-    robot, human = (replace(reward, speed_limit=limit) for reward in (game.robot, game.human))
-    return replace(game, scene=view.scene, robot=robot, human=human)
+    robot, humans = (replace(reward, speed_limit=limit) for reward in (game.robot, game.humans))
+    return replace(game, scene=view.scene, robot=robot, humans=humans)
 
 
 class PlanningVehicle(BicycleVehicle, ControlledVehicle):
@@ -188,9 +188,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
     def _check_rate(self, dt: float) -> None:
         """Check that a car that drives by itself and learns from its steps acts at the time step of its game."""
         controller = self.controller
-        if not isinstance(controller, PlanningController) or self.companions:
+        if not isinstance(controller, Driver) or self.companions:
             return
-        if isinstance(controller, ModelSwitching) or controller.infers:
+        if controller.looks_back:
             wanted = float(controller.game.world.time_step)
             if abs(dt - wanted) > 1e-6:
                 told = f"the road moves in steps of {dt:g} s, and the robot's game in steps of {wanted:g} s"
