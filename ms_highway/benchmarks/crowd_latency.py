@@ -1,7 +1,7 @@
 """How long plans among several humans take, by number of humans, horizon and models; compilation and memory."""
 
 import resource
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from time import perf_counter
 from typing import Any
 
@@ -24,17 +24,17 @@ KIBIBYTE = 1024
 
 
 def crowd_latency(
-    scenario: str, humans: Sequence[int], horizons: Sequence[int]
-) -> Iterator[tuple[tuple[int, int], dict[str, Any]]]:
+    scenario: str, humans: Sequence[int], config: Mapping[str, Any]
+) -> Iterator[tuple[str, dict[str, Any]]]:
     """Measure plans from a scenario's first start, warm, on one core; each size in a process of its own.
 
     Args:
         scenario: name of one with several humans.
         humans: numbers of humans.
-        horizons: numbers of planned controls.
+        config: of the environment, of which only ``horizon`` is known here.
 
     Yields:
-        For every number of humans and horizon both, and:
+        For every number of humans its name, and:
 
         * ``plan_ms``: median and p99 of plans, by assignment: ``naive``, ``turn`` and ``tom`` for all humans,
           ``tom_one`` for one, naive for the others;
@@ -44,13 +44,9 @@ def crowd_latency(
     Raises:
         ValueError: for a number below 1.
     """
-    for name, numbers in (("humans", humans), ("horizons", horizons)):
-        if any(number < 1 for number in numbers):
-            raise ValueError(f"--{name} has {min(numbers)}; give whole numbers from 1 on")
-    for horizon in horizons:
-        for number in humans:
-            with own_process(low_latency) as process:
-                yield (number, horizon), process.submit(_measured, scenario, number, horizon).result()
+    for number in humans:
+        with own_process(low_latency) as process:
+            yield f"{number} humans", process.submit(_measured, scenario, number, config.get("horizon", 20)).result()
 
 
 def _measured(scenario: str, humans: int, horizon: int) -> dict[str, Any]:
