@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.analysis.summary import interval
 
 BEST_PER_START = "best order of each start"
@@ -56,7 +56,7 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
         KeyError: if a controller was not driven from every start.
     """
     earned = _meta_reward(table, price).unstack("seed")[list(seeds)].dropna()
-    orders = [name for name in earned.index if named_controller(name).type in FIXED_ORDERS]
+    orders = [name for name in earned.index if controller_config(name)["type"] in FIXED_ORDERS]
     names = dict.fromkeys([*controllers, str(earned.loc[orders].mean(axis=1).idxmax())])
     driven = {name: table.loc[[(name, seed) for seed in seeds]].droplevel("controller") for name in names}
     found, rows = best(table, seeds, price), {}
@@ -64,7 +64,7 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
         behind = found["meta_reward"] - _meta_reward(own, price)
         low, high = interval(behind) if behind.std() > 0 else (np.nan, np.nan)
         rows[name] = {
-            "kind": named_controller(name).type if name in driven else "search",
+            "kind": controller_config(name)["type"] if name in driven else "search",
             **own[["reward", "counted_seconds"]].mean(),
             "meta_reward": _meta_reward(own, price).mean(),
             "regret": behind.mean(),
@@ -93,7 +93,7 @@ def remarks(behind: pd.DataFrame, scenario: str, price: float) -> dict[str, str]
     for kind in priced:
         everywhere = behind[behind["kind"] == kind].pivot(index="controller", columns="scenario", values="regret")
         here, common = everywhere[scenario].idxmin(), everywhere.mean(axis=1).idxmin()
-        at_price = [name for name in kinds.index[kinds == kind] if isclose(named_controller(name).price, price)]
+        at_price = [name for name in kinds.index[kinds == kind] if isclose(controller_config(name)["lambda"], price)]
         chosen = [(name, "lambda = price") for name in at_price]
         chosen += [(here, "best lambda"), (common, "also common" if common == here else "best common lambda")]
         for name, remark in chosen:

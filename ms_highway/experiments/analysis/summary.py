@@ -8,7 +8,7 @@ import pandas as pd
 from scipy import stats
 
 from ms_highway.control.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.records import count_column, models_of, share_column
 from ms_highway.planning.human_models import known_models
 
@@ -86,13 +86,13 @@ def _by_controller(table: pd.DataFrame, row: Callable[[pd.DataFrame], dict[str, 
     """Return what all controllers have earned, and what a function summarises of the rows of each."""
     rows = []
     for (scenario, controller), some in table.groupby(["scenario", "controller"], sort=False):
-        settings, rewards = named_controller(controller), some.groupby("seed")["reward"].mean()
+        config, rewards = controller_config(controller), some.groupby("seed")["reward"].mean()
         low, high = interval(rewards)
         earned = {
             "scenario": scenario,
             "controller": controller,
-            "kind": settings.type,
-            "price": settings.price,
+            "kind": config["type"],
+            "price": config.get("lambda", np.nan),
             "episodes": len(rewards),
             "reward": rewards.mean(),
             "reward_low": low,
