@@ -1,4 +1,4 @@
-"""Keep what lies in `results/` here, in six files, and rewrite the tables of the pages that show it.
+"""Keep what lies in `results/` here, in five files, and rewrite the tables of the pages that show it.
 
 Run it in the project's directory after any of the commands in `notebooks/results/README.md`; runs that do not lie
 in `results/` stay as they were kept::
@@ -16,16 +16,17 @@ from ms_highway.benchmarks.road.names import DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
-from ms_highway.experiments.safety import Safety, safety_cells
 from ms_highway.planning.road.settings import RUNGS
-from ms_highway.visualization.overview import markdown, overview
+from ms_highway.visualization.overview import overview
+from ms_highway.visualization.tables import markdown
 
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
-RUNS = ("compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", "safety")
+LIMITS = ("limit_50", "limit_9", "limit_6")
+RUNS = ("compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", *LIMITS)
 """Directories in results/."""
 
-TABLES = "summary", "regrets", "safety"  # what some of them hold, and what is kept with a column ``run``
+TABLES = "summary", "regrets"  # what some of them hold, and what is kept with a column ``run``
 ROADS = "road", "road_commuters"
 """Directories of figures in results/, each file written by ``ms-highway bench road --json``, and what keeps them."""
 
@@ -71,12 +72,6 @@ def comparison(run: str, kept: Path = KEPT) -> Results:
     return Results(Path(run), pd.DataFrame(), kept_table("summary", run, kept), made["settings"], made["provenance"])
 
 
-def safety(kept: Path = KEPT) -> Safety:
-    """The kept counts of collisions."""
-    made = json.loads((kept / "settings.json").read_text())["safety"]
-    return Safety(Path("safety"), kept_table("safety", "safety", kept), made["settings"], made["provenance"])
-
-
 def kept_table(name: str, run: str, kept: Path = KEPT) -> pd.DataFrame:
     """A run's rows of a kept table."""
     table = pd.read_csv(kept / f"{name}.csv")
@@ -88,7 +83,7 @@ def kept_table(name: str, run: str, kept: Path = KEPT) -> pd.DataFrame:
 def tables(kept: Path = KEPT) -> dict[str, str]:
     """The tables of the pages in Markdown, by the name that stands in the comment above each."""
     compare = comparison("compare", kept)
-    rows = overview([compare])
+    rows, limits = overview([compare]), overview([comparison(run, kept) for run in LIMITS])
     few = [
         controller in SHOWN[scenario] for scenario, controller in zip(rows["scenario"], rows["controller"], strict=True)
     ]
@@ -99,7 +94,7 @@ def tables(kept: Path = KEPT) -> dict[str, str]:
         "worth": markdown(overview([comparison("worth", kept)])),
         "crowd": markdown(overview([comparison("crowd", kept)])),
         "crowd peers": markdown(overview([comparison("crowd_peers", kept)])),
-        "safety": markdown(safety_cells(safety(kept))),
+        "limits": markdown(limits.drop(columns=[name for name in limits if "collision" not in name][2:])),
         "regrets": markdown(regret_cells(kept_table("regrets", "frontier", kept))),
         **{name: markdown(road_cells(json.loads((kept / f"{name}.json").read_text()))) for name in ROADS},
     }

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from pages import README, RESULTS, ROOT
 
-from ms_highway.experiments.analysis.tradeoff import meta_rewards, shares
+from ms_highway.experiments.analysis.tradeoff import meta_rewards
 
 KEPT = RESULTS.parent
 COLLECTED = SimpleNamespace(**runpy.run_path(str(KEPT / "collect.py")))
@@ -77,8 +77,9 @@ def test_tables_are_written_below_their_names(tmp_path):
     ],
 )
 def test_shares_of_reward_and_planning_are_those_of_the_summary_they_come_from(scenario, controller):
-    share = shares(COLLECTED.comparison("curve").summaries, scenario).loc[controller]
-    assert f"{100 * share['reward']:.0f} % at {100 * share['computation']:.0f} %" in FLOWING
+    rows = COLLECTED.comparison("curve").summaries.query("scenario == @scenario").set_index("controller")
+    share = (rows.loc[controller, ["reward", "counted_ms"]] / rows.loc["tom", ["reward", "counted_ms"]]).astype(float)
+    assert f"{100 * share['reward']:.0f} % at {100 * share['counted_ms']:.0f} %" in FLOWING
 
 
 def test_the_sentences_of_the_readme_are_those_of_the_summaries_they_come_from():
@@ -94,10 +95,13 @@ def test_the_sentences_of_the_readme_are_those_of_the_summaries_they_come_from()
 
 
 def test_collisions_in_the_text_are_those_that_were_counted():
-    counts = COLLECTED.safety().table.set_index(["scenario", "controller", "acceleration"])["collision_episodes"]
-    assert f"in {counts['merger', 'tom', 9.0]} of 300 episodes of Merger" in FLOWING
-    assert (counts[["merger", "give_way"]].xs(50.0, level="acceleration") == 0).all()
-    assert (counts["stay_back"].xs(9.0, level="acceleration") == 300).all()
+    counts = {
+        run: COLLECTED.comparison(run).summaries.set_index(["scenario", "controller"])["collision_episodes"]
+        for run in COLLECTED.LIMITS
+    }
+    assert f"in {counts['limit_9']['merger', 'tom']} of 300 episodes of Merger" in FLOWING
+    assert (counts["limit_50"][["merger", "give_way"]] == 0).all()
+    assert (counts["limit_9"]["stay_back"] == 300).all()
 
 
 def test_always_tom_is_better_than_switching_by_the_meta_reward_as_the_text_says():
