@@ -43,7 +43,8 @@ def read(content: Any, kind: type[Kind]) -> Kind:
     try:
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
-        problem, _, path = str(error).strip("`").partition(" - at `$")
+        problem, _, path = str(error).partition(" - at `$")
         for key, place in re.findall(r"\.(\w+)|\[(\d+)\]", path.partition("[...]")[0]):
             content = content[key or int(place)]
-        raise ValueError(f"{path.lstrip('.') or 'it'} is {shortened(content)}: {problem}") from error
+        found = "" if problem.startswith("Object") else f" is {shortened(content)}"
+        raise ValueError(f"{path.strip('.`') or 'it'}{found}: {problem}") from error
