@@ -7,7 +7,6 @@ import contextlib
 import random
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from test_pages import commands
@@ -24,21 +23,22 @@ WORDS = "--grip=nan", "--control-limit=0,1e999", "--seed=-1", "--nonsense", "", 
 READERS = {"us101.json": learned_reward.load, "values.npz": load_values}
 
 
-def attacks(kind: str, number: int) -> pytest.MarkDecorator:
-    """Sources of randomness, one per attack."""
-    return pytest.mark.parametrize("chance", [random.Random(f"{kind} {seed}") for seed in range(number)], ids=str)
+@pytest.fixture
+def chance(request):
+    """A source of randomness for each attack."""
+    return random.Random(request.node.name)
 
 
-@attacks("configuration", 40)
-def test_a_hostile_configuration_is_refused_or_survived(chance):
-    name = chance.choice(list(ENVIRONMENTS))
-    config = {chance.choice(list(ENVIRONMENTS[name].default_config())): chance.choice(HOSTILE)}
+@pytest.mark.parametrize("_", range(40))
+def test_a_hostile_configuration_is_refused_or_survived(chance, _):
+    environment = chance.choice(list(ENVIRONMENTS.values()))
+    config = {chance.choice(list(environment.default_config())): chance.choice(HOSTILE)}
     with contextlib.suppress(ValueError):
-        gym.make(f"ms-highway/{name.replace('_', '-')}-v0", config=config)
+        environment.checked_config(config)
 
 
-@attacks("command", 30)
-def test_a_damaged_command_line_ends_in_one_line_and_writes_nothing(chance, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("_", range(30))
+def test_a_damaged_command_line_ends_in_one_line_and_writes_nothing(chance, _, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     line = chance.choice(commands()).partition(" > ")[0].split()[1:]
     word = chance.choice(WORDS)
@@ -52,8 +52,8 @@ def test_a_damaged_command_line_ends_in_one_line_and_writes_nothing(chance, tmp_
     assert not list(tmp_path.iterdir())
 
 
-@attacks("file", 30)
-def test_a_damaged_file_is_refused_or_survived(chance, tmp_path):
+@pytest.mark.parametrize("_", range(30))
+def test_a_damaged_file_is_refused_or_survived(chance, _, tmp_path):
     name = chance.choice(list(READERS))
     whole = (Path(ms_highway.__file__).parent / "data" / name).read_bytes()
     first, second = sorted(chance.randrange(len(whole)) for _ in range(2))

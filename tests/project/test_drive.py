@@ -7,12 +7,23 @@ import pytest
 import ms_highway
 from ms_highway.cli.main import main
 
+COSTS = {"naive": 0.001, "turn": 0.002, "tom": 0.01}  # s
+
 
 @pytest.mark.parametrize(
     ("name", "config"),
     [
         ("merger", {"controller": {"type": "learned", "lambda": 1.0}}),
-        ("dense-merge", {"controller": {"type": "fixed", "model": "naive"}, "humans": 2, "horizon": 5}),
+        (
+            "dense-merge",
+            {
+                "controller": {"type": "fixed", "model": "naive"},
+                "costs": COSTS,
+                "humans": 2,
+                "horizon": 5,
+                "solver": "gradient",
+            },
+        ),
     ],
 )
 def test_the_robot_drives_and_plans(name, config):
