@@ -87,7 +87,7 @@ def test_an_example_imports_the_package_by_one_line_beside_experiments(path):
 
 
 def test_an_agent_learns_to_choose_and_is_told_beside_switching_and_tom():
-    pytest.importorskip("stable_baselines3", reason='needs the extra learning: pip install -e ".[learning]"')
+    pytest.importorskip("stable_baselines3", reason='needs it: pip install stable-baselines3')
     command = [sys.executable, str(DIRECTORY / "learn_to_choose.py"), "merger", "--steps", "450", "--episodes", "1"]
     run = subprocess.run(command, check=True, capture_output=True, text=True)
     title, _, *rows = run.stdout.splitlines()
