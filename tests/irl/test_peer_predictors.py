@@ -52,13 +52,18 @@ def test_nothing_of_the_future_is_known(name):
 
 
 @pytest.mark.parametrize("name", PEERS)
-@pytest.mark.parametrize("number", [0, 3])
-def test_a_car_in_the_middle_of_an_empty_lane_keeps_its_velocity_also_if_only_one_instant_was_seen(name, number):
-    moments = moment(driving(0, 3.4, 29), number=number)  # at the speed limit, which IDM does not exceed
-    path = expected_path(PEERS[name](moments))[0]
+def test_a_car_in_the_middle_of_an_empty_lane_keeps_its_velocity(name):
+    path = expected_path(PEERS[name](moment(driving(0, 3.4, 29))))[0]  # at the speed limit, which IDM does not exceed
     np.testing.assert_allclose(path[:, 1], 3.4, atol=0.01)
     if "IDM" not in name:
-        np.testing.assert_allclose(path[:, 0] - moments.now[0, 0, 0], 2.9 * np.arange(1, 51), rtol=1e-3)
+        np.testing.assert_allclose(path[:, 0], 2.9 * np.arange(1, 51), rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_drivers_of_whom_only_one_instant_was_seen_are_predicted(name):
+    modes = PEERS[name](moment(driving(0, 3.4, 15), driving(20, 3.4, 15), number=0))
+    assert np.isfinite(modes.path).all()
+    assert np.argmax(modes.probability, axis=1).tolist() == [0, 0]
 
 
 def test_turning_and_accelerating_are_exact_if_they_last_and_end_at_a_standstill():
