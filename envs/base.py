@@ -240,7 +240,7 @@ class InteractionEnv(StageEnv):
 
     @property
     def cars(self) -> int:
-        """Number of cars."""
+        """Scalar of cars."""
         return len(self.scenario.cars)
 
     def _roles(self) -> list[type[BicycleVehicle]]:

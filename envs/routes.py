@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 __all__ = ["DENSITIES", "draw_routes"]
 
 DENSITIES = {"sparse": 2, "medium": 4, "dense": 7}
-"""Number of cars around a driver, by name of the density of traffic."""
+"""Scalar of cars around a driver, by name of the density of traffic."""
 
 NEAR = (-30.0, 60.0)  # m along the road, where routes start
 SPEEDS = (18.0, 20.0)  # m/s along the road

@@ -13,7 +13,7 @@ from ms_highway.runtime.arrays import Array
 
 __all__ = ["CHANGING", "LEARNED", "Intention", "LearnedDrivers", "RewardTraits", "Spread", "TraitPrior"]
 
-Number = float | Float[Array, "*drivers"]
+Scalar = float | Float[Array, "*drivers"]
 
 LEARNED = ("speed", "headway", "closing_speed", "lane_alignment", "direction", "comfort_steering")
 """Weights that are learned seconds ahead, relative to that of the comfort of acceleration."""
@@ -31,9 +31,9 @@ class RewardTraits(NamedTuple):
         patience: factor of its comfort of acceleration, 1 for the typical driver; who is patient closes gaps slowly.
     """
 
-    desired_speed: Number
-    headway: Number
-    patience: Number
+    desired_speed: Scalar
+    headway: Scalar
+    patience: Scalar
 
 
 @jax.tree_util.register_dataclass
@@ -56,7 +56,7 @@ class TraitPrior:
         if any((np.asarray(number) <= 0).any() for number in numbers):
             raise ValueError(f"the prior of traits is {vars(self)}; medians, deviations and noise must be positive")
 
-    def traits(self, logarithms: Float[Any, "*drivers 3"], speed_limit: Number) -> RewardTraits:
+    def traits(self, logarithms: Float[Any, "*drivers 3"], speed_limit: Scalar) -> RewardTraits:
         """Return the traits of drivers from the deviations of their logarithms from the medians'."""
         xp = jnp if isinstance(logarithms, jax.Array) else np
         speed, headway, patience = (

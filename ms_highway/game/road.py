@@ -20,13 +20,13 @@ BEHIND = 20.0
 """Length of a path behind the car that follows it [m]; the car is near s = 0."""
 
 KNOTS, TRAFFIC_KNOTS = 96, 64
-"""Number of knots of the robot's route, 20 m behind to 170 m ahead, and of the paths of others, to 106 m ahead."""
+"""Scalar of knots of the robot's route, 20 m behind to 170 m ahead, and of the paths of others, to 106 m ahead."""
 
 LANES = 3
 """Lanes that the robot can choose: left of its own, its own, right of it."""
 
 TRAFFIC = 20
-"""Number of paths of others that plans look at."""
+"""Scalar of paths of others that plans look at."""
 
 Car = Float[Any, "4"]
 Cars = Float[Any, "traffic 4"]

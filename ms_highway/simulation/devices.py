@@ -12,8 +12,6 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ms_highway.runtime.cores import cores
 
-__all__ = ["CHUNK", "CHUNKS", "device_mesh", "share_among", "use_devices", "usual_chunk"]
-
 AXIS = "items"  # of a mesh of devices
 CHUNK = 8  # items that a processor computes together, one in each lane of AVX2
 WIDE_CHUNK = 256  # items that an accelerator computes together

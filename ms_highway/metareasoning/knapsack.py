@@ -4,14 +4,11 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.runtime.arrays import Array
+from ms_highway.game.arrays import Gains, Rungs
+from ms_highway.runtime.arrays import Array, Index, Scalar
 
-__all__ = ["best_rungs"]
 
-
-def best_rungs(
-    values: Float[jax.Array, "humans rungs"], costs: Float[Array, "rungs"], capacity: float | Float[Array, ""]
-) -> Int[jax.Array, "humans"]:
+def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) -> Rungs:
     """Return the rungs of the highest summed value whose summed cost is within a capacity; of equals, the cheapest.
 
     Costs are the same for all humans, so they follow from how many humans have each rung: a dynamic programme over
@@ -41,7 +38,7 @@ def best_rungs(
     value = jnp.where((cost <= capacity) & (cost < jnp.inf), table, -jnp.inf)
     place = jnp.argmin(jnp.where(value == value.max(), cost, jnp.inf))
 
-    def take(place: Int[jax.Array, ""], chosen: Int[jax.Array, "*counts"]) -> tuple[jax.Array, jax.Array]:
+    def take(place: Index, chosen: Int[jax.Array, "*counts"]) -> tuple[jax.Array, jax.Array]:
         rung = chosen.ravel()[place]
         return place - steps[rung], rung
 
