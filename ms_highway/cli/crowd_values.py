@@ -4,12 +4,10 @@ import argparse
 from typing import TYPE_CHECKING
 
 from ms_highway.cli.console import telling
-from ms_highway.cli.options import costs, human_reward, planning
+from ms_highway.cli.options import configuration
 
 if TYPE_CHECKING:
     from ms_highway.experiments.values.crowd import CrowdCourse, CrowdLearning
-
-__all__ = ["learn_crowd_values"]
 
 DECIDED = 0.4  # of an episode, in which it is decided whether the robot merges; states are drawn from it
 COSTS = {"naive": 0.002, "turn": 0.003, "tom": 0.0036}  # s, of a plan with this model for one human, on one core
@@ -58,13 +56,11 @@ def _courses(options: argparse.Namespace) -> tuple["CrowdLearning", list["CrowdC
     names = list(dict.fromkeys(options.scenarios))
     if one := [name for name in names if not is_crowd(name)]:
         raise ValueError(f"{one[0]} has one human, other scenarios several; learn them in a file each")
-    if options.generated or options.without or options.ladder:
-        raise ValueError("--generated, --without and --ladder are for scenarios with one human")
-    if options.solvers or options.semantics != "paper":
-        raise ValueError("--solver and --semantics are for scenarios with one human; leave them out")
-    seconds = COSTS if isinstance(told := costs(options.costs), str) else {**COSTS, **(told or {})}
-    reward = human_reward(options.human_reward)
-    config = planning(options) | ({} if reward is None else {"human_reward": reward})
+    if options.generated or options.without or options.solvers:
+        raise ValueError("--generated, --without and --solvers are for scenarios with one human")
+    config = configuration(options)
+    given = config.pop("costs", None)
+    seconds = COSTS if isinstance(given, str) else {**COSTS, **(given or {})}
     courses = []
     for name in names:
         settings = CrowdEnvSettings.read(ENVIRONMENTS[name].checked_config(config))

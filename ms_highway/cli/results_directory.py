@@ -5,14 +5,18 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ms_highway.experiments.provenance import add_run, differing_versions, read_runs, this_run
 from ms_highway.experiments.resuming import check_settings
 from ms_highway.experiments.settings import write_settings
-from ms_highway.runtime.files import held, tidy
+from ms_highway.runtime.files import held, replacing, tidy
 
-__all__ = ["own_results"]
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+DPI = 110
 
 
 @contextmanager
@@ -47,3 +51,16 @@ def own_results(
             add_run(options.out, run)
 
         yield record
+
+
+def write_table(table: "pd.DataFrame", file: Path) -> None:
+    """Write a table without its index to a file of comma-separated values."""
+    with replacing(file) as path:
+        table.to_csv(path, index=False)
+
+
+def save_figures(figures: Mapping[str, "Figure"], directory: Path) -> None:
+    """Write figures to ``NAME.png`` in a directory."""
+    for name, figure in figures.items():
+        with replacing(directory / f"{name}.png") as path:
+            figure.savefig(path, dpi=DPI)
