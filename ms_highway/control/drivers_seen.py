@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ms_highway.game.road import RoadScene
 from ms_highway.metareasoning.road_belief import Belief, first_belief, updated_road_belief
 from ms_highway.planning.road.traits import Estimates, prior, traits_of, updated_traits
-from ms_highway.runtime.compilation import QUICKLY, known_options
+from ms_highway.runtime.compilation import quick_options
 from ms_highway.runtime.timing import warm_up
 
 __all__ = ["DriversSeen"]
@@ -19,7 +19,7 @@ __all__ = ["DriversSeen"]
 @cache
 def _first_function() -> jax.stages.Wrapped:
     """Compile what is assumed of drivers in the first step."""
-    return jax.jit(lambda scene: (prior(scene), first_belief(scene)), compiler_options=known_options(QUICKLY))
+    return jax.jit(lambda scene: (prior(scene), first_belief(scene)), compiler_options=quick_options())
 
 
 @cache
@@ -34,7 +34,7 @@ def _update_function() -> jax.stages.Wrapped:
             updated_road_belief(belief, before, path, now, time_step),
         )
 
-    return jax.jit(update, compiler_options=known_options(QUICKLY))
+    return jax.jit(update, compiler_options=quick_options())
 
 
 class DriversSeen:
