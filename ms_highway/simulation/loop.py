@@ -33,9 +33,6 @@ from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.simulation.devices import device_mesh, share_among
 from ms_highway.simulation.records import ALWAYS_YIELDS, DECIDES, USUAL, Episodes, Loop, Records
 
-IN_ONE_MODULE = {"xla_cpu_parallel_codegen_split_count": 1}
-"""Compiler options without which LLVM rounds differently where more threads compile."""
-
 
 def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Records:
     """Run episodes from start to end, shared by the devices of a mesh, see `ms_highway.simulation.devices.share_among`.
@@ -99,7 +96,7 @@ class _Own(NamedTuple):
         return replace(game, humans=replace(game.humans, weights=self.human_weights))
 
 
-@partial(jit_quickly, options=IN_ONE_MODULE)
+@partial(jit_quickly, xla_cpu_parallel_codegen_split_count=1)  # or LLVM rounds differently where more threads compile
 def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Records:
     """Run the first ``count`` episodes; the records of the others mean nothing."""
     size, together, decides = len(episodes), loop.together, not isinstance(loop.rule, Order)
