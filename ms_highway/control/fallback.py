@@ -3,24 +3,13 @@
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
+from ms_highway.game.arrays import Car
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game
-from ms_highway.runtime.arrays import Array, SameArray
-
-__all__ = [
-    "BRAKING",
-    "LATE",
-    "PLANNED",
-    "PREVIOUS_PLAN",
-    "STATUSES",
-    "WAY_OUT",
-    "Status",
-    "brake",
-    "braking_control",
-    "fallback_status",
-]
+from ms_highway.optimization.arrays import Controls
+from ms_highway.runtime.arrays import Flag, Index, SameArray
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
 """Source of a control: this step's plan; where that is not finite, the rest of the last finite plan; where nothing is
@@ -36,7 +25,7 @@ DECELERATION = 8.0  # m/s^2, hard braking on a dry road
 STRAIGHTENING_TIME = 0.5  # s, in which a braking car aligns with the road
 
 
-def fallback_status(finite: bool | Bool[Array, ""], left: int | Int[Array, ""], horizon: int) -> tuple[Any, Any]:
+def fallback_status(finite: bool | Flag, left: Index, horizon: int) -> tuple[Any, Any]:
     """Return the number of this step's status, and the number of controls then left, this one included.
 
     Args:
@@ -63,7 +52,7 @@ def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, 
     return xp.clip(xp.stack([omega, xp.clip(stop, -DECELERATION, DECELERATION)]), -limit, limit)
 
 
-def brake(game: Game, car: Float[np.ndarray, "4"]) -> Float[np.ndarray, "steps 2"]:
+def brake(game: Game, car: Car) -> Controls:
     """Return the controls that stop a car and align it with the road, within the limits of plans."""
     car, controls = np.asarray(car, dtype=float), []
     with np.errstate(over="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Measure how close a car is to colliding: a smooth risk with derivatives by hand, its plain formula, an indicator."""
+"""Measure how close a car is to colliding: a smooth risk with derivatives by hand, and an indicator."""
 
 from functools import partial
 
@@ -7,12 +7,10 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
+from ms_highway.game.arrays import Times
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.reductions import unrolled_reduce, unrolled_sum
-
-__all__ = ["CAR_SHARPNESS", "OBSTACLE_SHARE", "OBSTACLE_SHARPNESS", "collision_risk", "plain_collision_risk"]
+from ms_highway.runtime.arrays import Array, unrolled_reduce, unrolled_sum
 
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
@@ -22,43 +20,20 @@ CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
 MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of edges and of the body
 
 
-def plain_collision_risk(scene: Scene, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
-    """Compute the risk of a collision by its formula, with the derivatives that JAX finds.
+def collision_risk(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times]:
+    """Return the risk of a collision, and its indicator: 1 where any point has D < 1, else 0.
 
     Nine points of the car's body (corners, middles of the edges, centre) are measured in the frame of every other car
     and obstacle by ``D = (2 dx / length)^2 + (2 dy / width)^2``; ``D < 1`` is the ellipse inscribed in its body::
 
         risk = sum over cars and points of exp(-1.5 (D - 1)) + sum over obstacles and points of exp(-4 (D - 1)) / 2
 
-    `collision_risk` has the same value and derivatives (except in the shape of cars), in fewer operations.
+    The indicator has no gradient, and the risk none in the shape of cars.
 
     Args:
         scene: obstacles and sizes of bodies.
         own: motion of the car, arrays [*times].
         others: motion of the other cars, arrays [others, *times].
-    """
-    x, y = _body_points(scene)
-    cosine, sine = own.cosine[..., None], own.sine[..., None]
-    point_x, point_y = own.x[..., None] + cosine * x - sine * y, own.y[..., None] + sine * x + cosine * y
-
-    def closeness(bodies: Motion, size: Float[Array, "2"], sharpness: float) -> Float[jax.Array, "*times"]:
-        body_x, body_y, cosine, sine, _ = (field[..., None] for field in bodies)
-        dx, dy = point_x - body_x, point_y - body_y
-        along, across = cosine * dx + sine * dy, cosine * dy - sine * dx
-        distance = (2 * along / size[0]) ** 2 + (2 * across / size[1]) ** 2
-        return jnp.sum(jnp.exp(-sharpness * (distance - 1)), axis=(0, -1))
-
-    risk = closeness(others, scene.car_size, CAR_SHARPNESS)
-    obstacles = closeness(_obstacles(scene, own.x.ndim), scene.obstacle_size, OBSTACLE_SHARPNESS)
-    return risk + OBSTACLE_SHARE * obstacles
-
-
-def collision_risk(
-    scene: Scene, own: Motion, others: Motion
-) -> tuple[Float[jax.Array, "*times"], Float[jax.Array, "*times"]]:
-    """Return the risk of `plain_collision_risk` and the indicator of a collision: 1 where any point has D < 1, else 0.
-
-    The indicator has no gradient, and the risk none in the shape of cars.
     """
     risk, collision = jnp.zeros_like(own.x), jnp.zeros_like(own.x, dtype=bool)
     terms = jax.lax.optimization_barrier(_body_terms(scene))

@@ -19,20 +19,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.runtime.arrays import Array, SameArray
-
-__all__ = [
-    "Dynamics",
-    "Motion",
-    "coast",
-    "keep_velocity",
-    "observe",
-    "recover_control",
-    "rollout",
-    "speeds",
-    "step",
-    "within_grip",
-]
+from ms_highway.runtime.arrays import Array, SameArray, Scalar
 
 
 @jax.tree_util.register_dataclass
@@ -49,8 +36,8 @@ class Dynamics:
 
     steering: Literal["curvature", "yaw_rate"] = field(metadata={"static": True})
     friction: Literal["linear", "quadratic"] = field(metadata={"static": True})
-    drag: float | Float[Array, ""]
-    time_step: float | Float[Array, ""]
+    drag: Scalar
+    time_step: Scalar
 
 
 class Motion(NamedTuple):

@@ -11,14 +11,12 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.arrays import Times
 from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.reward import TRAFFIC_FEATURES, Feature, Reward
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.reductions import unrolled_reduce, unrolled_sum
-
-__all__ = ["HEADING_SHARE", "features", "motion_features", "motion_reward", "reward"]
+from ms_highway.runtime.arrays import Array, unrolled_reduce, unrolled_sum
 
 HEADING_SHARE = 0.01  # of directional relative to lateral alignment with a lane
 STANDSTILL_GAP = 0.06  # length units (2 m), between the bumpers of a standing queue
@@ -52,7 +50,7 @@ def features(
     return jnp.stack(motion_features(scene, parameters, *_apart(states)), axis=-1)
 
 
-def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
+def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Times:
     """Compute the reward of a car along its motion, theta . phi.
 
     Args:
@@ -72,7 +70,7 @@ def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
     return Motion(*(field[0] for field in cars)), Motion(*(field[1:] for field in cars))
 
 
-def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:
+def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Times]:
     """Compute the features of a car along its motion, one array for each of the reward's names.
 
     Takes the arguments of `motion_reward`. Constants are inverted once, not divided by at every state.
@@ -101,7 +99,7 @@ def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motio
     ]
 
 
-def _at_every_moment(function: Feature, scene: Scene, own: Motion, others: Motion) -> Float[jax.Array, "*times"]:
+def _at_every_moment(function: Feature, scene: Scene, own: Motion, others: Motion) -> Times:
     """Compute a user-defined feature along a motion, mapped over times, so that it sees one moment only."""
     mapped: Callable[[Motion, Motion], jax.Array] = partial(function, scene)
     for _ in range(own.x.ndim):
@@ -109,7 +107,7 @@ def _at_every_moment(function: Feature, scene: Scene, own: Motion, others: Motio
     return jnp.asarray(mapped(own, others), own.x.dtype)
 
 
-def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Float[jax.Array, "*times"]]:
+def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Times]:
     """Compute the features of following and being followed in real traffic.
 
     With g the gap between bumpers in length units U, v the own speed, v_j the other's, and the attention
@@ -137,7 +135,7 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     ]
 
 
-def _depth_off_road(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
+def _depth_off_road(scene: Scene, car: Motion) -> Times:
     """Return the distance of the outermost corner beyond the edge of the road, 0 on the road [m]."""
     length, width = scene.car_size
     reach = (length * jnp.abs(car.sine) + width * jnp.abs(car.cosine)) / 2
@@ -146,7 +144,7 @@ def _depth_off_road(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
     return jnp.where(depth > 0, depth, 0.0)
 
 
-def _merged(scene: Scene, car: Motion) -> Float[jax.Array, "*times"]:
+def _merged(scene: Scene, car: Motion) -> Times:
     """Return 1 where ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane, else 0."""
     middle = unrolled_sum(jnp.asarray(scene.lanes)) / len(scene.lanes)
     side = jnp.where(scene.target_lane <= middle, -1.0, 1.0)

@@ -1,36 +1,28 @@
-"""Define the game that robot and human play, and the rewards of their plans.
+"""Define the game that a robot and humans play, and the rewards of their plans.
 
-Controls of plans are in units of the planner's ``control_scale`` throughout the core ("scaled"); only the controllers
-convert them to curvatures and accelerations.
+Controls of plans are in units of the planner's ``control_scale`` throughout the core ("scaled"); only drivers convert
+them to curvatures and accelerations.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
 
 import jax
+import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from ms_highway.game.arrays import Car, HumansControls, State, Trajectories
 from ms_highway.game.dynamics import Dynamics, Motion, coast, keep_velocity, rollout, speeds, within_grip
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.second_derivatives import Influence, Trajectory
+from ms_highway.optimization.arrays import Controls, ManyControls, Trajectory
+from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, project
-from ms_highway.runtime.reductions import unrolled_sum
-
-__all__ = [
-    "Game",
-    "bounded",
-    "constant_velocity",
-    "discomfort",
-    "move",
-    "rollout_reward",
-    "step_rewards",
-    "swap_players",
-    "swap_roles",
-    "total_reward",
-    "trajectory_reward",
-]
+from ms_highway.runtime.arrays import Index, Scalar, unrolled_sum
 
 
 @jax.tree_util.register_dataclass
@@ -38,45 +30,91 @@ __all__ = [
 class Game:
     """All that a planner needs. Changing a number in it never recompiles a plan.
 
+    The first car is the robot, the next ones are the humans, and all others are scripted: they keep their velocity.
+
     Attributes:
         scene: road, obstacles and bodies.
         robot: the reward of car 0.
-        human: the reward of car 1.
+        humans: the humans' rewards, which differ in their weights, an array [humans, features].
         dynamics: assumed by plans.
         world: dynamics of the real cars, from which executed controls are recovered.
         planner: horizon, solver and limits of all plans.
-        influence: form of the human's response to the robot, see
+        influence: form of the humans' response to the robot, see
             `ms_highway.optimization.second_derivatives.response` (static).
     """
 
     scene: Scene
     robot: Reward
-    human: Reward
+    humans: Reward
     dynamics: Dynamics
     world: Dynamics
     planner: Planner
     influence: Influence = field(default="damped", metadata={"static": True})
 
+    @property
+    def number(self) -> int:
+        """Scalar of humans."""
+        return int(np.shape(self.humans.weights)[0])
 
-def swap_players(game: Game, state: Float[jax.Array, "cars 4"]) -> tuple[Game, Float[jax.Array, "cars 4"]]:
-    """Return the game and its state from the human's perspective: cars 0 and 1 swapped."""
-    return swap_roles(game), jnp.concatenate([state[1::-1], state[2:]])
+    def human(self, human: Index = 0) -> Reward:
+        """Return the reward of a human."""
+        weights = self.humans.weights[0] if self.number == 1 else jnp.asarray(self.humans.weights)[human]
+        return replace(self.humans, weights=weights)
 
 
-def swap_roles(game: Game) -> Game:
-    """Return the game in which the human plans; humans use the paper's solver, whatever the robot's."""
-    return replace(game, robot=game.human, human=game.robot, planner=replace(game.planner, solver="gradient"))
+@cache
+def others_of(cars: int) -> Int[np.ndarray, "cars others"]:
+    """Return for each of some cars the numbers of all others, in ascending order."""
+    return np.array([[other for other in range(cars) if other != car] for car in range(cars)], int).reshape(cars, -1)
 
 
-def constant_velocity(game: Game, car: Float[jax.Array, "4"]) -> Float[jax.Array, "steps 2"]:
+def each_human(game: Game, function: Callable[[Index], Any], at_once: bool = False) -> Any:
+    """Compute a function of every human's number, one by one or all at once; results have an axis of humans."""
+    if game.number == 1:
+        return jax.tree.map(lambda part: jnp.asarray(part)[None], function(0))
+    numbers = jnp.arange(game.number)
+    return jax.vmap(function)(numbers) if at_once else jax.lax.map(function, numbers)
+
+
+def pair(game: Game, state: State, human: Index) -> tuple[Game, State]:
+    """Return the game of the robot with one of the humans, and its state; the other humans count as scripted."""
+    if game.number == 1:
+        return game, state
+    others = jnp.asarray(others_of(len(state) - 1))[human]
+    state = jnp.asarray(state)
+    return (
+        replace(game, humans=_alone(game.human(human))),
+        jnp.concatenate([state[:1], state[1:][human][None], state[1:][others]]),
+    )
+
+
+def _alone(reward: Reward) -> Reward:
+    return replace(reward, weights=reward.weights[None])
+
+
+def swap_players(game: Game, state: State, human: Index = 0) -> tuple[Game, State]:
+    """Return a human's `pair` and its state from the human's side: car 0 is the human, car 1 the robot."""
+    _, state = pair(game, state, human)
+    return swap_roles(game, human), jnp.concatenate([state[1::-1], state[2:]])
+
+
+def swap_roles(game: Game, human: Index = 0) -> Game:
+    """Return the game in which a human plans, and the robot is its only partner.
+
+    Humans plan anew in every step, by the paper's solver; by the robot's where that is made for horizons of seconds.
+    """
+    solver = game.planner.solver if game.planner.solver == "damped_newton" else "gradient"
+    planner = replace(game.planner, solver=solver, persistent=False)
+    return replace(game, robot=game.human(human), humans=_alone(game.robot), planner=planner)
+
+
+def constant_velocity(game: Game, car: Car) -> Controls:
     """Return the scaled controls of a car that keeps speed and heading over the horizon."""
     control = keep_velocity(game.dynamics, car) / game.planner.control_scale
     return jnp.broadcast_to(control, (game.planner.horizon, 2))
 
 
-def bounded(
-    game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "*batch steps 2"]
-) -> Float[jax.Array, "*batch steps 2"]:
+def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
     """Limit scaled controls to the planner's ``control_limit`` and, if it is given, to its ``grip``.
 
     The limit by grip depends on the speed, which follows from the unlimited accelerations: the first control is exact,
@@ -92,45 +130,48 @@ def bounded(
     return within_grip(game.dynamics, grip, speed, physical, bend) / planner.control_scale
 
 
-def discomfort(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
+def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
     """Return car 0's cost of not keeping its present velocity, ``sum comfort (u - u_keep)^2 / 2``, u scaled."""
     kept = keep_velocity(game.dynamics, car) / game.planner.control_scale
     return jnp.sum(game.robot.comfort * (controls - kept) ** 2) / 2
 
 
 @jax.jit  # traced once, like `trajectory_reward`
-def move(game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]) -> Trajectory:
+def move(game: Game, car: Car, controls: Controls) -> Trajectory:
     """Return the trajectory of a car under scaled controls."""
     return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
 
 
+def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> Trajectories:
+    """Return the trajectories of some cars under scaled controls."""
+    if len(cars) == 1:
+        return move(game, cars[0], controls[0])[None]
+    return jax.vmap(lambda car, own: move(game, car, own))(cars, controls)
+
+
 @jax.jit  # traced and differentiated once for all plans
-def trajectory_reward(
-    game: Game, state: Float[jax.Array, "cars 4"], robot: Trajectory, human: Trajectory
-) -> Float[jax.Array, ""]:
-    """Sum the robot's reward over the steps of both players' trajectories.
+def trajectory_reward(game: Game, state: State, own: Trajectory, others: Trajectories) -> Scalar:
+    """Sum car 0's reward over the steps of its trajectory and of others'.
 
     Args:
         game: rewards and dynamics.
-        state: all cars now; those beyond the first two keep their velocity.
-        robot: trajectory of car 0.
-        human: trajectory of car 1.
+        state: all cars now; those beyond car 0 and the others keep their velocity.
+        own: trajectory of car 0.
+        others: trajectories of the next cars, its partner first.
     """
-    return unrolled_sum(step_rewards(game, state, robot, human))
+    return unrolled_sum(step_rewards(game, state, own, others))
 
 
-def step_rewards(
-    game: Game, state: Float[jax.Array, "cars 4"], robot: Trajectory, human: Trajectory
-) -> Float[jax.Array, "steps"]:
-    """Compute the robot's reward after each step of both players' trajectories, see `trajectory_reward`."""
-    rest = coast(game.dynamics, state[2:], robot.shape[-1])
-    others = Motion(*(jnp.concatenate([first[None], more]) for first, more in zip(human, rest, strict=True)))
-    return motion_reward(game.scene, game.robot, Motion(*robot), others)
+def step_rewards(game: Game, state: State, own: Trajectory, others: Trajectories) -> Float[Any, "steps"]:
+    """Compute car 0's reward after each step, see `trajectory_reward`."""
+    rest = coast(game.dynamics, state[1 + len(others) :], own.shape[-1])
+    # One human's fields are read one by one: XLA then fuses its plans into the same kernels, to the last digit.
+    fields = [field[None] for field in others[0]] if len(others) == 1 else jnp.unstack(others, axis=1)
+    around = (jnp.concatenate([known, more]) for known, more in zip(fields, rest, strict=True))
+    return motion_reward(game.scene, game.robot, Motion(*own), Motion(*around))
 
 
-def rollout_reward(
-    game: Game, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"], others: Motion
-) -> Float[jax.Array, ""]:
+def rollout_reward(game: Game, car: Car, controls: Controls, others: Motion) -> Scalar:
     """Sum car 0's reward over a rollout of its controls among others of given motion; subtract its discomfort.
 
     Args:
@@ -143,18 +184,7 @@ def rollout_reward(
     return jnp.sum(motion_reward(game.scene, game.robot, own, others)) - discomfort(game, car, controls)
 
 
-def total_reward(
-    game: Game,
-    state: Float[jax.Array, "cars 4"],
-    robot: Float[jax.Array, "steps 2"],
-    human: Float[jax.Array, "steps 2"],
-) -> Float[jax.Array, ""]:
-    """Sum the robot's reward over the states after each step, R_R(x, u_R, u_H).
-
-    Args:
-        game: rewards and dynamics.
-        state: all cars now; cars beyond the first two keep their velocity.
-        robot: scaled controls of car 0, of any number of steps.
-        human: scaled controls of car 1, as many.
-    """
-    return trajectory_reward(game, state, move(game, state[0], robot), move(game, state[1], human))
+def total_reward(game: Game, state: State, robot: Controls, humans: HumansControls) -> Scalar:
+    """Sum the robot's reward over the states after each step, R_R(x, u_R, u_H); controls are scaled."""
+    paths = move_all(game, state[1 : 1 + len(humans)], humans)
+    return trajectory_reward(game, state, move(game, state[0], robot), paths)

@@ -5,8 +5,6 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.runtime.arrays import SameArray
 
-__all__ = ["NEIGHBOURS", "far_behind", "headways", "neighbours", "places"]
-
 SLOWEST = 1.0  # m/s, least speed of a follower in its headway
 FAR_AWAY = 1000.0  # m behind, where absent cars are
 
@@ -14,7 +12,7 @@ SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, 
 AHEAD = np.array([True, False] * 3)  # whether a place is ahead, or behind
 
 NEIGHBOURS = len(SIDES)
-"""Number of places: ahead and behind, in the own lane, the left one and the right one, in this order."""
+"""Scalar of places: ahead and behind, in the own lane, the left one and the right one, in this order."""
 
 
 def places(

@@ -5,8 +5,6 @@ from functools import cache
 
 import numpy as np
 
-__all__ = ["MOST_ITERATIONS", "PAPER_PLANNING", "SHARE", "PlanningSettings", "gradient_steps", "longest_step"]
-
 MOST_ITERATIONS = 5000
 """Upper bound on the gradient steps of a plan; more take seconds."""
 

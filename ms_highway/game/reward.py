@@ -9,24 +9,10 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.arrays import Weights
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Array
-
-__all__ = [
-    "COMFORT",
-    "FEATURES",
-    "OWN_FEATURES",
-    "PAPER_FEATURES",
-    "TIME_HEADWAY",
-    "TRAFFIC_FEATURES",
-    "Feature",
-    "Reward",
-    "add_feature",
-    "features_for",
-    "linear_reward",
-    "weight_names",
-]
+from ms_highway.runtime.arrays import Array, Scalar
 
 PAPER_FEATURES = (
     "speed",
@@ -50,7 +36,7 @@ FEATURES = (*PAPER_FEATURES, *TRAFFIC_FEATURES)
 COMFORT = ("comfort_steering", "comfort_acceleration")
 """Names of the weights of comfort, a cost of controls instead of states, see `Reward`."""
 
-Feature: TypeAlias = Callable[[Scene, Motion, Motion], Float[jax.Array, ""]]
+Feature: TypeAlias = Callable[[Scene, Motion, Motion], Scalar]
 """A user-defined feature at one moment: a number from the scene, the motion of car 0 and that of all others, arrays
 [others], its partner first."""
 
@@ -79,13 +65,13 @@ class Reward:
         headway: time gap that the headway feature wants [s].
     """
 
-    weights: Float[Array, "features"]
-    speed_limit: float | Float[Array, ""]
-    gap: float | Float[Array, ""]
+    weights: Weights
+    speed_limit: Scalar
+    gap: Scalar
     comfort: Float[Array, "2"]
     names: tuple[str, ...] = field(metadata={"static": True})
     own: tuple[Feature, ...] = field(default=(), metadata={"static": True})
-    headway: float | Float[Array, ""] = TIME_HEADWAY
+    headway: Scalar = TIME_HEADWAY
 
 
 def add_feature(name: str, function: Feature) -> None:

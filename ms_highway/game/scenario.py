@@ -1,7 +1,7 @@
-"""Define scenarios (geometry, rewards, starts, noise) and build their games in any unit of length.
+"""Define scenarios (geometry, rewards, starts, noise) with one human or several, and build their games.
 
-The numbers of a `Scenario` are in the paper's unit of length, 100/3 m: a
-car of 0.15 x 0.075 is 5 m x 2.5 m and a speed of 0.6 per second is 20 m/s.
+The numbers of a `Scenario` are in the paper's unit of length, 100/3 m: a car of 0.15 x 0.075 is 5 m x 2.5 m and a
+speed of 0.6 per second is 20 m/s. Games are built in any unit; drawn starts are in SI units unless another is given.
 """
 
 from collections.abc import Mapping
@@ -10,8 +10,8 @@ from typing import Literal, TypeAlias
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
+from ms_highway.game.arrays import HumansWeights, State
 from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings, gradient_steps
@@ -19,20 +19,6 @@ from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import Scene
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, Solver
-
-__all__ = [
-    "COMMON_WEIGHTS",
-    "GRIP",
-    "PAPER_UNIT",
-    "PHYSICAL_LIMIT",
-    "TIME_STEP",
-    "Scenario",
-    "Semantics",
-    "build_game",
-    "draw_starts",
-    "driving_game",
-    "title",
-]
 
 Semantics: TypeAlias = Literal["paper", "released"]
 
@@ -71,22 +57,58 @@ MOTION_NOISE = 1e-3  # standard deviation of speed [paper units per second] and 
 MERGING_NOISE = 0.01  # further standard deviation of the merging car's x, paper units
 
 
+SECONDS_LIMIT = (0.2, 8.0)  # 1/m and m/s^2
+"""Bounds on plans for seconds, with `GRIP`: what tyres hold on a dry road."""
+
+REACHED = 0.8  # m
+"""Distance from the centre of the target lane within which the robot has reached it."""
+
+HUMANS = 2, 12
+"""The fewest and the most humans of a scenario with streams."""
+
+SPACING = 8.0, 14.0  # m from centre to centre, shortest and longest
+SHORTNESS = 20.0  # of Beta(1, SHORTNESS), the share of a spacing between the two: 8.3 m on average
+SPEED_NOISE = 0.3  # m/s, standard deviation of the speed of a human in a stream
+CAUTION_SPREAD = 0.7  # standard deviation of the logarithm of what a human weighs collision_risk by
+CARELESS, CARELESS_FACTOR = 0.2, 0.05  # share of the humans that hardly yield, and what they weigh collision_risk by
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Humans that drive in one lane, one behind the other.
+
+    Attributes:
+        lane: lateral position of the lane's centre.
+        speed: mean speed.
+    """
+
+    lane: float
+    speed: float = SPEED_LIMIT
+
+
 @dataclass(frozen=True)
 class Scenario:
-    """One of the paper's situations.
+    """A situation of a robot with one human, or with several that are drawn for every episode.
 
     Attributes:
         name: in commands and records.
         lanes: lateral position of each lane's centre.
-        cars: start (x, y) of the robot, the human, and the scripted cars; all start at the speed limit, heading 0.
+        cars: start (x, y) of the robot, the human, and the scripted cars; all start at the speed limit, heading 0. With
+            streams, of the robot alone.
         steps: length of an episode.
-        ladder: names of the human models that the paper compares, cheapest first.
-        prices: the paper's two lambdas, aggressive and conservative [reward per second].
+        ladder: names of the human models to choose from by default, cheapest first.
+        prices: two lambdas, aggressive and conservative, of the paper's comparison [reward per second].
         robot_weights, human_weights: reward weights by feature.
         robot_gap, human_gap: distance behind the leader at which the gap feature is highest.
         cones: centres of the cones.
         merging_car: index of the car with additional noise on its start.
         corner: see `Scene`.
+        streams: of the humans, who are dealt out evenly; the first streams get what remains. With streams, the robot
+            succeeds if it ends in the target lane, the leftmost one, and never collides.
+        humans: their number, by default.
+        caution: factor on the humans' weight of ``collision_risk``: in dense traffic they accept short distances.
+        planning, solver, control_limit, grip: of plans by default, see `build_game`.
+        way_out: whether the robot keeps a way out by default, see `ms_highway.planning.way_out`.
     """
 
     name: str
@@ -102,6 +124,14 @@ class Scenario:
     cones: tuple[tuple[float, float], ...] = ()
     merging_car: int | None = None
     corner: float = 0.5
+    streams: tuple[Stream, ...] = ()
+    humans: int = 1
+    caution: float = 1.0
+    planning: PlanningSettings = PAPER_PLANNING
+    solver: Solver = "gradient"
+    control_limit: tuple[float, float] | None = PHYSICAL_LIMIT
+    grip: float | None = None
+    way_out: bool = False
 
 
 def title(name: str) -> str:
@@ -112,33 +142,37 @@ def title(name: str) -> str:
 def build_game(
     scenario: Scenario,
     semantics: Semantics = "paper",
-    influence: Influence = "damped",
     control_limit: tuple[float, float] | None = None,
     grip: float | None = None,
     unit: float = PAPER_UNIT,
-    solver: Solver = "gradient",
+    solver: Solver | None = None,
     human_driving: Mapping[str, float] | None = None,
-    planning: PlanningSettings = PAPER_PLANNING,
+    planning: PlanningSettings | None = None,
+    humans: int | None = None,
 ) -> Game:
-    """Build the game of a scenario.
+    """Build the game of a scenario, in which all humans have the same reward.
 
     Args:
         scenario: to build.
-        semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners; ``released``: the
-            released code's, where planners ignore the world's drag.
-        influence: form of the human's response, see `ms_highway.optimization.second_derivatives.response`.
-        control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics.
+        semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners, and humans with a
+            damped response; ``released``: those of the released code, where planners ignore the world's drag, and the
+            exact response.
+        control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics; None
+            for no bounds.
         grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`.
         unit: length of one paper unit in the game; 1 keeps the released code's numbers.
-        solver: how plans are improved, see `ms_highway.optimization.solvers.optimize_controls`.
-        human_driving: weights by name that replace `COMMON_WEIGHTS` in the human's reward; the other weights of the
+        solver: how plans are improved, see `ms_highway.optimization.solvers.optimize_controls`; None for the
+            scenario's.
+        human_driving: weights by name that replace `COMMON_WEIGHTS` in the humans' reward; the other weights of the
             scenario stay unless they are named here.
-        planning: horizon and gradient steps of both, and the time step of plans and world.
+        planning: horizon and gradient steps of all, and the time step of plans and world; None for the scenario's.
+        humans: their number; None for the scenario's.
     """
-    human_weights = scenario.human_weights
+    human_weights = dict(scenario.human_weights)
     if human_driving is not None:
         aims = {name: weight for name, weight in human_weights.items() if name not in COMMON_WEIGHTS}
         human_weights = {**aims, **human_driving}
+    human_weights["collision_risk"] = scenario.caution * human_weights.get("collision_risk", 0.0)
     scene = Scene(
         lanes=np.array(scenario.lanes) * unit,
         lane_width=LANE_WIDTH * unit,
@@ -158,7 +192,11 @@ def build_game(
     else:
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
-    game = _game(scene, robot, human, plans, world, control_limit, grip, influence, solver, planning)
+    planning = planning or scenario.planning
+    plans, world = (replace(motion, time_step=planning.time_step) for motion in (plans, world))
+    planner = _planner(scene, plans, control_limit, grip, solver or scenario.solver, planning, bool(scenario.streams))
+    influence: Influence = "damped" if semantics == "paper" else "exact"
+    game = Game(scene, robot, _humans(human, humans or scenario.humans), plans, world, planner, influence)
     return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
 
 
@@ -187,32 +225,33 @@ def driving_game(
             `PHYSICAL_LIMIT`.
     """
     driver = linear_reward(weights, speed_limit, names=names)
-    motion, limit = PAPER_DYNAMICS, PHYSICAL_LIMIT
-    return _game(scene, driver, driver, motion, motion, limit, grip, "damped", solver, planning)
+    motion = replace(PAPER_DYNAMICS, time_step=planning.time_step)
+    planner = _planner(scene, motion, PHYSICAL_LIMIT, grip, solver, planning, persistent=False)
+    return Game(scene, driver, _humans(driver, 1), motion, motion, planner)
 
 
-def _game(
+def _humans(reward: Reward, number: int) -> Reward:
+    return replace(reward, weights=np.tile(reward.weights, (number, 1)))
+
+
+def _planner(
     scene: Scene,
-    robot: Reward,
-    human: Reward,
-    plans: Dynamics,
-    world: Dynamics,
+    dynamics: Dynamics,
     control_limit: tuple[float, float] | None,
     grip: float | None,
-    influence: Influence,
     solver: Solver,
     planning: PlanningSettings,
-) -> Game:
-    """Build a game with the control scale in which a gradient step of 0.03 has the paper's effect.
+    persistent: bool,
+) -> Planner:
+    """Return a planner with the control scale in which a gradient step of 0.03 has the paper's effect.
 
     The unit of acceleration is one length unit per s^2, that of omega one rad/s of yaw rate. With steering by
     curvature, it is converted at the paper's speed limit, ``omega = yaw_rate / v``: omega's gradient step scales with
     1/v^2.
     """
-    plans, world = (replace(motion, time_step=planning.time_step) for motion in (plans, world))
     iterations, step_size = gradient_steps(planning)
-    turn_scale = 1 / (SPEED_LIMIT * scene.length_unit) if plans.steering == "curvature" else 1.0
-    planner = Planner(
+    turn_scale = 1 / (SPEED_LIMIT * scene.length_unit) if dynamics.steering == "curvature" else 1.0
+    return Planner(
         control_scale=np.array([turn_scale, scene.length_unit]),
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
         grip=grip,
@@ -220,14 +259,12 @@ def _game(
         horizon=planning.horizon,
         iterations=iterations,
         solver=solver,
+        persistent=persistent,
     )
-    return Game(scene, robot, human, plans, world, planner, influence)
 
 
-def draw_starts(
-    scenario: Scenario, random: np.random.Generator, unit: float = PAPER_UNIT
-) -> Float[np.ndarray, "cars 4"]:
-    """Draw the start of every car, with the noise of the paper's experiments.
+def draw_starts(scenario: Scenario, random: np.random.Generator, unit: float = PAPER_UNIT) -> State:
+    """Draw the start of every car of a scenario without streams, with the noise of the paper's experiments.
 
     Normal noise of standard deviation 5e-4 units on x and y and 1e-3 on speed and heading; another 0.01 units on the x
     of the merging car.
@@ -238,3 +275,43 @@ def draw_starts(
     if scenario.merging_car is not None:
         cars[scenario.merging_car, 0] += random.normal(scale=MERGING_NOISE)
     return cars * [unit, unit, 1.0, unit]
+
+
+def draw_episode(scenario: Scenario, random: np.random.Generator, humans: Reward) -> tuple[State, HumansWeights]:
+    """Draw the start of every car, in SI units, and the weights of every human's reward.
+
+    Without streams, these are `draw_starts` and the weights given. In streams, centres are 8 to 14 m apart, most of
+    them near 8, and the robot starts beside a random place in the middle of every stream. Humans weigh
+    ``collision_risk`` by a factor of their own, log-normal around 1; every fifth, on average, by `CARELESS_FACTOR`: it
+    hardly yields.
+
+    Args:
+        scenario: to draw for.
+        random: what is drawn from.
+        humans: the rewards that theirs are drawn around, see `ms_highway.game.game.Game`.
+    """
+    weights = np.array(humans.weights, np.float32)
+    if not scenario.streams:
+        return draw_starts(scenario, random), weights
+    robot = np.array([*scenario.cars[0], 0.0, SPEED_LIMIT]) * [PAPER_UNIT, PAPER_UNIT, 1.0, PAPER_UNIT]
+    number, lanes = len(weights), len(scenario.streams)
+    dealt = [len(range(place, number, lanes)) for place in range(lanes)]
+    streams = [_stream(stream, each, random) for stream, each in zip(scenario.streams, dealt, strict=True)]
+    cars = np.concatenate([robot[None], *streams])
+    noise = [POSITION_NOISE * PAPER_UNIT, POSITION_NOISE * PAPER_UNIT, MOTION_NOISE, SPEED_NOISE]
+    cars += random.normal(scale=noise, size=cars.shape)
+    factors = np.exp(random.normal(0.0, CAUTION_SPREAD, number))
+    factors = np.where(random.uniform(size=number) < CARELESS, CARELESS_FACTOR, factors)
+    weights[:, humans.names.index("collision_risk")] *= factors.astype(np.float32)
+    return cars, weights
+
+
+def _stream(stream: Stream, humans: int, random: np.random.Generator) -> State:
+    """Draw the starts of a stream, front first; the robot, at x = 0, is beside a gap in the middle, or the last one."""
+    shortest, longest = SPACING
+    spacings = shortest + (longest - shortest) * random.beta(1.0, SHORTNESS, humans)
+    ahead = (humans + 1) // 2  # of the robot
+    beside = random.uniform(0.0, spacings[min(ahead, humans - 1)])
+    x = beside + np.sum(spacings[:ahead]) - np.cumsum(spacings)
+    y, speed = stream.lane * PAPER_UNIT, stream.speed * PAPER_UNIT
+    return np.stack([x, np.full(humans, y), np.zeros(humans), np.full(humans, speed)], axis=-1)

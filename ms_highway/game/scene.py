@@ -6,9 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.runtime.arrays import Array
-
-__all__ = ["Scene"]
+from ms_highway.runtime.arrays import Array, Scalar
 
 SHAPES: dict[str, tuple[str | int, ...]] = {
     "lanes": ("n",),
@@ -43,14 +41,14 @@ class Scene:
     """
 
     lanes: Float[Array, "lanes"]
-    lane_width: float | Float[Array, ""]
+    lane_width: Scalar
     obstacles: Float[Array, "obstacles 2"]
     obstacle_size: Float[Array, "2"]
     car_size: Float[Array, "2"]
-    corner: float | Float[Array, ""]
-    target_lane: float | Float[Array, ""]
-    length_unit: float | Float[Array, ""]
-    bend: float | Float[Array, ""] | None = None
+    corner: Scalar
+    target_lane: Scalar
+    length_unit: Scalar
+    bend: Scalar | None = None
     leader: int | None = field(default=None, metadata={"static": True})
 
     def __post_init__(self) -> None:

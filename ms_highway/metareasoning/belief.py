@@ -8,11 +8,23 @@ the filter of Blom and Bar-Shalom (1988) is the forward pass of a hidden Markov 
 with the observed control u and the control u_m that model m predicted for this step.
 """
 
-from jaxtyping import Float
+from functools import cache
 
-from ms_highway.runtime.arrays import SameArray
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Bool, Float
 
-__all__ = ["KEEPS", "LEAST", "NOISE", "updated_belief"]
+from ms_highway.game.arrays import Belief, State
+from ms_highway.game.dynamics import recover_control
+from ms_highway.game.game import Game
+from ms_highway.optimization.arrays import Controls
+from ms_highway.planning.human_models import PACKAGE_MODELS
+from ms_highway.planning.hypotheses import next_controls
+from ms_highway.runtime.arrays import Array, SameArray
+from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
+from ms_highway.runtime.packing import Layout, pack
+from ms_highway.runtime.timing import timed, warm_up
 
 KEEPS = 0.98
 """Probability that a human keeps to its model for 0.1 s, so for five seconds on average."""
@@ -22,6 +34,9 @@ NOISE = (0.005, 1.0)
 
 LEAST = 1e-3
 """Probability that no model falls below, so that a human who changes is noticed soon."""
+
+LEAST_RESPONSE = 0.3  # probability of the models below which nobody counts on a human
+RESPONDING = [PACKAGE_MODELS.index(name) for name in ("turn", "tom")]  # that explain a human who minds its reward
 
 
 def updated_belief(
@@ -51,3 +66,59 @@ def updated_belief(
     joint = mixed * xp.exp(log_likelihood - xp.max(log_likelihood, axis=-1, keepdims=True))
     joint = xp.maximum(joint / xp.sum(joint, axis=-1, keepdims=True), xp.asarray(LEAST))
     return joint / xp.sum(joint, axis=-1, keepdims=True)
+
+
+def first_belief(humans: int) -> Belief:
+    """Return the probabilities before anything was seen, the same for all of `PACKAGE_MODELS`."""
+    return np.full((humans, len(PACKAGE_MODELS)), 1 / len(PACKAGE_MODELS), np.float32)
+
+
+def infer(game: Game, belief: Belief, before: State, after: State, robot: Controls) -> Belief:
+    """Return the probabilities of the models after a step.
+
+    Args:
+        game: with the humans' rewards as the robot believes them.
+        belief: probabilities before the step.
+        before: all cars before the step.
+        after: all cars after it.
+        robot: scaled controls that the robot followed from there on.
+    """
+    last = 1 + game.number
+    observed = recover_control(game.world, before[1:last], after[1:last])
+    return updated_belief(belief, next_controls(game, before, robot), observed, jnp.asarray(game.world.time_step))
+
+
+def counted_on(belief: Float[SameArray, "humans models"]) -> Bool[Array, "humans"]:
+    """Return who may be counted on to respond: all but those whose actions turn and tom do not explain."""
+    return belief[:, RESPONDING].sum(axis=1) >= LEAST_RESPONSE
+
+
+class CompiledBelief:
+    """Infer live which model predicts every human best, compiled once for all games of the same shapes."""
+
+    def __init__(self, game: Game) -> None:
+        self._numbers, layout = pack(game)
+        self._function = infer_function(layout)
+
+    def update(self, belief: Belief, before: State, after: State, robot: Controls) -> tuple[Belief, float]:
+        """Return the probabilities after a step, see `infer`, and the seconds that it took."""
+        updated, seconds = timed(self._function, self._numbers, *_single(belief, before, after, robot))
+        return np.asarray(updated), seconds
+
+    def warm_up(self, state: State, robot: Controls, humans: int) -> float:
+        """Compile and run once what has not run before; return the seconds spent."""
+        return warm_up(self._function, self._numbers, *_single(first_belief(humans), state, state, robot))
+
+
+def _single(*parts: Array) -> tuple[Array, ...]:
+    return tuple(np.asarray(part, np.float32) for part in parts)
+
+
+@cache
+def infer_function(layout: Layout) -> jax.stages.Wrapped:
+    """Compile `infer` once for all games of a layout; it takes a packed game first."""
+
+    def update(numbers: Array, belief: Belief, before: State, after: State, robot: Controls) -> Belief:
+        return infer(layout.unpack(numbers), belief, before, after, robot)
+
+    return jax.jit(in_one_kernel(update), compiler_options=known_options(QUICKLY))

@@ -7,74 +7,77 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
 
+from ms_highway.game.arrays import State
 from ms_highway.game.dynamics import recover_control
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game
-from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule
-from ms_highway.planning.human_models import JointPlan
+from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule, first_memory
+from ms_highway.optimization.arrays import Control
+from ms_highway.planning.plans import Plan
+from ms_highway.runtime.arrays import Array, Vector
 from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
 from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up
-
-__all__ = ["CompiledDecision", "Observation", "decide_function"]
-
 
 EMPTY = jax.tree.structure(None)  # of the network of a rule that has none
 
 
 class Observation(NamedTuple):
-    """A step of the world that a decision is based on, in the world's units: cars, executed control, and both plans."""
+    """A step of the world that a decision is based on, in the world's units: cars, executed control, and plan."""
 
-    before: Float[np.ndarray, "cars 4"]
-    after: Float[np.ndarray, "cars 4"]
-    control: Float[np.ndarray, "2"]
-    plan: tuple[Float[np.ndarray, "steps 2"], Float[np.ndarray, "steps 2"]]
+    before: State
+    after: State
+    control: Control
+    plan: Plan
 
 
 class CompiledDecision:
     """Decide by a rule in a game, compiled once for all rules and games of the same shapes.
 
     Args:
-        rule: chooses the model.
+        rule: chooses the models.
         game: may differ in numbers from the games that it was compiled for.
     """
 
     def __init__(self, rule: Rule, game: Game) -> None:
         small = rule if rule.network is None else replace(rule, network=None)
-        self._numbers, self._layout = pack((small, game))
-        leaves, self._network = jax.tree.flatten(rule.network)
+        self._numbers, layout = pack((small, game))
+        leaves, network = jax.tree.flatten(rule.network)
         self._leaves = [jnp.asarray(leaf) for leaf in leaves]
-        self._steps, self._rungs, self._fuses = game.planner.horizon, len(rule.ladder), rule.in_one_kernel
+        self.rule, self.game = rule, game
+        self.function = decide_function(layout, network, game.number == 1 and rule.in_one_kernel)
 
     def decide(self, memory: Memory, observed: Observation) -> tuple[Decision, float]:
-        """Return the decision, in NumPy numbers, and the seconds that it took.
+        """Return the decision, in NumPy arrays, and the seconds that it took.
 
         Args:
             memory: of the steps before.
             observed: the last step.
         """
         decided, seconds = timed(self.function, *self.arguments(memory, observed))
-        parts = np.split(np.asarray(decided), [1, 2, 2 + self._rungs, 2 + 2 * self._rungs])
-        rung, step, checks = (part.astype(np.int32) for part in parts[:3])
-        return Decision(Memory(rung[0], step[0], checks), parts[3], parts[4][0] > 0), seconds
+        humans, rungs = self.game.number, len(self.rule.ladder)
+        numbers, table = np.array(decided), (humans, rungs)
+        chosen, step, checks, gains, failed = np.split(numbers, np.cumsum([humans, 1, humans * rungs, humans * rungs]))
+        after = Memory(chosen.astype(np.int32), step[0].astype(np.int32), checks.astype(np.int32).reshape(table))
+        return Decision(after, gains.reshape(table), failed[0] > 0), seconds
 
-    def warm_up(self, memory: Memory, state: Float[np.ndarray, "cars 4"]) -> float:
+    def warm_up(self, state: State) -> float:
         """Compile and run once what has not run before; return the seconds spent."""
-        return warm_up(self.function, *self.arguments(memory, self.nothing_happened(state)))
+        return warm_up(self.function, *self.arguments(first_memory(self.rule, self.game.number), self.still(state)))
 
-    def nothing_happened(self, state: Float[np.ndarray, "cars 4"]) -> Observation:
+    def measure(self, state: State, repeats: int = 20, quantile: float = 0.5) -> float:
+        """Measure the seconds of a warm decision in a state: a quantile, by default the median."""
+        self.warm_up(state)
+        later = first_memory(self.rule, self.game.number)._replace(step=np.ones((), np.int32))  # the first may be less
+        return float(np.quantile([self.decide(later, self.still(state))[1] for _ in range(repeats)], quantile))
+
+    def still(self, state: State) -> Observation:
         """Return the step before the first one, in which no car moved."""
-        still = np.zeros((self._steps, 2))
-        return Observation(state, state, still[0], (still, still))
+        still = np.zeros((1 + self.game.number, self.game.planner.horizon, 2))
+        return Observation(state, state, still[0, 0], Plan(still[0], still[1:]))
 
-    @property
-    def function(self) -> jax.stages.Wrapped:
-        """Compiled function, which takes `arguments`; see `decide_function`."""
-        return decide_function(self._layout, self._network, self._fuses)
-
-    def arguments(self, memory: Memory, observed: Observation) -> tuple[np.ndarray | jax.Array, ...]:
+    def arguments(self, memory: Memory, observed: Observation) -> tuple[Array, ...]:
         """Return the arguments of a `decide_function`."""
         *world, plan = observed
         parts = [np.ravel(part) for part in (*memory, *plan, *world)]
@@ -90,26 +93,25 @@ def decide_function(layout: Layout, network: jax.tree_util.PyTreeDef = EMPTY, fu
     which would copy it. Without ``fuses``, there is no kernel, see `ms_highway.metareasoning.rule.Rule`.
     """
 
-    def look(observed: Float[jax.Array, "m"], numbers: Float[jax.Array, "n"]) -> Float[jax.Array, "k"]:
+    def look(observed: Vector, numbers: Vector) -> Array:
         rule, game = layout.unpack(numbers)
-        scale, planned = game.planner.control_scale, 4 * game.planner.horizon
-        memory, rest = _memory(rule, observed)
-        plan, cars, control = jnp.split(rest, [planned, len(rest) - 2])
+        scale, horizon, last = game.planner.control_scale, game.planner.horizon, 1 + game.number
+        memory, rest = _memory(rule, game, observed)
+        plan, cars, control = jnp.split(rest, [2 * horizon * last, len(rest) - 2])
         before, after = cars.reshape(2, -1, 4)
-        human = recover_control(game.world, before[1], after[1]) / scale
+        humans = recover_control(game.world, before[1:last], after[1:last]) / scale
         earned = reward(game.scene, game.robot, after)
-        expected = JointPlan(*(plan.reshape(2, -1, 2) / scale))
-        return rule.look(game, memory, Outcome(before, after, control / scale, human, earned, expected))
+        robot, *expected = plan.reshape(last, -1, 2) / scale
+        outcome = Outcome(before, after, control / scale, humans, earned, Plan(robot, jnp.stack(expected)))
+        return rule.look(game, memory, outcome)
 
-    def look_and_choose(
-        observed: Float[jax.Array, "m"], numbers: Float[jax.Array, "n"], *leaves: jax.Array
-    ) -> Float[jax.Array, "k"]:
-        rule, _ = layout.unpack(numbers)
-        memory, _ = _memory(rule, observed)
+    def look_and_choose(observed: Vector, numbers: Vector, *leaves: Array) -> Vector:
+        rule, game = layout.unpack(numbers)
+        memory, _ = _memory(rule, game, observed)
         seen = (in_one_kernel(look) if leaves and fuses else look)(observed, numbers)
         rule = replace(rule, network=jax.tree.unflatten(network, leaves)) if leaves else rule
-        (rung, step, checks), gains, failed = rule.choose(memory, seen)
-        return jnp.concatenate([jnp.stack([rung, step]), checks, gains, failed[None]])
+        (rungs, step, checks), gains, failed = rule.choose(memory, seen)
+        return jnp.concatenate([rungs, step[None], checks.ravel(), gains.ravel(), failed[None]])
 
     whole = fuses and network == EMPTY
     return jax.jit(
@@ -117,8 +119,10 @@ def decide_function(layout: Layout, network: jax.tree_util.PyTreeDef = EMPTY, fu
     )
 
 
-def _memory(rule: Rule, observed: Float[jax.Array, "m"]) -> tuple[Memory, Float[jax.Array, "n"]]:
+def _memory(rule: Rule, game: Game, observed: Vector) -> tuple[Memory, Vector]:
     """Return the memory at the beginning of an array, and the rest of it."""
-    remembered = 2 + len(rule.ladder)
-    rung, step, *checks = observed[:remembered].astype(jnp.int32)
-    return Memory(rung, step, jnp.stack(checks)), observed[remembered:]
+    humans, rungs = game.number, len(rule.ladder)
+    remembered = humans + 1 + humans * rungs
+    numbers = observed[:remembered].astype(jnp.int32)
+    checks = numbers[humans + 1 :].reshape(humans, rungs)
+    return Memory(numbers[:humans], numbers[humans], checks), observed[remembered:]

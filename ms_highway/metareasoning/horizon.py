@@ -11,13 +11,14 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.arrays import State
 from ms_highway.game.game import Game, move, step_rewards, swap_players, total_reward, trajectory_reward
 from ms_highway.game.reward import Reward
-from ms_highway.metareasoning.quadratic_rule import Expansion, QuadraticRule, estimate_gains
-from ms_highway.metareasoning.rule import Memory, Outcome
-from ms_highway.optimization.second_derivatives import Trajectory, response, second_order_expansion
-
-__all__ = ["WholeHorizon"]
+from ms_highway.metareasoning.quadratic_rule import QuadraticRule, RewardExpansion
+from ms_highway.metareasoning.rule import Outcome
+from ms_highway.optimization.arrays import Controls, Trajectory
+from ms_highway.optimization.second_derivatives import response, second_order_expansion
+from ms_highway.runtime.arrays import Matrix, Scalar, Vector
 
 
 @jax.tree_util.register_dataclass
@@ -40,53 +41,41 @@ class WholeHorizon(QuadraticRule):
 
     in_one_kernel: ClassVar[bool] = False  # eigenvectors of more than two dimensions are LAPACK's
 
-    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "2"]:
-        """See `QuadraticRule.look`."""
+    def executed(self, game: Game, outcome: Outcome) -> tuple[Vector, Vector, Scalar]:
+        """See `QuadraticRule.executed`: the controls of the last plan, the first ones as executed and observed."""
         state, plan = jnp.asarray(outcome.before), outcome.plan
         robot = jnp.asarray(plan.robot).at[0].set(outcome.robot)
-        human = jnp.asarray(plan.human).at[0].set(outcome.human)
-        expected = step_rewards(game, state, move(game, state[0], robot), move(game, state[1], human))
-        reward = outcome.reward + jnp.sum(expected[1:])
-        return estimate_gains(self, game, memory, state, robot.ravel(), human.ravel(), reward)
+        human = jnp.asarray(plan.humans[0]).at[0].set(outcome.humans[0])
+        expected = step_rewards(game, state, move(game, state[0], robot), move(game, state[1], human)[None])
+        return robot.ravel(), human.ravel(), outcome.reward + jnp.sum(expected[1:])
 
-    def expand(
-        self,
-        game: Game,
-        state: Float[jax.Array, "cars 4"],
-        robot: Float[jax.Array, "n"],
-        human: Float[jax.Array, "n"],
-    ) -> Expansion:
+    def expand(self, game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
         """See `QuadraticRule.expand`. Both rewards are expanded in one batch, each from its own car's side."""
         n, steps = len(robot), len(robot) // 2
 
         def derivatives(
-            parameters: Reward, state: Float[jax.Array, "cars 4"], controls: Float[jax.Array, "players n"]
-        ) -> tuple[Float[jax.Array, "m"], Float[jax.Array, "m m"]]:
-            def paths(controls: Float[jax.Array, "steps 2"]) -> Trajectory:
+            parameters: Reward, state: State, controls: Float[jax.Array, "players n"]
+        ) -> tuple[Vector, Matrix]:
+            def paths(controls: Controls) -> Trajectory:
                 own, partner = jnp.split(controls, 2)
                 return jnp.concatenate([move(game, state[0], own), move(game, state[1], partner)])
 
-            def earned(paths: Trajectory) -> Float[jax.Array, ""]:
-                return trajectory_reward(replace(game, robot=parameters), state, *jnp.split(paths, 2))
+            def earned(paths: Trajectory) -> Scalar:
+                own, partner = jnp.split(paths, 2)
+                return trajectory_reward(replace(game, robot=parameters), state, own, partner[None])
 
             gradient, hessian, _ = second_order_expansion(paths, earned, controls.reshape(-1, 2))
             return gradient, hessian
 
-        rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human)
+        rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human())
         states = jnp.stack([state, swap_players(game, state)[1]])
         controls = jnp.stack([jnp.stack([robot, human]), jnp.stack([human, robot])])
         slopes, bends = jax.vmap(derivatives)(rewards, states, controls)
-        human_bend = bends[1, :n, :n] - jnp.diag(jnp.tile(jnp.asarray(game.human.comfort), steps))
+        human_bend = bends[1, :n, :n] - jnp.diag(jnp.tile(jnp.asarray(game.humans.comfort), steps))
         influence = response(game.influence, human_bend, bends[1, :n, n:])
         bend = bends[0]
-        return Expansion(slopes[0, :n], slopes[0, n:], bend[:n, :n], bend[:n, n:], bend[n:, n:], influence)
+        return RewardExpansion(slopes[0, :n], slopes[0, n:], bend[:n, :n], bend[:n, n:], bend[n:, n:], influence)
 
-    def earned(
-        self,
-        game: Game,
-        state: Float[jax.Array, "cars 4"],
-        robot: Float[jax.Array, "n"],
-        human: Float[jax.Array, "n"],
-    ) -> Float[jax.Array, ""]:
+    def earned(self, game: Game, state: State, robot: Vector, human: Vector) -> Scalar:
         """Sum the robot's rewards over the horizon, see `QuadraticRule.earned`."""
-        return total_reward(game, state, robot.reshape(-1, 2), human.reshape(-1, 2))
+        return total_reward(game, state, robot.reshape(-1, 2), human.reshape(1, -1, 2))

@@ -6,47 +6,46 @@ All controls are scaled, see `ms_highway.game.game`, and ravelled: n = 2 steps n
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.game import Game
-from ms_highway.metareasoning.rule import Decision, Memory, Outcome, check_costs
+from ms_highway.game.arrays import HumansControl, State
+from ms_highway.game.game import Game, each_human
+from ms_highway.metareasoning.rule import Decision, Memory, Outcome, check_costs, with_human
+from ms_highway.optimization.arrays import Control
 from ms_highway.optimization.trust_region import trust_region_step
+from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.arrays import Array
-
-__all__ = ["TRUST_TOLERANCE", "Expansion", "QuadraticRule", "change_of_control", "estimate_gains"]
-
+from ms_highway.runtime.arrays import Index, Matrix, Scalar, Vector
 
 TRUST_TOLERANCE = 1e-3
 """Share of the trust radius within which the length of a step is found."""
 
 
-class Expansion(NamedTuple):
+class RewardExpansion(NamedTuple):
     """The robot's reward to second order in the controls of both, and the human's response."""
 
-    robot: Float[jax.Array, "n"]  # d r_R / d u_R
-    human: Float[jax.Array, "n"]  # d r_R / d u_H
-    robot_robot: Float[jax.Array, "n n"]
-    robot_human: Float[jax.Array, "n n"]
-    human_human: Float[jax.Array, "n n"]
-    influence: Float[jax.Array, "n n"]  # J = d u_H / d u_R
+    robot: Vector  # d r_R / d u_R
+    human: Vector  # d r_R / d u_H
+    robot_robot: Matrix
+    robot_human: Matrix
+    human_human: Matrix
+    influence: Matrix  # J = d u_H / d u_R
 
 
 @dataclass(frozen=True)
 class QuadraticRule(ABC):
-    """The numbers of Algorithm 1, and its order of checks.
+    """The numbers of Algorithm 1, and its order of checks; for each human alone, in the robot's game with it.
 
     Up, checked at every step below the top: straight to the top rung, as if it had predicted the human control that
     was observed. Down, checked if not gone up and if this rung's last check is ``cooldown`` steps ago: one rung, with
-    that rung's own prediction and no influence. A positive gain switches.
+    that rung's own prediction and no influence. A positive gain switches. The first step is planned with the first
+    rung. Gains are additive: what one human's rung gains does not depend on the rungs of others.
 
     Attributes:
-        costs: array [rungs] of T(M), planning time of each rung [s]; NaN if unknown: then no gain is estimated, and the
-            rung stays.
+        costs: planning time of each rung [s]; NaN if unknown: then no gain is estimated, and the rung stays.
         price: lambda, reward per second of planning.
         trust_radius: longest change of the scaled controls for which the expansion is trusted.
         trust_tolerance: of the step's length, as a share of the radius: 0.001, in the released code 0.05.
@@ -54,98 +53,90 @@ class QuadraticRule(ABC):
         ladder: tuple of human models, cheapest first, see `ms_highway.planning.human_models.ladder` (static).
     """
 
-    costs: Float[Array, "rungs"]
-    price: float | Float[Array, ""]
+    costs: Costs
+    price: Scalar
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-    trust_radius: float | Float[Array, ""] = 1.5
-    trust_tolerance: float | Float[Array, ""] = TRUST_TOLERANCE
-    cooldown: int | Int[Array, ""] = 3
-    chooses_first: ClassVar[bool] = False
+    trust_radius: Scalar = 1.5
+    trust_tolerance: Scalar = TRUST_TOLERANCE
+    cooldown: Index = 3
     network: ClassVar[None] = None
     in_one_kernel: ClassVar[bool]
 
     @abstractmethod
-    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "2"]:
-        """Estimate the gains of going up and down by `estimate_gains`; NaN where none is needed."""
+    def executed(self, game: Game, outcome: Outcome) -> tuple[Vector, Vector, Scalar]:
+        """Return the controls of robot and human to expand around, and what the robot earned with them."""
 
     @abstractmethod
-    def expand(
-        self,
-        game: Game,
-        state: Float[jax.Array, "cars 4"],
-        robot: Float[jax.Array, "n"],
-        human: Float[jax.Array, "n"],
-    ) -> Expansion:
+    def expand(self, game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
         """Expand both players' rewards around the controls of both."""
 
     @abstractmethod
-    def earned(
-        self,
-        game: Game,
-        state: Float[jax.Array, "cars 4"],
-        robot: Float[jax.Array, "n"],
-        human: Float[jax.Array, "n"],
-    ) -> Float[jax.Array, ""]:
+    def earned(self, game: Game, state: State, robot: Vector, human: Vector) -> Scalar:
         """Compute what the robot earns with these controls."""
 
-    def choose(self, memory: Memory, seen: Float[jax.Array, "2"]) -> Decision:
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> HumansControl:
+        """Estimate every human's gains of going up and down; NaN where none is needed."""
+
+        def one(human: Index) -> Control:
+            alone, seen = with_human(game, outcome, human)
+            rung, checks = jnp.asarray(memory.rungs)[human], jnp.asarray(memory.last_check)[human]
+            state = jnp.asarray(seen.before)
+            return estimate_gains(self, alone, Memory(rung, memory.step, checks), state, *self.executed(alone, seen))
+
+        return each_human(game, one)
+
+    def choose(self, memory: Memory, seen: HumansControl) -> Decision:
         """Take a step that gains: to the top of the ladder, or one rung down."""
-        up, down = seen
-        rung, top = memory.rung, len(self.ladder) - 1
-        goes_up, checks, now = up > 0, self.checks_below(memory), memory.step + 1
-        chosen = jnp.where(goes_up, top, jnp.where(down > 0, rung - 1, rung))
-        last_check = jnp.where(checks & ~goes_up, jnp.asarray(memory.last_check).at[rung].set(now), memory.last_check)
-        rungs = jnp.arange(top + 1)
-        gains = jnp.where(rungs == rung - 1, down, jnp.where((rungs == top) & (rung < top), up, jnp.nan))
+        up, down, rungs = seen[:, 0], seen[:, 1], jnp.asarray(memory.rungs)
+        goes_up, now, top = up > 0, memory.step + 1, len(self.ladder) - 1
+        chosen = jnp.where(goes_up, top, jnp.where(down > 0, rungs - 1, rungs))
+        below, places = rungs[:, None], jnp.arange(top + 1)
+        last = jnp.take_along_axis(jnp.asarray(memory.last_check), below, axis=1)[:, 0]
+        checked = (self.checks_below(rungs, memory.step, last) & ~goes_up)[:, None] & (places == below)
+        last_check = jnp.where(checked, now, memory.last_check)
+        up_gains = jnp.where((places == top) & (below < top), up[:, None], jnp.nan)
+        gains = jnp.where(places == below - 1, down[:, None], up_gains)
         return Decision(Memory(chosen, now, last_check), gains, jnp.bool(False))
 
-    def checks_below(self, memory: Memory) -> Bool[Array, ""]:
-        """Return whether the rung below may be checked now."""
-        rung = memory.rung
-        return (rung > 0) & (memory.step + 1 - jnp.asarray(memory.last_check)[rung] >= self.cooldown)
+    def checks_below(self, rung: Any, step: Index, last_check: Any) -> Any:
+        """Return whether the rung below may be checked now, after a last check of this one."""
+        return (rung > 0) & (step > 0) & (step + 1 - last_check >= self.cooldown)
 
 
 @jax.jit
 def estimate_gains(
-    rule: QuadraticRule,
-    game: Game,
-    memory: Memory,
-    state: Float[jax.Array, "cars 4"],
-    robot: Float[jax.Array, "n"],
-    human: Float[jax.Array, "n"],
-    reward: Float[jax.Array, ""],
-) -> Float[jax.Array, "2"]:
-    """Estimate the gains of going up and down; NaN where none is needed.
+    rule: QuadraticRule, game: Game, memory: Memory, state: State, robot: Vector, human: Vector, reward: Scalar
+) -> Control:
+    """Estimate the gains of going up and down about one human; NaN where none is needed.
 
     Args:
         rule: ladder, costs, lambda, trust region and cooldown; expands and evaluates the rewards.
-        game: scene, rewards and motion.
-        memory: rung that the last step was planned with, and the checks made so far.
+        game: of the robot with this human.
+        memory: of this human, without an axis: rung that the last step was planned with, and the checks made so far.
         state: all cars before the last step.
-        robot: scaled controls of the robot from there on.
-        human: scaled controls of the human from there on.
+        robot: scaled controls of the robot from there on, ravelled.
+        human: scaled controls of the human from there on, ravelled.
         reward: the robot's, under these controls.
 
     Raises:
         ValueError: if there is not one cost for each rung of the ladder.
     """
     check_costs(rule)
-    ladder, costs, steps = rule.ladder, jnp.asarray(rule.costs), len(robot) // 2
-    rung, top = memory.rung, len(ladder) - 1
-    climbs, checks = rung < top, rule.checks_below(memory)
+    ladder, costs, steps = rule.ladder, jnp.asarray(rule.costs.each), len(robot) // 2
+    rung, top = memory.rungs, len(ladder) - 1
+    climbs = (rung < top) & (memory.step > 0)
+    checks = rule.checks_below(rung, memory.step, jnp.asarray(memory.last_check)[rung])
     none, not_estimated = jnp.zeros((len(robot), len(robot))), jnp.float32(jnp.nan)
 
-    def estimate() -> tuple[Float[jax.Array, ""], Float[jax.Array, ""]]:
+    def estimate() -> tuple[Scalar, Scalar]:
         expansion = rule.expand(game, state, robot, human)
 
-        def gain(
-            expected: Float[jax.Array, "n"], influence: Float[jax.Array, "n n"], alternative: Int[jax.Array, ""] | int
-        ) -> Float[jax.Array, ""]:
+        def gain(expected: Vector, influence: Matrix, alternative: Index) -> Scalar:
             change = change_of_control(expansion, human, expected, influence, rule)
             earned = rule.earned(game, state, robot + change, human + expansion.influence @ change)
             return earned - reward - steps * rule.price * (costs[alternative] - costs[rung])
 
-        def gain_down() -> Float[jax.Array, ""]:
+        def gain_down() -> Scalar:
             below = jnp.maximum(rung - 1, 0)
             predictions = [partial(model.predict, game, state) for model in ladder[: max(top, 1)]]
             return gain(jax.lax.switch(below, predictions)[:steps].ravel(), none, below)
@@ -158,12 +149,8 @@ def estimate_gains(
 
 
 def change_of_control(
-    expansion: Expansion,
-    human: Float[jax.Array, "n"],
-    expected: Float[jax.Array, "n"],
-    influence: Float[jax.Array, "n n"],
-    rule: QuadraticRule,
-) -> Float[jax.Array, "n"]:
+    expansion: RewardExpansion, human: Vector, expected: Vector, influence: Matrix, rule: QuadraticRule
+) -> Vector:
     """Return the best controls under another model, less the present ones: ``delta u``.
 
     With d = u' - u_H and J' the model's influence, the expansion is ``du^T A du / 2 + B du`` with

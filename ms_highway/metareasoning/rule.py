@@ -1,85 +1,95 @@
-"""Define rules, which choose the human model of the coming step, and what they are told and return.
+"""Define rules, which choose the human model of every human for the coming step, and what they see and return.
 
-All controls are scaled, see `ms_highway.game.game`.
+All controls are scaled, see `ms_highway.game.game`. A rung is the place of a model on the rule's ladder.
 """
 
+from dataclasses import dataclass, field, fields, replace
+from math import nan
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jax import numpy as jnp
+from jaxtyping import Float, Int
 
-from ms_highway.game.game import Game
-from ms_highway.planning.human_models import HumanModel, JointPlan
-from ms_highway.runtime.arrays import Array
-
-__all__ = ["PUBLISHED_COSTS", "Decision", "Memory", "Outcome", "Rule", "check_costs", "decide_by", "first_memory"]
+from ms_highway.game.arrays import Gains, HumansControl, Rungs, State
+from ms_highway.game.game import Game, pair
+from ms_highway.optimization.arrays import Control
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.planning.plans import Plan
+from ms_highway.runtime.arrays import Array, Flag, Index, Scalar
 
 PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
 """Planning time of each model in the decisions of the paper's experiments."""
-
 
 NEVER = -(2**20)
 """Step of a check that has not been made."""
 
 
 class Memory(NamedTuple):
-    """What a rule remembers: the rung in use, the number of the step, and each rung's last downward check."""
+    """What a rule remembers.
 
-    rung: Int[Array, ""]
-    step: Int[Array, ""]
-    last_check: Int[Array, "rungs"]
+    Attributes:
+        rungs: in use for every human.
+        step: number of the coming step; 0 before the first one, when nothing has happened yet.
+        last_check: step of every human's last downward check of each rung.
+    """
+
+    rungs: Rungs
+    step: Index
+    last_check: Int[Array, "humans rungs"]
 
 
 class Outcome(NamedTuple):
-    """A step of the world, as a rule sees it.
+    """A step of the world, as a rule sees it; before the first step, a step in which no car moved.
 
     Attributes:
         before: all cars before the step.
         after: all cars after it.
         robot: scaled control that the robot executed.
-        human: scaled control that the human was observed to execute.
+        humans: scaled controls that the humans were observed to execute.
         reward: the robot's, after the step.
-        plan: that the robot followed, and the human's controls that it expected.
+        plan: that the robot followed, and the humans' controls that it expected.
     """
 
-    before: Float[Array, "cars 4"]
-    after: Float[Array, "cars 4"]
-    robot: Float[Array, "2"]
-    human: Float[Array, "2"]
-    reward: Float[Array, ""]
-    plan: JointPlan
+    before: State
+    after: State
+    robot: Control
+    humans: HumansControl
+    reward: Scalar
+    plan: Plan
 
 
 class Decision(NamedTuple):
     """What a rule chose.
 
     Attributes:
-        memory: with the rung of the coming step.
-        gains: estimated gain of each rung over the one in use, NaN where none was estimated.
-        failed: whether the rule could not estimate what it needs, and took the top of the ladder.
+        memory: with the rungs of the coming step.
+        gains: estimated gain of each rung for every human, NaN where none was estimated: over the rung in use and less
+            the price of its time; those of values with the baseline ``cheapest`` over the first rung, without a price.
+        failed: whether the rule could not estimate what it needs.
     """
 
     memory: Memory
-    gains: Float[Array, "rungs"]
-    failed: Bool[Array, ""]
+    gains: Gains
+    failed: Flag
 
 
 class Rule(Protocol):
-    """Choose the rung of the coming step from the outcome of the last one.
+    """Choose the rungs of the coming step from the outcome of the last one, for any number of humans.
 
-    Rules are frozen dataclasses and pytrees: numbers may change without compiling anew.
+    Rules are frozen dataclasses and pytrees, and pure: numbers may change without compiling anew.
 
     Attributes:
-        ladder: human models, cheapest first.
-        costs: T(M), planning time of each rung [s].
-        price: lambda, reward per second of planning.
+        ladder: human models, cheapest first (static).
+        costs: planning time.
+        price: lambda, reward per second of planning; NaN where nothing is decided at one.
         network: arrays that `choose` needs and `look` does not; None without any.
-        chooses_first: whether the rule chooses the rung of the first step, too; where not, that is the cheapest one.
-        in_one_kernel: whether `look` may be compiled into one kernel, of which calls of LAPACK cannot be part.
+        in_one_kernel: whether `look` and `choose` may be compiled into one kernel with one human; calls of LAPACK
+            cannot be part of it.
     """
 
-    chooses_first: ClassVar[bool]
     in_one_kernel: ClassVar[bool]
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -88,30 +98,94 @@ class Rule(Protocol):
         """Human models, cheapest first."""
 
     @property
-    def costs(self) -> Float[Array, "rungs"]:
-        """Planning time of each rung [s]."""
+    def costs(self) -> Costs:
+        """Planning time."""
 
     @property
-    def price(self) -> float | Float[Array, ""]:
+    def price(self) -> Scalar:
         """Reward per second of planning."""
 
     @property
     def network(self) -> Any:
         """Arrays that only `choose` needs."""
 
-    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "numbers"]:
-        """Compute what the choice is based on.
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Any, "humans numbers"]:
+        """Compute what the choice is based on, for every human."""
 
-        Before the first step, nothing has happened: the outcome is of a step in which no car moved.
-        """
-
-    def choose(self, memory: Memory, seen: Float[jax.Array, "numbers"]) -> Decision:
-        """Choose the rung of the coming step by what `look` computed."""
+    def choose(self, memory: Memory, seen: Float[Any, "humans numbers"]) -> Decision:
+        """Choose the rungs of the coming step by what `look` computed."""
 
 
-def decide_by(rule: Rule, game: Game, memory: Memory, outcome: Outcome) -> Decision:
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Order:
+    """Take the rungs of a table: a fixed model, a schedule, a period, or what was drawn beforehand.
+
+    Nothing is estimated, compiled or timed.
+
+    Attributes:
+        rungs: of every human in each step; the last row is kept. A column serves all humans.
+        ladder: human models (static).
+        costs: planning time, for records.
+    """
+
+    rungs: Int[Array, "steps humans"]
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+    costs: Costs | None = None
+    price: ClassVar[float] = nan
+    network: ClassVar[None] = None
+    in_one_kernel: ClassVar[bool] = False
+
+    def at(self, step: Index, humans: int) -> Rungs:
+        """Return the rungs of a step."""
+        row = np.asarray(self.rungs)[min(int(step), len(self.rungs) - 1)]
+        return np.broadcast_to(row, humans).astype(np.int32)
+
+
+def always(model: HumanModel, ladder: tuple[HumanModel, ...] = ()) -> Order:
+    """Return the rule that predicts every human by the same model in all steps.
+
+    Args:
+        model: human model.
+        ladder: further models that may take its place; compiled before the first step.
+    """
+    models = tuple(dict.fromkeys([*ladder, model]))
+    return Order(np.array([[models.index(model)]]), models)
+
+
+def decide(rule: Rule, game: Game, memory: Memory, outcome: Outcome) -> Decision:
     """Look and choose."""
     return rule.choose(memory, rule.look(game, memory, outcome))
+
+
+def with_human(game: Game, outcome: Outcome, human: Index) -> tuple[Game, Outcome]:
+    """Return the game of the robot with one human, see `ms_highway.game.game.pair`, and the outcome in it."""
+    if game.number == 1:
+        return game, outcome
+    alone, before = pair(game, outcome.before, human)
+    _, after = pair(game, outcome.after, human)
+    plan = Plan(outcome.plan.robot, jnp.asarray(outcome.plan.humans)[human][None])
+    return alone, outcome._replace(
+        before=before, after=after, humans=jnp.asarray(outcome.humans)[human][None], plan=plan
+    )
+
+
+def check_rule(rule: "Rule | Order") -> None:
+    """Check a rule's ladder, and its costs and price where it decides by them.
+
+    Raises:
+        ValueError: for what is no human model, negative numbers, or a number of costs that is not that of the rungs.
+    """
+    strange = [model for model in rule.ladder if not hasattr(model, "plan")]
+    if strange:
+        raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
+    if isinstance(rule, Order) or not hasattr(rule, "costs"):
+        return
+    each = np.asarray(rule.costs.each)
+    check_costs(rule)
+    if (np.asarray(rule.price) < 0).any() or (each < 0).any():
+        message = f"the price is {rule.price} and the costs are {each.tolist()}"
+        raise ValueError(f"{message}; neither may be negative")
 
 
 def check_costs(rule: Rule) -> None:
@@ -120,11 +194,29 @@ def check_costs(rule: Rule) -> None:
     Raises:
         ValueError: if there are fewer or more.
     """
-    if np.shape(rule.costs) != (len(rule.ladder),):
+    if np.shape(rule.costs.each) != (len(rule.ladder),):
         names = ", ".join(model.name for model in rule.ladder)
-        raise ValueError(f"costs are of shape {np.shape(rule.costs)}; give one for each of {names}")
+        raise ValueError(f"costs are of shape {np.shape(rule.costs.each)}; give one for each of {names}")
 
 
-def first_memory(rule: Rule, rung: int = 0) -> Memory:
-    """Return the memory before the first step; every rung may be checked at once."""
-    return Memory(np.asarray(rung, np.int32), np.zeros((), np.int32), np.full(len(rule.ladder), NEVER, np.int32))
+def first_memory(rule: "Rule | Order", humans: int) -> Memory:
+    """Return the memory before the first step: every human is on the first rung, and every rung may be checked."""
+    checks = np.full((humans, len(rule.ladder)), NEVER, np.int32)
+    return Memory(np.zeros(humans, np.int32), np.zeros((), np.int32), checks)
+
+
+def at_price(rule: Any, price: Scalar) -> Any:
+    """Return a rule at another price, or unchanged if it has none."""
+    return replace(rule, price=price) if "price" in {each.name for each in fields(rule)} else rule
+
+
+def unestimated(memory: Memory, rungs: Rungs) -> Decision:
+    """Return a decision for some rungs for which no gain was estimated."""
+    gains = jnp.full(np.shape(memory.last_check), jnp.nan)
+    return Decision(memory._replace(rungs=rungs.astype(jnp.int32), step=memory.step + 1), gains, jnp.bool(False))
+
+
+def highest_gains(gains: Float[np.ndarray, "*steps humans rungs"]) -> Float[np.ndarray, "*steps rungs"]:
+    """Return the highest gain of each rung over all humans, NaN where none was estimated."""
+    known = np.isfinite(gains)
+    return np.where(known.any(axis=-2), np.where(known, gains, -np.inf).max(axis=-2), np.nan)

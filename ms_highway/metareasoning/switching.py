@@ -11,16 +11,17 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.arrays import State
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_players
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.metareasoning.quadratic_rule import Expansion, QuadraticRule, estimate_gains
-from ms_highway.metareasoning.rule import Decision, Memory, Outcome
+from ms_highway.metareasoning.quadratic_rule import QuadraticRule, RewardExpansion
+from ms_highway.metareasoning.rule import Outcome
+from ms_highway.optimization.arrays import Control
 from ms_highway.optimization.second_derivatives import jacobian_and_hessian, response
-
-__all__ = ["RELEASED_TRUST_TOLERANCE", "Switching", "decide"]
+from ms_highway.runtime.arrays import Scalar, Vector
 
 RELEASED_TRUST_TOLERANCE = 0.05
 """Share of the trust radius within which the released code's solver stops."""
@@ -33,77 +34,27 @@ class Switching(QuadraticRule):
 
     in_one_kernel: ClassVar[bool] = True
 
-    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "2"]:
-        """See `QuadraticRule.look`."""
-        return estimate_gains(self, game, memory, outcome.before, outcome.robot, outcome.human, outcome.reward)
+    def executed(self, game: Game, outcome: Outcome) -> tuple[Vector, Vector, Scalar]:
+        """See `QuadraticRule.executed`: the controls of the last step."""
+        return outcome.robot, outcome.humans[0], outcome.reward
 
-    def expand(
-        self,
-        game: Game,
-        state: Float[jax.Array, "cars 4"],
-        robot: Float[jax.Array, "2"],
-        human: Float[jax.Array, "2"],
-    ) -> Expansion:
+    def expand(self, game: Game, state: State, robot: Control, human: Control) -> RewardExpansion:
         """See `QuadraticRule.expand`."""
         return _expand(game, state, robot, human)
 
-    def earned(
-        self,
-        game: Game,
-        state: Float[jax.Array, "cars 4"],
-        robot: Float[jax.Array, "2"],
-        human: Float[jax.Array, "2"],
-    ) -> Float[jax.Array, ""]:
+    def earned(self, game: Game, state: State, robot: Control, human: Control) -> Scalar:
         """Compute the robot's reward after one step, see `QuadraticRule.earned`."""
         return _earned(game, game.scene, game.robot, state, robot, human)
 
 
-@jax.jit
-def decide(
-    switching: Switching,
-    game: Game,
-    memory: Memory,
-    state: Float[jax.Array, "cars 4"],
-    robot: Float[jax.Array, "2"],
-    human: Float[jax.Array, "2"],
-    observed_reward: Float[jax.Array, ""],
-) -> Decision:
-    """Choose the rung of the coming step from the outcome of the last one.
-
-    For the order of checks see `QuadraticRule`.
-
-    Args:
-        switching: ladder, costs, lambda, trust region and cooldown.
-        game: scene, rewards and motion.
-        memory: rung that the last step was planned with, and the checks made so far.
-        state: all cars before the last step.
-        robot: scaled control that the robot executed in it.
-        human: scaled control that the human was observed to execute in it.
-        observed_reward: the robot's reward after it.
-
-    Raises:
-        ValueError: if there is not one cost for each rung of the ladder.
-    """
-    return switching.choose(memory, estimate_gains(switching, game, memory, state, robot, human, observed_reward))
-
-
-def _earned(
-    game: Game,
-    scene: Scene,
-    parameters: Reward,
-    state: Float[jax.Array, "cars 4"],
-    own: Float[jax.Array, "2"],
-    partner: Float[jax.Array, "2"],
-) -> Float[jax.Array, ""]:
+def _earned(game: Game, scene: Scene, parameters: Reward, state: State, own: Control, partner: Control) -> Scalar:
     """Compute car 0's reward after one step with these controls; the others keep their velocity."""
     controls = jnp.stack([own, partner]) * game.planner.control_scale
     others = keep_velocity(game.dynamics, state[2:])
     return reward(scene, parameters, step(game.dynamics, state, jnp.concatenate([controls, others])))
 
 
-def _expand(
-    game: Game, state: Float[jax.Array, "cars 4"], robot: Float[jax.Array, "2"], human: Float[jax.Array, "2"]
-) -> Expansion:
+def _expand(game: Game, state: State, robot: Control, human: Control) -> RewardExpansion:
     """Differentiate the one-step rewards at the executed controls; J1 = -(d2r_H/du_H2)^-1 d2r_H/du_H du_R.
 
     Both rewards are expanded in one batch, each from its own car's side. The terms of obstacles, other cars and another
@@ -114,12 +65,7 @@ def _expand(
     if not game.robot.own:
         pair, cars = replace(pair, obstacles=pair.obstacles[:0], leader=1 if pair.leader == 1 else None), 2
 
-    def derivatives(
-        parameters: Reward,
-        state: Float[jax.Array, "cars 4"],
-        own: Float[jax.Array, "2"],
-        partner: Float[jax.Array, "2"],
-    ) -> tuple[jax.Array, ...]:
+    def derivatives(parameters: Reward, state: State, own: Control, partner: Control) -> tuple[jax.Array, ...]:
         def in_partner(both: Float[jax.Array, "2 2"]) -> tuple[jax.Array, jax.Array]:
             slope = jax.jacfwd(lambda partner: _earned(game, pair, parameters, state[:cars], both[0], partner))(both[1])
             return slope, slope
@@ -130,12 +76,12 @@ def _expand(
         bend, partner_slope = jax.jacfwd(in_partner, has_aux=True)(jnp.stack([own, partner]))
         return own_slope, partner_slope, own_bend, bend[:, 0].T, bend[:, 1]
 
-    rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human)
+    rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human())
     states = jnp.stack([state, swap_players(game, state)[1]])
     controls = jnp.stack([robot, human])
     own, partner, own_own, own_partner, partner_partner = jax.vmap(derivatives)(
         rewards, states, controls, controls[::-1]
     )
-    human_bend = own_own[1] - jnp.diag(game.human.comfort)
+    human_bend = own_own[1] - jnp.diag(game.humans.comfort)
     influence = response(game.influence, human_bend, own_partner[1])
-    return Expansion(own[0], partner[0], own_own[0], own_partner[0], partner_partner[0], influence)
+    return RewardExpansion(own[0], partner[0], own_own[0], own_partner[0], partner_partner[0], influence)

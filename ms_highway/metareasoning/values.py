@@ -1,10 +1,12 @@
-"""Learned values of computation and their file: the network, and what it was learned on."""
+"""Learned values of computation and their file: the network, over which baseline, and what it was learned on."""
 
+import json
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,17 +15,17 @@ from zipfile import BadZipFile
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.metareasoning.learned_value import LearnedValue, Network
-from ms_highway.metareasoning.network_file import NetworkFile, check_network, read_network, write_network
+from ms_highway.metareasoning.learned_value import Baseline, LearnedValue, Network
 from ms_highway.metareasoning.situation import description_names
+from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-
-__all__ = ["SHIPPED_VALUES", "Values", "load_values", "save_values"]
+from ms_highway.runtime.files import replacing
 
 SHIPPED_VALUES = "shipped"
-"""Stands for the values that come with the package."""
+"""Stands for the values that come with the package: learned with one human, or among several."""
 
-VERSION = 1
+SHIPPED_FILES = "values.npz", "several_values.npz"
+VERSION = 2
 REMEDY = "learn values with `ms-highway values learn`"
 DAMAGES = AttributeError, BadZipFile, EOFError, LookupError, RecursionError, TypeError, ValueError, zlib.error
 CLOSE = 1e-6  # relative difference of costs that are the same
@@ -36,8 +38,10 @@ class Values:
     Attributes:
         network: see `ms_highway.metareasoning.learned_value.LearnedValue`.
         centre, spread: of its inputs.
-        costs: T(M) by model, cheapest first [s]: the ladder that the values were learned on.
-        prices: the least and the largest lambda that was learned.
+        ladder: names of the models that the values were learned on, cheapest first.
+        costs: T(M) of each of them [s]; empty with the baseline ``cheapest``, for which they do not matter.
+        prices: the least and the largest lambda that was learned; empty likewise.
+        baseline: over which rung values are estimated.
         inputs: names of the network's inputs.
         provenance: scenarios, settings and versions of the software.
         place: where they were read from.
@@ -46,8 +50,10 @@ class Values:
     network: Network
     centre: Float[np.ndarray, "inputs"]
     spread: Float[np.ndarray, "inputs"]
-    costs: Mapping[str, float]
-    prices: tuple[float, float]
+    ladder: tuple[str, ...]
+    costs: tuple[float, ...]
+    prices: tuple[float, ...]
+    baseline: Baseline
     inputs: tuple[str, ...]
     provenance: Mapping[str, Any]
     place: str = "learned values"
@@ -58,66 +64,96 @@ class Values:
         Raises:
             ValueError: naming the problem.
         """
-        if len(self.costs) < 2:
-            raise ValueError(f"the ladder has the models {list(self.costs)}; there must be two at least")
-        if self.inputs != input_names():
+        if self.baseline not in ("top", "cheapest"):
+            raise ValueError(f"the baseline is {self.baseline!r}; it must be 'top' or 'cheapest'")
+        if len(self.ladder) < 2:
+            raise ValueError(f"the ladder has the models {list(self.ladder)}; there must be two at least")
+        if self.inputs != input_names(self.baseline):
             raise ValueError("the inputs of the network are those of another version")
-        models = len(self.costs)
-        check_network(self.network, self.centre, self.spread, len(self.inputs), 2 * models, f", for {models} models")
-        if not (self.spread > 0).all() or not 0 < self.prices[0] <= self.prices[1] < np.inf:
-            raise ValueError(f"spreads and prices must be positive; the prices are {self.prices}")
+        sizes = [len(self.inputs), *(np.shape(biases)[-1] for _, biases in self.network)]
+        shapes = [np.shape(weights)[1:] for weights, _ in self.network]
+        if shapes != list(pairwise(sizes)) or sizes[-1] != 2 * len(self.estimated):
+            raise ValueError(f"the layers of the network are of shapes {shapes}, for {len(self.ladder)} models")
+        standard = np.array([self.centre, self.spread])
+        numbers = [standard, *(part for layer in self.network for part in layer)]
+        if standard.shape[1:] != (sizes[0],) or not all(np.isfinite(part).all() for part in numbers):
+            raise ValueError("the numbers of the network are not finite, or not as many as its inputs")
+        positive = (*self.spread, *self.prices)
+        wanted = (len(self.ladder), 2) if self.baseline == "top" else (0, 0)
+        if (
+            min(positive) <= 0
+            or (len(self.costs), len(self.prices)) != wanted
+            or list(self.prices) != sorted(self.prices)
+        ):
+            raise ValueError(f"spreads and prices must be positive; costs are {self.costs}, prices {self.prices}")
 
-    def rule(self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], price: float) -> LearnedValue:
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """The models that the network's outputs belong to: means, then as many standard deviations."""
+        return self.ladder if self.baseline == "top" else self.ladder[1:]
+
+    def rule(self, models: tuple[HumanModel, ...], costs: Costs, price: float) -> LearnedValue:
         """Return the rule on a ladder of some of the models that were learned.
 
         Raises:
             ValueError: if a model was not learned, or with another T(M).
         """
-        names, known = [model.name for model in models], list(self.costs)
-        told = f"{self.place}: values were learned on the ladder {' '.join(known)}"
-        if unknown := [name for name in names if name not in known]:
-            raise ValueError(f"{told}, without {unknown[0]!r}; {REMEDY} --ladder {' '.join(names)}")
-        learned = np.array([self.costs[name] for name in names])
-        if not np.allclose(learned, costs, rtol=CLOSE, atol=0):
-            now = ",".join(f"{name}={seconds:.9g}" for name, seconds in zip(names, costs, strict=True))
-            then = ",".join(f"{name}={self.costs[name]:.9g}" for name in names)
-            raise ValueError(f"{told} at costs of {then}, not {now}; use those costs, or {REMEDY} --costs {now}")
+        names = [model.name for model in models]
+        message = f"{self.place}: values were learned on the ladder {' '.join(self.ladder)}"
+        if unknown := [name for name in names if name not in self.ladder]:
+            raise ValueError(f"{message}, without {unknown[0]!r}; {REMEDY} --ladder {' '.join(names)}")
+        if self.baseline == "cheapest" and names[0] != self.ladder[0]:
+            raise ValueError(f"{message}, over {self.ladder[0]!r}; begin the ladder with it, or {REMEDY}")
+        places = [self.estimated.index(name) for name in names if name in self.estimated]
+        places += [len(self.estimated) + place for place in places]
         *hidden, (weights, biases) = self.network
-        places = [known.index(name) for name in names]
-        places += [len(known) + place for place in places]  # means, then standard deviations
         network = (*hidden, (weights[..., places], biases[..., places]))
-        cheapest, *_, top = self.costs.values()
-        span = float(top - cheapest)
-        return LearnedValue(
-            learned.astype(np.float32), price, np.array(self.prices), span, network, self.centre, self.spread, models
-        )
+        prices, span = np.array(self.prices or (0.0, np.inf)), 0.0
+        if self.baseline == "top":
+            costs, span = self._learned_costs(names, costs, message), float(self.costs[-1] - self.costs[0])
+        return LearnedValue(costs, price, prices, span, network, self.centre, self.spread, models, self.baseline)
+
+    def _learned_costs(self, names: list[str], costs: Costs, message: str) -> Costs:
+        """Return the costs that were learned, which those given must agree with."""
+        known = dict(zip(self.ladder, self.costs, strict=True))
+        learned = np.array([known[name] for name in names])
+        each = np.asarray(costs.each) + np.asarray(costs.base)
+        if not np.allclose(learned, each, rtol=CLOSE, atol=0):
+            now = ",".join(f"{name}={seconds:.9g}" for name, seconds in zip(names, each, strict=True))
+            then = ",".join(f"{name}={known[name]:.9g}" for name in names)
+            raise ValueError(f"{message} at costs of {then}, not {now}; use those costs, or {REMEDY} --costs {now}")
+        return Costs(costs.base, (learned - costs.base).astype(np.float32))
 
 
-def input_names() -> tuple[str, ...]:
+def input_names(baseline: Baseline) -> tuple[str, ...]:
     """Return the names of a network's inputs."""
-    return (*description_names(), "log10 lambda")
+    return (*description_names(), "log10 lambda") if baseline == "top" else description_names(surroundings=True)
 
 
 def save_values(values: Values, path: Path) -> None:
     """Write learned values as a NumPy archive, atomically."""
-    about = {
-        "version": VERSION,
-        "costs": dict(values.costs),
-        "prices": list(values.prices),
-        "inputs": list(values.inputs),
-        "provenance": dict(values.provenance),
-    }
-    write_network(path, NetworkFile(about, values.network, values.centre, values.spread))
+    named = ("ladder", "costs", "prices", "baseline", "inputs", "provenance")
+    about = {"version": VERSION, **{name: getattr(values, name) for name in named}}
+    arrays: dict[str, Any] = {"about": np.array(json.dumps(about, default=dict))}
+    arrays |= {"centre": values.centre, "spread": values.spread}
+    for number, (weights, biases) in enumerate(values.network):
+        arrays |= {f"weights_{number}": np.asarray(weights), f"biases_{number}": np.asarray(biases)}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)
 
 
-def load_values(which: str | PathLike[str]) -> Values:
+def load_values(which: str | PathLike[str], humans: int = 1) -> Values:
     """Read learned values: those that come with the package (`SHIPPED_VALUES`), or a file that `save_values` wrote.
+
+    Args:
+        which: values.
+        humans: their number, which tells which of the package's values serve.
 
     Raises:
         ValueError: if the file cannot be read, is damaged, or is of another version.
     """
     if which == SHIPPED_VALUES:
-        return _shipped()
+        return _shipped(SHIPPED_FILES[humans > 1])
     try:
         return _read(Path(which), Path(which).stat().st_mtime_ns)
     except OSError as error:
@@ -125,8 +161,8 @@ def load_values(which: str | PathLike[str]) -> Values:
 
 
 @cache
-def _shipped() -> Values:
-    with resources.as_file(resources.files("ms_highway") / "data" / "values.npz") as path:
+def _shipped(name: str) -> Values:
+    with resources.as_file(resources.files("ms_highway") / "data" / name) as path:
         return _read(path, 0)
 
 
@@ -134,18 +170,20 @@ def _shipped() -> Values:
 def _read(path: Path, changed: int) -> Values:
     """Read a file, once for every time that it was ``changed``."""
     try:
-        about, network, centre, spread = read_network(path)
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        about = json.loads(str(arrays["about"]))
         if about["version"] != VERSION:
             raise ValueError(f"it is of version {about['version']}, not {VERSION}")
+        layers = range((len(arrays) - 3) // 2)
         return Values(
-            network,
-            centre,
-            spread,
-            about["costs"],
-            tuple(about["prices"]),
-            tuple(about["inputs"]),
-            about["provenance"],
-            str(path),
+            network=tuple((arrays[f"weights_{number}"], arrays[f"biases_{number}"]) for number in layers),
+            centre=arrays["centre"],
+            spread=arrays["spread"],
+            **{name: tuple(about[name]) for name in ("ladder", "costs", "prices", "inputs")},
+            baseline=about["baseline"],
+            provenance=about["provenance"],
+            place=str(path),
         )
     except DAMAGES as error:
         raise ValueError(f"{path} is damaged or no file of learned values: {error}; {REMEDY} --out {path}") from error

@@ -3,41 +3,37 @@
 Where the reward is not concave, its negative Hessian plus a multiple of the identity is factored: no eigenvalues.
 """
 
-from collections.abc import Callable
-from typing import TypeAlias
-
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
-from jaxtyping import Bool, Float
 
-from ms_highway.optimization.second_derivatives import Trajectory, second_order_expansion
+from ms_highway.optimization.arrays import Controls
+from ms_highway.optimization.objective import Objective, best_of
+from ms_highway.runtime.arrays import Flag, Matrix, Scalar, Vector
 
-__all__ = ["SHARES", "best_of", "damped_factor", "damped_newton_steps", "damped_solve"]
+STEPS = 4
+"""Usual number of steps of a plan."""
 
-STEPS = 4  # of a plan
 SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 10, 1 / 32, 0], dtype=np.float32)
 """Shares of a step that a line search tries."""
 
 LEAST_DAMPING, GROWTH, MOST_DAMPING = 1.0, 6.0, 1e7  # reward per squared scaled control
 
-Controls: TypeAlias = Float[jax.Array, "steps 2"]
 
-
-def damped_factor(hessian: Float[jax.Array, "n n"]) -> Float[jax.Array, "n n"]:
+def damped_factor(hessian: Matrix) -> Matrix:
     """Return the lower Cholesky factor of ``d I - H``, with the first d of 1, 6, 36, ... for which there is one."""
     symmetric, identity = (hessian + hessian.T) / 2, jnp.eye(len(hessian))
 
-    def factored(damping: Float[jax.Array, ""]) -> Float[jax.Array, "n n"]:
+    def factored(damping: Scalar) -> Matrix:
         return jnp.linalg.cholesky(damping * identity - symmetric, symmetrize_input=False)
 
-    def fails(tried: tuple[Float[jax.Array, ""], Float[jax.Array, "n n"]]) -> Bool[jax.Array, ""]:
+    def fails(tried: tuple[Scalar, Matrix]) -> Flag:
         return ~jnp.isfinite(tried[1]).all() & (tried[0] < MOST_DAMPING)
 
     def grow(
-        tried: tuple[Float[jax.Array, ""], Float[jax.Array, "n n"]],
-    ) -> tuple[Float[jax.Array, ""], Float[jax.Array, "n n"]]:
+        tried: tuple[Scalar, Matrix],
+    ) -> tuple[Scalar, Matrix]:
         damping = GROWTH * tried[0]
         return damping, factored(damping)
 
@@ -45,35 +41,21 @@ def damped_factor(hessian: Float[jax.Array, "n n"]) -> Float[jax.Array, "n n"]:
     return jax.lax.while_loop(fails, grow, (least, factored(least)))[1]
 
 
-def damped_solve(factor: Float[jax.Array, "n n"], vector: Float[jax.Array, "n"]) -> Float[jax.Array, "n"]:
+def damped_solve(factor: Matrix, vector: Vector) -> Vector:
     """Return ``(d I - H)^-1 vector`` by the factor of `damped_factor`; zero where that is not finite."""
     solved = cho_solve((factor, True), vector)
     return jnp.where(jnp.isfinite(solved).all(), solved, 0.0)
 
 
-def best_of(candidates: Float[jax.Array, "n *shape"], earned: Float[jax.Array, "n"]) -> Float[jax.Array, "*shape"]:
-    """Return the candidate that earns most of those that earn something finite; NaN where none does."""
-    known = jnp.isfinite(earned)
-    best = candidates[jnp.argmax(jnp.where(known, earned, -jnp.inf))]
-    return jnp.where(known.any(), best, jnp.nan)
-
-
-def damped_newton_steps(
-    path: Callable[[Controls], Trajectory],
-    reward: Callable[[Trajectory], Float[jax.Array, ""]],
-    cost: Callable[[Controls], Float[jax.Array, ""]],
-    start: Controls,
-    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
-) -> Controls:
-    """Improve controls by 4 damped Newton steps; for the arguments see `ms_highway.optimization.solvers`.
+def damped_newton_steps(objective: Objective, start: Controls, steps: int = STEPS) -> Controls:
+    """Improve controls by some damped Newton steps.
 
     The line search takes the best of six shares of each step, projected on the limits; the last share is no step.
     """
 
     def improve(_: int, controls: Controls) -> Controls:
-        expansion = second_order_expansion(path, reward, controls, cost)
+        expansion = objective.expand(controls)
         step = damped_solve(damped_factor(expansion.hessian), expansion.gradient).reshape(controls.shape)
-        candidates = bounded(controls + SHARES[:, None, None] * step)
-        return best_of(candidates, jax.vmap(lambda tried: reward(path(tried)) - cost(tried))(candidates))
+        return best_of(*objective.search_line(controls, step, SHARES))
 
-    return jax.lax.fori_loop(0, STEPS, improve, bounded(start))
+    return jax.lax.fori_loop(0, steps, improve, objective.bounded(start))

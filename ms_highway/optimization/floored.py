@@ -4,11 +4,11 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-__all__ = ["floored"]
+from ms_highway.runtime.arrays import Scalar
 
 
 @jax.custom_jvp
-def floored(symmetric: Float[jax.Array, "d d"], floor: Float[jax.Array, ""]) -> Float[jax.Array, "d d"]:
+def floored(symmetric: Float[jax.Array, "d d"], floor: Scalar) -> Float[jax.Array, "d d"]:
     """Return a symmetric matrix with its eigenvalues below a floor set to the floor.
 
     Its derivative is exact also at equal eigenvalues, where those of the eigenvectors are not finite: with divided

@@ -1,16 +1,15 @@
 """Newton's method with a line search: a fixed number of steps for plans, or steps until an optimum is found."""
 
-from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
 
-from ms_highway.optimization.second_derivatives import Trajectory, damped_inverse, second_order_expansion
-
-__all__ = ["Optimum", "find_optimum", "newton_steps"]
+from ms_highway.optimization.arrays import Controls
+from ms_highway.optimization.objective import Objective, best_of
+from ms_highway.optimization.second_derivatives import damped_inverse
+from ms_highway.runtime.arrays import Flag, Matrix
 
 STEPS = 16  # of a plan
 HESSIAN_EVERY = 8  # steps; in between, the last Hessian serves
@@ -21,8 +20,6 @@ MOST_STEPS = 50  # of the search for an optimum
 FINE_SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(np.float32)  # of its steps
 TOLERANCE = 1e-3  # reward per scaled control, the gradient at which an optimum counts as found
 NOISE = 1e-6  # of a reward, relative, in float32
-
-Controls: TypeAlias = Float[jax.Array, "steps 2"]
 
 
 class Optimum(NamedTuple):
@@ -36,92 +33,56 @@ class Optimum(NamedTuple):
 
     controls: Controls
     gradient: Controls
-    hessian: Float[jax.Array, "n n"]
+    hessian: Matrix
 
 
-def newton_steps(
-    path: Callable[[Controls], Trajectory],
-    reward: Callable[[Trajectory], Float[jax.Array, ""]],
-    cost: Callable[[Controls], Float[jax.Array, ""]],
-    start: Controls,
-    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
-) -> Controls:
-    """Improve controls by 16 Newton steps, see `ms_highway.optimization.solvers`, also for the arguments."""
-
-    def earned(controls: Controls) -> Float[jax.Array, ""]:
-        return reward(path(controls)) - cost(controls)
+def newton_steps(objective: Objective, start: Controls) -> Controls:
+    """Improve controls by 16 Newton steps, see `ms_highway.optimization.solvers.optimize_controls`."""
 
     def with_hessian(_: int, controls: Controls) -> Controls:
-        metric = damped_inverse(second_order_expansion(path, reward, controls, cost).hessian, FLOOR)
+        metric = damped_inverse(objective.expand(controls).hessian, FLOOR)
 
         def improve(_: int, controls: Controls) -> Controls:
-            candidates, rewards = _search_line(earned, bounded, controls, metric, jax.grad(earned)(controls), SHARES)
-            return candidates[jnp.argmax(jnp.where(jnp.isfinite(rewards), rewards, -jnp.inf))]
+            step = (metric @ jax.grad(objective.earned)(controls).ravel()).reshape(controls.shape)
+            return best_of(*objective.search_line(controls, step, SHARES))
 
         return jax.lax.fori_loop(0, HESSIAN_EVERY, improve, controls)
 
-    return jax.lax.fori_loop(0, STEPS // HESSIAN_EVERY, with_hessian, bounded(start))
+    return jax.lax.fori_loop(0, STEPS // HESSIAN_EVERY, with_hessian, objective.bounded(start))
 
 
 Search: TypeAlias = tuple[int, Controls, Optimum]
-"""Number of steps taken, the controls to look at next, and what was found at the last ones."""
+"""Scalar of steps taken, the controls to look at next, and what was found at the last ones."""
 
 
-def find_optimum(
-    path: Callable[[Controls], Trajectory],
-    reward: Callable[[Trajectory], Float[jax.Array, ""]],
-    cost: Callable[[Controls], Float[jax.Array, ""]],
-    start: Controls,
-    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
-    floor: float,
-) -> Optimum:
+def find_optimum(objective: Objective, start: Controls, floor: float) -> Optimum:
     """Find the local optimum that is uphill from the start.
 
     Takes Newton steps with a Hessian of their own each, until no component of the gradient exceeds 1e-3, or no step
     earns more, or 50 steps are taken. Where float32 cannot tell which controls earn more, takes whole steps.
 
     Args:
-        path: the path under scaled controls.
-        reward: what a path earns; no step may look at another.
-        cost: what is paid for the controls themselves, a sum over them.
+        objective: to maximise; no step of a path may look at another.
         start: the first controls, scaled.
-        bounded: the nearest controls within the limits.
         floor: the Hessian's eigenvalues l become ``-max(|l|, floor)``.
     """
 
-    def earned(controls: Controls) -> Float[jax.Array, ""]:
-        return reward(path(controls)) - cost(controls)
-
-    def climbing(search: Search) -> Bool[jax.Array, ""]:
+    def climbing(search: Search) -> Flag:
         count, controls, last = search
         moved = (count == 0) | (controls != last.controls).any()
         return moved & (count < MOST_STEPS) & (jnp.abs(last.gradient).max() > TOLERANCE)
 
     def improve(search: Search) -> Search:
         count, controls, _ = search
-        # The chain rule spares most of what XLA would have to compile for the Hessian of everything at once.
-        expansion = second_order_expansion(path, reward, controls, cost)
+        expansion = objective.expand(controls)
         gradient, metric = expansion.gradient.reshape(controls.shape), damped_inverse(expansion.hessian, floor)
-        candidates, rewards = _search_line(earned, bounded, controls, metric, gradient, FINE_SHARES)
+        step = (metric @ gradient.ravel()).reshape(controls.shape)
+        candidates, rewards = objective.search_line(controls, step, FINE_SHARES)
         gains, noise = rewards - rewards[-1], NOISE * (1 + jnp.abs(rewards[-1]))
         settling = (gains.max() <= noise) & (gains[0] >= -noise)
         chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
         return count + 1, chosen, Optimum(controls, gradient, expansion.hessian)
 
-    start = bounded(start)
+    start = objective.bounded(start)
     unknown = Optimum(start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size)))
     return jax.lax.while_loop(climbing, improve, (0, start, unknown))[-1]
-
-
-def _search_line(
-    earned: Callable[[Controls], Float[jax.Array, ""]],
-    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
-    controls: Controls,
-    metric: Float[jax.Array, "n n"],
-    gradient: Controls,
-    shares: Float[np.ndarray, "shares"],
-) -> tuple[Float[jax.Array, "shares steps 2"], Float[jax.Array, "shares"]]:
-    """Controls after shares of the step ``metric @ gradient``, within the limits, and what they earn."""
-    step = (metric @ gradient.ravel()).reshape(controls.shape)
-    candidates = bounded(controls + shares[:, None, None] * step)
-    return candidates, jax.vmap(earned)(candidates)

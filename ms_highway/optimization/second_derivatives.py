@@ -7,20 +7,11 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-__all__ = [
-    "Expansion",
-    "Influence",
-    "Trajectory",
-    "damped_inverse",
-    "eigenpairs",
-    "jacobian_and_hessian",
-    "response",
-    "second_order_expansion",
-]
+from ms_highway.optimization.arrays import Controls, Trajectory
+from ms_highway.runtime.arrays import Matrix, Numbers, Scalar, Vector
 
 Influence: TypeAlias = Literal["exact", "damped"]
 
-Trajectory: TypeAlias = Float[jax.Array, "fields steps"]
 """Motion of one car over the steps of a plan, the fields of its `ms_highway.game.dynamics.Motion` stacked."""
 
 
@@ -33,16 +24,16 @@ class Expansion(NamedTuple):
         jacobian: of the trajectory in the controls.
     """
 
-    gradient: Float[jax.Array, "n"]
-    hessian: Float[jax.Array, "n n"]
+    gradient: Vector
+    hessian: Matrix
     jacobian: Float[jax.Array, "fields steps n"]
 
 
 def second_order_expansion(
-    path: Callable[[Float[jax.Array, "steps 2"]], Trajectory],
-    reward: Callable[[Trajectory], Float[jax.Array, ""]],
-    controls: Float[jax.Array, "steps 2"],
-    cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]] | None = None,
+    path: Callable[[Controls], Trajectory],
+    reward: Callable[[Trajectory], Scalar],
+    controls: Controls,
+    cost: Callable[[Controls], Scalar] | None = None,
 ) -> Expansion:
     """Compute gradient and Hessian, by the chain rule, of a reward that is a sum over the steps of a trajectory.
 
@@ -60,7 +51,7 @@ def second_order_expansion(
         cost: of the controls themselves, a sum over them; subtracted from the reward.
     """
 
-    def ravelled(controls: Float[jax.Array, "n"]) -> Trajectory:
+    def ravelled(controls: Vector) -> Trajectory:
         return path(controls.reshape(-1, 2))
 
     point = controls.ravel()
@@ -81,19 +72,19 @@ def second_order_expansion(
 
 
 def jacobian_and_hessian(
-    function: Callable[[Float[jax.Array, "*shape"]], jax.Array],
-) -> Callable[[Float[jax.Array, "*shape"]], tuple[jax.Array, jax.Array]]:
+    function: Callable[[Numbers], jax.Array],
+) -> Callable[[Numbers], tuple[jax.Array, jax.Array]]:
     """Return a function's first and second derivative, [*value, *shape] and [*value, *shape, *shape].
 
     Both are computed in forward mode, which takes fewer operations than reverse mode where variables are few.
     """
     slope = jax.jacfwd(function)
 
-    def both(variables: Float[jax.Array, "*shape"]) -> tuple[jax.Array, jax.Array]:
+    def both(variables: Numbers) -> tuple[jax.Array, jax.Array]:
         value = slope(variables)
         return value, value
 
-    def derivatives(variables: Float[jax.Array, "*shape"]) -> tuple[jax.Array, jax.Array]:
+    def derivatives(variables: Numbers) -> tuple[jax.Array, jax.Array]:
         bend, value = jax.jacfwd(both, has_aux=True)(variables)
         return value, bend
 
@@ -101,7 +92,7 @@ def jacobian_and_hessian(
 
 
 def response(
-    influence: Influence, hessian: Float[jax.Array, "n n"], vector: Float[jax.Array, "n *columns"]
+    influence: Influence, hessian: Matrix, vector: Float[jax.Array, "n *columns"]
 ) -> Float[jax.Array, "n *columns"]:
     """Compute ``-H^-1 vector``: how the optimum of a reward with Hessian H moves if its gradient changes by ``vector``.
 
@@ -117,13 +108,13 @@ def response(
     return -jnp.linalg.solve(hessian, vector)
 
 
-def damped_inverse(hessian: Float[jax.Array, "n n"], floor: float) -> Float[jax.Array, "n n"]:
+def damped_inverse(hessian: Matrix, floor: float) -> Matrix:
     """Compute ``-H^-1`` with H's eigenvalues l replaced by ``-max(|l|, floor)``: positive definite, so steps ascend."""
     values, vectors = eigenpairs(hessian)
     return (vectors / jnp.maximum(jnp.abs(values), floor)) @ vectors.T
 
 
-def eigenpairs(symmetric: Float[jax.Array, "n n"]) -> tuple[Float[jax.Array, "n"], Float[jax.Array, "n n"]]:
+def eigenpairs(symmetric: Matrix) -> tuple[Vector, Matrix]:
     """Return eigenvalues, ascending, and eigenvectors in columns.
 
     In closed form for 2 x 2, which XLA can fuse with the surrounding operations, unlike a call of LAPACK.

@@ -2,20 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import jax
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
-from ms_highway.optimization.damped_newton import damped_newton_steps
+from ms_highway.optimization.arrays import Control, Controls
+from ms_highway.optimization.damped_newton import STEPS, damped_newton_steps
 from ms_highway.optimization.newton import newton_steps
-from ms_highway.optimization.second_derivatives import Trajectory
-from ms_highway.runtime.arrays import Array
+from ms_highway.optimization.objective import Objective
+from ms_highway.runtime.arrays import Scalar
 
-__all__ = ["Planner", "Solver", "optimize_controls", "project", "projected_ascent"]
-
-Controls = TypeVar("Controls", bound=PyTree)
+Point = TypeVar("Point", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton", "damped_newton"]
 
 
@@ -33,16 +32,21 @@ class Planner:
         step_size: length of a gradient step per unit of gradient.
         horizon: number of planned controls, K in the paper (static).
         iterations: number of gradient steps (static).
+        newton_steps: number of steps of the solver ``damped_newton`` (static).
         solver: ``gradient``, the paper's, ``newton`` or ``damped_newton``, see `optimize_controls` (static).
+        persistent: whether plans start from the rest of the last one, and give way to a simple manoeuvre where they run
+            into an obstacle (static).
     """
 
-    control_scale: Float[Array, "2"]
-    control_limit: Float[Array, "2"]
-    grip: float | Float[Array, ""] | None = None
-    step_size: float | Float[Array, ""] = 0.03
+    control_scale: Control
+    control_limit: Control
+    grip: Scalar | None = None
+    step_size: Scalar = 0.03
     horizon: int = field(default=5, metadata={"static": True})
     iterations: int = field(default=20, metadata={"static": True})
+    newton_steps: int = field(default=STEPS, metadata={"static": True})
     solver: Solver = field(default="gradient", metadata={"static": True})
+    persistent: bool = field(default=False, metadata={"static": True})
 
 
 def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[jax.Array, "*batch 2"]:
@@ -53,38 +57,33 @@ def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[j
 
 def projected_ascent(
     planner: Planner,
-    direction: Callable[[Controls], Controls],
-    start: Controls,
-    bounded: Callable[[Controls], Controls],
-) -> Controls:
-    """Improve controls by ``iterations`` projected steps, ``z <- bounded(z + step_size * direction(z))``.
+    direction: Callable[[Point], Point],
+    start: Point,
+    bounded: Callable[[Point], Point],
+    steps: Any = None,
+) -> Point:
+    """Improve controls by projected steps, ``z <- bounded(z + step_size * direction(z))``.
 
     Args:
         planner: step size and number of steps.
         direction: of ascent at given controls; the gradient of the objective for gradient ascent.
         start: first controls, an array [..., 2] or a pytree of them, scaled.
         bounded: projects scaled controls on their limits.
+        steps: their number, the planner's ``iterations`` by default.
 
     Returns:
         The improved controls, like ``start``, within the limits.
     """
 
-    def improve(_: int, controls: Controls) -> Controls:
+    def improve(_: int, controls: Point) -> Point:
         slopes = direction(controls)
         return bounded(jax.tree.map(lambda u, slope: u + planner.step_size * slope, controls, slopes))
 
-    return jax.lax.fori_loop(0, planner.iterations, improve, start)
+    return jax.lax.fori_loop(0, planner.iterations if steps is None else steps, improve, start)
 
 
-def optimize_controls(
-    planner: Planner,
-    path: Callable[[Float[jax.Array, "steps 2"]], Trajectory],
-    reward: Callable[[Trajectory], Float[jax.Array, ""]],
-    cost: Callable[[Float[jax.Array, "steps 2"]], Float[jax.Array, ""]],
-    start: Float[jax.Array, "steps 2"],
-    bounded: Callable[[Float[jax.Array, "*batch steps 2"]], Float[jax.Array, "*batch steps 2"]],
-) -> Float[jax.Array, "steps 2"]:
-    """Maximise ``reward(path(controls)) - cost(controls)`` over the controls, locally, by the planner's solver.
+def optimize_controls(planner: Planner, objective: Objective, start: Controls) -> Controls:
+    """Maximise an objective locally, from scaled controls, by the planner's solver.
 
     * ``gradient``: `projected_ascent` along the reward's gradient g, the paper's solver.
     * ``newton``: 16 steps along ``sum_i v_i v_i^T g / max(|l_i|, 12)``, with the eigenpairs (l_i, v_i) of the Hessian,
@@ -93,20 +92,9 @@ def optimize_controls(
       Unlike the gradient, it sees jumps of the reward, such as the cost of a collision.
     * ``damped_newton``: a few Newton steps with a Hessian each, damped until it can be factored: for horizons of
       seconds, see `ms_highway.optimization.damped_newton`.
-
-    Args:
-        planner: solver and step size.
-        path: trajectory under scaled controls.
-        reward: of a trajectory, a sum over its steps.
-        cost: of the controls themselves, a sum over them.
-        start: first controls, scaled.
-        bounded: projects scaled controls on their limits.
     """
-
-    def earned(controls: Float[jax.Array, "steps 2"]) -> Float[jax.Array, ""]:
-        return reward(path(controls)) - cost(controls)
-
     if planner.solver == "gradient":
-        return projected_ascent(planner, jax.grad(earned), start, bounded)
-    steps = newton_steps if planner.solver == "newton" else damped_newton_steps
-    return steps(path, reward, cost, start, bounded)
+        return projected_ascent(planner, jax.grad(objective.earned), start, objective.bounded)
+    if planner.solver == "newton":
+        return newton_steps(objective, start)
+    return damped_newton_steps(objective, start, planner.newton_steps)

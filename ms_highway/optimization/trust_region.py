@@ -4,13 +4,9 @@ from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
 
 from ms_highway.optimization.second_derivatives import eigenpairs
-from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.reductions import unrolled_sum
-
-__all__ = ["trust_region_step"]
+from ms_highway.runtime.arrays import Flag, Index, Matrix, Scalar, Vector, unrolled_sum
 
 HALVINGS = 60  # of the shift's bracket at most: more than float32 resolves
 
@@ -18,22 +14,22 @@ HALVINGS = 60  # of the shift's bracket at most: more than float32 resolves
 class _Bracket(NamedTuple):
     """Bounds of the shift, the number of halvings, and by how much the step at their middle leaves the ball."""
 
-    low: Float[jax.Array, ""]
-    high: Float[jax.Array, ""]
-    halvings: Int[jax.Array, ""]
-    excess: Float[jax.Array, ""]
+    low: Scalar
+    high: Scalar
+    halvings: Index
+    excess: Scalar
 
     @property
-    def middle(self) -> Float[jax.Array, ""]:
+    def middle(self) -> Scalar:
         return (self.low + self.high) / 2
 
 
 def trust_region_step(
-    quadratic: Float[jax.Array, "n n"],
-    linear: Float[jax.Array, "n"],
-    radius: float | Float[Array, ""],
-    tolerance: float | Float[Array, ""] = 0.0,
-) -> Float[jax.Array, "n"]:
+    quadratic: Matrix,
+    linear: Vector,
+    radius: Scalar,
+    tolerance: Scalar = 0.0,
+) -> Vector:
     """Maximise ``x^T A x / 2 + b^T x`` over the ball ``|x| <= radius``.
 
     In A's eigenbasis, with eigenvalues l, the maximiser is ``x = b / (shift + max(l) - l)`` for the smallest
@@ -46,16 +42,16 @@ def trust_region_step(
     gaps = values[-1] - values
     least = jnp.maximum(0.0, -values[-1])
 
-    def at(shift: Float[jax.Array, ""]) -> Float[jax.Array, "n"]:
+    def at(shift: Scalar) -> Vector:
         return jnp.where(along == 0, 0.0, along / (shift + gaps))
 
-    def excess(shift: Float[jax.Array, ""]) -> Float[jax.Array, ""]:
+    def excess(shift: Scalar) -> Scalar:
         return jnp.sqrt(unrolled_sum(at(shift) ** 2)) - radius
 
-    def bracket(low: Float[jax.Array, ""], high: Float[jax.Array, ""], halvings: Int[jax.Array, ""]) -> _Bracket:
+    def bracket(low: Scalar, high: Scalar, halvings: Index) -> _Bracket:
         return _Bracket(low, high, halvings, excess((low + high) / 2))
 
-    def unfinished(found: _Bracket) -> Bool[jax.Array, ""]:
+    def unfinished(found: _Bracket) -> Flag:
         return (found.halvings < HALVINGS) & (jnp.abs(found.excess) > tolerance * radius)
 
     def halve(found: _Bracket) -> _Bracket:

@@ -2,76 +2,118 @@
 
 from collections.abc import Sequence
 from functools import cache
-from statistics import median
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.arrays import Rungs, State
 from ms_highway.game.game import Game
-from ms_highway.planning.human_models import HumanModel, JointPlan, human_model, plan_within_limits
+from ms_highway.optimization.arrays import Control
+from ms_highway.planning.human_models import HumanModel, human_model
+from ms_highway.planning.plans import Plan, cold_start
+from ms_highway.planning.several import plan_for
+from ms_highway.planning.way_out import keep_way_out
+from ms_highway.runtime.arrays import Array, Scalar
 from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up
 
-__all__ = ["CompiledPlans", "checked_state", "measure_costs", "plan", "plan_function"]
 
-State = Float[jax.Array, "cars 4"]
+class Costs(NamedTuple):
+    """Planning time, additive in the humans: ``T = base + sum_i each[rung_i]`` [s].
+
+    Attributes:
+        base: of a plan in which every human is predicted by the first rung; 0 with one human.
+        each: what a human adds under each rung; with one human, T(M) of the whole plan.
+    """
+
+    base: Scalar
+    each: Float[Array, "rungs"]
+
+    @classmethod
+    def of(cls, seconds: Sequence[float], humans: int) -> "Costs":
+        """Return the costs that follow from plans in which one human is on each rung, and the others on the first."""
+        base = float(seconds[0]) if humans > 1 else 0.0
+        return cls(base, np.asarray(seconds) - base)
 
 
 class CompiledPlans:
-    """Plan in a game under each human model, compiled once for all games of the same shapes.
+    """Plan in a game with the models of a ladder, compiled once for all games of the same shapes.
+
+    With one human, each model has a function of its own; among several, one serves all assignments.
 
     Args:
         game: may differ in numbers from the games that it was compiled for.
+        ladder: human models.
     """
 
-    def __init__(self, game: Game) -> None:
+    def __init__(self, game: Game, ladder: Sequence[HumanModel]) -> None:
+        self.game, self.ladder = game, tuple(ladder)
         self._numbers, self._layout = pack(game)
-        self._steps = game.planner.horizon
 
-    def plan(
-        self, model: HumanModel, state: Float[np.ndarray, "cars 4"], start: JointPlan | None = None
-    ) -> tuple[JointPlan, float]:
+    def plan(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple[Plan, float]:
         """Return the scaled plan in a `checked_state`, in NumPy arrays, and the seconds that it took.
 
         Args:
-            model: human model that plans.
             state: all cars now.
-            start: scaled plan to improve; by default, zero controls.
+            rungs: of every human.
+            start: scaled plan to improve; by default, `ms_highway.planning.plans.cold_start`.
         """
-        plan, seconds = timed(self.function(model), *self.arguments(state, start))
-        return JointPlan(*np.asarray(plan)), seconds
+        function, *arguments = self.call(state, rungs, start)
+        plan, seconds = timed(function, *arguments)
+        plan = np.asarray(plan)
+        return Plan(plan[0], plan[1:]), seconds
 
-    def warm_up(self, models: Sequence[HumanModel], state: Float[np.ndarray, "cars 4"]) -> float:
-        """Compile and run once those models' plans that have not run before; return the seconds spent."""
-        arguments = self.arguments(state)
-        return sum((warm_up(self.function(model), *arguments) for model in models), 0.0)
+    def call(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple:
+        """Return the compiled function of a plan, see `plan_function`, and its arguments."""
+        begin: Any
+        if start is not None:
+            begin = np.concatenate([start.robot[None], start.humans], dtype=np.float32)
+        elif self.game.planner.solver == "damped_newton":
+            begin = np.concatenate(
+                [np.asarray(part).reshape(-1, *part.shape[-2:]) for part in cold_start(self.game, state)]
+            )
+        else:
+            begin = _still(1 + self.game.number, self.game.planner.horizon)
+        if self.game.number > 1:
+            return plan_function(self.ladder, self._layout), self._numbers, state, begin, np.asarray(rungs, np.int32)
+        model = self.ladder[int(rungs[0])]
+        fuses = not model.responds and self.game.planner.solver != "damped_newton"
+        return plan_function((model,), self._layout, fuses), self._numbers, state, begin
 
-    def function(self, model: HumanModel) -> jax.stages.Wrapped:
-        """Return the compiled function of a model's plans, which takes `arguments`; see `plan_function`."""
-        return plan_function(model, self._layout)
+    def warm_up(self, state: State) -> float:
+        """Compile and run the plans that have not run before; return the seconds spent."""
+        several = self.game.number > 1
+        assignments = [[rung] * self.game.number for rung in range(1 if several else len(self.ladder))]
+        return sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)
 
-    def arguments(
-        self, state: Float[np.ndarray, "cars 4"], start: JointPlan | None = None
-    ) -> tuple[np.ndarray, np.ndarray, jax.Array]:
-        """Return the arguments of a `plan_function`."""
-        begin = _still(self._steps) if start is None else jnp.asarray(np.asarray(start, dtype=np.float32))
-        return self._numbers, state, begin
+    def keep_way_out(self, state: State, control: Control) -> tuple[Control, bool, float]:
+        """Return the scaled control to execute, whether it is an escape's, and the seconds that it took.
+
+        See `ms_highway.planning.way_out.keep_way_out`.
+        """
+        escape, seconds = timed(way_out_function(self._layout), self._numbers, state, np.asarray(control, np.float32))
+        return np.asarray(escape.control), bool(escape.replaced), seconds
+
+    def warm_up_way_out(self, state: State) -> float:
+        """Compile and run what looks for a way out if it has not run before; return the seconds spent."""
+        return warm_up(way_out_function(self._layout), self._numbers, state, np.zeros(2, np.float32))
 
 
-def plan(game: Game, state: Float[np.ndarray, "cars 4"], model: HumanModel | str = "tom") -> JointPlan:
-    """Plan in one situation: the robot's controls, and the human's that it counts on, [steps, 2] each.
+def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
+    """Plan in one situation: the robot's controls [steps, 2], and those of the humans that it counts on.
 
     Controls are curvatures [1/m] and accelerations before friction [m/s^2]: with the paper's friction, 4 m/s^2 keep
     20 m/s. Compiled once for all games of the same shapes.
 
     Args:
         game: what is played, see `ms_highway.game.scenario`.
-        state: x, y [m], heading [rad], speed [m/s] of all cars, the robot first, then its partner.
-        model: the human model, or its name.
+        state: x, y [m], heading [rad], speed [m/s] of all cars: the robot, the humans, then scripted cars.
+        model: the human model of all humans, or its name.
 
     Raises:
         TypeError: if the game is none.
@@ -81,36 +123,47 @@ def plan(game: Game, state: Float[np.ndarray, "cars 4"], model: HumanModel | str
         raise TypeError(f"the game is {game!r}; make a ms_highway.Game with ms_highway.build_game or driving_game")
     refuse_after_fork()
     known = human_model(model) if isinstance(model, str) else model
-    planned, _ = CompiledPlans(game).plan(known, checked_state(state))
+    planned, _ = CompiledPlans(game, [known]).plan(checked_state(state), [0] * game.number)
     scale = np.asarray(game.planner.control_scale, dtype=float)
-    return JointPlan(*(np.asarray(side) * scale for side in planned))
+    return Plan(planned.robot * scale, planned.humans * scale)
 
 
 @cache
-def _still(steps: int) -> Float[jax.Array, "2 steps 2"]:
-    """Return zero controls for both players."""
-    return jnp.zeros((2, steps, 2))
+def _still(cars: int, steps: int) -> Array:
+    """Return zero controls of some cars."""
+    return jnp.zeros((cars, steps, 2))
 
 
 @cache
-def plan_function(model: HumanModel, layout: Layout) -> jax.stages.Wrapped:
-    """Compile `plan_within_limits` once for all games of a layout.
+def plan_function(ladder: tuple[HumanModel, ...], layout: Layout, fuses: bool = False) -> jax.stages.Wrapped:
+    """Compile `ms_highway.planning.several.plan_for` once for all games of a layout.
 
-    The compiled function takes the numbers of a packed game, all cars now, and the plan to start from; plans are arrays
-    [2, steps, 2] of the robot's and the human's scaled controls.
+    The compiled function takes the numbers of a packed game, all cars now, the plan to start from, an array [cars,
+    steps, 2] of the scaled controls of robot and humans, and, with several humans, their rungs. It returns such a plan.
+
+    Args:
+        ladder: human models; with one human, the one that predicts it.
+        layout: of the game.
+        fuses: whether to compile one kernel, of which calls of LAPACK (`eigh`, `solve`, `cholesky`) cannot be part.
     """
 
-    def plan(
-        numbers: Float[jax.Array, "n"], state: State, start: Float[jax.Array, "2 steps 2"]
-    ) -> Float[jax.Array, "2 steps 2"]:
-        return jnp.stack(plan_within_limits(model, layout.unpack(numbers), state, JointPlan(*start)))
+    def plan(numbers: Array, state: State, start: Array, rungs: Rungs | None = None) -> Array:
+        robot, humans = plan_for(ladder, layout.unpack(numbers), state, rungs, Plan(start[0], start[1:]))
+        return jnp.concatenate([robot[None], humans])
 
-    if model.responds:  # by LAPACK (`eigh` or `solve`), whose calls cannot be part of a kernel
-        return jax.jit(plan, compiler_options=known_options(QUICKLY))
-    return jax.jit(in_one_kernel(plan))
+    return jax.jit(in_one_kernel(plan)) if fuses else jax.jit(plan, compiler_options=known_options(QUICKLY))
 
 
-def checked_state(state: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars 4"]:
+@cache
+def way_out_function(layout: Layout) -> jax.stages.Wrapped:
+    """Compile `keep_way_out` once for all games of a layout; it takes a packed game, all cars, and a scaled control."""
+    return jax.jit(
+        lambda numbers, state, control: keep_way_out(layout.unpack(numbers), state, control),
+        compiler_options=known_options(QUICKLY),
+    )
+
+
+def checked_state(state: State) -> State:
     """Copy a state in single precision, which is faster than a conversion by JAX.
 
     Raises:
@@ -130,14 +183,36 @@ def checked_state(state: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars
 
 
 def measure_costs(
-    game: Game, ladder: Sequence[HumanModel], state: Float[np.ndarray, "cars 4"], repeats: int = 20
-) -> Float[np.ndarray, "rungs"]:
-    """Measure T(M) on this machine: the median seconds of a warm plan in this state, for each model.
+    game: Game,
+    ladder: Sequence[HumanModel],
+    state: State,
+    repeats: int = 20,
+    quantile: float = 0.5,
+    way_out: bool = False,
+) -> Costs:
+    """Measure T on this machine, by warm plans in this state with all humans on the same rung.
+
+    Args:
+        game: that is played.
+        ladder: human models.
+        state: all cars.
+        repeats: number of plans that are timed on each rung.
+        quantile: of their seconds: the median by default; close to 1 for budgets.
+        way_out: whether the check of the way out counts, too.
 
     Raises:
         ValueError: if the state is not a finite array [cars, 4] of two cars or more.
     """
     refuse_after_fork()
-    plans, now = CompiledPlans(game), checked_state(state)
-    plans.warm_up(ladder, now)
-    return np.array([median(plans.plan(model, now)[1] for _ in range(repeats)) for model in ladder])
+    plans, now = CompiledPlans(game, ladder), checked_state(state)
+    plans.warm_up(now)
+    if way_out:
+        plans.warm_up_way_out(now)
+
+    def once(rung: int) -> float:
+        plan, seconds = plans.plan(now, [rung] * game.number)
+        return seconds + (plans.keep_way_out(now, plan.robot[0])[2] if way_out else 0.0)
+
+    whole = np.quantile([[once(rung) for _ in range(repeats)] for rung in range(len(ladder))], quantile, axis=1)
+    base = float(whole[0]) if game.number > 1 else 0.0
+    return Costs(base, np.maximum(whole - base, 0.0) / game.number)

@@ -8,17 +8,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import jax
 from jax import numpy as jnp
-from jaxtyping import Float
 
+from ms_highway.game.arrays import State
 from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import MOST_ITERATIONS, SHARE, longest_step
+from ms_highway.optimization.arrays import Controls
+from ms_highway.planning.plans import Plan
 
 if TYPE_CHECKING:
-    from ms_highway.planning.human_models import HumanModel, JointPlan
-
-__all__ = ["BEST", "BEST_LADDER", "Effort", "base_of", "parse", "seconds_of", "starts_warm"]
+    from ms_highway.planning.human_models import HumanModel
 
 NAME = re.compile(r"(?P<model>[^@+]+)(@(?P<steps>[1-9][0-9]{0,8}))?(?P<warm>\+warm)?")
 LENGTH = 0.1  # of a step; at the paper's horizon, some plans overshoot and collide from 0.15 on
@@ -43,7 +42,7 @@ class Effort:
     Steps that are counted are gradient steps, whatever the planner's solver and step size, and as long as is safe: 0.1,
     or `ms_highway.game.planning_settings.SHARE` of the longest where that is shorter, as it is from K = 6 on at 0.1 s.
     What a plan earns depends on the length of all its steps together: 6 of them earn what the paper's 20 of 0.03 earn,
-    and more of them earn more.
+    and more of them earn more. Under the solver ``damped_newton``, its own steps are counted.
 
     Attributes:
         model: human model that plans.
@@ -65,19 +64,19 @@ class Effort:
         """Whether the human responds to the robot's plan."""
         return self.model.responds
 
-    def predict(
-        self, game: Game, state: Float[jax.Array, "cars 4"], start: "JointPlan | None" = None
-    ) -> Float[jax.Array, "steps 2"]:
+    def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """See `ms_highway.planning.human_models.HumanModel`."""
         return self.model.predict(self._game(game), state, start)
 
-    def plan(self, game: Game, state: Float[jax.Array, "cars 4"], start: "JointPlan | None" = None) -> "JointPlan":
+    def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
         """See `ms_highway.planning.human_models.HumanModel`."""
         return self.model.plan(self._game(game), state, start)
 
     def _game(self, game: Game) -> Game:
         if self.steps is None:
             return game
+        if game.planner.solver == "damped_newton":
+            return replace(game, planner=replace(game.planner, newton_steps=self.steps))
         longest = longest_step(game.planner.horizon, time_step=1.0) / jnp.asarray(game.dynamics.time_step) ** 4
         length = jnp.minimum(LENGTH, SHARE * longest)
         return replace(game, planner=replace(game.planner, iterations=self.steps, step_size=length, solver="gradient"))

@@ -1,66 +1,40 @@
-"""Plan under each human model of the ladder: naive, turn and theory of mind.
+"""Plan under each human model of the ladder: naive, IDM, turn and theory of mind.
 
-Anything with the attributes of `HumanModel` is a model. All controls are scaled, see `ms_highway.game.game`.
+Anything with the attributes of `HumanModel` is a model. It predicts one human, in the game of the robot with that human
+alone (`ms_highway.game.game.pair`); `ms_highway.planning.several` plans among several. All controls are scaled, see
+`ms_highway.game.game`.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from math import inf
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, Protocol
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Float
 
-from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, swap_players, trajectory_reward
+from ms_highway.game.arrays import State
+from ms_highway.game.dynamics import keep_velocity, step
+from ms_highway.game.game import Game, constant_velocity, swap_players
 from ms_highway.game.planning_settings import MOST_ITERATIONS
-from ms_highway.optimization.second_derivatives import response, second_order_expansion
-from ms_highway.optimization.solvers import optimize_controls, projected_ascent
+from ms_highway.optimization.arrays import Control, Controls
+from ms_highway.planning.car_following import FAR, idm_acceleration
+from ms_highway.planning.climb import Answering, climb
 from ms_highway.planning.effort import BEST, BEST_LADDER, Effort, base_of, parse
+from ms_highway.planning.plans import Plan, cold_start, plan_against
 
-__all__ = [
-    "MODELS",
-    "PAPER_MODELS",
-    "HumanModel",
-    "JointPlan",
-    "Naive",
-    "TheoryOfMind",
-    "Turn",
-    "cold_start",
-    "human_model",
-    "is_model",
-    "known_models",
-    "ladder",
-    "model_names",
-    "plan_within_limits",
-    "register",
-    "rung_names",
-]
-
-State = Float[jax.Array, "cars 4"]
-Controls = Float[jax.Array, "steps 2"]
-
-
-class JointPlan(NamedTuple):
-    """The robot's controls and the human controls that they expect.
-
-    Scaled in models and starts: times ``game.planner.control_scale``, they are curvatures [1/m] and accelerations
-    before friction [m/s^2], as `ms_highway.planning.compiled_plans.plan` returns them.
-    """
-
-    robot: Controls
-    human: Controls
+HEADWAY, STANDSTILL = 0.1, 1.0  # s and m between bumpers: 3 m at 20 m/s, as in the streams of Dense Merge
 
 
 class HumanModel(Protocol):
-    """A rung of the ladder.
+    """A rung of the ladder, which predicts one human.
 
     Attributes:
         name: in configurations and reports.
         responds: whether the human responds to the robot's plan.
 
-    Models are hashable: a plan is compiled once per model.
+    Models are hashable: a plan is compiled once per model. Among several humans, models other than `TheoryOfMind` are
+    used by their predictions.
     """
 
     @property
@@ -73,133 +47,114 @@ class HumanModel(Protocol):
 
     def __hash__(self) -> int: ...
 
-    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
-        """Predict the human's controls, scaled, see `JointPlan`."""
+    def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
+        """Predict the human's controls, scaled."""
 
-    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-        """Plan against this model of the human, improving ``start``, by default zero controls.
+    def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
+        """Plan against this model of the human, improving ``start``, by default `ms_highway.planning.plans.cold_start`.
 
-        Whoever executes the plan limits it, see `plan_within_limits`.
+        Whoever executes the plan limits it, see `ms_highway.planning.several.plan_for`.
         """
 
 
+class PredictedHuman:
+    """Base of models that predict the human whatever the robot plans; the robot optimises against the prediction."""
+
+    responds: ClassVar[bool] = False
+
+    def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
+        """See `HumanModel.predict`."""
+        raise NotImplementedError
+
+    def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
+        """Optimise the robot's controls against the prediction."""
+        return plan_against(game, state, self.predict(game, state, start)[None], start)
+
+
 @dataclass(frozen=True)
-class Naive:
+class Naive(PredictedHuman):
     """The human keeps its velocity."""
 
     name: ClassVar[str] = "naive"
-    responds: ClassVar[bool] = False
 
-    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+    def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Return the controls that keep the human's speed and heading."""
         return constant_velocity(game, state[1])
 
-    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-        """Optimise the robot's controls against that prediction."""
-        return _plan_against(game, state, self.predict(game, state), start)
+
+@dataclass(frozen=True)
+class IntelligentDriver(PredictedHuman):
+    """The human follows the car ahead in its lane by the Intelligent Driver Model, at most at the speed limit.
+
+    It follows the robot, too, where that is ahead of it; all others keep their velocity.
+    """
+
+    name: ClassVar[str] = "idm"
+
+    def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
+        """Return the controls of a human that keeps its heading and follows."""
+
+        def follow(state: State, _: None) -> tuple[State, Control]:
+            control = following_control(game, state)
+            kept = keep_velocity(game.dynamics, state)
+            return step(game.dynamics, state, kept.at[1].set(control)), control / game.planner.control_scale
+
+        return jax.lax.scan(follow, jnp.asarray(state), None, game.planner.horizon)[1]
+
+
+def following_control(game: Game, state: State) -> Control:
+    """Return the control, not scaled, of car 1 if it follows the car ahead by the Intelligent Driver Model."""
+    scene, own, others = game.scene, state[1], jnp.concatenate([state[:1], state[2:]])
+    offset = others[:, :2] - own[:2]
+    ahead = (offset[:, 0] > 0) & (jnp.abs(offset[:, 1]) < jnp.asarray(scene.lane_width) / 2)
+    gaps = jnp.where(ahead, offset[:, 0] - jnp.asarray(scene.car_size)[0], FAR)
+    limit = jnp.asarray(game.humans.speed_limit)
+    change = idm_acceleration(own[3], limit, gaps.min(), others[gaps.argmin(), 3], HEADWAY, STANDSTILL)
+    return keep_velocity(game.dynamics, own).at[1].add(change)
 
 
 @dataclass(frozen=True)
-class Turn:
+class Turn(PredictedHuman):
     """The human optimises its own reward against a robot that keeps its velocity, whatever the robot plans."""
 
     name: ClassVar[str] = "turn"
-    responds: ClassVar[bool] = False
 
-    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+    def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Return the human's plan against a robot that keeps its velocity."""
-        return Naive().plan(*swap_players(game, state), start and JointPlan(start.human, start.robot)).robot
-
-    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-        """Optimise the robot's controls against that prediction."""
-        return _plan_against(game, state, self.predict(game, state, start), start)
+        mirrored = start and Plan(start.humans[0], start.robot[None])
+        return Naive().plan(*swap_players(game, state), mirrored).robot
 
 
 @dataclass(frozen=True)
 class TheoryOfMind:
-    """The human responds optimally to the robot's plan, and the robot anticipates it.
+    """The human responds optimally to the robot's plan, and the robot anticipates it, see `ms_highway.planning.climb`.
 
-    Both plans are improved together. With J = -(d2R_H/du_H2)^-1 d2R_H/du_H du_R at the current controls, the robot
-    steps along ``dR_R/du_R + J^T dR_R/du_H`` and the human along ``dR_H/du_H``. J is never formed (adjoint method): one
-    response of the human to ``dR_R/du_H`` and one derivative of ``dR_H/du_H`` along it give J^T dR_R/du_H. Always uses
-    gradient steps, whatever the planner's solver: a joint ascent has no single objective for a line search.
+    Under the planner's solvers ``gradient`` and ``newton``, plans take gradient steps: a joint ascent has no single
+    objective for a line search.
     """
 
     name: ClassVar[str] = "tom"
     responds: ClassVar[bool] = True
 
-    def predict(self, game: Game, state: State, start: JointPlan | None = None) -> Controls:
+    def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Return the human's side of the joint plan."""
-        return self.plan(game, state, start).human
+        return self.plan(game, state, start).humans[0]
 
-    def plan(self, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
+    def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
         """Improve the robot's and the human's controls by a joint ascent."""
-        mirrored, mirrored_state = swap_players(game, state)
-
-        def direction(plan: JointPlan) -> JointPlan:
-            robot, pull_robot = jax.vjp(partial(move, game, state[0]), plan.robot)
-            human, pull_human = jax.vjp(partial(move, game, state[1]), plan.human)
-            along_robot, along_human = jax.grad(trajectory_reward, argnums=(2, 3))(game, state, robot, human)
-            earned = second_order_expansion(
-                partial(move, game, state[1]),
-                lambda human: trajectory_reward(mirrored, mirrored_state, human, robot),
-                plan.human,
-                partial(discomfort, mirrored, state[1]),
-            )
-            pushed = response(game.influence, earned.hessian, pull_human(along_human)[0].ravel())
-            _, pull_back = jax.vjp(
-                lambda robot: jax.grad(trajectory_reward, argnums=2)(mirrored, mirrored_state, human, robot), robot
-            )
-            through_human = pull_back(jnp.sum(earned.jacobian * pushed, axis=-1))[0]
-            eased = pull_robot(along_robot + through_human)[0] - jax.grad(partial(discomfort, game, state[0]))(
-                plan.robot
-            )
-            return JointPlan(eased, earned.gradient.reshape(plan.human.shape))
-
-        def within_limits(plan: JointPlan) -> JointPlan:
-            return JointPlan(bounded(game, state[0], plan.robot), bounded(game, state[1], plan.human))
-
-        return projected_ascent(game.planner, direction, start or cold_start(game), within_limits)
+        return climb(Answering(game, state), cold_start(game, state) if start is None else start)
 
 
-def cold_start(game: Game) -> JointPlan:
-    """Return the paper's initial plan: zero controls for both."""
-    still = jnp.zeros((game.planner.horizon, 2))
-    return JointPlan(still, still)
-
-
-@jax.jit  # traced once for the human and the robot, naive and turn
-def _plan_against(game: Game, state: State, human: Controls, start: JointPlan | None) -> JointPlan:
-    """Optimise the robot's controls against fixed human controls."""
-    expected = move(game, state[1], human)
-    robot = optimize_controls(
-        game.planner,
-        partial(move, game, state[0]),
-        lambda robot: trajectory_reward(game, state, robot, expected),
-        partial(discomfort, game, state[0]),
-        (start or cold_start(game)).robot,
-        partial(bounded, game, state[0]),
-    )
-    return JointPlan(robot, human)
-
-
-def plan_within_limits(model: HumanModel, game: Game, state: State, start: JointPlan | None = None) -> JointPlan:
-    """Plan as may be executed: limit all finite controls, see `ms_highway.game.game.bounded`.
-
-    The paper's models keep to the limits by themselves, and their plans are left as they are.
-    """
-    plan = JointPlan(*model.plan(game, state, start))
-    if type(base_of(model)) in (Naive, Turn, TheoryOfMind):
-        return plan
-    sides = zip(plan, state[:2], strict=True)
-    return JointPlan(*(jnp.where(jnp.isfinite(side), bounded(game, car, side), side) for side, car in sides))
-
-
-MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), Turn(), TheoryOfMind())}
+MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), IntelligentDriver(), Turn(), TheoryOfMind())}
 """Known models by name, cheapest first."""
+
+PACKAGE_MODELS = tuple(MODELS)
+"""Names of the package's models, cheapest first: the only enumeration, for pairs, several humans and roads."""
 
 PAPER_MODELS = ("naive", "turn", "tom")
 """Names of the paper's models, cheapest first."""
+
+RESERVED = (*PACKAGE_MODELS, BEST)
 
 
 def register(model: HumanModel, before: str | None = None) -> None:
@@ -210,7 +165,7 @@ def register(model: HumanModel, before: str | None = None) -> None:
         before: name of the next more expensive model on ladders; by default, the new model is the most expensive.
 
     Raises:
-        ValueError: if the name is one of the paper's models or no word, or ``before`` names no other model; if the
+        ValueError: if the name is one of the package's models or no word, or ``before`` names no other model; if the
             model lacks an attribute or is not hashable.
     """
     lacks = [part for part in ("name", "responds", "predict", "plan") if not hasattr(model, part)]
@@ -220,10 +175,8 @@ def register(model: HumanModel, before: str | None = None) -> None:
         hash(model)
     except TypeError as error:
         raise ValueError(f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass") from None
-    if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in (*PAPER_MODELS, BEST):
-        raise ValueError(
-            f"a model cannot be called {model.name!r}; choose one word other than {', '.join((*PAPER_MODELS, BEST))}"
-        )
+    if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in RESERVED:
+        raise ValueError(f"a model cannot be called {model.name!r}; choose one word other than {', '.join(RESERVED)}")
     others = {name: other for name, other in MODELS.items() if name != model.name}
     if before is not None and before not in others:
         raise ValueError(f"unknown human model {before!r} to come before; the models are {', '.join(others)}")

@@ -5,10 +5,11 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.arrays import Car
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.game import Game
-
-__all__ = ["manoeuvres"]
+from ms_highway.optimization.arrays import Control
+from ms_highway.runtime.arrays import Scalar
 
 ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of the manoeuvres
 FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
@@ -17,7 +18,7 @@ SLOWEST = 3.0  # m/s, below which curvatures are not computed by division by the
 
 
 def manoeuvres(
-    game: Game, car: Float[jax.Array, "4"], steps: int
+    game: Game, car: Car, steps: int
 ) -> tuple[Float[jax.Array, "manoeuvres steps 2"], Float[jax.Array, "manoeuvres steps 4"]]:
     """Return scaled controls and states of a car that goes to the middle of each lane at each acceleration.
 
@@ -26,9 +27,7 @@ def manoeuvres(
     lanes, accelerations = jnp.meshgrid(jnp.asarray(game.scene.lanes), jnp.asarray(ACCELERATIONS), indexing="ij")
     limit = jnp.asarray(game.planner.control_limit)
 
-    def drive(
-        car: Float[jax.Array, "4"], lane: Float[jax.Array, ""], acceleration: Float[jax.Array, ""]
-    ) -> Float[jax.Array, "2"]:
+    def drive(car: Car, lane: Scalar, acceleration: Scalar) -> Control:
         _, y, heading, speed = car
         aside = -(FREQUENCY**2) * (y - lane) - 2 * FREQUENCY * speed * jnp.sin(heading)
         omega = jnp.clip(aside, -SIDEWAYS, SIDEWAYS) / jnp.maximum(speed, SLOWEST)
@@ -40,8 +39,8 @@ def manoeuvres(
             control = within_grip(game.dynamics, jnp.asarray(game.planner.grip), speed, control)
         return control
 
-    def one(lane: Float[jax.Array, ""], acceleration: Float[jax.Array, ""]) -> tuple[jax.Array, jax.Array]:
-        def go(car: Float[jax.Array, "4"], _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+    def one(lane: Scalar, acceleration: Scalar) -> tuple[jax.Array, jax.Array]:
+        def go(car: Car, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
             control = drive(car, lane, acceleration)
             moved = step(game.dynamics, car, control)
             return moved, (control / game.planner.control_scale, moved)

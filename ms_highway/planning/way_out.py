@@ -11,15 +11,16 @@ from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
+from ms_highway.game.arrays import State
 from ms_highway.game.collision_risk import collision_risk
-from ms_highway.game.crowd import along_others
 from ms_highway.game.dynamics import Motion, coast, observe, step
+from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
+from ms_highway.optimization.arrays import Control
 from ms_highway.planning.manoeuvres import manoeuvres
-
-__all__ = ["ESCAPE_STEPS", "Escape", "keep_way_out"]
+from ms_highway.runtime.arrays import Flag, Index, unrolled_sum
 
 ESCAPE_STEPS = 25  # steps of an escape: 2.5 s at 0.1 s, a full stop from 20 m/s
 MARGIN = 0.15  # m between bodies that is wanted, as others do not keep their velocity exactly
@@ -33,11 +34,11 @@ class Escape(NamedTuple):
         replaced: whether it is of an escape.
     """
 
-    control: Float[jax.Array, "2"]
-    replaced: Bool[jax.Array, ""]
+    control: Control
+    replaced: Flag
 
 
-def keep_way_out(game: Game, state: Float[jax.Array, "cars 4"], control: Float[jax.Array, "2"]) -> Escape:
+def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     """Return the robot's control if it leaves as good a way out as any, else the first control of the best escape.
 
     A way out is better if it keeps `MARGIN` to all others than if it only does not collide. Of equally good escapes,
@@ -55,8 +56,8 @@ def keep_way_out(game: Game, state: Float[jax.Array, "cars 4"], control: Float[j
     _, ways = manoeuvres(game, after, ESCAPE_STEPS)
     kept = jnp.minimum(clearance(ways, later).max(), _clearance(game, after[None], first))
     controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS)
-    clear, paths = clearance(escapes, now), jnp.stack(now, axis=1)
-    earned = jax.vmap(lambda way: along_others(game.scene, game.robot, jnp.stack(observe(way)), paths))(escapes)
+    clear = clearance(escapes, now)
+    earned = jax.vmap(lambda way: unrolled_sum(motion_reward(game.scene, game.robot, observe(way), now)))(escapes)
     best = jnp.argmax(jnp.where(clear == clear.max(), earned, -jnp.inf))
     replaced = clear.max() > kept
     return Escape(jnp.where(replaced, controls[best, 0], control), replaced)
@@ -67,7 +68,7 @@ def _during(others: Motion, first: int, last: int | None) -> Motion:
     return Motion(*(field[:, first:last] for field in others))
 
 
-def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Int[jax.Array, ""]:
+def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Index:
     """Return 2 if a car keeps the margin to all others and obstacles on its way, 1 if it collides with none, else 0."""
     scene, own = game.scene, observe(way)
     wider = replace(

@@ -1,30 +1,37 @@
-"""Run the closed loop in pure JAX: human and robot plan, a rule decides, the world moves; many episodes at once.
+"""Run the closed loop in pure JAX: humans and robot plan, a rule decides, the world moves; many episodes at once.
 
 The pure functions are those that the environments call, so that both loops agree. Planning times are not measured:
-T(M) comes from a table.
+T comes from a table, and no plan is late.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 from jax import numpy as jnp
 from jax.sharding import Mesh
 from jaxtyping import Bool, Float, Int
 
+from ms_highway.control.fallback import BRAKING, PLANNED, WAY_OUT, braking_control, fallback_status
+from ms_highway.control.yielding import unmoved_control
+from ms_highway.game.arrays import Belief, Car, Gains, HumansWeights, Rungs, State, Weights
 from ms_highway.game.dynamics import keep_velocity, recover_control, step, within_grip
 from ms_highway.game.features import features
-from ms_highway.game.game import Game, swap_players
-from ms_highway.metareasoning.rule import Memory, Outcome, decide_by, first_memory
+from ms_highway.game.game import Game, each_human, swap_players
+from ms_highway.metareasoning.belief import counted_on, first_belief, infer
+from ms_highway.metareasoning.rule import Memory, Order, Outcome, at_price, decide, first_memory
+from ms_highway.optimization.arrays import Control
 from ms_highway.planning.effort import starts_warm
-from ms_highway.planning.human_models import HumanModel, JointPlan, Naive, cold_start, plan_within_limits
+from ms_highway.planning.human_models import HumanModel, Naive
+from ms_highway.planning.plans import Plan, cold_start
+from ms_highway.planning.several import plan_for
+from ms_highway.planning.way_out import keep_way_out
+from ms_highway.runtime.arrays import Index, Scalar
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.simulation.devices import device_mesh, share_among
-from ms_highway.simulation.following import Rest, follow, warm_plan
-from ms_highway.simulation.records import DECIDES, Episodes, Loop, Records
-
-__all__ = ["simulate"]
+from ms_highway.simulation.records import ALWAYS_YIELDS, DECIDES, USUAL, Episodes, Loop, Records
 
 IN_ONE_MODULE = {"xla_cpu_parallel_codegen_split_count": 1}
 """Compiler options without which LLVM rounds differently where more threads compile."""
@@ -34,7 +41,8 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
     """Run episodes from start to end, shared by the devices of a mesh, see `ms_highway.simulation.devices.share_among`.
 
     In every step, a device sorts its episodes by their models and computes them chunk by chunk, so that most chunks
-    need a single model: under `jax.vmap` alone, every episode would compute every model.
+    need a single model: under `jax.vmap` alone, every episode would compute every model. Among several humans, it
+    computes them one by one: a plan takes as many rounds as there are humans to predict.
 
     Nothing is checked: where a state or a weight is not finite, rewards are not either.
 
@@ -52,138 +60,222 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
     if len(episodes) == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
     mesh = device_mesh(jax.local_devices()[:1]) if mesh is None else mesh
-    return share_among(mesh, partial(_simulate, loop), episodes, loop.chunk)
+    return share_among(mesh, partial(_simulate, loop), episodes, loop.together)
+
+
+class Rest(NamedTuple):
+    """What is left of a driver's last finite plan: its scaled controls, and their number; 0 after braking."""
+
+    plan: Plan
+    steps: Index
 
 
 class _Now(NamedTuple):
     """What an episode carries from step to step."""
 
-    state: Float[jax.Array, "cars 4"]
+    state: State
     memory: Memory
-    gains: Float[jax.Array, "rungs"]
-    robot: Rest[JointPlan]
-    human: Rest[JointPlan]
+    gains: Gains
+    belief: Belief
+    robot: Rest
+    humans: Rest  # of each human
 
 
 class _Own(NamedTuple):
     """An episode's own numbers."""
 
-    price: Float[jax.Array, ""]
-    robot_weights: Float[jax.Array, "features"]
-    human_weights: Float[jax.Array, "features"]
+    price: Scalar
+    robot_weights: Weights
+    human_weights: HumansWeights
+    yielding: Rungs
+
+    def robots(self, game: Game) -> Game:
+        """Return the game as the robot believes it."""
+        game = replace(game, robot=replace(game.robot, weights=self.robot_weights))
+        return self.truly(game) if game.number == 1 else game
+
+    def truly(self, game: Game) -> Game:
+        """Return the game with the rewards that humans drive by."""
+        return replace(game, humans=replace(game.humans, weights=self.human_weights))
 
 
 @partial(jit_quickly, options=IN_ONE_MODULE)
 def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Records:
     """Run the first ``count`` episodes; the records of the others mean nothing."""
-    size = len(episodes)
-    own = _Own(*map(jnp.asarray, (episodes.prices, episodes.robot_weights, episodes.human_weights)))
-    none = Rest(cold_start(loop.game), jnp.int32(0))
-    unknown = jnp.full(len(loop.rule.ladder), jnp.nan)
-    before = _Now(jnp.zeros(0), first_memory(loop.rule), unknown, none, none)
-    first = jax.tree.map(lambda part: jnp.broadcast_to(part, (size, *part.shape)), before)
+    size, together, decides = len(episodes), loop.together, not isinstance(loop.rule, Order)
+    numbers = episodes.prices, episodes.robot_weights, episodes.human_weights, episodes.yielding
+    own = _Own(*map(jnp.asarray, numbers))
+    first = jax.tree.map(lambda part: jnp.broadcast_to(part, (size, *part.shape)), _before(loop))
     first = first._replace(state=jnp.asarray(episodes.starts, jnp.float32))
-    schedules = jnp.asarray(episodes.schedules)
-    if loop.rule.chooses_first:
-        first = _choose(loop, first, own, schedules[:, 0] == DECIDES, jax.vmap(partial(_still, loop.game))(first))
-    chunks = (count[0] + loop.chunk - 1) // loop.chunk
-    last = 2 * len(loop.models)  # behind all models
+    schedules = jnp.moveaxis(jnp.asarray(episodes.schedules), 1, 0)  # [steps, episodes, humans]
+    if decides:
+        first = _choose(loop, first, own, schedules[0], _for_each(loop, partial(_still, loop.game), first))
+    chunks, last = (count[0] + together - 1) // together, 2 * len(loop.models)  # behind all models
 
-    def one_step(now: _Now, scheduled: Int[jax.Array, "2 episodes"]) -> tuple[_Now, Records]:
-        models, decides = jnp.where(scheduled[0] == DECIDES, now.memory.rung, scheduled[0]), scheduled[1] == DECIDES
-        now = now._replace(memory=now.memory._replace(rung=models))
-        order = jnp.argsort(jnp.where(jnp.arange(size) < count, 2 * models + decides, last), stable=True)
+    def one_step(now: _Now, scheduled: Int[jax.Array, "2 episodes humans"]) -> tuple[_Now, Records]:
+        rungs = _counted(loop, jnp.where(scheduled[0] == DECIDES, now.memory.rungs, scheduled[0]), now.belief)
+        now = now._replace(memory=now.memory._replace(rungs=rungs))
+        kinds = 2 * rungs[:, 0] + (scheduled[1] == DECIDES).any(axis=1)
+        order = jnp.argsort(jnp.where(jnp.arange(size) < count, kinds, last), stable=True)
 
-        def one_chunk(number: Int[jax.Array, ""], done: tuple[_Now, Records]) -> tuple[_Now, Records]:
-            places = jax.lax.dynamic_slice_in_dim(order, number * loop.chunk, loop.chunk)
-            stepped = _step(loop, *jax.tree.map(lambda part: part[places], (now, own, decides)))
+        def one_chunk(number: Index, done: tuple[_Now, Records]) -> tuple[_Now, Records]:
+            places = jax.lax.dynamic_slice_in_dim(order, number * together, together)
+            stepped = _step(loop, *jax.tree.map(lambda part: part[places], (now, own, scheduled[1])))
             return jax.tree.map(lambda part, new: part.at[places].set(new, unique_indices=True), done, stepped)
 
         return jax.lax.fori_loop(0, chunks, one_chunk, (now, _no_records(now)))
 
-    following = jnp.concatenate([schedules[:, 1:], schedules[:, -1:]], axis=1)
-    _, records = jax.lax.scan(one_step, first, jnp.stack([schedules.T, following.T], axis=1))
+    following = jnp.concatenate([schedules[1:], schedules[-1:]])
+    _, records = jax.lax.scan(one_step, first, jnp.stack([schedules, following], axis=1))
     return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
+
+
+def _for_each(loop: Loop, function: Callable[..., Any], *items: Any) -> Any:
+    """Apply a function to every episode: to all at once with one human, else one after the other."""
+    if loop.game.number == 1:
+        return jax.vmap(function)(*items)
+    if len(jax.tree.leaves(items)[0]) > 1:
+        return jax.lax.map(lambda each: function(*each), items)
+    return jax.tree.map(lambda part: part[None], function(*jax.tree.map(lambda part: part[0], items)))
+
+
+def _before(loop: Loop) -> _Now:
+    """Return what an episode begins with, but for its state."""
+    humans, horizon = loop.game.number, loop.game.planner.horizon
+    memory = jax.tree.map(jnp.asarray, first_memory(loop.rule, humans))
+    robot = Rest(Plan(jnp.zeros((horizon, 2)), jnp.zeros((humans, horizon, 2))), jnp.int32(0))
+    drivers = Rest(
+        Plan(jnp.zeros((humans, horizon, 2)), jnp.zeros((humans, 1, horizon, 2))), jnp.zeros(humans, jnp.int32)
+    )
+    unknown = jnp.full(memory.last_check.shape, jnp.nan)
+    return _Now(jnp.zeros(0), memory, unknown, jnp.asarray(first_belief(humans)), robot, drivers)
 
 
 def _no_records(now: _Now) -> Records:
     """Return records of a step that are still to be filled in."""
     zero = jnp.zeros_like(now.state[:, 0, 0])
-    number = zero.astype(jnp.int32)
-    return Records(number, number, zero, zero.astype(bool), jnp.zeros_like(now.gains), jnp.zeros_like(now.state))
+    status = zero.astype(jnp.int32)
+    rungs, gains = jnp.zeros_like(now.memory.rungs), jnp.zeros_like(now.gains)
+    return Records(rungs, status, zero, zero.astype(bool), gains, jnp.zeros_like(now.state))
 
 
-def _step(loop: Loop, now: _Now, own: _Own, decides: Bool[jax.Array, "chunk"]) -> tuple[_Now, Records]:
+def _counted(
+    loop: Loop, rungs: Int[jax.Array, "episodes humans"], belief: Float[jax.Array, "episodes humans models"]
+) -> Rungs:
+    """Return the rungs, the first one for humans who show that they do not respond, see `ms_highway.control.driver`."""
+    if not loop.belief:
+        return rungs
+    responds = jnp.array([model.responds for model in loop.models])
+    return jnp.where(responds[rungs] & ~jax.vmap(counted_on)(belief), 0, rungs)
+
+
+def _step(loop: Loop, now: _Now, own: _Own, coming: Int[jax.Array, "chunk humans"]) -> tuple[_Now, Records]:
     """Advance a chunk of episodes by one step."""
-    moved, records = jax.vmap(partial(_move, loop.game))(now, own, _plan(loop, now, own))
-    return _choose(loop, now, own, decides, moved), records
+    moved, records = _for_each(loop, partial(_move, loop), now, own, _plan(loop, now, own))
+    return (moved.now if isinstance(loop.rule, Order) else _choose(loop, now, own, coming, moved)), records
 
 
-def _game(game: Game, own: _Own) -> Game:
-    """Return the game of one episode."""
-    robot, human = game.robot, game.human
-    return replace(
-        game, robot=replace(robot, weights=own.robot_weights), human=replace(human, weights=own.human_weights)
-    )
+def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
+    """Plan every episode; with one human, compute only the models that some episode uses."""
 
+    def planned(models: tuple[HumanModel, ...], now: _Now, own: _Own) -> Plan:
+        game = own.robots(loop.game)
+        warm = game.planner.persistent or any(map(starts_warm, models))
+        start = _warm_plan(now.robot, cold_start(game, now.state)) if warm else None
+        return plan_for(models, game, now.state, now.memory.rungs, start)
 
-def _plan(loop: Loop, now: _Now, own: _Own) -> JointPlan:
-    """Plan every episode; compute only the models that some episode uses."""
-
-    def planned(model: HumanModel) -> JointPlan:
-        start = jax.vmap(warm_plan)(now.robot) if loop.warm_start or starts_warm(model) else None
-        return jax.vmap(lambda own, *now: plan_within_limits(model, _game(loop.game, own), *now))(own, now.state, start)
-
-    still = jnp.zeros((loop.chunk, loop.game.planner.horizon, 2))
-    chosen = JointPlan(still, still)
+    if loop.game.number > 1:
+        return _for_each(loop, partial(planned, loop.models), now, own)
+    still = jnp.zeros((loop.together, loop.game.planner.horizon, 2))
+    nothing = chosen = Plan(still, still[:, None])
     for number, model in enumerate(loop.models):
-        uses = now.memory.rung == number
-        plan = jax.lax.cond(uses.any(), partial(planned, model), lambda: JointPlan(still, still))
-        chosen = jax.tree.map(lambda new, old, uses=uses: jnp.where(uses[:, None, None], new, old), plan, chosen)
+        uses = now.memory.rungs[:, 0] == number
+        plan = jax.lax.cond(
+            uses.any(), lambda model=model: jax.vmap(partial(planned, (model,)))(now, own), lambda: nothing
+        )
+        chosen = jax.tree.map(
+            lambda new, old, uses=uses: jnp.where(uses.reshape(-1, *[1] * (new.ndim - 1)), new, old), plan, chosen
+        )
     return chosen
+
+
+def _warm_plan(rest: Rest, cold: Plan) -> Plan:
+    """Return what is left after the last step, its last control repeated; the cold start where nothing is left."""
+
+    def after(controls: jax.Array, cold: jax.Array) -> jax.Array:
+        coming = jnp.minimum(jnp.arange(1, controls.shape[-2] + 1), jnp.maximum(rest.steps - 1, 0))
+        return jnp.where(rest.steps > 0, controls[..., coming, :], cold)
+
+    return jax.tree.map(after, rest.plan, cold)
+
+
+def _follow(game: Game, car: Car, plan: Plan, rest: Rest) -> tuple[Control, Index, Rest]:
+    """Return the scaled control to execute, its status and the remaining plan, see `ms_highway.control.fallback`."""
+    finite = jnp.stack([jnp.isfinite(controls).all() for controls in plan]).all()
+    status, left = fallback_status(finite, rest.steps, game.planner.horizon)
+    followed = jax.tree.map(lambda new, old: jnp.where(finite, new, jnp.roll(old, -1, axis=-2)), plan, rest.plan)
+    braking = braking_control(game, car) / game.planner.control_scale
+    return jnp.where(status == BRAKING, braking, followed.robot[0]), status, Rest(followed, left)
 
 
 class _Moved(NamedTuple):
     """Outcome of a step."""
 
-    now: _Now  # before the choice of the next rung
+    now: _Now  # before the choice of the next rungs
     outcome: Outcome
 
 
-def _move(game: Game, now: _Now, own: _Own, plan: JointPlan) -> tuple[_Moved, Records]:
-    """Let the human plan and the world move; reward the robot."""
-    game, state = _game(game, own), now.state
+def _move(loop: Loop, now: _Now, own: _Own, plan: Plan) -> tuple[_Moved, Records]:
+    """Let the humans plan and the world move; reward the robot."""
+    game, truth, state, last = own.robots(loop.game), own.truly(loop.game), now.state, 1 + loop.game.number
     scale = game.planner.control_scale
-    robot, status, robot_rest = follow(game, state[0], plan, now.robot)
-    mirrored, mirrored_state = swap_players(game, state)
-    human, _, human_rest = follow(mirrored, state[1], Naive().plan(mirrored, mirrored_state), now.human)
-    driven = jnp.stack([robot, human]) * scale
+    robot, status, robot_rest = _follow(game, state[0], plan, now.robot)
+    if loop.way_out:
+        robot, replaced = keep_way_out(game, state, robot)
+        status = jnp.where(replaced & (status == PLANNED), WAY_OUT, status)
+
+    def drive(human: Index) -> tuple[Control, Rest]:
+        view, seen = swap_players(truth, state, human)
+        rest = jax.tree.map(lambda part: part[human], now.humans)
+        control, _, rest = _follow(view, seen[0], Naive().plan(view, seen), rest)
+        if loop.yielding:
+            unmoved = unmoved_control(view, seen, own.yielding[human] == ALWAYS_YIELDS) / scale
+            control = jnp.where(own.yielding[human] == USUAL, control, unmoved)
+        return control, rest
+
+    controls, human_rests = each_human(game, drive)
+    driven = jnp.concatenate([robot[None], controls]) * scale
     if game.planner.grip is not None:  # as vehicles do
-        driven = within_grip(game.world, jnp.asarray(game.planner.grip), state[:2, 3], driven)
-    after = step(game.world, state, jnp.concatenate([driven, keep_velocity(game.world, state[2:])]))
+        driven = within_grip(game.world, jnp.asarray(game.planner.grip), state[:last, 3], driven)
+    after = step(game.world, state, jnp.concatenate([driven, keep_velocity(game.world, state[last:])]))
     phi = features(game.scene, game.robot, after)
     reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
-    observed = recover_control(game.world, state[1], after[1]) / scale
-    records = Records(now.memory.rung, status, reward, collision, now.gains, after)
-    following = _Now(after, now.memory, jnp.full_like(now.gains, jnp.nan), robot_rest, human_rest)
-    return _Moved(following, Outcome(state, after, robot, observed, reward, robot_rest.plan)), records
+    observed = recover_control(game.world, state[1:last], after[1:last]) / scale
+    outcome = Outcome(state, after, robot, observed, reward, robot_rest.plan)
+    records = Records(now.memory.rungs, status, reward, collision, now.gains, after)
+    executed = jnp.concatenate([robot[None], robot_rest.plan.robot[1:]])
+    belief = infer(game, now.belief, state, after, executed) if loop.belief else now.belief
+    memory, unknown = now.memory._replace(step=now.memory.step + 1), jnp.full_like(now.gains, jnp.nan)
+    return _Moved(_Now(after, memory, unknown, belief, robot_rest, human_rests), outcome), records
 
 
 def _still(game: Game, now: _Now) -> _Moved:
     """Return the outcome of the step before the first one, in which no car moved."""
-    still = jnp.zeros((game.planner.horizon, 2))
-    return _Moved(now, Outcome(now.state, now.state, still[0], still[0], jnp.zeros(()), JointPlan(still, still)))
+    still = jnp.zeros((1 + game.number, game.planner.horizon, 2))
+    plan = Plan(still[0], still[1:])
+    outcome = Outcome(now.state, now.state, still[0, 0], still[1:, 0], jnp.zeros(()), plan)
+    return _Moved(now._replace(memory=now.memory._replace(step=now.memory.step + 1)), outcome)
 
 
-def _choose(loop: Loop, before: _Now, own: _Own, decides: Bool[jax.Array, "chunk"], moved: _Moved) -> _Now:
+def _choose(loop: Loop, before: _Now, own: _Own, coming: Int[jax.Array, "chunk humans"], moved: _Moved) -> _Now:
     """Choose the rungs of the next step, where the rule decides."""
+    decides: Bool[jax.Array, "chunk"] = (coming == DECIDES).any(axis=1)
 
     def one(before: _Now, own: _Own, moved: _Moved) -> _Now:
-        rule = replace(loop.rule, price=own.price)
-        memory, gains, _ = decide_by(rule, _game(loop.game, own), before.memory, moved.outcome)
-        return moved.now._replace(memory=memory, gains=jnp.asarray(gains))
+        decision = decide(at_price(loop.rule, own.price), own.robots(loop.game), before.memory, moved.outcome)
+        return moved.now._replace(memory=decision.memory, gains=jnp.asarray(decision.gains, jnp.float32))
 
-    decided = jax.lax.cond(decides.any(), lambda: jax.vmap(one)(before, own, moved), lambda: moved.now)
+    decided = jax.lax.cond(decides.any(), lambda: _for_each(loop, one, before, own, moved), lambda: moved.now)
     return jax.tree.map(
         lambda new, old: jnp.where(decides.reshape(-1, *[1] * (new.ndim - 1)), new, old), decided, moved.now
     )

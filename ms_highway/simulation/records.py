@@ -12,10 +12,11 @@ from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array
 from ms_highway.simulation.devices import CHUNK
 
-__all__ = ["DECIDES", "Episodes", "Loop", "Records"]
-
 DECIDES = -1
-"""In a schedule: the rule chooses the rung of this step."""
+"""In a schedule: the rule chooses the rung of this human in this step."""
+
+USUAL, NEVER_YIELDS, ALWAYS_YIELDS = range(3)
+"""What a human does beside the robot: plan for its reward, or as `ms_highway.control.yielding.Unmoved`."""
 
 
 @jax.tree_util.register_dataclass
@@ -24,26 +25,35 @@ class Loop:
     """What all episodes of a simulation share.
 
     Attributes:
-        game: what is played.
-        rule: chooses rungs of its ladder; its price is each episode's own.
+        game: what is played, with the humans' rewards as the robot believes them.
+        rule: chooses rungs of its ladder; its price, if any, is each episode's own.
         others: models that schedules may use beside the ladder; their numbers follow those of its rungs (static).
-        warm_start: whether all plans of robots start from the rest of the last one; those of models such as
-            ``tom+warm`` always do (static).
-        chunk: number of episodes computed together (static). A human model is computed only for the chunks that use
-            it: smaller chunks waste less computation, larger ones use wide hardware better. The last digits of results
-            depend on it, and chaotic episodes (Stay Back) amplify them.
+        way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out` (static).
+        belief: whether the robot infers which model predicts every human, see `ms_highway.control.driver` (static).
+        yielding: whether some humans yield always or never, see `Episodes` (static).
+        chunk: number of episodes computed together (static); with several humans, episodes are computed one by one. A
+            human model is computed only for the chunks that use it: smaller chunks waste less computation, larger ones
+            use wide hardware better. The last digits of results depend on it, and chaotic episodes (Stay Back) amplify
+            them.
     """
 
     game: Game
     rule: Rule
     others: tuple[HumanModel, ...] = field(default=(), metadata={"static": True})
-    warm_start: bool = field(default=False, metadata={"static": True})
+    way_out: bool = field(default=False, metadata={"static": True})
+    belief: bool = field(default=False, metadata={"static": True})
+    yielding: bool = field(default=False, metadata={"static": True})
     chunk: int = field(default=CHUNK, metadata={"static": True})
 
     @property
     def models(self) -> tuple[HumanModel, ...]:
         """All models, in the order of their numbers in schedules and records."""
         return (*self.rule.ladder, *self.others)
+
+    @property
+    def together(self) -> int:
+        """Scalar of episodes that are computed together."""
+        return self.chunk if self.game.number == 1 else 1
 
 
 @jax.tree_util.register_dataclass
@@ -52,17 +62,20 @@ class Episodes:
     """What is each episode's own.
 
     Attributes:
-        starts: all cars at the start, robot first, then the human.
+        starts: all cars at the start: robot, humans, scripted cars.
         prices: lambda, where the rule decides.
-        schedules: number of the model that plans each step, or `DECIDES`.
-        robot_weights, human_weights: of both rewards, in the order of their features.
+        schedules: number of the model that predicts each human in each step, or `DECIDES`.
+        robot_weights: of the robot's reward, in the order of its features.
+        human_weights: of the rewards that the humans drive by; with one human, the robot knows them.
+        yielding: of each human, `USUAL`, `NEVER_YIELDS` or `ALWAYS_YIELDS`.
     """
 
     starts: Float[Array, "episodes cars 4"]
     prices: Float[Array, "episodes"]
-    schedules: Int[Array, "episodes steps"]
+    schedules: Int[Array, "episodes steps humans"]
     robot_weights: Float[Array, "episodes features"]
-    human_weights: Float[Array, "episodes features"]
+    human_weights: Float[Array, "episodes humans features"]
+    yielding: Int[Array, "episodes humans"]
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -72,17 +85,17 @@ class Records(NamedTuple):
     """Records of all steps, with the columns of `ms_highway.experiments.runner.episode`.
 
     Attributes:
-        model: number of the model that planned, in `Loop.models`.
+        rungs: number of the model that predicted each human, in `Loop.models`.
         status: of the robot's control, an index of `ms_highway.control.fallback.STATUSES`.
         reward: the robot's, after the step.
         collision: whether the robot collides in it.
-        gains: of each rung over the one in use, estimated before the step; NaN where none was.
+        gains: of each rung for each human, estimated before the step, see `ms_highway.metareasoning.rule.Decision`.
         states: all cars after the step.
     """
 
-    model: Int[Array, "episodes steps"]
+    rungs: Int[Array, "episodes steps humans"]
     status: Int[Array, "episodes steps"]
     reward: Float[Array, "episodes steps"]
     collision: Bool[Array, "episodes steps"]
-    gains: Float[Array, "episodes steps rungs"]
+    gains: Float[Array, "episodes steps humans rungs"]
     states: Float[Array, "episodes steps cars 4"]

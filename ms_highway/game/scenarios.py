@@ -1,0 +1,98 @@
+"""The package's scenarios: three of the paper with one human, two with several. Numbers are in the paper's units."""
+
+from math import sqrt
+
+from ms_highway.game.planning_settings import PlanningSettings
+from ms_highway.game.scenario import COMMON_WEIGHTS, GRIP, SECONDS_LIMIT, SPEED_LIMIT, Scenario, Stream
+
+STAY_BACK = Scenario(
+    name="stay_back",
+    lanes=(-0.14, 0.0),
+    cars=((-0.9, -0.14), (-0.9, 0.0)),
+    steps=35,
+    ladder=("naive", "turn"),
+    prices=(5.0, 0.4),
+    robot_weights=COMMON_WEIGHTS,
+    human_weights=COMMON_WEIGHTS,
+    cones=(
+        (-0.25, -0.18),
+        (-0.2, -0.17),
+        (-0.15, -0.15),
+        (-0.1, -0.15),
+        (-0.1, 0.01),
+        (-0.15, 0.01),
+        (-0.2, 0.03),
+        (-0.25, 0.04),
+    ),
+)
+"""Cones narrow the road, and two cars side by side do not fit between them."""
+
+MERGER = Scenario(
+    name="merger",
+    lanes=(-0.1, 0.0),
+    cars=((-0.1, 0.0), (-0.2, -0.1), (0.05, -0.1)),
+    steps=40,
+    ladder=("naive", "turn", "tom"),
+    prices=(0.6, 0.1),
+    robot_weights=COMMON_WEIGHTS | {"target_lane": 150, "merged": 5},
+    human_weights=COMMON_WEIGHTS | {"target_lane": 1000, "gap": 70},
+    human_gap=0.25,
+    merging_car=0,
+)
+"""The gap in the left lane is too small for the robot unless the human behind it yields."""
+
+GIVE_WAY = Scenario(
+    name="give_way",
+    lanes=(-0.1, 0.0),
+    cars=((-0.275, -0.1), (-0.275, 0.0), (0.05, -0.1), (-0.6, -0.1)),
+    steps=40,
+    ladder=("naive", "turn", "tom"),
+    prices=(0.03, 0.01),
+    robot_weights=COMMON_WEIGHTS | {"target_lane": 1000, "gap": 10, "partner_target_lane": 350, "partner_merged": 5},
+    human_weights=COMMON_WEIGHTS | {"target_lane": 0.7 * 150},
+    robot_gap=0.325,
+    merging_car=1,
+    corner=0.675 / sqrt(2),
+)
+"""The human wants into the robot's lane, and the robot is paid for letting it in."""
+
+
+def _merge_among_several(
+    name: str, steps: int, lanes: tuple[float, ...], first_cone: float, streams: tuple[Stream, ...]
+) -> Scenario:
+    """Return a scenario in which the robot's lane ends; plans look two seconds ahead, as merging takes long."""
+    return Scenario(
+        name=name,
+        lanes=lanes,
+        cars=((0.0, 0.0),),
+        steps=steps,
+        ladder=("naive", "turn", "tom"),
+        prices=(10.0, 1.0),
+        robot_weights=COMMON_WEIGHTS | {"target_lane": 150, "merged": 5},
+        human_weights=COMMON_WEIGHTS,
+        cones=tuple((first_cone + 0.09 * place, 0.02) for place in range(3)),
+        streams=streams,
+        humans=8,
+        caution=0.3,
+        planning=PlanningSettings(horizon=20),
+        solver="damped_newton",
+        control_limit=SECONDS_LIMIT,
+        grip=GRIP,
+        way_out=True,
+    )
+
+
+DENSE_MERGE = _merge_among_several("dense_merge", 80, (-0.1, 0.0), 2.0, (Stream(-0.1),))
+"""The robot's lane ends, and most gaps of the stream beside it are too short for a car unless somebody yields."""
+
+CROSSING_CROWD = _merge_among_several(
+    "crossing_crowd",
+    100,
+    (-0.2, -0.1, 0.0),
+    1.5,
+    (Stream(-0.1, 0.95 * SPEED_LIMIT), Stream(-0.2, 1.05 * SPEED_LIMIT)),
+)
+"""The robot's lane ends, and it wants to cross the stream of humans beside it, to join another one in the left lane.
+
+Which human matters changes during the episode: first those of the middle lane, between whom it has to get before the
+cones; then those of the left lane, who drive faster, so that its neighbours there are others than at the start."""

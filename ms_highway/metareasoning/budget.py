@@ -1,0 +1,114 @@
+"""Choose the rungs that gain most together within the time of a cycle."""
+
+from dataclasses import dataclass, field
+from math import nan
+from typing import Any, ClassVar
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.game import Game, each_human
+from ms_highway.metareasoning.knapsack import best_rungs
+from ms_highway.metareasoning.quadratic_rule import change_of_control
+from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule, with_human
+from ms_highway.metareasoning.switching import Switching
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import HumanModel, Naive
+from ms_highway.runtime.arrays import Index, Scalar
+
+SHARE = 0.8
+"""Share of a budget that decision and plan may need; the rest is for times above the quantile that was measured."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Budget:
+    """Maximise the summed gains of all humans, subject to ``deciding + base + sum_i each[rung_i] <= share seconds``.
+
+    Where even the first rungs do not fit, they are chosen all the same.
+
+    Attributes:
+        gains: rule that estimates the gain of each rung, without a price; its own choice is not used.
+        costs: of plans; a high quantile, if plans are to be in time.
+        seconds: of a cycle.
+        share: of it that may be planned for.
+        deciding: seconds of a decision; drivers measure them before their first step.
+    """
+
+    gains: Rule
+    costs: Costs
+    seconds: Scalar
+    share: Scalar = SHARE
+    deciding: Scalar = 0.0
+    price: ClassVar[float] = nan
+    network: ClassVar[None] = None
+    in_one_kernel: ClassVar[bool] = False
+
+    @property
+    def ladder(self) -> tuple[HumanModel, ...]:
+        """Human models, cheapest first."""
+        return self.gains.ladder
+
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Any, "humans numbers"]:
+        """See `ms_highway.metareasoning.rule.Rule.look`."""
+        return self.gains.look(game, memory, outcome)
+
+    def choose(self, memory: Memory, seen: Float[Any, "humans numbers"]) -> Decision:
+        """See `ms_highway.metareasoning.rule.Rule.choose`; rungs without an estimate are not chosen."""
+        decision = self.gains.choose(memory, seen)
+        known = jnp.isfinite(decision.gains)
+        values = jnp.where(known, jnp.asarray(decision.gains), -jnp.inf)
+        values = values.at[:, 0].set(jnp.where(known[:, 0], values[:, 0], 0.0))
+        capacity = self.share * self.seconds - self.deciding - self.costs.base
+        rungs = best_rungs(values, self.costs.each, capacity)
+        return decision._replace(memory=decision.memory._replace(rungs=rungs))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class OneStepGains:
+    """Estimate what the top of the ladder gains over naive for every human, as Algorithm 1 does, in every step.
+
+    The quadratic expansion of Algorithm 1 around the executed controls tells what the robot would have earned in the
+    last step under the other of the two. Rungs between are not estimated: their prediction takes as long as a plan.
+    Nothing is chosen; for `Budget`.
+
+    Attributes:
+        switching: its costs, price and cooldown are not used.
+    """
+
+    switching: Switching
+    costs: Costs
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+    price: ClassVar[float] = nan
+    network: ClassVar[None] = None
+    in_one_kernel: ClassVar[bool] = False
+
+    def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Any, "humans 1"]:
+        """Estimate the gains; before the first step, they are unknown."""
+        top = len(self.ladder) - 1
+
+        def one(human: Index) -> Float[Any, "1"]:
+            alone, seen = with_human(game, outcome, human)
+            return self._gain(alone, seen, jnp.asarray(memory.rungs)[human] == top)[None]
+
+        unknown = jnp.full((game.number, 1), jnp.nan)
+        return jax.lax.cond(memory.step > 0, lambda: each_human(game, one), lambda: unknown)
+
+    def choose(self, memory: Memory, seen: Float[Any, "humans 1"]) -> Decision:
+        """Return the gains, and keep the rungs."""
+        gains = jnp.full(jnp.shape(memory.last_check), jnp.nan)
+        gains = gains.at[:, 0].set(0.0 * seen[:, 0]).at[:, -1].set(seen[:, 0])
+        return Decision(memory._replace(step=memory.step + 1), gains, jnp.bool(False))
+
+    def _gain(self, game: Game, seen: Outcome, uses_top: Any) -> Scalar:
+        """Return what the robot earns with the top rung in the last step, less what it earns naively."""
+        before, robot, human = map(jnp.asarray, (seen.before, seen.robot, seen.humans[0]))
+        expansion = self.switching.expand(game, before, robot, human)
+        kept = Naive().predict(game, before)[0]
+        expected = jnp.where(uses_top, kept, human)  # by the other model
+        influence = jnp.where(uses_top, 0.0, expansion.influence)
+        change = change_of_control(expansion, human, expected, influence, self.switching)
+        earned = self.switching.earned(game, before, robot + change, human + expansion.influence @ change)
+        return jnp.where(uses_top, seen.reward - earned, earned - seen.reward)

@@ -1,0 +1,50 @@
+"""State what is optimised over the controls of a plan."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.optimization.arrays import Controls, ManyControls, Trajectory
+from ms_highway.optimization.second_derivatives import Expansion, second_order_expansion
+from ms_highway.runtime.arrays import Numbers, Scalar
+
+
+class Objective(NamedTuple):
+    """Maximise ``reward(path(controls)) - cost(controls)`` over scaled controls within limits.
+
+    Attributes:
+        path: trajectory under controls.
+        reward: of a trajectory, a sum over its steps.
+        cost: of the controls themselves, a sum over them.
+        bounded: projects controls on their limits.
+    """
+
+    path: Callable[[Controls], Trajectory]
+    reward: Callable[[Trajectory], Scalar]
+    cost: Callable[[Controls], Scalar]
+    bounded: Callable[[ManyControls], ManyControls]
+
+    def earned(self, controls: Controls) -> Scalar:
+        """Return what controls earn."""
+        return self.reward(self.path(controls)) - self.cost(controls)
+
+    def expand(self, controls: Controls) -> Expansion:
+        """Return the expansion of `earned` to second order."""
+        return second_order_expansion(self.path, self.reward, controls, self.cost)
+
+    def search_line(
+        self, controls: Controls, step: Controls, shares: Float[Any, "shares"]
+    ) -> tuple[ManyControls, Float[Any, "shares"]]:
+        """Return the controls after shares of a step, within the limits, and what they earn."""
+        candidates = self.bounded(controls + shares[:, None, None] * step)
+        return candidates, jax.vmap(self.earned)(candidates)
+
+
+def best_of(candidates: Numbers, earned: Float[Any, "candidates"]) -> Numbers:
+    """Return the candidate that earns most of those that earn something finite; NaN where none does."""
+    known = jnp.isfinite(earned)
+    best = candidates[jnp.argmax(jnp.where(known, earned, -jnp.inf))]
+    return jnp.where(known.any(), best, jnp.nan)

@@ -1,0 +1,209 @@
+"""Improve a plan that humans answer: theory of mind about one human or several.
+
+Human i, under theory of mind, answers the robot's plan; all others keep to what is expected of them. So the humans'
+response is block-diagonal, ``J_i = -H_i^-1 d2R_i / du_i du_R``, and the robot climbs along
+``dR_R/du_R + sum_i J_i^T dR_R/du_i``, each human along ``dR_i/du_i``. J is never formed (adjoint method): one response
+of the human to ``dR_R/du_i`` and one derivative of ``dR_i/du_i`` along it give ``J_i^T dR_R/du_i``.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.arrays import HumansControls, Rungs, State, Trajectories
+from ms_highway.game.collision_risk import collision_risk
+from ms_highway.game.dynamics import Motion
+from ms_highway.game.game import Game, bounded, discomfort, move, move_all, others_of, swap_roles, trajectory_reward
+from ms_highway.optimization.arrays import Controls, Trajectory
+from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
+from ms_highway.optimization.objective import Objective, best_of
+from ms_highway.optimization.second_derivatives import response, second_order_expansion
+from ms_highway.optimization.solvers import projected_ascent
+from ms_highway.planning.manoeuvres import manoeuvres
+from ms_highway.planning.plans import Plan, within_limits
+from ms_highway.runtime.arrays import Index, Scalar, Vector
+
+Carry = TypeVar("Carry")
+
+
+class Answering(NamedTuple):
+    """A situation, and the humans who answer the robot's plan in it.
+
+    Attributes:
+        game: that is played.
+        state: all cars now.
+        order: numbers of the humans, those who answer first; None where the only human answers.
+        answering: how many answer.
+    """
+
+    game: Game
+    state: State
+    order: Rungs | None = None
+    answering: Index = 1
+
+    def fold(self, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
+        """Apply a function to the number of every human who answers, one after the other."""
+        order = self.order
+        if order is None:
+            return function(0, carry)
+        return jax.lax.fori_loop(0, self.answering, lambda place, carry: function(order[place], carry), carry)
+
+
+class _Path(NamedTuple):
+    """A situation, and the trajectories of robot and humans in it."""
+
+    game: Game
+    state: State
+    robot: Trajectory
+    humans: Trajectories
+
+    def around(self, human: Index, robot: Trajectory) -> Trajectories:
+        """Return the trajectories of the others of a human, with the robot on another one."""
+        if self.game.number == 1:
+            return robot[None]
+        return jnp.concatenate([robot[None], self.humans])[jnp.asarray(others_of(1 + self.game.number))[1 + human]]
+
+    def objective(self, human: Index) -> Objective:
+        """Return what a human maximises over its own controls."""
+        game, car, others = swap_roles(self.game, human), self.state[1 + human], self.around(human, self.robot)
+        return Objective(
+            partial(move, self.game, car),
+            lambda own: trajectory_reward(game, self.state, own, others),
+            partial(discomfort, game, car),
+            partial(bounded, game, car),
+        )
+
+    def slope(self, human: Index, robot: Trajectory) -> Trajectory:
+        """Return the derivative of a human's reward in its own trajectory, with the robot on another one."""
+        reward = partial(trajectory_reward, swap_roles(self.game, human), self.state)
+        return jax.grad(reward)(self.humans[human], self.around(human, robot))
+
+    def through(self, human: Index, jacobian: Float[Any, "fields steps n"], pushed: Vector) -> Trajectory:
+        """Return ``J_i^T dR_R/du_i`` in the robot's trajectory, from ``-H_i^-1 dR_R/du_i``."""
+        _, pull_back = jax.vjp(partial(self.slope, human), self.robot)
+        return pull_back(jnp.sum(jacobian * pushed, axis=-1))[0]
+
+
+def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
+    """Improve the robot's controls and those of the humans who answer.
+
+    * The planner's solver ``gradient`` (and ``newton``): the paper's joint gradient steps.
+    * ``damped_newton`` holds over horizons of seconds: the robot takes Newton steps on its own reward, with the
+      gradient above; the line search looks at what the robot earns once the humans have answered the step, by their
+      linear response ``J_i du_R``, and a Newton step of their own.
+
+    Args:
+        who: the situation.
+        start: scaled plan; humans who do not answer keep to it.
+        steps: their number, the planner's by default.
+    """
+    planner, limit = who.game.planner, partial(within_limits, who.game, who.state)
+    if planner.solver != "damped_newton":
+        return projected_ascent(planner, partial(_direction, who), start, limit, steps)
+    steps = planner.newton_steps if steps is None else steps
+    return jax.lax.fori_loop(0, steps, lambda _, plan: _newton_step(who, plan), limit(start))
+
+
+def _put(values: HumansControls, human: Index, value: Controls) -> HumansControls:
+    return value[None] if len(values) == 1 else values.at[human].set(value)
+
+
+def _direction(who: Answering, plan: Plan) -> Plan:
+    """Return the direction of a joint gradient step."""
+    game, state = who.game, who.state
+    robot, pull_robot = jax.vjp(partial(move, game, state[0]), plan.robot)
+    humans, pull_humans = jax.vjp(partial(move_all, game, state[1 : 1 + game.number]), plan.humans)
+    path = _Path(game, state, robot, humans)
+    along_robot, along_humans = jax.grad(trajectory_reward, argnums=(2, 3))(game, state, robot, humans)
+    pulled = pull_humans(along_humans)[0]
+
+    def respond(human: Index, slopes: Plan) -> Plan:
+        own = path.objective(human).expand(plan.humans[human])
+        pushed = response(game.influence, own.hessian, pulled[human].ravel())
+        through = path.through(human, own.jacobian, pushed)
+        return Plan(slopes.robot + through, _put(slopes.humans, human, own.gradient.reshape(-1, 2)))
+
+    along, humans = who.fold(respond, Plan(along_robot, jnp.zeros_like(plan.humans)))
+    eased = pull_robot(along)[0] - jax.grad(partial(discomfort, game, state[0]))(plan.robot)
+    return Plan(eased, humans)
+
+
+class _Answers(NamedTuple):
+    """What the loop over the humans who answer collects."""
+
+    slope: Vector  # of the robot's reward in its controls, through the humans
+    factors: Float[Any, "humans n n"]  # of each human's damped Hessian
+    jacobians: Float[Any, "humans fields steps n"]
+    humans: HumansControls  # improved
+
+
+def _newton_step(who: Answering, plan: Plan) -> Plan:
+    """Take a damped Newton step of the robot, with the humans' answers in the line search."""
+    game, state, number, size = who.game, who.state, who.game.number, plan.robot.size
+    cost, reward = partial(discomfort, game, state[0]), partial(trajectory_reward, game, state)
+    path = _Path(game, state, move(game, state[0], plan.robot), move_all(game, state[1 : 1 + number], plan.humans))
+    along = jax.grad(reward, argnums=1)(path.robot, path.humans)
+    robot = second_order_expansion(
+        partial(move, game, state[0]), lambda own: reward(own, path.humans), plan.robot, cost
+    )
+
+    def answer(human: Index, answers: _Answers) -> _Answers:
+        wanted, now = path.objective(human), plan.humans[human]
+        own = wanted.expand(now)
+        factor = damped_factor(own.hessian)
+        pushed = damped_solve(factor, jnp.sum(own.jacobian * along[human][..., None], axis=(0, 1)))
+        through = path.through(human, own.jacobian, pushed)
+        improved = best_of(*wanted.search_line(now, damped_solve(factor, own.gradient).reshape(now.shape), SHARES))
+        return _Answers(
+            answers.slope + jnp.sum(robot.jacobian * through[..., None], axis=(0, 1)),
+            answers.factors.at[human].set(factor),
+            answers.jacobians.at[human].set(own.jacobian),
+            answers.humans.at[human].set(improved),
+        )
+
+    none = jnp.zeros((number, size, size)), jnp.zeros((number, *robot.jacobian.shape))
+    answers = who.fold(answer, _Answers(robot.gradient, *none, plan.humans))
+    step = damped_solve(damped_factor(robot.hessian), answers.slope)
+    moved = robot.jacobian @ step
+
+    def react(human: Index, reactions: HumansControls) -> HumansControls:
+        _, pushed = jax.jvp(partial(path.slope, human), (path.robot,), (moved,))
+        along_controls = jnp.sum(answers.jacobians[human] * pushed[..., None], axis=(0, 1))
+        return reactions.at[human].set(damped_solve(answers.factors[human], along_controls).reshape(-1, 2))
+
+    reactions = who.fold(react, jnp.zeros_like(plan.humans))
+
+    def after(share: Scalar) -> tuple[Plan, Scalar]:
+        tried = Plan(plan.robot + share * step.reshape(-1, 2), answers.humans + share * reactions)
+        tried = within_limits(game, state, tried)
+        humans = move_all(game, state[1 : 1 + number], tried.humans)
+        return tried, reward(move(game, state[0], tried.robot), humans) - cost(tried.robot)
+
+    candidates, earned = jax.vmap(after)(jnp.asarray(SHARES))
+    return jax.tree.map(lambda tried: best_of(tried, earned), candidates)
+
+
+def around_obstacles(game: Game, state: State, plan: Plan) -> Plan:
+    """Replace a plan that runs into an obstacle by the manoeuvre that earns most of those that do not, if any.
+
+    Newton steps do not leave the local optimum of driving through cones; the next plan starts from the manoeuvre.
+    Humans may still answer, so that a plan that counts on them is left as it is.
+    """
+    car, others = state[0], move_all(game, state[1 : 1 + game.number], plan.humans)
+    controls, _ = manoeuvres(game, car, game.planner.horizon)
+    candidates = jnp.concatenate([plan.robot[None], bounded(game, car, controls)])
+
+    def look(controls: Controls) -> tuple[Any, Scalar]:
+        own = move(game, car, controls)
+        nobody = Motion(*jnp.zeros((len(own), 0, game.planner.horizon)))
+        _, collision = collision_risk(game.scene, Motion(*own), nobody)
+        earned = trajectory_reward(game, state, own, others) - discomfort(game, car, controls)
+        return (collision > 0).any(), earned
+
+    hits, earned = jax.vmap(look)(candidates)
+    best = best_of(candidates, jnp.where(hits, -jnp.inf, earned))
+    return plan._replace(robot=jnp.where(hits[0] & ~hits.all(), best, plan.robot))

@@ -1,0 +1,59 @@
+"""Make plans: where they start from, against predicted humans, within limits."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+from jax import numpy as jnp
+
+from ms_highway.game.arrays import HumansControls, State
+from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, move_all, trajectory_reward
+from ms_highway.optimization.arrays import Controls
+from ms_highway.optimization.objective import Objective
+from ms_highway.optimization.solvers import optimize_controls
+
+
+class Plan(NamedTuple):
+    """The robot's controls and those that they expect of every human.
+
+    Scaled in models and starts: times ``game.planner.control_scale``, they are curvatures [1/m] and accelerations
+    before friction [m/s^2], as `ms_highway.planning.compiled_plans.plan` returns them.
+    """
+
+    robot: Controls
+    humans: HumansControls
+
+
+def cold_start(game: Game, state: State) -> Plan:
+    """Return the plan that plans start from without a last one.
+
+    All controls are zero, the paper's start, or keep the velocity where the solver is made for horizons of seconds.
+    """
+    cars = 1 + game.number
+    if game.planner.solver == "damped_newton":
+        controls = jnp.stack([constant_velocity(game, car) for car in jnp.unstack(state[:cars])])
+    else:
+        controls = jnp.zeros((cars, game.planner.horizon, 2))
+    return Plan(controls[0], controls[1:])
+
+
+@jax.jit  # traced once for the human and the robot, naive and turn
+def plan_against(game: Game, state: State, humans: HumansControls, start: Plan | None = None) -> Plan:
+    """Optimise the robot's controls against fixed controls of the humans."""
+    expected = move_all(game, state[1 : 1 + len(humans)], humans)
+    objective = Objective(
+        partial(move, game, state[0]),
+        lambda robot: trajectory_reward(game, state, robot, expected),
+        partial(discomfort, game, state[0]),
+        partial(bounded, game, state[0]),
+    )
+    robot = optimize_controls(game.planner, objective, (cold_start(game, state) if start is None else start).robot)
+    return Plan(robot, humans)
+
+
+def within_limits(game: Game, state: State, plan: Plan) -> Plan:
+    """Limit all controls of a plan, see `ms_highway.game.game.bounded`."""
+    if game.number == 1:
+        return Plan(bounded(game, state[0], plan.robot), bounded(game, state[1], plan.humans[0])[None])
+    humans = jax.vmap(partial(bounded, game))(state[1 : 1 + game.number], plan.humans)
+    return Plan(bounded(game, state[0], plan.robot), humans)

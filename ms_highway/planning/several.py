@@ -1,0 +1,89 @@
+"""Plan with a human model for each human: one compiled function for all assignments of models to several humans."""
+
+from functools import partial
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+
+from ms_highway.game.arrays import HumansControls, Rungs, State
+from ms_highway.game.game import Game, bounded, constant_velocity, pair
+from ms_highway.planning.climb import Answering, around_obstacles, climb
+from ms_highway.planning.effort import Effort, base_of
+from ms_highway.planning.human_models import HumanModel, IntelligentDriver, Naive, TheoryOfMind, Turn
+from ms_highway.planning.plans import Plan, cold_start
+from ms_highway.runtime.arrays import Index
+
+
+def plan_for(
+    ladder: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs | None = None, start: Plan | None = None
+) -> Plan:
+    """Plan as may be executed, all finite controls within the limits of `ms_highway.game.game.bounded`.
+
+    Args:
+        ladder: human models; with one human, the one that predicts it.
+        game: with the humans' rewards as the robot believes them.
+        state: all cars now.
+        rungs: of every human; not looked at with one.
+        start: scaled plan to improve; by default, `ms_highway.planning.plans.cold_start`.
+    """
+    if game.number == 1:
+        plan = _limited(ladder[0], game, state, Plan(*ladder[0].plan(game, state, start)))
+    else:
+        plan = _plan_several(ladder, game, state, rungs, cold_start(game, state) if start is None else start)
+    planner = game.planner
+    return around_obstacles(game, state, plan) if planner.persistent and planner.solver == "damped_newton" else plan
+
+
+def _limited(model: HumanModel, game: Game, state: State, plan: Plan) -> Plan:
+    """Limit the plan of a registered model; the package's models keep to the limits by themselves."""
+    if type(base_of(model)) in (Naive, IntelligentDriver, Turn, TheoryOfMind):
+        return plan
+    robot, human = (
+        jnp.where(jnp.isfinite(side), bounded(game, car, side), side)
+        for side, car in zip((plan.robot, plan.humans[0]), state[:2], strict=True)
+    )
+    return Plan(robot, human[None])
+
+
+def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs, start: Plan) -> Plan:
+    """Plan with a rung for each of several humans.
+
+    A loop over the humans under each rung takes as many rounds as there are: the time of a plan is additive in the
+    models, and one compiled function plans under all assignments. Where rungs ask for different efforts, the plan takes
+    as many steps as the most of them.
+    """
+    bases = [base_of(model) for model in ladder]
+    answers = np.array([type(base) is TheoryOfMind for base in bases])
+    kept = jax.vmap(partial(constant_velocity, game))(state[1 : 1 + game.number])
+    expected: HumansControls = kept
+    for rung, model in enumerate(ladder):
+        if not answers[rung] and type(bases[rung]) is not Naive:
+            expected = _predict(model, rung, game, state, rungs, start, expected)
+    responding = jnp.asarray(answers)[rungs]
+    who = Answering(game, state, jnp.argsort(~responding, stable=True), jnp.sum(responding))
+    first = Plan(start.robot, jnp.where(responding[:, None, None], start.humans, expected))
+    return climb(who, first, _most_steps(ladder, game, rungs))
+
+
+def _predict(
+    model: HumanModel, rung: int, game: Game, state: State, rungs: Rungs, start: Plan, expected: HumansControls
+) -> HumansControls:
+    """Predict the humans on a rung, one after the other, each in the robot's game with it alone."""
+    chosen = rungs == rung
+    order, anew = jnp.argsort(~chosen, stable=True), game.planner.solver == "damped_newton"
+
+    def predict(place: Index, expected: HumansControls) -> HumansControls:
+        human = order[place]
+        begin = None if anew else Plan(start.robot, start.humans[human][None])
+        return expected.at[human].set(model.predict(*pair(game, state, human), begin))
+
+    return jax.lax.fori_loop(0, jnp.sum(chosen), predict, expected)
+
+
+def _most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> Index | None:
+    """Return the most steps that a rung in use asks for; None if all ask for the planner's."""
+    planner = game.planner
+    usual = planner.newton_steps if planner.solver == "damped_newton" else planner.iterations
+    steps = [model.steps or usual if isinstance(model, Effort) else usual for model in ladder]
+    return None if set(steps) == {usual} else jnp.asarray(steps)[rungs].max()
