@@ -96,7 +96,8 @@ def _bench_road(options: argparse.Namespace) -> None:
             episodes[block].append(episode)
             yield count
             if len(episodes[block]) == len(seeds):  # what is done is kept, whatever happens next
-                results[block.scene][block.driver] = summary(block, episodes[block])
+                own = {block.driver: summary(block, episodes[block])} | results[block.scene]
+                results[block.scene] = {driver: own[driver] for driver in drivers if driver in own}
                 if options.json:
                     with replacing(options.json) as path:
                         path.write_text(json.dumps(results, indent=2) + "\n")

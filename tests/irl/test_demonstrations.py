@@ -157,7 +157,7 @@ def test_collisions_are_noted_and_without_effect():
     [
         ({"densty": "dense"}, "density"),
         ({"density": "empty"}, "density.*empty"),
-        ({"action": {"type": "DiscreteMetaAction"}}, "must be 'ContinuousAction'"),
+        ({"action": {"type": "DiscreteMetaAction"}}, "'type'"),
         ({"observation": {"type": "Kinematics"}}, "must be 'CarTracks'"),
         ({"duration": -1}, "'duration'"),
     ],

@@ -54,11 +54,10 @@ def run_blocks(
                     episode = process.submit(run_episode, block, seed).result()
                     seen.setdefault(episode.success, seed)
                     reports.put((block, episode))
-                for success, seed in seen.items() if films else ():
-                    name = (
-                        f"{block.scene}_{block.driver.replace(':', '_')}_{'success' if success else 'failure'}_{seed}"
-                    )
-                    process.submit(film, block, seed, films / f"{name}.gif").result()
+                for success, seed in seen.items():
+                    name = f"{block.scene}_{block.driver}_{'success' if success else 'failure'}_{seed}.gif"
+                    if films:
+                        process.submit(film, block, seed, films / name.replace(":", "_")).result()
         finally:
             free.put(core)
 

@@ -20,7 +20,6 @@ from ms_highway.benchmarks.road.peers import PEERS
 from ms_highway.envs.road import drive
 from ms_highway.envs.road.goals import success
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
-from ms_highway.visualization.video import write
 
 LONGEST = 60.0
 """Seconds after which an episode ends in scenes that have no end of their own: a car may stand still."""
@@ -164,6 +163,8 @@ def film(block: Block, seed: int, path: Path) -> None:
     Raises:
         OSError: if it cannot be written.
     """
+    from ms_highway.visualization.video import write
+
     env: Any = make_driver(block, render_mode="rgb_array")
     frequency, pictures, frames = env.unwrapped.config["simulation_frequency"], [], count()
     every = max(1, round(frequency / FRAMES_PER_SECOND))
