@@ -120,7 +120,7 @@ class Climb(NamedTuple):
 
         cars, fields, steps = plan.others.shape
         shapes = (fields, steps), (cars, steps, steps), (cars, fields, 2, steps)
-        answers = for_each(self.tom, answer, Answers(*map(jnp.zeros, shapes), plan.accelerations))
+        answers = for_each(self.tom, answer, Answers(*(*map(jnp.zeros, shapes), plan.accelerations)))
         gradient = jnp.tensordot(by_motion, along, 2) + jnp.tensordot(answers.slope, world, 2)
         return Expansion(gradient, self._hessian(motion, plan.others, along), world, answers)
 
