@@ -2,8 +2,7 @@
 
 ``import ms_highway`` registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
 ``ms-highway/give-way-v0``, ``ms-highway/dense-merge-v0``, ``ms-highway/crossing-crowd-v0`` and
-``ms-highway/demonstration-v0`` with Gymnasium. Imports `ms_highway.vehicle` and what
-stands below it.
+``ms-highway/demonstration-v0`` with Gymnasium. Imports `ms_highway.vehicle` and what stands below it.
 """
 
 from typing import cast
@@ -11,49 +10,24 @@ from typing import cast
 from gymnasium.envs.registration import EnvCreator, register, registry
 
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.crowd.base import CrowdEnv
-from ms_highway.envs.crowd.scenes import CrossingCrowdEnv, DenseMergeEnv
 from ms_highway.envs.demonstration import DemonstrationEnv
-from ms_highway.envs.give_way import GiveWayEnv
-from ms_highway.envs.merger import MergerEnv
-from ms_highway.envs.stay_back import StayBackEnv
+from ms_highway.envs.scenes import CrossingCrowdEnv, DenseMergeEnv, GiveWayEnv, MergerEnv, StayBackEnv
 from ms_highway.game.scenario import Scenario
 
 __all__ = [
-    "CROWD_SCENARIOS",
     "DEMONSTRATION_ID",
     "ENVIRONMENTS",
     "PAPER_SCENARIOS",
     "SCENARIOS",
     "CrossingCrowdEnv",
-    "CrowdEnv",
     "DemonstrationEnv",
     "DenseMergeEnv",
     "GiveWayEnv",
+    "InteractionEnv",
     "MergerEnv",
     "StayBackEnv",
-    "actions",
     "add_scenario",
-    "base",
-    "checks",
-    "configuration",
-    "controllers",
-    "crowd",
-    "demonstration",
     "environment_id",
-    "give_way",
-    "graphics",
-    "is_crowd",
-    "merger",
-    "observations",
-    "road",
-    "routes",
-    "settings",
-    "short_names",
-    "stage",
-    "stay_back",
-    "two_player_scenario",
-    "words",
 ]
 
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
@@ -62,16 +36,12 @@ ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
 }
 """The environments by name of their scenario."""
 
-SCENARIOS: dict[str, Scenario] = {
-    name: environment.scenario for name, environment in ENVIRONMENTS.items() if not issubclass(environment, CrowdEnv)
-}
-"""The scenarios with one human by name."""
+SCENARIOS: dict[str, Scenario] = {name: environment.scenario for name, environment in ENVIRONMENTS.items()}
+"""The scenarios by name."""
 
+PACKAGE_SCENARIOS = tuple(SCENARIOS)
 PAPER_SCENARIOS = ("stay_back", "merger", "give_way")
 """Names of the paper's scenarios."""
-
-CROWD_SCENARIOS = ("dense_merge", "crossing_crowd")
-"""Names of the package's scenarios with several humans."""
 
 DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
 """The Gymnasium id of the `DemonstrationEnv`, with the prefix that lets spawned workers find it."""
@@ -86,23 +56,6 @@ def environment_id(scenario: str) -> str:
     if scenario not in ENVIRONMENTS:
         raise ValueError(f"unknown scenario {scenario!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
     return f"ms_highway:ms-highway/{scenario.replace('_', '-')}-v0"
-
-
-def is_crowd(scenario: str) -> bool:
-    """Return whether a scenario has several humans, see `ms_highway.envs.crowd`; an unknown one has not."""
-    return scenario in ENVIRONMENTS and scenario not in SCENARIOS
-
-
-def two_player_scenario(name: str) -> Scenario:
-    """Return a scenario with one human.
-
-    Raises:
-        ValueError: for an unknown scenario, or one with several humans.
-    """
-    environment_id(name)
-    if is_crowd(name):
-        raise ValueError(f"{name} has several humans; the scenarios with one human are {', '.join(SCENARIOS)}")
-    return SCENARIOS[name]
 
 
 def add_scenario(environment: type[InteractionEnv]) -> str:
@@ -120,14 +73,10 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
         ValueError: if the name is one of the package's, or no such word.
     """
     name = environment.scenario.name
-    taken = (*PAPER_SCENARIOS, *CROWD_SCENARIOS)
-    if name in taken or not (name.isidentifier() and name.islower()):
-        others = ", ".join(taken)
+    if name in PACKAGE_SCENARIOS or not (name.isidentifier() and name.islower()):
+        others = ", ".join(PACKAGE_SCENARIOS)
         raise ValueError(f"a scenario cannot be called {name!r}; choose one word in lower case other than {others}")
-    ENVIRONMENTS[name] = environment
-    SCENARIOS.pop(name, None)
-    if not issubclass(environment, CrowdEnv):
-        SCENARIOS[name] = environment.scenario
+    ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
     bare_id = environment_id(name).removeprefix("ms_highway:")
     registry.pop(bare_id, None)
     register(bare_id, entry_point=cast(EnvCreator, environment))

@@ -1,8 +1,14 @@
-"""Merge configurations with the defaults key by key, and check what all environments share."""
+"""Merge configurations with their defaults key by key, and read them: errors name key, value, place and remedy.
 
-from collections.abc import Mapping
+Configurations are read by msgspec into frozen structs. The annotations of their fields hold types and limits, and a
+`msgspec.Meta` with a ``description`` says what to give instead: it ends the sentence ``config['grip'] is -1; ...``.
+"""
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from inspect import signature
-from typing import Any
+from os import PathLike, fspath
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
 from highway_env.envs.common.observation import (
@@ -11,122 +17,177 @@ from highway_env.envs.common.observation import (
     LidarObservation,
     OccupancyGridObservation,
 )
+from msgspec import NODEFAULT, Meta, Struct, ValidationError, convert, field
+from msgspec.structs import fields
 
-from ms_highway.envs.checks import LARGEST, is_number, is_one_of, refuse_unknown
-from ms_highway.envs.controllers import check_price
-from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.scenario import TIME_STEP
 
-__all__ = ["changed"]
+Kind = TypeVar("Kind", bound=Struct)
 
+LARGEST = float(np.finfo(np.float32).max)
+"""The largest number that single precision holds."""
+
+Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST, description=f"it must be a number of at most {LARGEST:.2g}")]
+Positive = Annotated[float, Meta(gt=0, le=LARGEST, description="it must be a positive number")]
+NotNegative = Annotated[float, Meta(ge=0, le=LARGEST, description=f"it must be a number from 0 to {LARGEST:.2g}")]
+
+RANGES = {"acceleration_range", "steering_range", "longitudinal", "lateral", "clip"}
+STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
 ACTIONS: dict[str, set[str]] = {
     "Autopilot": set(),
     "HumanModelAction": {"lambda"},
-    "ContinuousAction": {"acceleration_range", "steering_range", "longitudinal", "lateral", "clip"},
-    "DiscreteAction": {"acceleration_range", "steering_range", "longitudinal", "lateral", "clip", "actions_per_axis"},
+    "ContinuousAction": RANGES,
+    "DiscreteAction": RANGES | {"actions_per_axis"},
 }
-OBSERVATIONS = {
-    "CarStates": None,
-    "CarTracks": None,
+STOCK_OBSERVATIONS = {
     "Kinematics": KinematicObservation,
     "OccupancyGrid": OccupancyGridObservation,
     "LidarObservation": LidarObservation,
     "GrayscaleObservation": GrayscaleObservation,
 }
-CHOICES: dict[str, tuple[str | None, ...]] = {
-    "semantics": ("paper", "released"),
-    "influence": (None, "exact", "damped"),
-    "solver": ("gradient", "newton"),
-    "yielding": ("usual", "never", "always", "mixed"),
-    "density": tuple(DENSITIES),
+OBSERVATIONS: dict[str, set[str]] = {"CarStates": set(), "CarTracks": set()} | {
+    name: set(signature(kind).parameters) - {"env", "kwargs"} for name, kind in STOCK_OBSERVATIONS.items()
 }
-TIME_STEPS = 0.01, 1.0  # s, the shortest and the longest
-OWN_CHECK = ("horizon", "iterations", "step_size")  # in `ms_highway.envs.settings`
 REPLACED = ("human_reward",)  # mappings that are not merged: weights of two rewards do not belong together
 
 
-def changed(
-    defaults: Mapping[str, Any],
-    changes: Mapping[str, Any] | None,
-    choices: Mapping[str, tuple[str | None, ...]] | None = None,
-) -> dict[str, Any]:
-    """Apply changes to the defaults of any environment, and check the keys that all environments share.
+class ModelAction(Struct, frozen=True, tag_field="type", tag="HumanModelAction"):
+    """What an action says by which the agent chooses models: the price of a second of planning."""
 
-    A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
-    replaces the default.
+    price: NotNegative = field(name="lambda")
 
-    Args:
-        defaults: the whole configuration.
-        changes: of some of it.
-        choices: of keys whose choices differ from those of other environments.
+
+def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> None:
+    """Refuse keys that are not known.
 
     Raises:
-        ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
+        ValueError: naming the first one, and the nearest that is known.
+    """
+    known = sorted(known)
+    for key in given:
+        if key not in known:
+            near = get_close_matches(str(key), known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"the keys are {', '.join(known)}"
+            raise ValueError(f"unknown key {key!r} in {place}; {hint}")
+
+
+def read(kind: type[Kind], place: str, values: Any) -> Kind:
+    """Return a struct of the values of a configuration; NumPy's numbers and arrays count as Python's.
+
+    Args:
+        kind: a struct; its ``__post_init__`` may raise a ValueError, which is passed on.
+        place: of the values, such as ``"config['controller']"``.
+        values: by key.
+
+    Raises:
+        ValueError: naming key, value, place and remedy, for anything unknown, missing or impossible.
+    """
+    values = _plain(values)
+    if not isinstance(values, dict):
+        raise ValueError(f"{place} is {values!r}; it must be a dictionary")
+    known, tag = {each.encode_name: each for each in fields(kind)}, kind.__struct_config__.tag_field
+    refuse_unknown(place, values, [*known, tag] if tag else known)
+    for key, each in known.items():
+        if key in values:
+            _check(f"{place}[{key!r}]", values[key], each.type)
+        elif each.default is each.default_factory is NODEFAULT:
+            raise ValueError(f"{place} needs {key!r}: {_remedy(each.type, 'give it')}")
+    try:
+        return convert(values, kind)
+    except ValidationError as error:
+        raise (error.__cause__ or error) from None
+
+
+def _plain(values: Any) -> Any:
+    """Return values without NumPy, and paths as texts."""
+    if isinstance(values, Mapping):
+        return {key: _plain(value) for key, value in values.items()}
+    if isinstance(values, (list, tuple)):
+        return [_plain(value) for value in values]
+    if isinstance(values, (np.ndarray, np.generic)):
+        return values.tolist()
+    return fspath(values) if isinstance(values, PathLike) else values
+
+
+def _check(place: str, value: Any, annotation: Any) -> None:
+    """Check the value of a field, or find the one that is wrong in a mapping."""
+    try:
+        convert(value, annotation)
+    except ValidationError as error:
+        message, _, path = str(error).partition(" - at `$")
+        if path.startswith("[...]"):
+            for key, each in value.items() if len(value) > 1 else ():
+                _check(place, {key: each}, annotation)
+            [(key, value)] = value.items()
+            place = f"{place}[{key!r}]"
+        raise ValueError(f"{place} is {value!r}; {_remedy(annotation, message)}") from None
+
+
+def _remedy(annotation: Any, message: str) -> str:
+    """Say what to give for a field: its description, its choices, or what msgspec expects."""
+    for each in get_args(annotation):
+        if isinstance(each, Meta) and each.description:
+            return each.description
+    if get_origin(annotation) is Literal:
+        return f"choose one of {', '.join(map(repr, get_args(annotation)))}"
+    return "it must be True or False" if annotation is bool else message[:1].lower() + message[1:]
+
+
+def read_own(kind: type[Kind], config: Mapping[str, Any]) -> Kind:
+    """Return a struct of those keys of a whole configuration that highway-env does not have, see `read`."""
+    return read(kind, "config", {each.encode_name: config[each.encode_name] for each in fields(kind)})
+
+
+def merged(kind: type[Struct], defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Apply changes to a configuration, and check all of it.
+
+    A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
+    replaces what stood there.
+
+    Args:
+        kind: a struct of the keys that highway-env does not have.
+        defaults: the whole configuration.
+        changes: of some of it.
+
+    Raises:
+        ValueError: naming key, value, place and remedy, for anything unknown or impossible.
     """
     changes = {} if changes is None else changes
     if not isinstance(changes, Mapping):
         raise ValueError(f"the configuration is {changes!r}; it must be a dictionary")
     refuse_unknown("config", changes, defaults)
-    config = {
-        key: changes[key] if key in changes and key in REPLACED else _merged_value(default, changes.get(key, default))
-        for key, default in defaults.items()
-    }
-    known = {**CHOICES, **(choices or {})}
-    for key in known.keys() & config.keys():
-        if not is_one_of(config[key], known[key]):
-            raise ValueError(f"config[{key!r}] is {config[key]!r}; choose one of {', '.join(map(repr, known[key]))}")
-    for key, default in defaults.items():
-        _check_scalar(key, default, config[key])
+    config = {key: _merged_value(key, default, changes.get(key, default)) for key, default in defaults.items()}
+    read_own(kind, config)
+    for key in defaults.keys() - {each.encode_name for each in fields(kind)}:
+        scalar = {bool: bool, int: Positive, float: Positive}.get(type(defaults[key]))
+        if scalar is not None:
+            _check(f"config[{key!r}]", _plain(config[key]), scalar)
     _set_frequencies(config, changes)
-    _check_action(config["action"])
-    _check_observation(config["observation"])
+    for key, known in (("action", ACTIONS), ("observation", OBSERVATIONS)):
+        values = config[key]
+        if not isinstance(values, Mapping) or values.get("type") not in list(known):
+            raise ValueError(f"config[{key!r}] is {values!r}; its 'type' must be one of {', '.join(known)}")
+        refuse_unknown(f"config[{key!r}]", values, {"type"} | known[values["type"]])
+    action = config["action"]
+    if "lambda" in ACTIONS[action["type"]]:
+        read(ModelAction, "config['action']", action)
+    if "steering_range" in ACTIONS[action["type"]]:
+        config["action"] = {"steering_range": STEERING_RANGE, **action}
     return config
 
 
-def _set_frequencies(config: dict[str, Any], changes: Mapping[str, Any]) -> None:
-    """Let the road move, and cars act, once in every time step of the plans."""
-    time_step, (shortest, longest) = config.get("time_step", TIME_STEP), TIME_STEPS
-    if not shortest <= time_step <= longest:
-        raise ValueError(f"config['time_step'] is {time_step!r}; it must be from {shortest:g} to {longest:g} s")
-    frequency = 1 / time_step
-    for key in ("simulation_frequency", "policy_frequency"):
-        if key in changes and not np.isclose(config[key], frequency):
-            told = f"plans are made of steps of {time_step:g} s, so it must be {frequency:g}"
-            raise ValueError(f"config[{key!r}] is {config[key]!r}; {told}")
-        config[key] = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
-
-
-def _check_scalar(key: str, default: Any, value: Any) -> None:
-    """Check that a value has the type of a default that is a truth value or a number, and that numbers are positive."""
-    if key in OWN_CHECK:
-        return
-    if isinstance(default, bool) and not isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"config[{key!r}] is {value!r}; it must be True or False")
-    if is_number(default) and not (is_number(value) and value > 0):
-        raise ValueError(f"config[{key!r}] is {value!r}; it must be a positive number of at most {LARGEST:.2g}")
-
-
-def _merged_value(default: Any, value: Any) -> Any:
-    if not isinstance(default, Mapping) or not isinstance(value, Mapping):
+def _merged_value(key: str, default: Any, value: Any) -> Any:
+    if key in REPLACED or not isinstance(default, Mapping) or not isinstance(value, Mapping):
         return value
     same_type = value.get("type", default.get("type")) == default.get("type")
     return {**default, **value} if same_type else dict(value)
 
 
-def _check_type(key: str, config: Any, known: Mapping[str, Any]) -> None:
-    if not isinstance(config, Mapping) or not is_one_of(config.get("type"), known):
-        raise ValueError(f"config[{key!r}] is {config!r}; its 'type' must be one of {', '.join(known)}")
-
-
-def _check_action(config: Mapping[str, Any]) -> None:
-    _check_type("action", config, ACTIONS)
-    refuse_unknown("config['action']", config, ACTIONS[config["type"]] | {"type"})
-    if config["type"] == "HumanModelAction":
-        check_price("config['action']", config.get("lambda"))
-
-
-def _check_observation(config: Mapping[str, Any]) -> None:
-    _check_type("observation", config, OBSERVATIONS)
-    kind = OBSERVATIONS[config["type"]]
-    options = set(signature(kind).parameters) - {"env", "kwargs"} if kind else set()
-    refuse_unknown("config['observation']", config, options | {"type"})
+def _set_frequencies(config: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    """Let the road move, and cars act, once in every time step of the plans."""
+    frequency = 1 / config.get("time_step", TIME_STEP)
+    for key in ("simulation_frequency", "policy_frequency"):
+        if key in changes and not np.isclose(config[key], frequency):
+            message = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
+            raise ValueError(f"config[{key!r}] is {config[key]!r}; {message}")
+        config[key] = round(frequency) if np.isclose(frequency, round(frequency)) else frequency

@@ -1,270 +1,292 @@
-"""Parse and check the configurations of controllers; for their short names see `ms_highway.envs.short_names`."""
+"""The controllers of a robot: their configurations by type; for short names see `ms_highway.envs.short_names`."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from itertools import cycle, islice
 from math import nan
-from os import PathLike
-from types import NoneType
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from msgspec import Meta, Struct, field
 
-from ms_highway.envs.checks import LARGEST, is_number, is_one_of, refuse_unknown
+from ms_highway.envs.configuration import NotNegative, Positive, read
 from ms_highway.game.scenario import Semantics
+from ms_highway.metareasoning.budget import Budget, OneStepGains
 from ms_highway.metareasoning.horizon import WholeHorizon
-from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE
-from ms_highway.metareasoning.rule import Rule
+from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE, QuadraticRule
+from ms_highway.metareasoning.rankings import Influence, Nearest, TimeToCollision
+from ms_highway.metareasoning.rule import Order
 from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
-from ms_highway.metareasoning.values import load_values
-from ms_highway.planning.human_models import HumanModel, is_model, model_names
-
-__all__ = [
-    "CHOOSING",
-    "FIXED_ORDERS",
-    "ChoosingSettings",
-    "ControllerSettings",
-    "FixedSettings",
-    "HorizonSettings",
-    "LearnedSettings",
-    "PeriodSettings",
-    "RandomSettings",
-    "ScheduledSettings",
-    "SwitchingSettings",
-    "controller_settings",
-]
+from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import HumanModel, human_model, is_model, model_names
 
 PLACE = "config['controller']"
+ONE_STEP = "one_step"  # name of the gains of budgets that Algorithm 1 estimates
 ROUNDING = 1e-6  # how far a sum of shares may be from 1
 
+Models = Annotated[tuple[str, ...], Meta(min_length=1, description="give a list of human models")]
+Shares = Annotated[
+    dict[str, Annotated[float, Meta(ge=0, le=2)]],
+    Meta(min_length=1, description="give the share of each model, such as {'naive': 0.7, 'tom': 0.3}"),
+]
+File = Annotated[str | None, Meta(description="say 'shipped' or name a file of learned values")]
 
-@dataclass(frozen=True)
-class BeliefSettings:
-    """Whether a controller infers which model predicts each human, see `ms_highway.metareasoning.belief`."""
 
-    belief: bool = field(default=False, kw_only=True)
+class Start(NamedTuple):
+    """What a rule is built from when an episode starts.
+
+    Attributes:
+        ladder: human models to choose from, cheapest first.
+        costs: of plans with them, NaN where no rule needs them.
+        semantics: of the scenario.
+        humans: their number.
+        steps: of the episode.
+        random: what is drawn from.
+    """
+
+    ladder: tuple[HumanModel, ...]
+    costs: Costs
+    semantics: Semantics
+    humans: int
+    steps: int
+    random: np.random.Generator
 
 
-class ControllerSettings(BeliefSettings, ABC):
-    """What a controller's configuration says. Impossible values raise a ValueError."""
+class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
+    """What a controller's configuration says.
 
-    type: ClassVar[str]
-    price: float = nan  # lambda, where a rule chooses
+    Attributes:
+        belief: whether it infers which model predicts each human, see `ms_highway.metareasoning.belief`.
+        quantile: of planning times, by which costs are measured.
+        chooses: whether a rule chooses from the ladder.
+    """
 
-    @abstractmethod
+    quantile: ClassVar[float] = 0.5
+    chooses: ClassVar[bool] = True
+    belief: bool = False
+
+    @property
+    def price(self) -> float:
+        """Lambda, NaN where no rule chooses at one."""
+        return nan
+
+    @property
+    def budget(self) -> float | None:
+        """Time of a cycle [s], None without one."""
+        return None
+
+    def rule(self, start: Start) -> Any:
+        """Return the `Rule` of an episode, or its `Order`."""
+        raise NotImplementedError
+
+
+class OrderSettings(ControllerSettings, frozen=True):
+    """Plans each step with models that are known when the episode starts."""
+
+    chooses: ClassVar[bool] = False
+
     def names(self) -> tuple[str, ...]:
-        """The names of its human models; empty where a rule chooses from the ladder."""
-
-    def draw(self, steps: int, random: np.random.Generator) -> list[str]:
-        """Return the name of every step's human model, the last one kept; empty where a rule chooses.
-
-        Args:
-            steps: how many are drawn, for random controllers.
-            random: what they are drawn from; other controllers do not use it.
-        """
-        return list(self.names())
-
-
-@dataclass(frozen=True)
-class FixedSettings(ControllerSettings):
-    """Plans every step with the same human model."""
-
-    model: str
-    type: ClassVar[str] = "fixed"
+        """The names of its human models."""
+        raise NotImplementedError
 
     def __post_init__(self) -> None:
-        if not is_model(self.model):
-            raise ValueError(f"{PLACE}['model'] is {self.model!r}; the human models are {model_names()}")
+        for name in self.names():
+            if not is_model(name):
+                raise ValueError(f"{PLACE} names {name!r}; the human models are {model_names()}")
+
+    def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
+        """Return the names of the humans' models in every step, [steps, humans], or one for all humans, [steps, 1]."""
+        return np.array(self.names())[:, None]
+
+    def rule(self, start: Start) -> Any:
+        """See `ControllerSettings.rule`."""
+        table = self.table(start.steps, start.humans, start.random)
+        names = list(dict.fromkeys(table.ravel().tolist()))
+        return Order(np.vectorize(names.index)(table), tuple(map(human_model, names)))
+
+
+class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
+    """Always the same model."""
+
+    model: str
 
     def names(self) -> tuple[str, ...]:
-        """See `ControllerSettings.names`."""
+        """See `OrderSettings.names`."""
         return (self.model,)
 
 
-@dataclass(frozen=True)
-class ScheduledSettings(ControllerSettings):
-    """Plans each step with the human model of a list, the last one is kept."""
+class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
+    """A model per step, the last one is kept; ``tom/naive`` stands for a model of each human."""
 
-    models: tuple[str, ...]
-    type: ClassVar[str] = "schedule"
-
-    def __post_init__(self) -> None:
-        names = self.models
-        if not isinstance(names, (list, tuple)) or not names or not all(map(is_model, names)):
-            raise ValueError(f"{PLACE}['models'] is {names!r}; give a list of human models, of {model_names()}")
+    models: Models
 
     def names(self) -> tuple[str, ...]:
-        """See `ControllerSettings.names`."""
-        return tuple(self.models)
+        """See `OrderSettings.names`."""
+        return tuple(name for step in self.models for name in step.split("/"))
+
+    def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
+        """See `OrderSettings.table`.
+
+        Raises:
+            ValueError: where a step names several models, but not as many as there are humans.
+        """
+        rows = [step.split("/") for step in self.models]
+        if wrong := {len(row) for row in rows} - {1, humans}:
+            remedy = "name one for all of them in a step, or one for each"
+            raise ValueError(f"{PLACE}['models'] has {min(wrong)} models for {humans} humans; {remedy}")
+        return np.array([row * (humans // len(row)) for row in rows])
 
 
-@dataclass(frozen=True)
-class PeriodSettings(ScheduledSettings):
-    """Plans each step with the human model of a list, which is repeated to the end of the episode."""
+class PeriodSettings(ScheduleSettings, frozen=True, tag="period"):
+    """A model per step, repeated to the end of the episode."""
 
-    type: ClassVar[str] = "period"
-
-    def draw(self, steps: int, random: np.random.Generator) -> list[str]:
-        """See `ControllerSettings.draw`."""
-        return list(islice(cycle(self.models), steps))
+    def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
+        """See `OrderSettings.table`."""
+        return np.resize(super().table(steps, humans, random), (steps, humans))
 
 
-@dataclass(frozen=True)
-class RandomSettings(ControllerSettings):
-    """Draws the human model of each step, with the given shares by name, when the episode starts."""
+class RandomSettings(OrderSettings, frozen=True, tag="random"):
+    """A model for every human and step, drawn when the episode starts."""
 
-    shares: Mapping[str, float]
-    type: ClassVar[str] = "random"
+    shares: Shares
 
     def __post_init__(self) -> None:
-        place, shares = f"{PLACE}['shares']", self.shares
-        if not isinstance(shares, Mapping) or not shares:
-            example = "{'naive': 0.7, 'tom': 0.3}"
-            raise ValueError(f"{place} is {shares!r}; give the share of each model, such as {example}")
-        for name, share in shares.items():
-            if not is_model(name):
-                raise ValueError(f"{place} names {name!r}; the human models are {model_names()}")
-            if not is_number(share) or share < 0:
-                raise ValueError(f"{place}[{name!r}] is {share!r}; a share must be a number from 0 to 1")
-        if abs(sum(shares.values()) - 1) > ROUNDING:
-            raise ValueError(f"{place} sum to {sum(shares.values()):g}; change one, so that they sum to 1")
+        super().__post_init__()
+        total = sum(self.shares.values())
+        if abs(total - 1) > ROUNDING:
+            raise ValueError(f"{PLACE}['shares'] sum to {total:g}; change one, so that they sum to 1")
 
     def names(self) -> tuple[str, ...]:
-        """See `ControllerSettings.names`."""
+        """See `OrderSettings.names`."""
         return tuple(name for name, share in self.shares.items() if share > 0)
 
-    def draw(self, steps: int, random: np.random.Generator) -> list[str]:
-        """See `ControllerSettings.draw`."""
-        shares = np.array([self.shares[name] for name in self.names()], dtype=float)
-        return random.choice(self.names(), size=steps, p=shares / shares.sum()).tolist()
+    def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
+        """See `OrderSettings.table`."""
+        shares = np.array([self.shares[name] for name in self.names()])
+        return random.choice(self.names(), size=(steps, humans), p=shares / shares.sum())
 
 
-@dataclass(frozen=True)
-class ChoosingSettings(ControllerSettings):
-    """A rule chooses the human model of each step from the ladder, at a price per second of planning."""
+class SwitchingSettings(ControllerSettings, frozen=True, tag="switching"):
+    """Algorithm 1 chooses from the ladder, at a price per second of planning."""
 
-    price: float
+    price: NotNegative = field(name="lambda")
+    algorithm: ClassVar[type[QuadraticRule]] = Switching
 
-    def __post_init__(self) -> None:
-        check_price(PLACE, self.price)
-
-    def names(self) -> tuple[str, ...]:
-        """See `ControllerSettings.names`."""
-        return ()
-
-    @abstractmethod
-    def rule(self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics) -> Rule:
-        """Return the rule on a ladder with T(M) [s]."""
+    def rule(self, start: Start) -> Any:
+        """See `ControllerSettings.rule`."""
+        tolerance = RELEASED_TRUST_TOLERANCE if start.semantics == "released" else TRUST_TOLERANCE
+        return self.algorithm(start.costs, self.price, start.ladder, trust_tolerance=tolerance)
 
 
-@dataclass(frozen=True)
-class SwitchingSettings(ChoosingSettings):
-    """Algorithm 1 chooses."""
-
-    type: ClassVar[str] = "switching"
-
-    def rule(
-        self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics
-    ) -> Switching:
-        """See `ChoosingSettings.rule`."""
-        return Switching(costs, self.price, models, trust_tolerance=_tolerance(semantics))
-
-
-@dataclass(frozen=True)
-class HorizonSettings(ChoosingSettings):
+class HorizonSettings(SwitchingSettings, frozen=True, tag="horizon"):
     """Algorithm 1 chooses with gains that are estimated over the whole horizon."""
 
-    type: ClassVar[str] = "horizon"
-
-    def rule(
-        self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics
-    ) -> WholeHorizon:
-        """See `ChoosingSettings.rule`."""
-        return WholeHorizon(costs, self.price, models, trust_tolerance=_tolerance(semantics))
+    algorithm = WholeHorizon
 
 
-def _tolerance(semantics: Semantics) -> float:
-    """Return the tolerance of trust regions."""
-    return RELEASED_TRUST_TOLERANCE if semantics == "released" else TRUST_TOLERANCE
-
-
-@dataclass(frozen=True)
-class LearnedSettings(ChoosingSettings):
-    """A learned value of computation chooses.
+class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
+    """A learned value of computation chooses, at a price per second of planning.
 
     Attributes:
         values: ``"shipped"`` or a file of `ms_highway.metareasoning.values`; ``""`` and None mean shipped.
     """
 
-    values: str | PathLike[str] | None = None
-    type: ClassVar[str] = "learned"
+    price: NotNegative = field(name="lambda")
+    values: File = None
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if not isinstance(self.values, (str, PathLike, NoneType)):
-            raise ValueError(f"{PLACE}['values'] is {self.values!r}; say 'shipped' or name a file of learned values")
-        load_values(self.values or "shipped")
+        load_values(self.values or SHIPPED_VALUES)
 
-    def rule(self, models: tuple[HumanModel, ...], costs: Float[np.ndarray, "rungs"], semantics: Semantics) -> Rule:
-        """See `ChoosingSettings.rule`."""
-        return load_values(self.values or "shipped").rule(models, costs, self.price)
+    def rule(self, start: Start) -> Any:
+        """See `ControllerSettings.rule`."""
+        return _learned(self.values, start, self.price)
+
+
+def _learned(values: str | None, start: Start, price: float) -> Any:
+    return load_values(values or SHIPPED_VALUES, start.humans).rule(start.ladder, start.costs, price)
+
+
+class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
+    """What gains most within the time of a cycle.
+
+    Attributes:
+        milliseconds: of a cycle, decision and plan.
+        values: that tell the gains: ``"one_step"`` for those of Algorithm 1, or what `LearnedSettings` takes.
+    """
+
+    quantile: ClassVar[float] = 0.99
+    milliseconds: Positive
+    values: File = None
+
+    def __post_init__(self) -> None:
+        if self.values != ONE_STEP:
+            load_values(self.values or SHIPPED_VALUES)
+
+    @property
+    def budget(self) -> float:
+        """See `ControllerSettings`."""
+        return self.milliseconds * 1e-3
+
+    def rule(self, start: Start) -> Any:
+        """See `ControllerSettings.rule`."""
+        if self.values != ONE_STEP:
+            return Budget(_learned(self.values, start, 0.0), start.costs, self.budget)
+        switching = Switching(start.costs, 0.0, start.ladder)
+        return Budget(OneStepGains(switching, start.costs, start.ladder), start.costs, self.budget)
+
+
+class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
+    """The top rung for the nearest humans, and the first for all others."""
+
+    ranking: ClassVar[Any] = Nearest
+    count: Annotated[int, Meta(ge=0, description="it must be a number of humans, 0 or more")]
+
+    def rule(self, start: Start) -> Any:
+        """See `ControllerSettings.rule`."""
+        return self.ranking(self.count, start.costs, start.ladder)
+
+
+class TimeToCollisionSettings(NearestSettings, frozen=True, tag="ttc"):
+    """The top rung for the humans with the shortest time to collision."""
+
+    ranking = TimeToCollision
+
+
+class InfluenceSettings(NearestSettings, frozen=True, tag="influence"):
+    """The top rung for the humans that influence the robot's plan most."""
+
+    ranking = Influence
 
 
 CLASSES = (
     SwitchingSettings,
     HorizonSettings,
     LearnedSettings,
+    BudgetSettings,
+    NearestSettings,
+    TimeToCollisionSettings,
+    InfluenceSettings,
     FixedSettings,
-    ScheduledSettings,
+    ScheduleSettings,
     PeriodSettings,
     RandomSettings,
 )
-KINDS: dict[str, type[Any]] = {kind.type: kind for kind in CLASSES}
+CONTROLLERS: dict[Any, type[ControllerSettings]] = {kind.__struct_config__.tag: kind for kind in CLASSES}
+"""The controllers by type."""
 
-CHOOSING = [name for name, kind in KINDS.items() if issubclass(kind, ChoosingSettings)]
+CHOOSING = ["switching", "horizon", "learned"]
 """Types of the controllers that choose models online, by a rule at a lambda."""
 
 FIXED_ORDERS = ("fixed", "schedule", "period")
 """Types of the controllers whose models are the same in every episode, step by step."""
 
 
-def check_price(place: str, price: Any) -> None:
-    """Check a lambda.
-
-    Raises:
-        ValueError: naming the place.
-    """
-    if price is None:
-        raise ValueError(f"{place} needs 'lambda', the price of a second of planning")
-    if not is_number(price) or price < 0:
-        raise ValueError(f"{place}['lambda'] is {price!r}; it must be a number from 0 to {LARGEST:.2g}")
-
-
-def controller_settings(config: Any) -> ControllerSettings:
-    """Return the settings of a controller's configuration.
+def controller_settings(config: Any) -> Any:
+    """Return the `ControllerSettings` of a controller's configuration.
 
     Raises:
         ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
     """
-    if not isinstance(config, Mapping) or not is_one_of(config.get("type"), KINDS):
-        raise ValueError(f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(KINDS)}")
-    kind = KINDS[config["type"]]
-    if kind is SwitchingSettings and "model" in config:
-        raise ValueError(f"{PLACE} has a 'model' but is of type 'switching'; say 'type': 'fixed' to always use a model")
-    return read_fields(kind, config)
-
-
-def read_fields(kind: type[Any], config: Mapping[str, Any]) -> Any:
-    """Return the settings of a kind that a configuration gives, those that it does not name None.
-
-    Raises:
-        ValueError: for unknown keys and impossible values.
-    """
-    keys = {each.name: "lambda" if each.name == "price" else each.name for each in fields(kind)}
-    refuse_unknown(PLACE, config, {"type", *keys.values()})
-    belief = config.get("belief", False)
-    if not isinstance(belief, bool):
-        raise ValueError(f"{PLACE}['belief'] is {belief!r}; it must be True or False")
-    return kind(**{name: config.get(key) for name, key in keys.items()} | {"belief": belief})
+    kind = config.get("type") if isinstance(config, Mapping) else None
+    if kind not in list(CONTROLLERS):
+        raise ValueError(f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
+    return read(CONTROLLERS[kind], PLACE, config)

@@ -2,19 +2,16 @@
 
 from collections.abc import Mapping
 from math import atan, pi
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from gymnasium import spaces
-from highway_env.envs.common.action import ContinuousAction
 from highway_env.road.road import Road
-from jaxtyping import Bool, Float
+from msgspec import Struct
 
-from ms_highway.envs.configuration import changed
-from ms_highway.envs.graphics import Viewer
-from ms_highway.envs.observations import CarTracks
+from ms_highway.envs.configuration import Positive
 from ms_highway.envs.routes import DENSITIES, draw_routes
 from ms_highway.envs.stage import StageEnv, straight_road
+from ms_highway.game.arrays import Car, State
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import (
     CAR_SIZE,
@@ -26,9 +23,8 @@ from ms_highway.game.scenario import (
     driving_game,
 )
 from ms_highway.game.scene import Scene
+from ms_highway.optimization.arrays import Control
 from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RoutedVehicle, states_of
-
-__all__ = ["KEYBOARD_ACTION", "DemonstrationEnv", "demonstration_game"]
 
 LANES = 3
 OTHERS = max(DENSITIES.values())
@@ -65,6 +61,13 @@ def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
     return driving_game(scene, SPEED_LIMIT * PAPER_UNIT, weights, grip=None)
 
 
+class DemonstrationSettings(Struct, frozen=True):
+    """The keys of a `DemonstrationEnv` that highway-env does not have."""
+
+    density: Literal["sparse", "medium", "dense"]
+    duration: Positive
+
+
 class DemonstrationEnv(StageEnv):
     """A car to drive along a road of three lanes, among cars on routes that nothing changes.
 
@@ -85,9 +88,8 @@ class DemonstrationEnv(StageEnv):
             episode for as long as a plan looks ahead.
     """
 
-    action_space: spaces.Space | None
-    viewer: Viewer | None
-    routes: Float[np.ndarray, "others times 4"]
+    settings_type = DemonstrationSettings
+    cars = 1 + OTHERS
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -97,8 +99,6 @@ class DemonstrationEnv(StageEnv):
             "action": dict(ACTION),
             "density": "medium",
             "duration": 5.0,
-            "simulation_frequency": 10,
-            "policy_frequency": 10,
             "screen_width": 960,
             "screen_height": 240,
             "scaling": 10.0,
@@ -109,48 +109,22 @@ class DemonstrationEnv(StageEnv):
         self.game = demonstration_game()
         super().__init__(config, render_mode)
 
-    def configure(self, config: dict[str, Any] | None) -> None:
-        """Change the configuration, all of it or nothing.
-
-        Raises:
-            ValueError: for an unknown key or an impossible value.
-        """
-        settings = changed(self.config, config)
-        for key, only in (("action", "ContinuousAction"), ("observation", "CarTracks")):
-            if settings[key]["type"] != only:
-                raise ValueError(f"config[{key!r}] has type {settings[key]['type']!r}; here it must be {only!r}")
-        self.config = settings
-        super().configure(None)
-
-    def update_metadata(self, video_real_time_ratio: int = 1) -> None:
-        """Frames per second of a video that plays at true speed."""
-        super().update_metadata(video_real_time_ratio)
-
-    def define_spaces(self) -> None:
-        """Set observation and action type; an action space that did not change keeps its random generator."""
-        before = self.action_space
-        self.action_type = ContinuousAction(self, **self.config["action"])
-        self.action_space = self.action_type.space()
-        if before == self.action_space:
-            self.action_space = before
-        self.observation_type = CarTracks(self, 1 + OTHERS)
-        self.observation_space = self.observation_type.space()
+    @classmethod
+    def checked_config(
+        cls, changes: Mapping[str, Any] | None, config: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """See `StageEnv.checked_config`; the types of action and observation stay."""
+        checked, usual = super().checked_config(changes, config), cls.default_config()
+        for key in ("action", "observation"):
+            only = usual[key]["type"]
+            if checked[key]["type"] != only:
+                raise ValueError(f"config[{key!r}] has type {checked[key]['type']!r}; here it must be {only!r}")
+        return checked
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode.
-
-        Args:
-            seed: seeds the start and the traffic.
-            options: ``"config"``: changes of the configuration.
-
-        Raises:
-            ValueError: for unknown options or an impossible configuration.
-        """
-        unknown = sorted(set(options or {}) - {"config"})
-        if unknown:
-            raise ValueError(f"unknown reset options {unknown}; the only option is 'config'")
+        """Start an episode, see `StageEnv.reset`."""
         observation, info = super().reset(seed=seed, options=options)
         if self.config["manual_control"]:
             self.action_type.act(self.action_type.last_action)  # keys that nobody touches also mean something
@@ -164,16 +138,11 @@ class DemonstrationEnv(StageEnv):
         self.routes = np.tile(ABSENT, (OTHERS, len(times), 1))
         self.routes[: len(routes)] = routes
         self.road = Road(straight_road(self.game), np_random=self.np_random)
-        x, y, heading, speed = start.tolist()
-        driver = BicycleVehicle(self.road, [x, y], heading, speed)
+        driver = BicycleVehicle(self.road, start[:2], *start[2:].tolist())
         driver.color = HumanVehicle.COLOR
-        self.road.vehicles = [driver, *(RoutedVehicle(self.road, route) for route in routes)]
-        for car in self.road.vehicles:
-            car.solid = False  # collisions are seen, without effect
-        self.controlled_vehicles = [driver]
-        self.collision = False
+        self._place([driver, *(RoutedVehicle(self.road, route) for route in routes)])
 
-    def _draw_start(self) -> Float[np.ndarray, "4"]:
+    def _draw_start(self) -> Car:
         random, scene = self.np_random, self.game.scene
         lanes, half = np.asarray(scene.lanes, dtype=float), float(scene.lane_width) / 2
         y = random.choice(lanes) + random.normal(scale=LATERAL_SPREAD)
@@ -184,38 +153,21 @@ class DemonstrationEnv(StageEnv):
         return np.array([0.0, y, random.normal(scale=HEADING_SPREAD), random.normal(speed, SPEED_SPREAD)])
 
     @property
-    def present(self) -> Bool[np.ndarray, "cars"]:
+    def present(self) -> np.ndarray:
         """Which of the cars are there, the driver first."""
         return np.arange(1 + OTHERS) < len(self.road.vehicles)
 
     @property
-    def car_states(self) -> Float[np.ndarray, "cars 4"]:
+    def car_states(self) -> State:
         """``(x, y, heading, speed)`` of the driver and of the others in SI units; absent ones stand far behind."""
         states = np.tile(ABSENT, (1 + OTHERS, 1))
         states[: len(self.road.vehicles)] = states_of(self.road.vehicles)
         return states
 
-    def action_for(self, control: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+    def action_for(self, control: Control) -> Control:
         """Return the action that executes a control ``(omega, acceleration)``, clipped to what actions reach."""
         omega, acceleration = np.asarray(control, dtype=float).tolist()
         wanted = acceleration, atan(omega * BicycleVehicle.LENGTH)
         ranges = self.action_type.acceleration_range, self.action_type.steering_range
         shares = [np.interp(value, limits, [-1, 1]) for value, limits in zip(wanted, ranges, strict=True)]
         return np.array(shares, dtype=np.float32)
-
-    def render(self) -> np.ndarray | None:
-        """Draw the road from above."""
-        if self.viewer is None and self.render_mode is not None:
-            self.viewer = Viewer(self)
-        return super().render()
-
-    def _is_terminated(self) -> bool:
-        return False
-
-    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
-        """Describe the last step; after a reset, only the driver's speed and what collisions do."""
-        info: dict[str, Any] = {"speed": self.vehicle.speed, "collision_effect": "reward only"}
-        if self.steps:
-            info |= {"action": action, "rewards": self._rewards(action)}
-            info |= {"collision": self.collision, "crashed": self.vehicle.hit}
-        return info

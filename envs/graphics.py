@@ -2,46 +2,46 @@
 
 import os
 import sys
-from typing import Any
+from collections.abc import Sequence
+from functools import cache, partial
+from itertools import accumulate
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
+import matplotlib
 import numpy as np
 import pygame
+import pygame.freetype
 from highway_env.envs.common.graphics import EnvViewer
 from highway_env.road.graphics import LaneGraphics
 from highway_env.vehicle.graphics import VehicleGraphics
-from jaxtyping import Float
 
-from ms_highway.control.switching import ModelSwitching
-from ms_highway.envs.words import Color, words
-from ms_highway.game.dynamics import step
+from ms_highway.control.controller import ControlStep
+from ms_highway.game.arrays import Belief, Car
+from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import title
 from ms_highway.metareasoning.learned_value import LearnedValue
+from ms_highway.metareasoning.rule import Order
+from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.effort import Effort, base_of
-from ms_highway.planning.human_models import MODELS, human_model, is_model
-from ms_highway.planning.road.settings import RUNGS
+from ms_highway.planning.human_models import MODELS, PACKAGE_MODELS, human_model, is_model, known_models
+from ms_highway.runtime.arrays import Vector
 
-__all__ = [
-    "INK",
-    "MARGIN",
-    "MODEL_COLORS",
-    "PAPER",
-    "Color",
-    "InteractionViewer",
-    "Viewer",
-    "check_display",
-    "model_color",
-    "model_meaning",
-    "words",
-]
+Color = tuple[int, int, int]
 
-MODEL_COLORS: dict[str, Color] = {"naive": (112, 178, 214), "turn": (240, 180, 50), "tom": (214, 68, 140)}
-ROAD_COLORS: dict[str, Color] = {"idm": (120, 170, 90)}  # of models that predict on roads only
+MODEL_COLORS: dict[str, Color] = {
+    "naive": (112, 178, 214),
+    "idm": (120, 170, 90),
+    "turn": (240, 180, 50),
+    "tom": (214, 68, 140),
+}
+OTHER_COLORS = ((150, 110, 200), (160, 120, 90), (90, 150, 150))
 PALEST, DARKER = 0.6, 0.8  # shares: of white in the shade of the fewest steps, and of light from the last plan
 FULL = 20  # steps, from which on a shade is the model's own colour
-OTHER_COLORS = ((120, 170, 90), (150, 110, 200), (160, 120, 90))
 MODEL_MEANINGS = {
     "naive": "the human keeps its velocity",
+    "idm": "the human minds the car ahead",
     "turn": "the human minds only itself",
     "tom": "the human responds to the robot",
 }
@@ -49,8 +49,29 @@ INK, FAINT, PAPER, CONE = (32, 36, 44), (125, 130, 140), (250, 250, 247), (255, 
 GRID, GROUND, ASPHALT = (215, 218, 224), (205, 218, 195), (96, 100, 106)
 MARGIN = 16  # px
 TEXT_WIDTH = 440  # px, left part of the panel
-LARGE, MEDIUM, SMALL = 26, 15, 13  # px, sizes of texts
+LARGE, MEDIUM, SMALL = 24, 15, 13  # px, sizes of texts
+NAMED = 45  # px, width from which on a part of a bar is named
 WORST = -10.0  # reward below which the curve is cut: a collision would dwarf everything
+LONGEST = 3.0  # times the median, from which on bars of planning times are cut
+SPARSE = 10  # steps of a plan, from which on every second one is drawn, smaller
+
+
+def words(text: str, size: int, color: Color, ground: Color | None = None) -> pygame.Surface:
+    """Draw a line of text in a kerned font of ``size`` px, on a surface of the same height for every text.
+
+    The font is Matplotlib's, so that pictures are the same on every machine. It is opened anew each time, since closing
+    any of highway-env's viewers ends the font module.
+    """
+    pygame.freetype.init()
+    font = pygame.freetype.Font(_font_file(), size)
+    font.kerning = font.pad = True
+    surface, _ = font.render(text, color, ground)
+    return surface
+
+
+@cache
+def _font_file() -> str:
+    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
 
 
 def model_color(name: str | None) -> Color:
@@ -58,14 +79,12 @@ def model_color(name: str | None) -> Color:
 
     A model with an effort has a shade of its own: the fewer steps, the lighter, and darker from the last plan.
     """
-    if name in ROAD_COLORS:
-        return ROAD_COLORS[name]
     if name is None or not is_model(name):
         return FAINT
     model = human_model(name)
     base = base_of(model).name
     registered = [known for known in MODELS if known not in MODEL_COLORS]
-    color = MODEL_COLORS[base] if base in MODEL_COLORS else OTHER_COLORS[registered.index(base) % len(OTHER_COLORS)]
+    color = MODEL_COLORS.get(base) or OTHER_COLORS[registered.index(base) % len(OTHER_COLORS)]
     if not isinstance(model, Effort):
         return color
     paler = PALEST * max(0.0, 1 - (model.steps or FULL) / FULL)
@@ -88,207 +107,203 @@ class Viewer(EnvViewer):
         super().__init__(env)
         self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
 
+    def show(self, picture: pygame.Surface) -> None:
+        """Show a picture in the window, if there is one, at the environment's pace."""
+        if not self.offscreen:
+            self.screen.blit(picture, (0, 0))
+            if self.env.config["real_time_rendering"]:
+                self.clock.tick(self.env.config["simulation_frequency"])
+            pygame.display.flip()
+
     def close(self) -> None:
         """Close the window, if there is one; other environments of the process may still be drawing."""
         if not self.offscreen:
             pygame.display.quit()
 
 
+class Shown(NamedTuple):
+    """What is shown of a step: the robot's own record, if it plans, and its reward."""
+
+    step: ControlStep | None
+    reward: float
+
+
 class InteractionViewer(Viewer):
-    """Draws an `ms_highway.envs.base.InteractionEnv` on a surface of ``screen_width`` x ``screen_height``."""
+    """Draws an `ms_highway.envs.base.InteractionEnv` on a surface of ``screen_width`` x ``screen_height``.
+
+    Predicted paths have the colours of the models that predict them; among several humans, so have the humans.
+    """
 
     panel_height = 150  # px
 
-    def window_position(self) -> Float[np.ndarray, "2"]:
-        """Return the centre of the view: it follows the robot along the road and keeps the road in place."""
-        lanes = np.asarray(self.env.game.scene.lanes, dtype=float)
-        return np.array([self.env.robot.position[0], (lanes.min() + lanes.max()) / 2])
-
     def display(self) -> None:
-        """Draw everything."""
-        surface, road = self.sim_surface, self.env.road
-        surface.move_display_window_to(self.window_position())
-        self._ground()
-        for lane in road.network.lanes_list():
-            LaneGraphics.display(lane, surface)
-        for cone in road.objects:
-            self._cone(cone)
-        for car in road.vehicles:
-            VehicleGraphics.display(car, surface, offscreen=self.offscreen)
-        self._plans()
-        self._names()
-        self._panel()
-        if not self.offscreen:
-            self.screen.blit(surface, (0, 0))
-            if self.config["real_time_rendering"]:
-                self.clock.tick(self.config["simulation_frequency"])
-            pygame.display.flip()
-
-    def _ground(self) -> None:
-        surface, scene = self.sim_surface, self.env.game.scene
-        lanes, margin = np.asarray(scene.lanes, dtype=float), float(scene.lane_width) / 2
-        _, top = surface.pos2pix(0, lanes.min() - margin)
-        _, bottom = surface.pos2pix(0, lanes.max() + margin)
+        """Draw everything; the view follows the robot along the road and keeps the road in place."""
+        surface, env, step = self.sim_surface, self.env, self.env.robot.last_step
+        lanes, half = np.asarray(env.game.scene.lanes, float), float(env.game.scene.lane_width) / 2
+        ends = lanes.min() - half, lanes.max() + half
+        surface.move_display_window_to(np.array([env.robot.position[0], np.mean(ends)]))
+        above, below = (surface.pos2pix(0, end)[1] for end in ends)
         surface.fill(GROUND)
-        pygame.draw.rect(surface, ASPHALT, (0, top, surface.get_width(), bottom - top))
+        surface.fill(ASPHALT, (0, above, surface.get_width(), below - above))
+        for lane in env.road.network.lanes_list():
+            LaneGraphics.display(lane, surface)
+        for cone in env.road.objects:
+            pygame.draw.polygon(surface, CONE, [surface.vec2pix(corner) for corner in cone.polygon()])
+            pygame.draw.circle(surface, PAPER, surface.vec2pix(cone.position), surface.pix(cone.WIDTH / 4))
+        for place, human in enumerate(env.humans if len(env.humans) > 1 else ()):
+            human.color = model_color(step.models[place] if step else env.settings.models[0].name)
+        for car in env.road.vehicles:
+            VehicleGraphics.display(car, surface, offscreen=self.offscreen)
+        if step:
+            self._draw_plan(step)
+        self._draw_names(above - 14, below + 14)
+        self._draw_panel(step)
+        self.show(surface)
 
-    def _names(self) -> None:
-        """Draw the names of robot and human at the roadside."""
-        (_, robot_start), (_, human_start), *_ = self.env.scenario.cars
-        side = 1 if robot_start > human_start else -1
-        self._name("robot", self.env.robot, side)
-        self._name("human", self.env.human, -side)
+    def _draw_plan(self, step: ControlStep) -> None:
+        """Draw the predicted paths as dots in the colours of their models, and the robot's plan as a line."""
+        surface, (own, *others) = self.sim_surface, self.env.robot.last_state
+        every, radius = (1, 4) if len(step.plan) <= SPARSE else (2, 2)
+        for state, controls, model in zip(others, step.humans, step.models, strict=False):
+            for point in self._path(state, controls)[every::every]:
+                pygame.draw.circle(surface, PAPER, point, radius + 2)
+                pygame.draw.circle(surface, model_color(model), point, radius)
+        for color, width in ((PAPER, 8), (model_color(step.model), 4)):
+            pygame.draw.lines(surface, color, False, self._path(own, step.plan), width)
 
-    def _name(self, name: str, car: Any, side: int) -> None:
-        """Draw the car's name at the roadside: -1 is the left, at the top."""
-        surface, scene = self.sim_surface, self.env.game.scene
-        reach = float(np.ptp(scene.lanes) + scene.lane_width) / 2
-        x, _ = surface.vec2pix(car.position)
-        _, y = surface.pos2pix(0, self.window_position()[1] + side * reach)
-        label = words(name, MEDIUM, INK)
-        surface.blit(label, label.get_rect(center=(x, y + 14 * side)))
+    def _path(self, state: Car, controls: Controls) -> list[tuple[int, int]]:
+        dynamics = jax.tree.map(float, self.env.game.dynamics)
+        states = accumulate(controls, partial(move, dynamics), initial=state)
+        return [self.sim_surface.vec2pix(each) for each in states]
 
-    def _cone(self, cone: Any) -> None:
-        surface = self.sim_surface
-        x, y = surface.vec2pix(cone.position)
-        box = pygame.Rect(0, 0, surface.pix(cone.LENGTH), surface.pix(cone.WIDTH))
-        box.center = x, y
-        pygame.draw.rect(surface, CONE, box, border_radius=5)
-        pygame.draw.circle(surface, PAPER, (x, y), box.height // 4)
+    def _draw_names(self, above: int, below: int) -> None:
+        """Draw the names of robot and human at the roadside; of several humans, a number on each roof."""
+        humans, (robot, *first) = self.env.humans, self.env.scenario.cars
+        if first and robot[1] < first[0][1]:
+            above, below = below, above
+        labels = [(str(1 + place), human, 0) for place, human in enumerate(humans)]
+        if len(humans) == 1:
+            labels = [("human", humans[0], above)]
+        for name, car, roadside in (("robot", self.env.robot, below), *labels):
+            x, y = self.sim_surface.vec2pix(car.position)
+            self._write(name, MEDIUM, center=(x, roadside or y))
 
-    def _plans(self) -> None:
-        """Draw the robot's plan as a line and the predicted human path as dots, both in the model's colour."""
-        robot = self.env.robot
-        if robot.last_step is None:
-            return
-        color = model_color(robot.last_step.model)
-        self._line(self._path(robot.last_state[0], robot.last_step.plan), color)
-        self._dots(self._path(robot.last_state[1], robot.last_step.human)[1:], color)
-
-    def _line(self, points: list[np.ndarray], color: Color) -> None:
-        places = [self.sim_surface.vec2pix(point) for point in points]
-        pygame.draw.lines(self.sim_surface, PAPER, False, places, 8)
-        pygame.draw.lines(self.sim_surface, color, False, places, 4)
-
-    def _dots(self, points: list[np.ndarray], color: Color) -> None:
-        for point in points:
-            place = self.sim_surface.vec2pix(point)
-            pygame.draw.circle(self.sim_surface, PAPER, place, 6)
-            pygame.draw.circle(self.sim_surface, color, place, 4)
-
-    def _path(self, state: Float[np.ndarray, "4"], controls: Float[np.ndarray, "steps 2"]) -> list[np.ndarray]:
-        points, dynamics = [state[:2]], jax.tree.map(float, self.env.game.dynamics)
-        for control in controls:
-            state = step(dynamics, state, control)
-            points.append(state[:2])
-        return points
-
-    def _panel(self) -> None:
-        surface = self.sim_surface
-        width, height = surface.get_size()
+    def _draw_panel(self, step: ControlStep | None) -> None:
+        env, history, (width, height) = self.env, self.env.history, self.sim_surface.get_size()
         top = height - self.panel_height
-        pygame.draw.rect(surface, PAPER, (0, top, width, self.panel_height))
-        history = self.env.history
+        self.sim_surface.fill(PAPER, (0, top, width, self.panel_height))
         if not history:
-            self._text(f"{title(self.env.scenario.name)}: the episode starts", MEDIUM, INK, (MARGIN, top + MARGIN))
+            self._write(f"{title(env.scenario.name)}: the episode starts", MEDIUM, topleft=(MARGIN, top + MARGIN))
             return
-        self._now(history[-1], top + 12)
         chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, (self.panel_height - 66) // 2)
-        if any(record["model"] for record in history):
-            self._bars(chart)
-        self._curve(chart.move(0, chart.height + 28))
-
-    def _now(self, record: dict[str, Any], top: int) -> None:
-        """Draw the left part: model, reward, seconds and, where the model is chosen here, gains of the last step."""
-        model = record["model"]
-        lines = [f"step {len(self.env.history)}    reward {record['reward']:+.2f}"]
-        if record["collision"]:
-            lines[0] += "    COLLISION"
-        if model is None:
-            self._text("the agent drives", LARGE, INK, (MARGIN, top))
+        edges = np.linspace(chart.left, chart.right, 1 + max(env.episode_steps, len(history)))  # of the steps
+        happened = "COLLISION" if env.collision else "in the target lane" if env.success else ""
+        lines = [f"step {len(history)}    reward {history[-1].reward:+.2f}    {happened}"]
+        if step:
+            self._draw_models(step, MARGIN, top + 10)
+            lines += [self._times(step), self._remarks(step)]
+            self._draw_bars(chart, edges, [shown.step for shown in history])
         else:
-            name = words(model, LARGE, PAPER)
-            chip = pygame.Rect(MARGIN, top, name.get_width() + 2 * MARGIN, 36)
-            pygame.draw.rect(self.sim_surface, model_color(model), chip, border_radius=8)
-            self.sim_surface.blit(name, name.get_rect(center=chip.center))
-            self._text(model_meaning(model), SMALL, INK, (chip.right + 10, top + 10))
-            lines.append(f"planning {1e3 * record['planning_seconds']:.1f} ms")
-            controller = self.env.robot.controller
-            if isinstance(controller, ModelSwitching):
-                lines[-1] += f", deciding {1e3 * record['decision_seconds']:.1f} ms"
-                lines.append(_reason(record, isinstance(controller.rule, LearnedValue)))
+            self._write("the agent drives", LARGE, topleft=(MARGIN, top + 10))
         for place, line in enumerate(lines):
-            self._text(line, MEDIUM, INK, (MARGIN, top + 48 + 26 * place))
-        if record["belief"] is not None:
-            self._belief(pygame.Rect(MARGIN, top + 119, TEXT_WIDTH - 5 * MARGIN, 17), record["belief"][0])
+            self._write(line, MEDIUM, topleft=(MARGIN, top + 46 + 24 * place))
+        if step and step.belief is not None:
+            self._draw_beliefs(step.belief, top + 122)
+        self._draw_curve(chart.move(0, chart.height + 28), edges, [shown.reward for shown in history])
 
-    def _belief(self, box: pygame.Rect, shares: Float[np.ndarray, "models"]) -> None:
-        """Draw the probabilities of the models of a human, side by side, with their names where there is room."""
-        ends = np.cumsum([0.0, *(box.width * shares)])
-        for name, left, right in zip(RUNGS, ends, ends[1:], strict=False):
-            part, label = pygame.Rect(box.left + left, box.top, right - left + 1, box.height), words(name, SMALL, PAPER)
-            pygame.draw.rect(self.sim_surface, model_color(name), part)
-            if part.width > label.get_width() and part.height >= label.get_height():
-                self.sim_surface.blit(label, label.get_rect(center=part.center))
+    def _draw_models(self, step: ControlStep, left: int, top: int) -> None:
+        """Draw the model with what it means; of several humans, how many each model predicts."""
+        alone = len(step.models) == 1
+        for name in step.models if alone else dict.fromkeys((*step.ladder, *step.models)):
+            text = f" {name} " if alone else f" {name} {step.models.count(name)} "
+            left = 8 + self._write(text, LARGE, PAPER, model_color(name), topleft=(left, top)).right
+        if alone:
+            self._write(model_meaning(step.model), SMALL, topleft=(left, top + 8))
 
-    def _chart(self, box: pygame.Rect, heading: str, low: str, high: str) -> None:
+    def _times(self, step: ControlStep) -> str:
+        budget = self.env.robot.controller.budget
+        text = f"planning {1e3 * step.planning_seconds:.1f} ms, deciding {1e3 * step.decision_seconds:.1f} ms"
+        return text if budget is None else f"{text}, budget {1e3 * budget:g} ms"
+
+    def _remarks(self, step: ControlStep) -> str:
+        """Say why the only human's model plans, where the cones are, and what became of the plan."""
+        rule, cones = self.env.robot.controller.rule, self.env.distance_to_cones
+        remarks = {
+            _reason(step, isinstance(rule, LearnedValue)): len(step.models) == 1 and not isinstance(rule, Order),
+            f"cones in {cones:.0f} m": cones < np.inf,
+            step.status: step.status != "planned",
+        }
+        return "    ".join(remark for remark, holds in remarks.items() if holds)
+
+    def _draw_beliefs(self, belief: Belief, top: int) -> None:
+        """Draw the probabilities of the models of every human, side by side, behind its number."""
+        width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
+        for place, shares in enumerate(belief):
+            left = start = MARGIN + place * width
+            if len(belief) > 1:
+                start = self._write(str(place + 1), SMALL, topleft=(left, top)).right
+            ends = start + (left + width - 4 - start) * np.cumsum([0.0, *shares])
+            for name, low, high in zip(PACKAGE_MODELS, ends, ends[1:], strict=False):
+                part = self.sim_surface.fill(model_color(name), (low, top, high - low + 1, 17))
+                if part.width > NAMED:
+                    self._write(name, SMALL, PAPER, center=part.center)
+
+    def _draw_chart(self, box: pygame.Rect, heading: str, low: str, high: str) -> None:
         """Draw the frame of a chart: a heading above, a line below, and the values of its ends on the left."""
-        surface = self.sim_surface
-        self._text(heading, SMALL, FAINT, (box.left, box.top - 20))
-        pygame.draw.line(surface, FAINT, box.bottomleft, box.bottomright)
-        for text, y in ((high, box.top), (low, box.bottom)):
-            label = words(text, SMALL, FAINT)
-            surface.blit(label, label.get_rect(midright=(box.left - 8, y)))
+        self._write(heading, SMALL, FAINT, topleft=(box.left, box.top - 20))
+        pygame.draw.line(self.sim_surface, FAINT, box.bottomleft, box.bottomright)
+        self._write(high, SMALL, FAINT, midright=(box.left - 8, box.top))
+        self._write(low, SMALL, FAINT, midright=(box.left - 8, box.bottom))
 
-    def _step_width(self, box: pygame.Rect) -> float:
-        return box.width / max(self.env.episode_steps, len(self.env.history))
+    def _draw_bars(self, box: pygame.Rect, edges: Vector, steps: Sequence[ControlStep]) -> None:
+        """Draw a bar per step in the colours of the humans' models: its height is the time of planning for one."""
+        values, heading = np.full(len(steps), len(steps[0].models)), "humans that each model predicts"
+        if len(steps[0].models) == 1:
+            values = np.array([1e3 * step.planning_seconds for step in steps])
+            heading = "planning time of each step [ms], in the colour of its model"
+        most = min(values.max(), LONGEST * np.median(values))
+        heights = np.clip(box.height * values / most, 3, box.height)
+        for step, height, left, right in zip(steps, heights, edges, edges[1:], strict=False):
+            part = height / len(step.models)
+            for place, model in enumerate(sorted(step.models, key=known_models(step.models).index, reverse=True)):
+                bar = (left, box.bottom - part * (1 + place), max(1, right - left - 2), part + 1)
+                self.sim_surface.fill(model_color(model), bar)
+        self._draw_chart(box, heading, "0", f"{most:.3g}")
 
-    def _bars(self, box: pygame.Rect) -> None:
-        """Draw one bar per step: its height is the planning time, its colour the model."""
-        width, history = self._step_width(box), self.env.history
-        longest = max(record["planning_seconds"] for record in history) or 1.0
-        for place, record in enumerate(history):
-            height = max(3, round(box.height * record["planning_seconds"] / longest))
-            left = round(box.left + place * width)
-            bar = (left, box.bottom - height, max(1, round(width) - 2), height)
-            pygame.draw.rect(self.sim_surface, model_color(record["model"]), bar)
-        self._chart(box, "planning time of each step [ms], in the colour of its model", "0", f"{1e3 * longest:.1f}")
-
-    def _curve(self, box: pygame.Rect) -> None:
+    def _draw_curve(self, box: pygame.Rect, edges: Vector, rewards: Sequence[float]) -> None:
         """Draw the reward of each step, cut at its `WORST`; the line at 0 is drawn where it lies within."""
-        width, rewards = self._step_width(box), [record["reward"] for record in self.env.history]
-        low, high = max(min(rewards), WORST), max(*rewards, WORST + 1.0, min(rewards) + 1.0)
-
-        def height(reward: float) -> float:
-            return box.bottom - (max(reward, WORST) - low) / (high - low) * box.height
-
+        low = max(min(rewards), WORST)
+        high = max(*rewards, low + 1.0)
+        zero, *heights = np.interp([0.0, *rewards], [low, high], [box.bottom, box.top])
         if low < 0 < high:
-            pygame.draw.line(self.sim_surface, GRID, (box.left, height(0)), (box.right, height(0)))
-        points = [(box.left + (place + 0.5) * width, height(reward)) for place, reward in enumerate(rewards)]
+            pygame.draw.line(self.sim_surface, GRID, (box.left, zero), (box.right, zero))
+        points = list(zip((edges[1:] + edges[:-1]) / 2, heights, strict=False))
         if len(points) > 1:
             pygame.draw.lines(self.sim_surface, INK, False, points, 2)
         pygame.draw.circle(self.sim_surface, INK, points[-1], 3)
         least = f"{low:.1f}" if min(rewards) >= WORST else f"below {WORST:.0f}"
-        self._chart(box, f"reward of each step, {np.mean(rewards):+.2f} on average", least, f"{high:.1f}")
+        self._draw_chart(box, f"reward of each step, {np.mean(rewards):+.2f} on average", least, f"{high:.1f}")
 
-    def _text(self, text: str, size: int, color: Color, place: tuple[int, int]) -> None:
-        self.sim_surface.blit(words(text, size, color), place)
+    def _write(
+        self, text: str, size: int, color: Color = INK, ground: Color | None = None, **place: Any
+    ) -> pygame.Rect:
+        """Write a text at the place of a corner, side or the centre of its rectangle, which is returned."""
+        label = words(text, size, color, ground)
+        return self.sim_surface.blit(label, label.get_rect(**place))
 
 
-def _reason(record: dict[str, Any], learned: bool) -> str:
+def _reason(step: ControlStep, learned: bool) -> str:
     """Say why this model plans: the gain that was estimated, net of the price of planning.
 
     Algorithm 1 estimates what a step earns more, a learned value what all coming steps are worth more.
     """
-    gains, model = record["gains"], record["model"]
-    if record["choice_failed"]:
+    gains, model = step.highest_gains(), step.model
+    if step.choice_failed:
         return f"choice failed: {model} to be safe"
     if model in gains:
         return f"switched: {'worth' if learned else 'estimated net gain'} {gains[model]:+.3f}"
-    if gains:
-        told = ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
-        return f"stays: {'worth' if learned else 'net gain'} of {told}"
-    return "no switch considered"
+    message = ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
+    return f"stays: {'worth' if learned else 'net gain'} of {message}" if gains else "no switch considered"
 
 
 def check_display() -> None:

@@ -1,12 +1,12 @@
 """Traffic that does not react: routes of cars that are worked out beforehand and never collide with each other."""
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-__all__ = ["DENSITIES", "draw_routes"]
+from ms_highway.game.arrays import Car, Times
+from ms_highway.runtime.arrays import Vector
 
 DENSITIES = {"sparse": 2, "medium": 4, "dense": 7}
-"""Scalar of cars around a driver, by name of the density of traffic."""
+"""Number of cars around a driver, by name of the density of traffic."""
 
 NEAR = (-30.0, 60.0)  # m along the road, where routes start
 SPEEDS = (18.0, 20.0)  # m/s along the road
@@ -19,13 +19,14 @@ TRIES = 200  # for one car, before all are drawn again
 def draw_routes(
     random: np.random.Generator,
     cars: int,
-    times: Float[np.ndarray, "times"],
-    lanes: Float[np.ndarray, "lanes"],
-    driver: Float[np.ndarray, "4"],
-) -> Float[np.ndarray, "cars times 4"]:
-    """States ``(x, y, heading, speed)`` of cars that keep clear of each other, and at first of a driver.
+    times: Times,
+    lanes: Vector,
+    driver: Car,
+) -> np.ndarray:
+    """Return states ``(x, y, heading, speed)``, [cars, times, 4], of cars that keep clear of each other.
 
-    Each goes along its lane at its speed; some change to the lane beside it, along a quintic.
+    At first, they keep clear of a driver as well. Each goes along its lane at its speed; some change to the lane beside
+    it, along a quintic.
 
     Args:
         random: what they are drawn with.
@@ -34,7 +35,7 @@ def draw_routes(
         lanes: lateral position of each lane's centre, two or more.
         driver: state of the driver in the beginning; the routes start near it.
     """
-    routes: list[Float[np.ndarray, "times 4"]] = []
+    routes: list[np.ndarray] = []
     while len(routes) < cars:
         routes = []
         for _ in range(TRIES * cars):
@@ -46,9 +47,7 @@ def draw_routes(
     return np.array(routes).reshape(cars, len(times), 4)
 
 
-def _draw_route(
-    random: np.random.Generator, times: Float[np.ndarray, "times"], lanes: Float[np.ndarray, "lanes"], x: float
-) -> Float[np.ndarray, "times 4"]:
+def _draw_route(random: np.random.Generator, times: Times, lanes: Vector, x: float) -> np.ndarray:
     lane, speed = random.integers(len(lanes)), random.uniform(*SPEEDS)
     beside = random.choice([place for place in (lane - 1, lane + 1) if 0 <= place < len(lanes)])
     start, lasts = random.uniform(*CHANGE_STARTS), random.uniform(*CHANGE_LASTS)
@@ -60,7 +59,7 @@ def _draw_route(
     return np.stack([along, y, np.arctan2(sideways, speed), np.hypot(sideways, speed)], axis=-1)
 
 
-def _clear(one: Float[np.ndarray, "*times 4"], other: Float[np.ndarray, "*times 4"]) -> Bool[np.ndarray, "*times"]:
+def _clear(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return whether two cars are apart, along the road or across it."""
     apart = np.abs(one[..., :2] - other[..., :2])
     return (apart[..., 0] >= GAP) | (apart[..., 1] >= SIDE_GAP)

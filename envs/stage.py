@@ -1,31 +1,38 @@
-"""What the environments share: road and cones, car 0's reward by feature, and what a step took."""
+"""What the environments share: configuration, road and cones, car 0's reward by feature, and what a step took."""
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
+from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import action_factory
+from highway_env.envs.common.observation import observation_factory
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import Obstacle
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.envs.configuration import merged, read_own, refuse_unknown
+from ms_highway.envs.graphics import Viewer
+from ms_highway.envs.spaces import Autopilot, CarStates, CarTracks, HumanModelAction, finite
+from ms_highway.game.arrays import State
 from ms_highway.game.features import features
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward
 from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT
 from ms_highway.game.scene import Scene
 
-__all__ = ["Cone", "StageEnv", "Timing", "evaluate", "straight_road"]
-
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
+TYPES = {kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks)}
 
 
 @jax.jit
-def evaluate(scene: Scene, driver: Reward, states: Float[jax.Array, "cars 4"]) -> Float[jax.Array, "2 features"]:
+def evaluate(scene: Scene, driver: Reward, states: State) -> Float[jax.Array, "2 features"]:
     """Compute the features phi of car 0's state and their terms in its reward, in one transfer."""
     phi = features(scene, driver, states)
     return jnp.stack([phi, phi * driver.weights])
@@ -33,15 +40,12 @@ def evaluate(scene: Scene, driver: Reward, states: Float[jax.Array, "cars 4"]) -
 
 def straight_road(game: Game) -> RoadNetwork:
     """Build highway-env's road network of a game's lanes, with the robot's speed limit."""
-    scene = game.scene
-    network, lanes = RoadNetwork(), np.asarray(scene.lanes, dtype=float)
-    for place, y in enumerate(lanes):
-        right = LineType.CONTINUOUS_LINE if place == len(lanes) - 1 else LineType.STRIPED
-        apart = place > 0 and y - lanes[place - 1] > 1.01 * float(scene.lane_width)
-        left = LineType.CONTINUOUS_LINE if place == 0 else LineType.STRIPED if apart else LineType.NONE
-        ends = [ROAD_BEHIND, y], [ROAD_AHEAD, y]
+    network, lanes, width = RoadNetwork(), np.asarray(game.scene.lanes, dtype=float), float(game.scene.lane_width)
+    solid, striped, none = LineType.CONTINUOUS_LINE, LineType.STRIPED, LineType.NONE
+    left = [solid, *np.where(np.diff(lanes) > 1.01 * width, striped, none)]
+    for y, *lines in zip(lanes, left, [*[striped] * (len(lanes) - 1), solid], strict=True):
         limit = float(game.robot.speed_limit)
-        lane = StraightLane(*ends, width=float(scene.lane_width), line_types=[left, right], speed_limit=limit)
+        lane = StraightLane([ROAD_BEHIND, y], [ROAD_AHEAD, y], width=width, line_types=lines, speed_limit=limit)
         network.add_lane("start", "end", lane)
     return network
 
@@ -70,26 +74,97 @@ class Cone(Obstacle):
 class StageEnv(AbstractEnv):
     """An environment of a fixed duration, whose reward is that of car 0 after the step, feature by feature.
 
-    Cars are not solid: a collision only costs reward, as in the paper.
+    Cars are not solid: a collision only costs reward, as in the paper, and ``info["collision_effect"]`` says so.
 
     Attributes:
+        settings: of the configuration, of the class's ``settings_type``.
         game: whose reward.
         collision: whether car 0 has collided in the last step.
     """
 
+    settings_type: ClassVar[Any]
+    viewer_type: ClassVar[type[Viewer]] = Viewer
+    reset_options: ClassVar[tuple[str, ...]] = ("config",)
     config: dict[str, Any]
     metadata: dict[str, Any]
+    action_space: spaces.Space | None
+    viewer: Viewer | None
     game: Game
 
-    def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
-        self.metadata = dict(type(self).metadata)  # highway-env would write the frame rate into the class's own
-        self._terms: dict[str, float] = {}
-        self.collision = False
-        super().__init__(config, render_mode)
+    @classmethod
+    def checked_config(
+        cls, changes: Mapping[str, Any] | None, config: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """Return the whole configuration, by default the default one, after changes.
+
+        Raises:
+            ValueError: for an unknown key or an impossible value.
+        """
+        return merged(cls.settings_type, cls.default_config() if config is None else config, changes)
+
+    def configure(self, config: dict[str, Any] | None) -> None:
+        """Change the configuration, all of it or nothing.
+
+        Raises:
+            ValueError: for an unknown key or an impossible value.
+        """
+        self.config = self.checked_config(config, self.config)
+        self._read()
+        super().configure(None)
+
+    def _read(self) -> None:
+        """Read the checked configuration."""
+        self.settings = read_own(self.settings_type, self.config)
+
+    def update_metadata(self, video_real_time_ratio: int = 1) -> None:
+        """Set the frames per second of a video that plays at true speed."""
+        self.metadata = dict(self.metadata)  # or else highway-env would write them into the class's own
+        super().update_metadata(video_real_time_ratio)
+
+    def define_spaces(self) -> None:
+        """Set observation and action type; an action space that did not change keeps its random generator."""
+        before = self.action_space
+        self.action_type = self._type(action_factory, self.config["action"])
+        self.action_space = self.action_type.space()
+        if before == self.action_space:
+            self.action_space = before
+        self.observation_type = self._type(observation_factory, self.config["observation"])
+        self.observation_space = finite(self.observation_type.space())
+
+    def _type(self, factory: Any, config: dict[str, Any]) -> Any:
+        kind = TYPES.get(config["type"])
+        return kind(self, config) if kind else factory(self, dict(config))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: seeds all that is drawn.
+            options: ``"config"``: changes of the configuration, of which all are made or none; others see the class.
+
+        Raises:
+            ValueError: for unknown options or an impossible configuration.
+        """
+        self.options, before = options or {}, self.config
+        refuse_unknown("the reset options", self.options, self.reset_options)
+        try:
+            return super().reset(seed=seed, options=options)
+        except ValueError:
+            self.config = before
+            self._read()
+            raise
+
+    def _place(self, cars: list[Any]) -> None:
+        """Put cars on the road, the first of them to be driven."""
+        for car in cars:
+            car.solid = False  # collisions are seen, without effect
+        self.road.vehicles, self.controlled_vehicles, self.collision = cars, cars[:1], False
 
     @property
     @abstractmethod
-    def car_states(self) -> Float[np.ndarray, "cars 4"]:
+    def car_states(self) -> State:
         """``(x, y, heading, speed)`` of all cars in SI units."""
 
     @property
@@ -102,10 +177,10 @@ class StageEnv(AbstractEnv):
         for car in self.road.vehicles:
             car.hit = False
         super()._simulate(action)
-        states, names = self.car_states.astype(np.float32), self.game.robot.names
-        phi, terms = np.asarray(evaluate(self.game.scene, self.game.robot, states)).tolist()
-        self._terms = dict(zip(names, terms, strict=True))
-        self.collision = bool(phi[names.index("collision")])
+        robot = self.game.robot
+        phi, terms = np.asarray(evaluate(self.game.scene, robot, self.car_states.astype(np.float32))).tolist()
+        self._terms = dict(zip(robot.names, terms, strict=True))
+        self.collision = bool(phi[robot.names.index("collision")])
 
     def _reward(self, action: Any) -> float:
         return sum(self._terms.values())
@@ -115,3 +190,20 @@ class StageEnv(AbstractEnv):
 
     def _is_truncated(self) -> bool:
         return self.steps >= self.episode_steps
+
+    def _is_terminated(self) -> bool:
+        return bool(self.config.get("terminate_on_collision") and self.collision)
+
+    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
+        """Describe the last step; after a reset, only the speed of car 0 and what collisions do."""
+        info = {"speed": self.vehicle.speed, "collision_effect": "reward only"}
+        if self.steps == 0:
+            return info
+        happened = {"collision": self.collision, "crashed": self.vehicle.hit}
+        return info | {"action": action, "rewards": self._rewards(action)} | happened
+
+    def render(self) -> np.ndarray | None:
+        """Draw the road from above."""
+        if self.viewer is None and self.render_mode is not None:
+            self.viewer = self.viewer_type(self)
+        return super().render()

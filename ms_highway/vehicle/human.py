@@ -7,17 +7,14 @@ from typing import Any, ClassVar
 import numpy as np
 from highway_env.road.road import Road
 
-from ms_highway.control.fixed import FixedModel
+from ms_highway.control.driver import fixed
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import commuter_traits, commuter_weights, shipped
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings
 from ms_highway.game.scenario import driving_game
 from ms_highway.optimization.solvers import Solver
-from ms_highway.planning.human_models import Naive
 from ms_highway.vehicle.planning import PlanningVehicle
 from ms_highway.vehicle.road_view import RoadView, look
-
-__all__ = ["CommuterVehicle", "HumanVehicle"]
 
 
 class HumanVehicle(PlanningVehicle):
@@ -68,7 +65,7 @@ class HumanVehicle(PlanningVehicle):
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan for the own reward: in the game given by `drive_with`, or else on the present road."""
         if not action and self.controller is None and self.road is not None:
-            self.drive_with(FixedModel(self._own_game(look(self, self.route)), Naive()))
+            self.drive_with(fixed(self._own_game(look(self, self.route))))
         super().act(action)
 
     def _own_game(self, view: RoadView) -> Game:
@@ -93,17 +90,10 @@ class CommuterVehicle(HumanVehicle):
     weights = commuter_weights()
     solver = "newton"
 
-    def __init__(
-        self,
-        road: Road | None,
-        position: Sequence[float],
-        heading: float = 0,
-        speed: float = 0,
-        enable_lane_change: bool = True,
-    ) -> None:
-        super().__init__(road, position, heading, speed, enable_lane_change)
+    def __init__(self, *place: Any, **options: Any) -> None:
+        super().__init__(*place, **options)
         prior = commuter_traits()
-        self.traits = prior.draw(road.np_random, 1.0) if road else prior.traits(np.zeros(3), 1.0)
+        self.traits = prior.draw(self.road.np_random, 1.0) if self.road else prior.traits(np.zeros(3), 1.0)
 
     def desired_speed(self, view: RoadView) -> float:
         """Return its own desired speed [m/s]: a share of what the road and `target_speed` allow, perhaps above 1."""
@@ -113,4 +103,4 @@ class CommuterVehicle(HumanVehicle):
         game = super()._own_game(view)
         comfort = np.asarray(game.robot.comfort) * [1.0, self.traits.patience]
         own = replace(game.robot, headway=self.traits.headway, comfort=comfort.astype(np.float32))
-        return replace(game, robot=own, human=own)
+        return replace(game, robot=own, humans=replace(own, weights=game.humans.weights))

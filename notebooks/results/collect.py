@@ -1,4 +1,4 @@
-"""Keep what lies in `results/` here, in six files, and rewrite the tables of the pages that show it.
+"""Keep what lies in `results/` here, in five files, and rewrite the tables of the pages that show it.
 
 Run it in the project's directory after any of the commands in `notebooks/results/README.md`; runs that do not lie
 in `results/` stay as they were kept::
@@ -19,13 +19,18 @@ from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.planning.road.settings import RUNGS
 from ms_highway.visualization.overview import overview
+<<<<<<< HEAD
+=======
+from ms_highway.visualization.tables import markdown
+>>>>>>> cli
 
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
-RUNS = ("compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", "safety")
+LIMITS = ("limit_50", "limit_9", "limit_6")
+RUNS = ("compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", *LIMITS)
 """Directories in results/."""
 
-TABLES = "summary", "regrets", "safety"  # what some of them hold, and what is kept with a column ``run``
+TABLES = "summary", "regrets"  # what some of them hold, and what is kept with a column ``run``
 ROADS = "road", "road_commuters"
 """Directories of figures in results/, each file written by ``ms-highway bench road --json``, and what keeps them."""
 
@@ -67,12 +72,16 @@ def comparison(run: str) -> Results:
     return Results(Path(run), pd.DataFrame(), kept_table("summary", run), made["settings"], made["provenance"])
 
 
+<<<<<<< HEAD
 def safety() -> pd.DataFrame:
     """The kept counts of collisions, a row per scenario, controller and limit on plans."""
     return kept_table("safety", "safety")
 
 
 def kept_table(name: str, run: str) -> pd.DataFrame:
+=======
+def kept_table(name: str, run: str, kept: Path = KEPT) -> pd.DataFrame:
+>>>>>>> cli
     """A run's rows of a kept table."""
     table = pd.read_csv(KEPT / f"{name}.csv")
     own = table[table["run"] == run].drop(columns="run").reset_index(drop=True)
@@ -81,6 +90,7 @@ def kept_table(name: str, run: str) -> pd.DataFrame:
 
 def tables() -> dict[str, str]:
     """The tables of the pages in Markdown, by the name that stands in the comment above each."""
+<<<<<<< HEAD
     compare = comparison("compare")
     rows = overview([compare])
     shown = [name in SHOWN[scenario] for scenario, name in zip(rows["scenario"], rows["controller"], strict=True)]
@@ -94,6 +104,23 @@ def tables() -> dict[str, str]:
         "safety": safety_cells(safety()),
         "regrets": regret_cells(kept_table("regrets", "frontier")),
         **{name: road_cells(json.loads((KEPT / f"{name}.json").read_text())) for name in ROADS},
+=======
+    compare = comparison("compare", kept)
+    rows, limits = overview([compare]), overview([comparison(run, kept) for run in LIMITS])
+    few = [
+        controller in SHOWN[scenario] for scenario, controller in zip(rows["scenario"], rows["controller"], strict=True)
+    ]
+    return {
+        "shown": markdown(rows[few]),
+        "semantics": markdown(overview([compare, comparison("released", kept)])),
+        "human rewards": markdown(overview([compare, comparison("published", kept)])),
+        "worth": markdown(overview([comparison("worth", kept)])),
+        "crowd": markdown(overview([comparison("crowd", kept)])),
+        "crowd peers": markdown(overview([comparison("crowd_peers", kept)])),
+        "limits": markdown(limits.drop(columns=[name for name in limits if "collision" not in name][2:])),
+        "regrets": markdown(regret_cells(kept_table("regrets", "frontier", kept))),
+        **{name: markdown(road_cells(json.loads((kept / f"{name}.json").read_text()))) for name in ROADS},
+>>>>>>> cli
     }
     return {name: markdown(table) for name, table in cells.items()}
 

@@ -57,7 +57,7 @@ def test_one_episode_shows_no_gain_and_one_controller_is_told_alone():
     assert "; one episode cannot show that it is better." in said(records(naive=[1], tom=[2]))
     assert said(records(naive=[1])).startswith("Planning every step with naive earns a reward of 1.00 per step. No")
     assert said(records(switching_1=[1, 2])).startswith("switching:0.1 earns a reward of 1.50 per step.")
-    assert "earns a reward of 3.00 per step, and no dearer model earns more in these episodes." in said(
+    assert "earns a reward of 3.00 per step, and no more expensive model earns more in these episodes." in said(
         records(naive=[3], tom=[2])
     )
 

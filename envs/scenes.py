@@ -1,0 +1,34 @@
+"""The environments of the package's scenarios."""
+
+from ms_highway.envs.base import InteractionEnv
+from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MERGER, STAY_BACK
+
+
+class StayBackEnv(InteractionEnv):
+    """The robot on the left and the human on the right approach cones that only one car at a time can pass."""
+
+    scenario = STAY_BACK
+
+
+class MergerEnv(InteractionEnv):
+    """The robot on the right wants into the left lane, between a scripted car and the human behind it."""
+
+    scenario = MERGER
+
+
+class GiveWayEnv(InteractionEnv):
+    """The robot drives in the left lane between two scripted cars; the human beside it wants to merge."""
+
+    scenario = GIVE_WAY
+
+
+class DenseMergeEnv(InteractionEnv):
+    """The robot's lane ends; it has to get into a stream of humans in the lane beside it."""
+
+    scenario = DENSE_MERGE
+
+
+class CrossingCrowdEnv(InteractionEnv):
+    """The robot crosses one stream of humans to join another, so that other humans matter early and late."""
+
+    scenario = CROSSING_CROWD

@@ -1,0 +1,119 @@
+"""What an agent sees and does: all cars in the order of their roles, and who drives the robot."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from highway_env.envs.common.action import ActionType
+from highway_env.envs.common.observation import ObservationType
+
+from ms_highway.envs.configuration import LARGEST
+from ms_highway.metareasoning.rule import Order
+from ms_highway.vehicle import RobotVehicle
+
+SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
+
+
+class CarStates(ObservationType):
+    """``x, y, vx, vy, cos_h, sin_h`` of robot, humans and scripted cars, [cars, 6], scaled to about [-1, 1].
+
+    The robot's row is absolute, the others' positions and velocities are relative to it, as in highway-env's
+    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s. Nothing is clipped: who drives
+    further than 100 m still sees where it is.
+    """
+
+    def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
+        super().__init__(env)
+        self.shape = env.cars, 6
+
+    def space(self) -> spaces.Box:
+        high = np.tile(np.array([LARGEST] * 4 + [1, 1], np.float32), (self.shape[0], 1))
+        return spaces.Box(-high, high, dtype=np.float32)
+
+    def observe(self) -> np.ndarray:
+        x, y, heading, speed = self.env.car_states.T
+        cosine, sine = np.cos(heading), np.sin(heading)
+        rows = np.array([x, y, speed * cosine, speed * sine, cosine, sine]).T
+        rows[1:, :4] -= rows[0, :4]
+        return (rows / SCALES).clip(-LARGEST, LARGEST).astype(np.float32, order="C")
+
+
+class CarTracks(ObservationType):
+    """``presence, x, y, heading, speed`` of the driver and of all others, [cars, 5], in SI units, not scaled.
+
+    Always as many rows as there may be cars; rows of absent cars are zero. ``env.car_states`` may hold anything there,
+    ``env.present`` says which cars are there.
+    """
+
+    BOUND = 1e4  # m, rad or m/s; never reached
+
+    def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
+        super().__init__(env)
+        self.shape = env.cars, 5
+
+    def space(self) -> spaces.Box:
+        high = np.tile(np.array([1, *[self.BOUND] * 4], np.float32), (self.shape[0], 1))
+        return spaces.Box(high * np.array([0, -1, -1, -1, -1], np.float32), high, dtype=np.float32)
+
+    def observe(self) -> np.ndarray:
+        present = self.env.present
+        tracks = np.concatenate([present[:, None], self.env.car_states], axis=-1) * present[:, None]
+        return tracks.clip(-self.BOUND, self.BOUND).astype(np.float32)
+
+
+def finite(space: spaces.Space) -> spaces.Space:
+    """Replace infinite bounds of a space, which some of highway-env's observations have, by the ends of its type."""
+    if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.floating):
+        return space
+    end = np.finfo(space.dtype).max
+    return spaces.Box(np.maximum(space.low, -end), np.minimum(space.high, end), dtype=space.dtype.type)
+
+
+class Autopilot(ActionType):
+    """The robot drives itself, as ``config["controller"]`` says; the only action, 0, lets it."""
+
+    def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
+        super().__init__(env)
+
+    def space(self) -> spaces.Space:
+        return spaces.Discrete(1)
+
+    @property
+    def vehicle_class(self) -> type[RobotVehicle]:
+        return RobotVehicle
+
+    def act(self, action: int) -> None:
+        """Nothing to do: the robot plans when the road asks all vehicles to act.
+
+        Raises:
+            ValueError: if the action is not 0.
+        """
+        if not self.space().contains(action):
+            raise ValueError(f"action {action!r} is not 0, the only action of the autopilot")
+
+
+class HumanModelAction(Autopilot):
+    """The agent chooses every human's model by its place in ``config["ladder"]``; the robot plans with them.
+
+    The environment's reward is then that of the paper's meta-MDP, ``r_R - lambda T(M)``, with ``lambda`` from this
+    action's configuration and T from ``config["costs"]``.
+    """
+
+    def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
+        super().__init__(env, config)
+        self.price = config["lambda"]
+
+    def space(self) -> spaces.Space:
+        rungs, humans = len(self.env.settings.models), self.env.settings.humans
+        return spaces.Discrete(rungs) if humans == 1 else spaces.MultiDiscrete([rungs] * humans)
+
+    def act(self, action: Any) -> None:
+        """Choose the models of the coming plan.
+
+        Raises:
+            ValueError: if the action is no place in the ladder, or not one for each of several humans.
+        """
+        if not self.space().contains(action):
+            raise ValueError(f"action {action!r} is no place in the ladder {self.env.config['ladder']}")
+        self.controlled_vehicle.controller.rule = Order(np.reshape(action, (1, -1)), self.env.settings.models)

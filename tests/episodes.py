@@ -1,0 +1,37 @@
+"""Episodes of the environments: how tests make and drive them."""
+
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from ms_highway.envs import environment_id
+from ms_highway.envs.short_names import controller_config
+
+TWO = {"humans": 2, "horizon": 5, "costs": "published"}  # a small scene with several humans
+
+
+class Episode(NamedTuple):
+    """The environment after an episode, the states before the first and after every step, rewards and infos."""
+
+    env: Any
+    states: np.ndarray
+    rewards: np.ndarray
+    infos: list[dict[str, Any]]
+
+
+def make(scenario: str, controller: str = "naive", render_mode: str | None = None, **config: Any) -> gym.Env:
+    config = {"controller": controller_config(controller), **(TWO if scenario == "dense_merge" else {}), **config}
+    return gym.make(environment_id(scenario), render_mode=render_mode, config=config)
+
+
+def drive(env: gym.Env, seed: int = 0, starts: Any = None, steps: int | None = None, action: Any = 0) -> Episode:
+    env.reset(seed=seed, options=None if starts is None else {"initial_states": starts})
+    states, rewards, infos, done = [env.unwrapped.car_states], [], [], False
+    while not done and len(infos) != steps:
+        _, reward, terminated, truncated, info = env.step(action)
+        done = terminated or truncated
+        states.append(env.unwrapped.car_states)
+        rewards.append(reward)
+        infos.append(info)
+    return Episode(env.unwrapped, np.array(states), np.array(rewards), infos)
