@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.game import Game, constant_velocity, swap_roles, total_reward
+from ms_highway.game.game import Game, constant_velocity, discomfort, swap_roles, total_reward
 
 SWEEPS = 6  # of Jacobi's eigenvalue method; more change nothing in float64
 COMPILER = {"compiler": "gcc", "flags": ["-O3", "-march=native"], "cleanup": False}
@@ -83,7 +83,8 @@ def _plan(ca: Any, game: Game, model: str, now: Any) -> Any:
 
         def earned(state: jax.Array, own: jax.Array, partner: jax.Array | None = None) -> jax.Array:
             played, state = (swap_roles(game), jnp.concatenate([state[1::-1], state[2:]])) if car else (game, state)
-            return total_reward(played, state, own, constant_velocity(game, state[1]) if partner is None else partner)
+            partner = constant_velocity(game, state[1]) if partner is None else partner
+            return total_reward(played, state, own, partner) - discomfort(played, state[0], own)
 
         return _translated(ca, earned, state, *controls)
 

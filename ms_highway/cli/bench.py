@@ -39,7 +39,7 @@ def add_bench(commands: Any) -> None:
     """Add the command ``bench`` to a parser's subparsers."""
     parser = add_command(commands, "bench", "measure planning time, and the closed loop", HELP, EXAMPLES)
     names = ", ".join(SCENARIO_NAMES)
-    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: all with one human)")
+    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: the paper's)")
     parser.add_argument("--peer", choices=["casadi"], help="measure the same plans in CasADi's C code as well")
     add_number(parser, "--batches", None, "measure the closed loop in such batches", nargs="+", metavar="SIZE")
     add_number(parser, "--crowd", None, "numbers of humans (default: 1 6 8)", nargs="+", metavar="N")
@@ -51,28 +51,27 @@ def add_bench(commands: Any) -> None:
 
 
 def _bench(options: argparse.Namespace) -> None:
-    from ms_highway.benchmarks.crowd_latency import crowd_latency
-    from ms_highway.benchmarks.latency import bench
+    from ms_highway.benchmarks.latency import bench, bench_several
     from ms_highway.benchmarks.throughput import throughput
-    from ms_highway.envs import SCENARIOS, environment_id, is_crowd
+    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
     from ms_highway.experiments.comparison import paper_controllers
     from ms_highway.runtime.files import replacing
 
     if (options.batches and options.peer) or (options.devices and not options.batches):
         raise ValueError("--peer is about plans, and --devices about --batches; leave one out")
     config, results = configuration(options), dict[str, dict[str, Any]]()
-    scenarios = list(dict.fromkeys(options.scenarios or SCENARIOS))
+    scenarios = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS))
     for scenario in scenarios:
         environment_id(scenario)  # refuses unknown ones before anything is measured
-        if is_crowd(scenario) and (options.batches or options.peer):
-            raise ValueError(f"--batches and --peer are for scenarios with one human; leave out {scenario}")
+        if options.peer and SCENARIOS[scenario].streams:
+            raise ValueError(f"--peer is for scenarios with one human; leave out {scenario}")
     with telling() as tell:
         for scenario in scenarios:
-            if is_crowd(scenario):
-                measured = crowd_latency(scenario, options.crowd or [1, 6, 8], config)
-            elif options.batches:
+            if options.batches:
                 loops = paper_controllers(scenario), options.batches, options.devices, options.modules
                 measured = throughput(scenario, *loops, config)
+            elif SCENARIOS[scenario].streams:
+                measured = bench_several(scenario, options.crowd or [1, 6, 8], config)
             else:
                 measured = bench(scenario, options.peer == "casadi", **config)
             for name, result in measured:

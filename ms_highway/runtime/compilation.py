@@ -2,12 +2,11 @@
 
 from collections.abc import Callable, Hashable, Mapping
 from functools import cache, wraps
+from types import MappingProxyType
 from typing import Any
 
 import jax
 from jax import numpy as jnp
-
-__all__ = ["QUICKLY", "in_one_kernel", "jit_quickly", "known_options"]
 
 QUICKLY = {"xla_cpu_use_fusion_emitters": False}
 """Compiler options that halve compilation time, where XLA knows them (JAX up to 0.11.0); they make small plans
@@ -37,28 +36,22 @@ def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array
 
 
 def jit_quickly(
-    function: Callable[..., Any], *, static_argnums: tuple[int, ...] = (), options: Mapping[str, Any] | None = None
+    function: Callable[..., Any],
+    *,
+    static_argnums: tuple[int, ...] = (),
+    options: Mapping[str, Hashable] = MappingProxyType({}),
 ) -> Callable[..., Any]:
     """Apply `jax.jit` with the compiler options `QUICKLY`, and others, as far as this version of XLA knows them.
 
     XLA is asked at the first call, so that importing a module does not start JAX.
-
-    Args:
-        function: to compile.
-        static_argnums: see `jax.jit`.
-        options: further compiler options by name.
     """
-    chosen = {**QUICKLY, **(options or {})}
 
     @cache
     def compiled() -> jax.stages.Wrapped:
-        return jax.jit(function, static_argnums=static_argnums, compiler_options=known_options(chosen))
+        chosen = known_options({**QUICKLY, **options})
+        return jax.jit(function, static_argnums=static_argnums, compiler_options=chosen)
 
-    @wraps(function)
-    def call(*arguments: Any) -> Any:
-        return compiled()(*arguments)
-
-    return call
+    return wraps(function)(lambda *arguments: compiled()(*arguments))
 
 
 def known_options(options: Mapping[str, Hashable]) -> dict[str, Hashable]:

@@ -6,9 +6,9 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
+from ms_highway.game.crowd import along_others
 from roads import arc, keeping_velocity, scene_of
 
-from ms_highway.game.crowd import along_others
 from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.road import place, project

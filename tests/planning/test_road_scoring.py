@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
+from ms_highway.planning.road.junctions import blocks
 from roads import SPACING, TRAFFIC_KNOTS, scene_of
 
 from ms_highway.game.road import BEHIND, LANES, TRAFFIC
-from ms_highway.planning.road.junctions import blocks
 from ms_highway.planning.road.proposals import Manners, as_given, simulate, speed_caps
 from ms_highway.planning.road.prospects import missing_room, urgency
 from ms_highway.planning.road.scoring import RoadWeights, score, separation

@@ -3,18 +3,8 @@
 import numpy as np
 import pytest
 
-from ms_highway.game.crowd_scenario import (
-    CARELESS,
-    CARELESS_FACTOR,
-    CROSSING_CROWD,
-    DENSE_MERGE,
-    HUMANS,
-    SPACING,
-    crowd_game,
-    draw_crowd,
-)
-from ms_highway.game.learned_reward import shipped
-from ms_highway.game.scenario import GRIP
+from ms_highway.game.scenario import CARELESS, CARELESS_FACTOR, GRIP, HUMANS, SPACING, build_game, draw_episode
+from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE
 
 SCENARIOS = [DENSE_MERGE, CROSSING_CROWD]
 EPISODES = 60
@@ -22,7 +12,8 @@ EPISODES = 60
 
 def draws(scenario, humans):
     random = np.random.default_rng(0)
-    return [draw_crowd(scenario, humans, random) for _ in range(EPISODES)]
+    rewards = build_game(scenario, humans=humans).humans
+    return [draw_episode(scenario, random, rewards) for _ in range(EPISODES)]
 
 
 @pytest.mark.parametrize("humans", [HUMANS[0], 5, HUMANS[1]])
@@ -48,7 +39,7 @@ def test_most_gaps_are_too_short_for_a_car_unless_somebody_yields():
 
 
 def test_humans_differ_in_how_readily_they_yield_and_in_nothing_else():
-    driver = crowd_game(DENSE_MERGE, 8).game.human
+    driver = build_game(DENSE_MERGE).human()
     risk = driver.names.index("collision_risk")
     weights = np.concatenate([weights for _, weights in draws(DENSE_MERGE, 8)])
     factors = weights[:, risk] / driver.weights[risk]
@@ -59,24 +50,19 @@ def test_humans_differ_in_how_readily_they_yield_and_in_nothing_else():
     assert np.log(factors[~careless]).std() == pytest.approx(0.7, abs=0.1)
 
 
-def test_by_default_everybody_drives_for_the_learned_reward_more_boldly_in_dense_traffic():
-    crowd = crowd_game(DENSE_MERGE, 3)
-    learned = shipped("demonstrations").weights
-    assert crowd.humans == 3
-    for name, weight in zip(crowd.game.human.names, crowd.weights.T, strict=True):
+def test_all_are_believed_to_drive_for_the_reward_given_more_boldly_in_dense_traffic():
+    driving = {"speed": 3.0, "collision_risk": -2.0}
+    game = build_game(DENSE_MERGE, human_driving=driving, humans=3)
+    assert game.number == 3
+    for name, weights in zip(game.humans.names, game.humans.weights.T, strict=True):
         caution = DENSE_MERGE.caution if name == "collision_risk" else 1.0
-        np.testing.assert_allclose(weight, np.float32(caution * learned.get(name, 0.0)), rtol=1e-6)
+        np.testing.assert_allclose(weights, np.float32(caution * driving.get(name, 0.0)), rtol=1e-6)
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
 def test_a_robot_that_brakes_at_once_stops_before_the_cones(scenario):
-    game = crowd_game(scenario, 2).game
+    game = build_game(scenario)
     front = float(game.scene.car_size[0] + game.scene.obstacle_size[0]) / 2
     room = float(game.scene.obstacles[:, 0].min()) - front
     stopping = 20.0**2 / (2 * GRIP)
     assert stopping + 5.0 < room < 5 * 20.0  # the cones are reached within 5 s
-
-
-def test_weights_of_another_number_of_humans_are_refused():
-    with pytest.raises(ValueError, match=r"shape \(2, 10\); 3 humans need \(3, 10\)"):
-        crowd_game(DENSE_MERGE, 3, np.ones((2, 10), np.float32))
