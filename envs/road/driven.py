@@ -29,7 +29,7 @@ from ms_highway.vehicle.road_robot import RoadRobot
 
 WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
 UNTIL_FIRST = {
-    "rungs": (),
+    "models": (),
     "gains": np.zeros(0),
     "source": "",
     "broken": False,
@@ -95,7 +95,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
     control in between. ``info["road"]`` says how, for the first controlled vehicle:
 
-    * ``rungs``, ``gains``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``,
+    * ``models``, ``gains``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``,
       ``compile_seconds`` of the last plan, see `ms_highway.control.road.RoadStep`;
     * ``traits``, ``belief``: what is known of the driver on each path then, None if that is not configured;
     * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then;
@@ -166,7 +166,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         return {name: getattr(robot.last_step, name, value) for name, value in UNTIL_FIRST.items()} | {
             "decisions": [step.planning_seconds + step.decision_seconds for step in robot.steps],
             "sources": [step.source for step in robot.steps],
-            "rung_counts": Counter(rung for step in robot.steps for rung in step.rungs if rung),
+            "rung_counts": Counter(rung for step in robot.steps for rung in step.models if rung),
             "acceleration": max(robot.accelerations, default=0.0),
             "jerk": max(robot.jerks, default=0.0),
             "destination": robot.goal,

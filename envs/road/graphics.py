@@ -10,7 +10,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.control.road import RoadStep
 from ms_highway.envs.graphics import INK, PAPER, Viewer, model_color, words
-from ms_highway.planning.road.settings import RUNGS
+from ms_highway.planning.human_models import PACKAGE_MODELS
 
 PANEL, SIZE, GAP = 24, 13, 10  # px: height of the line of text, of its letters, and between its parts
 BAR, BARS = 4, 14  # px: width and height of a bar of probability 1
@@ -58,14 +58,14 @@ class RoadViewer(Viewer):
         """Draw predictions as dots and their cars in the colours of the rungs, the plan as a line, beliefs as bars."""
         ego, surface = self.env.vehicle, self.sim_surface
         others = [car for car in self.env.road.vehicles if car is not ego and not car.crashed]
-        predictions = np.asarray(step.predictions, dtype=float)
+        predictions = np.asarray(step.humans, dtype=float)
         thoughts = [
-            (RUNGS.index(rung), _car_of(path, others), path)
-            for rung, path in zip(step.rungs, predictions, strict=True)
+            (PACKAGE_MODELS.index(rung), _car_of(path, others), path)
+            for rung, path in zip(step.models, predictions, strict=True)
             if rung
         ]
         for rung, car, path in sorted(thoughts, key=itemgetter(0)):  # a car's most expensive rung colours it
-            color = model_color(RUNGS[rung])
+            color = model_color(PACKAGE_MODELS[rung])
             if car is not None:
                 pygame.draw.polygon(surface, color, [surface.vec2pix(corner) for corner in car.polygon()])
             for point in path[1::2]:
@@ -75,7 +75,7 @@ class RoadViewer(Viewer):
         for color, width in ((PAPER, 4), (INK, 2)) if len(line) > 1 else ():
             pygame.draw.lines(surface, color, False, line, width)
         if step.belief is not None:
-            believed = step.belief[np.array(step.rungs) != ""].tolist()
+            believed = step.belief[np.array(step.models) != ""].tolist()
             for (_, car, _), shares in zip(thoughts, believed, strict=True):
                 if car is not None:
                     self._draw_bars(car, shares)
@@ -83,9 +83,9 @@ class RoadViewer(Viewer):
     def _draw_bars(self, car: Vehicle, shares: list[float]) -> None:
         """Draw the probability of each model on a car."""
         x, y = self.sim_surface.vec2pix(car.position)
-        left, width = x - len(RUNGS) * BAR // 2, len(RUNGS) * BAR
+        left, width = x - len(PACKAGE_MODELS) * BAR // 2, len(PACKAGE_MODELS) * BAR
         pygame.draw.rect(self.sim_surface, PAPER, (left - 1, y - BARS - 1, width + 2, BARS + 2))
-        for number, (rung, share) in enumerate(zip(RUNGS, shares, strict=True)):
+        for number, (rung, share) in enumerate(zip(PACKAGE_MODELS, shares, strict=True)):
             height = round(BARS * share)
             pygame.draw.rect(self.sim_surface, model_color(rung), (left + BAR * number, y - height, BAR, height))
 
@@ -95,7 +95,7 @@ class RoadViewer(Viewer):
         pygame.draw.rect(self.picture, PAPER, (0, height - PANEL, width, PANEL))
         text, place = "the episode starts", GAP
         if step is not None:
-            cars = dict.fromkeys(zip(step.rungs, np.asarray(step.owners).tolist(), strict=True))  # each of them once
+            cars = dict.fromkeys(zip(step.models, np.asarray(step.owners).tolist(), strict=True))  # each of them once
             for rung, count in Counter(rung for rung, _ in cars if rung).items():
                 pygame.draw.circle(self.picture, model_color(rung), (place + 4, height - PANEL // 2), 5)
                 place = self._write(f"{rung} {count}", place + 14)

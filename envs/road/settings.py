@@ -8,11 +8,13 @@ from msgspec import Meta, Struct, ValidationError, convert
 
 from ms_highway.control.road import RoadDriver
 from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
-from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts, RungChoice
-from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RungChoice
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import PACKAGE_MODELS
+from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.vehicle.road_robot import MARGIN
 
-DRIVERS = ("priced", "priced:PRICE", "budget:MS", "proposals", *(f"fixed:{rung}" for rung in RUNGS))
+DRIVERS = ("priced", "priced:PRICE", "budget:MS", "proposals", *(f"fixed:{rung}" for rung in PACKAGE_MODELS))
 """What drives, as in ``config["driver"]``."""
 
 NUMBERED: dict[str, tuple[Callable[..., RungChoice], str]] = {
@@ -20,7 +22,7 @@ NUMBERED: dict[str, tuple[Callable[..., RungChoice], str]] = {
     "budget": (BudgetedRungs, "its milliseconds, such as budget:5"),
 }
 Wish = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
-IN_ORDER = f"give rungs of {', '.join(RUNGS)} in this order, {RUNGS[0]} among them"
+IN_ORDER = f"give rungs of {', '.join(PACKAGE_MODELS)} in this order, {PACKAGE_MODELS[0]} among them"
 
 
 class RoadSettings(Struct, frozen=True):
@@ -34,7 +36,7 @@ class RoadSettings(Struct, frozen=True):
         budget: milliseconds of computation per plan, instead of a price; None for no budget.
         costs: milliseconds that each rung adds to a plan per car, by name, 0 where left out; None to measure
             them. With given ones and a price, episodes can be repeated exactly; a budget counts the time of decisions.
-        ladder: rungs to choose from, of `ms_highway.planning.road.settings.RUNGS` in their order.
+        ladder: rungs to choose from, of `ms_highway.planning.human_models.PACKAGE_MODELS` in their order.
         desired_speed: [m/s]; None for what the scene rewards.
         acceleration: total acceleration at most [m/s^2].
         curvature: of the path at most [1/m].
@@ -52,7 +54,7 @@ class RoadSettings(Struct, frozen=True):
     costs: Annotated[
         dict[str, NotNegative] | None, Meta(description="give milliseconds from 0 by rung, such as {'tom': 0.5}")
     ] = None
-    ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = RUNGS
+    ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = PACKAGE_MODELS
     desired_speed: Wish = None
     acceleration: Positive = 5.0
     curvature: Positive = 0.2
@@ -69,8 +71,10 @@ class RoadSettings(Struct, frozen=True):
         return read(cls, "config", {} if config is None else config)
 
     def __post_init__(self) -> None:
-        refuse_unknown("config['costs']", self.costs or (), RUNGS)
-        if RUNGS[0] not in self.ladder or self.ladder != tuple(rung for rung in RUNGS if rung in self.ladder):
+        refuse_unknown("config['costs']", self.costs or (), PACKAGE_MODELS)
+        if PACKAGE_MODELS[0] not in self.ladder or self.ladder != tuple(
+            rung for rung in PACKAGE_MODELS if rung in self.ladder
+        ):
             raise ValueError(f"config['ladder'] is {self.ladder!r}; {IN_ORDER}")
         self.choice()
 
@@ -98,7 +102,7 @@ class RoadSettings(Struct, frozen=True):
                 raise ValueError(f"{message}; it needs {wanted}, as a number from 0") from None
         if self.driver == "proposals":
             return FixedRung("idm")
-        if kind == "fixed" and rest in RUNGS:
+        if kind == "fixed" and rest in PACKAGE_MODELS:
             if rest in self.ladder:
                 return FixedRung(rest)
             raise ValueError(f"{message}, but config['ladder'] is {self.ladder!r}; add {rest!r} to it")
@@ -116,6 +120,6 @@ class RoadSettings(Struct, frozen=True):
         """Return a driver with these limits and wishes."""
         costs = None
         if self.costs is not None:
-            costs = RoadCosts(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in RUNGS]))
+            costs = Costs(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in PACKAGE_MODELS]))
         refines = self.driver != "proposals"
         return RoadDriver(planning, self.choice(), refines, costs=costs, traits=self.traits, belief=self.belief)

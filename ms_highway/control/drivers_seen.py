@@ -1,31 +1,31 @@
 """Keep what is known of the drivers in sight from step to step: what each is like, and which model it follows."""
 
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
+from ms_highway.game.arrays import Belief
 from ms_highway.game.road import RoadScene
-from ms_highway.metareasoning.road_belief import Belief, first_belief, updated_road_belief
+from ms_highway.metareasoning.belief import first_belief
+from ms_highway.metareasoning.road_belief import updated_road_belief
+from ms_highway.optimization.kalman import Gaussian
 from ms_highway.planning.road.traits import prior, traits_of, updated_traits
-from ms_highway.runtime.compilation import quick_options
+from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.timing import warm_up
 
+Known = tuple[Gaussian, Belief]
+Path = Float[Any, "steps 3"]
 
-@cache
-def _functions() -> tuple[jax.stages.Wrapped, jax.stages.Wrapped]:
-    """Compile what is assumed of drivers in the first step, and the update of it."""
 
-    def update(known: Any, before: RoadScene, path: Any, now: RoadScene, time_step: float) -> Any:
-        estimates, belief = known
-        traits = updated_traits(estimates, before, now, time_step)
-        return traits, updated_road_belief(belief, before, path, now, time_step)
+def _updated(known: Known, before: RoadScene, path: Path, now: RoadScene, time_step: float) -> Known:
+    traits = updated_traits(known[0], before, now, time_step)
+    return traits, updated_road_belief(known[1], before, path, now, time_step)
 
-    options = quick_options()
-    first = jax.jit(lambda scene: (prior(scene), first_belief(scene)), compiler_options=options)
-    return first, jax.jit(update, compiler_options=options)
+
+_first, _update = jit_quickly(prior), jit_quickly(_updated)
 
 
 class DriversSeen:
@@ -38,29 +38,25 @@ class DriversSeen:
 
     def __init__(self, traits: bool, time_step: float) -> None:
         self.traits, self.time_step = traits, time_step
-        self._before: tuple[RoadScene, Any] | None = None
-        self._known: Any = None
+        self._before: tuple[RoadScene, Path] | None = None
+        self._known: Known | None = None
 
     def prepare(self, scene: RoadScene, steps: int) -> None:
         """Compile, with a look at the road and the number of steps of plans."""
-        first, update = _functions()
-        warm_up(first, scene)
-        known = first(scene)
-        warm_up(update, known, self._with_traits(scene, known), np.zeros((steps, 3), np.float32), scene, self.time_step)
+        warm_up(_first, scene)
+        seen = DriversSeen(self.traits, self.time_step)
+        before, path = seen.look(scene), np.zeros((steps, 3), np.float32)
+        warm_up(_update, seen._known, before, path, scene, self.time_step)
 
     def look(self, scene: RoadScene) -> RoadScene:
         """Learn from a look at the road; return it, with the traits of the drivers if plans use them."""
-        first, update = _functions()
         if self._before is None:
-            self._known = first(scene)
+            self._known = _first(scene), first_belief(len(scene.names))
         else:
-            self._known = update(self._known, *self._before, scene, self.time_step)
-        return self._with_traits(scene, self._known)
+            self._known = _update(self._known, *self._before, scene, self.time_step)
+        return replace(scene, traits=jax.tree.map(np.asarray, traits_of(self._known[0].mean))) if self.traits else scene
 
-    def _with_traits(self, scene: RoadScene, known: Any) -> RoadScene:
-        return replace(scene, traits=jax.tree.map(np.asarray, traits_of(known[0].mean))) if self.traits else scene
-
-    def planned(self, scene: RoadScene, path: Any) -> None:
+    def planned(self, scene: RoadScene, path: Path) -> None:
         """Remember the robot's plan on the road that it looked at last; an empty one ends all learning until now."""
         self._before = (scene, path) if len(path) else None
 

@@ -1,93 +1,66 @@
-"""Drive on a road: choose how to predict each car, plan, and fall back where a plan is none."""
+"""Drive on a road: observe, infer, choose how to predict each car, plan, follow the plan or fall back."""
 
-from dataclasses import dataclass, replace
-from functools import cache, partial
+from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
+from typing import Any
 
 import jax
 import numpy as np
-from jax import numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
+from ms_highway.control.controller import ControlStep
 from ms_highway.control.drivers_seen import DriversSeen
-from ms_highway.game.road import TRAFFIC, RoadScene, Traits
-from ms_highway.metareasoning.road import RoadCosts, RungChoice
-from ms_highway.metareasoning.road_belief import counted_on
-from ms_highway.planning.road.plan import (
-    REFINED,
-    Memory,
-    RoadPlan,
-    first_memory,
-    highest_gains,
-    plan_road,
-    propose,
-)
+from ms_highway.control.fallback import PLANNED, PREVIOUS_PLAN, STATUSES, fallback_status
+from ms_highway.game.arrays import Rungs
+from ms_highway.game.road import TRAFFIC, Places, RoadScene, Traits
+from ms_highway.metareasoning.road import RungChoice
+from ms_highway.metareasoning.road_belief import counted_rungs
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import PACKAGE_MODELS
+from ms_highway.planning.road.plan import REFINED, LastPlan, RoadPlan, no_plan, plan_road, worth_of_answers
 from ms_highway.planning.road.proposals import FULL_BRAKING, LAST_PLAN
-from ms_highway.planning.road.settings import RUNGS, TOM, RoadPlanning, RoadWeights
-from ms_highway.planning.road.traffic import situation_of
-from ms_highway.runtime.compilation import quick_options
+from ms_highway.planning.road.settings import NAIVE, TOM, RoadPlanning, RoadWeights
+from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
-__all__ = ["RoadDriver", "RoadStep"]
-
 NOTICEABLE = 0.2  # share of a plan's time below which a model costs nothing
+HARDEST = 0.95  # share of the grip from which a plan that breaks a constraint counts as braking
 SOURCES = {REFINED: "refined", LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 REPEATS = 5  # plans that are timed for the costs of models
 
+plan_of = {refines: jit_quickly(partial(plan_road, refines=refines)) for refines in (False, True)}
+worth_of = jit_quickly(worth_of_answers)
+"""Plans, refined or not, and the worth of answers, each compiled once for all scenes, rungs, limits and weights."""
 
-@dataclass(frozen=True)
-class RoadStep:
-    """Record of one step of a driver.
+
+@dataclass(frozen=True, kw_only=True)
+class RoadStep(ControlStep):
+    """Record of one step of a driver on a road, where each path of others counts as a human.
+
+    Controls are the curvature of the rear axle's path [1/m] and the acceleration [m/s^2]. ``humans`` has x and y of
+    others in place of their controls, ``models`` an empty name where nobody is predicted, and ``gains`` what an answer
+    may be worth at most, the same for all models but naive. Where a plan is not finite, nobody is predicted.
 
     Attributes:
-        control: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
         path: x, y and heading of the robot's centre, as planned, world coordinates; no steps if the plan failed.
-        predictions: x and y of others, world coordinates; no steps if the plan failed.
-        rungs: name of the model that predicts each path of others; empty where none does.
         owners: number of the car that each path belongs to, -1 without one.
-        gains: bounds on what each answer is worth [reward].
-        planning_seconds: wall time of the plan, without compilation.
-        decision_seconds: wall time of choosing the models.
-        compile_seconds: wall time of compiling and measuring costs in this step.
         source: what drives: ``refined``, ``proposal``, ``last plan`` or ``braking``.
         broken: whether the best plan breaks a constraint: it hits somebody, leaves the road or lacks the room to stop.
-        failed: whether the plan is not finite, so that the last plan or, without one, braking drives.
         traits: estimated of the driver on each path, None if they are not.
-        belief: probability of each of `RUNGS` for the driver on each path, None if none is kept.
     """
 
-    control: Float[np.ndarray, "2"]
-    path: Float[np.ndarray, "steps 3"]
-    predictions: Float[np.ndarray, "traffic steps 2"]
-    rungs: tuple[str, ...]
-    owners: Int[np.ndarray, "traffic"]
-    gains: Float[np.ndarray, "traffic"]
-    planning_seconds: float
-    decision_seconds: float
-    compile_seconds: float
+    path: Float[Any, "steps 3"]
+    owners: Places
     source: str
     broken: bool = False
-    failed: bool = False
     traits: Traits | None = None
-    belief: Float[np.ndarray, "traffic models"] | None = None
 
-
-@cache
-def _look_function() -> jax.stages.Wrapped:
-    """Compile the gains, with others who keep their speed."""
-
-    def look(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, memory: Memory) -> jax.Array:
-        nobody = jnp.zeros(TRAFFIC, int)
-        return highest_gains(propose(situation_of(scene, planning, weights), nobody, memory).scores)
-
-    return jax.jit(look, compiler_options=quick_options())
-
-
-@cache
-def _plan_function(refines: bool) -> jax.stages.Wrapped:
-    """Compile `plan_road` once for all scenes, rungs, limits and weights."""
-    return jax.jit(partial(plan_road, refines=refines), compiler_options=quick_options())
+    @property
+    def failed(self) -> bool:
+        """Whether the plan is not finite, so that the last plan or, without one, braking drives."""
+        return self.status != "planned"
 
 
 class RoadDriver:
@@ -110,113 +83,98 @@ class RoadDriver:
         choice: RungChoice,
         refines: bool = True,
         weights: RoadWeights | None = None,
-        costs: RoadCosts | None = None,
+        costs: Costs | None = None,
         traits: bool = False,
         belief: bool = False,
     ) -> None:
         self.planning, self.choice, self.refines = planning, choice, refines
-        self.weights = weights or RoadWeights()
-        self.costs = costs
+        self.weights, self.costs = weights or RoadWeights(), costs
         self.traits, self.belief = traits, belief
         self.reset()
 
     def reset(self) -> None:
         """Forget the last plan, before a new episode."""
-        self._memory = first_memory(self.planning)
-        self._left = 0  # controls of the last plan that are left
-        self._seen = DriversSeen(self.traits, float(self.planning.time_step))
+        self._last = no_plan(self.planning)
+        self._left = 0  # controls of the last plan that are left, the executed one included
+        self._seen = DriversSeen(self.traits, float(self.planning.time_step)) if self.traits or self.belief else None
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Return what to do now."""
         refuse_after_fork()
-        begin, looking = perf_counter(), 0.0
-        if self.traits or self.belief:
-            if self._left == 0:
-                self._seen.prepare(scene, self.planning.steps)
-            start = perf_counter()
-            scene = self._seen.look(scene)
-            looking = perf_counter() - start
-        belief = self._seen.belief if self.belief else None
-        costs = self._prepared(scene)
-        compiling = perf_counter() - begin - looking
         start = perf_counter()
-        gains = np.zeros(TRAFFIC, np.float32)
+        compiling = 0.0
+        if self._seen is not None:
+            if self._left == 0:
+                _, compiling = timed(self._seen.prepare, scene, self.planning.steps)
+            scene = self._seen.look(scene)
+        costs, preparing = timed(self._prepared, scene)
+        compiling += preparing
+        start += compiling
+        worth, belief = np.zeros(TRAFFIC), self._seen.belief if self._seen is not None and self.belief else None
         if self.choice.looks:
-            gains = np.asarray(_look_function()(scene, self.planning, self.weights, self._memory))
+            worth = np.asarray(worth_of(scene, self.planning, self.weights, self._last))
         if belief is not None:
-            gains = gains * belief[:, TOM]
-        deciding = looking + perf_counter() - start
-        rungs = np.where(scene.moving & scene.present, self.choice.choose(gains, costs, deciding), 0)
+            worth = worth * belief[:, TOM]
+        rungs = self.choice.choose(worth, costs, perf_counter() - start)
+        rungs = np.where(scene.moving & scene.present, rungs, NAIVE).astype(np.int32)
         if belief is not None:
-            rungs = counted_on(rungs, belief)
-        deciding = looking + perf_counter() - start
-        plan, seconds = self._planned(scene, rungs.astype(np.int32))
-        plan = jax.tree.map(np.asarray, plan)
-        step = self._taken(scene, plan, rungs, gains, seconds, deciding, compiling)
-        self._seen.planned(scene, step.path)
-        return replace(step, traits=scene.traits, belief=belief)
-
-    def _planned(self, scene: RoadScene, rungs: Int[np.ndarray, "traffic"]) -> tuple[RoadPlan, float]:
-        return timed(_plan_function(self.refines), scene, self.planning, self.weights, rungs, self._memory)
-
-    def _taken(
-        self,
-        scene: RoadScene,
-        plan: RoadPlan,
-        rungs: Int[np.ndarray, "traffic"],
-        gains: Float[np.ndarray, "traffic"],
-        planning: float,
-        deciding: float,
-        compiling: float,
-    ) -> RoadStep:
-        """Remember a plan, or fall back where it is not finite."""
-        controls, path, predictions = map(np.asarray, (plan.controls, plan.path, plan.predictions))
-        hardest = bool(plan.broken) and controls[0, 1] < -0.95 * self.planning.grip
-        source = "braking" if hardest else SOURCES.get(int(plan.chosen), "proposal")
-        names = tuple(RUNGS[rung] if there else "" for rung, there in zip(rungs, scene.present, strict=True))
-        failed = not np.isfinite(controls).all()
-        if not failed:
-            self._left = len(controls)
-        elif self._left > 0:
-            controls, source = np.asarray(self._memory.controls), "last plan"
-        else:
-            controls, source = np.tile(np.array([0.0, -self.planning.grip], np.float32), (len(controls), 1)), "braking"
-        self._left -= 1
-        self._memory = Memory(np.concatenate([controls[1:], controls[-1:]]), path[-1, :2])
-        if failed:
-            path, predictions, names = path[:0], predictions[:, :0], ("",) * len(names)
+            rungs = counted_rungs(rungs, belief)
+        deciding = perf_counter() - start
+        plan, planning = self._planned(scene, rungs)
+        controls, status, source = self._followed(plan)
+        finite = status == PLANNED
+        gains = np.full((TRAFFIC, len(PACKAGE_MODELS)), np.nan)
+        gains[:, 1:] = worth[:, None] if self.choice.looks else np.nan
+        if self._seen is not None:
+            self._seen.planned(scene, plan.path if finite else plan.path[:0])
         return RoadStep(
-            control=controls[0].astype(float),
-            path=path,
-            predictions=predictions,
-            rungs=names,
+            controls[0].astype(float),
+            controls,
+            plan.predictions if finite else plan.predictions[:, :0],
+            tuple(
+                PACKAGE_MODELS[rung] if there and finite else ""
+                for rung, there in zip(rungs, scene.present, strict=True)
+            ),
+            planning,
+            deciding,
+            compiling,
+            PACKAGE_MODELS,
+            gains,
+            status=STATUSES[status],
+            belief=belief,
+            path=plan.path if finite else plan.path[:0],
             owners=np.asarray(scene.owners),
-            gains=gains,
-            planning_seconds=planning,
-            decision_seconds=deciding,
-            compile_seconds=compiling,
             source=source,
             broken=bool(plan.broken),
-            failed=failed,
+            traits=scene.traits,
         )
 
-    def _prepared(self, scene: RoadScene) -> RoadCosts:
+    def _planned(self, scene: RoadScene, rungs: Rungs) -> tuple[RoadPlan, float]:
+        plan, seconds = timed(plan_of[self.refines], scene, self.planning, self.weights, rungs, self._last)
+        return jax.tree.map(np.asarray, plan), seconds
+
+    def _followed(self, plan: RoadPlan) -> tuple[Float[Any, "steps 2"], int, str]:
+        """Return the controls to follow, the number of their status and their source; keep what is left of them."""
+        controls, hardest = plan.controls, -HARDEST * self.planning.grip
+        source = "braking" if plan.broken and controls[0, 1] < hardest else SOURCES.get(int(plan.chosen), "proposal")
+        status, self._left = fallback_status(bool(np.isfinite(controls).all()), self._left, len(controls))
+        if status == PREVIOUS_PLAN:
+            controls, source = np.asarray(self._last.controls), "last plan"
+        elif status != PLANNED:
+            controls = np.tile(np.array([0.0, -self.planning.grip], np.float32), (len(controls), 1))
+            source = "braking"
+        self._last = LastPlan(np.concatenate([controls[1:], controls[-1:]]), plan.path[-1, :2])
+        return controls, status, source
+
+    def _prepared(self, scene: RoadScene) -> Costs:
         """Compile, and return what models cost, measured once there are others if the choice looks at it."""
-        given = scene, self.planning, self.weights
-        warm_up(_plan_function(self.refines), *given, np.zeros(TRAFFIC, np.int32), self._memory)
+        given, others = (scene, self.planning, self.weights), np.asarray(scene.moving & scene.present)
+        warm_up(plan_of[self.refines], *given, np.zeros(TRAFFIC, np.int32), self._last)
         if self.choice.looks:
-            warm_up(_look_function(), *given, self._memory)
-        if self.costs is None and self.choice.looks and np.any(scene.moving & scene.present):
-            self.costs = self._measured(scene)
-        return self.costs or RoadCosts(0.0, np.zeros(len(RUNGS)))
-
-    def _measured(self, scene: RoadScene) -> RoadCosts:
-        others = np.asarray(scene.moving & scene.present)
-
-        def median(rung: int) -> float:
-            rungs = np.where(others, rung, 0).astype(np.int32)
-            return float(np.median([self._planned(scene, rungs)[1] for _ in range(REPEATS)]))
-
-        whole = np.array([median(rung) for rung in range(len(RUNGS))])
-        more = np.where(whole > (1 + NOTICEABLE) * whole[0], whole - whole[0], 0.0)
-        return RoadCosts(float(whole[0]), more / others.sum())
+            warm_up(worth_of, *given, self._last)
+        if self.costs is None and self.choice.looks and others.any():
+            rungs = np.outer(range(len(PACKAGE_MODELS)), others).astype(np.int32)
+            seconds = np.median([[self._planned(scene, each)[1] for _ in range(REPEATS)] for each in rungs], axis=1)
+            more = np.where(seconds > (1 + NOTICEABLE) * seconds[0], seconds - seconds[0], 0.0)
+            self.costs = Costs(float(seconds[0]), more / others.sum())
+        return self.costs or Costs(0.0, np.zeros(len(PACKAGE_MODELS)))

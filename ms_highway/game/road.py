@@ -13,6 +13,9 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
+from ms_highway.game.arrays import Car, State
+from ms_highway.runtime.arrays import Numbers, Scalar
+
 SPACING = 2.0
 """Distance between knots of a path [m]."""
 
@@ -20,24 +23,20 @@ BEHIND = 20.0
 """Length of a path behind the car that follows it [m]; the car is near s = 0."""
 
 KNOTS, TRAFFIC_KNOTS = 96, 64
-"""Scalar of knots of the robot's route, 20 m behind to 170 m ahead, and of the paths of others, to 106 m ahead."""
+"""Number of knots of the robot's route, 20 m behind to 170 m ahead, and of the paths of others, to 106 m ahead."""
 
 LANES = 3
 """Lanes that the robot can choose: left of its own, its own, right of it."""
 
 TRAFFIC = 20
-"""Scalar of paths of others that plans look at."""
+"""Number of paths of others that plans look at."""
 
-Car = Float[Any, "4"]
-Cars = Float[Any, "traffic 4"]
-Pair = Float[Any, "2"]
-Pairs = Float[Any, "traffic 2"]
 Knots = Float[Any, "*paths knots"]
+Sizes = Float[Any, "*cars 2"]
 Traffic = Float[Any, "traffic"]
 Flags = Bool[Any, "traffic"]
-Numbers = Int[Any, "traffic"]
-Number = Float[Any, "*shape"]
-Pose = tuple[Number, Number, Number]
+Places = Int[Any, "traffic"]
+Pose = tuple[Numbers, Numbers, Numbers]
 """x, y and heading in world coordinates, or s, d and heading in those of a path."""
 
 
@@ -105,26 +104,26 @@ class RoadScene:
     open: Knots
     edges: Knots
     speed_limit: Knots
-    changes: Number
-    room: Number
+    changes: Numbers
+    room: Scalar
     robot: Car
-    size: Pair
-    applied: Pair
+    size: Sizes
+    applied: Sizes
     paths: Path
-    states: Cars
-    sizes: Pairs
+    states: State
+    sizes: Sizes
     present: Flags
     limits: Traffic
-    leaders: Numbers
+    leaders: Places
     gaps: Traffic
-    owners: Numbers
-    names: Numbers
+    owners: Places
+    names: Places
     moving: Flags
     priority: Flags
     traits: Traits | None = None
 
     @property
-    def reach(self) -> Pairs:
+    def reach(self) -> Sizes:
         """Distance of centres at which the robot and each other car touch, along and across [m]."""
         return (self.size + self.sizes) / 2
 
@@ -134,7 +133,7 @@ def wrapped(angle: Any) -> Any:
     return (angle + pi) % (2 * pi) - pi
 
 
-def interpolate(values: Knots, s: Number) -> Number:
+def interpolate(values: Knots, s: Numbers) -> Numbers:
     """Interpolate values at the knots of a path linearly; beyond its ends, the outermost are kept."""
     knots = np.shape(values)[-1]
     position = jnp.clip((s + BEHIND) / SPACING, 0.0, knots - 1.0)
@@ -144,7 +143,7 @@ def interpolate(values: Knots, s: Number) -> Number:
     return values[..., low] * (1 - share) + values[..., low + 1] * share
 
 
-def place(path: Path, s: Number, d: Number) -> Pose:
+def place(path: Path, s: Numbers, d: Numbers) -> Pose:
     """Return x, y and the path's heading at road coordinates; beyond its ends, the path goes straight on."""
     heading = interpolate(path.heading, s)
     beyond = s - jnp.clip(s, -BEHIND, _end(path))
@@ -154,13 +153,12 @@ def place(path: Path, s: Number, d: Number) -> Pose:
     return x, y, heading
 
 
-def project(path: Path, x: Number, y: Number, heading: Number) -> Pose:
+def locate(path: Path, x: Numbers, y: Numbers, heading: Numbers) -> Pose:
     """Return s, d and the heading relative to the path of poses in world coordinates: the inverse of `place`.
 
     From the nearest knot, two Newton steps find where the normal of the path passes through the position. The heading
     is wrapped to [-pi, pi).
     """
-    x, y = jnp.asarray(x), jnp.asarray(y)
     nearest = jnp.argmin((x[..., None] - path.x) ** 2 + (y[..., None] - path.y) ** 2, axis=-1)
     s = nearest * SPACING - BEHIND
     for _ in range(2):
@@ -175,13 +173,13 @@ def _end(path: Path) -> float:
     return (np.shape(path.x)[-1] - 1) * SPACING - BEHIND
 
 
-def _offset(path: Path, s: Number, x: Number, y: Number) -> Pose:
+def _offset(path: Path, s: Numbers, x: Numbers, y: Numbers) -> Pose:
     """Return how far positions are ahead and to the right of the path at s [m], and the path's heading there."""
     from_x, from_y, along = place(path, s, jnp.zeros_like(s))
     return *rotated(x - from_x, y - from_y, along), along
 
 
-def rotated(x: Number, y: Number, heading: Number) -> tuple[Number, Number]:
+def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]:
     """Return a vector's parts along a heading and to the right of it."""
     cosine, sine = jnp.cos(heading), jnp.sin(heading)
     return x * cosine + y * sine, y * cosine - x * sine

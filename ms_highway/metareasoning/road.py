@@ -6,22 +6,13 @@ with R what a proposal earns and c_i the part of it that car i costs. Where noth
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float, Int
 
-from ms_highway.planning.road.settings import ROAD_MODELS
-
-Gains = Float[Any, "traffic"]
-Rungs = Int[Any, "traffic"]
-
-
-class RoadCosts(NamedTuple):
-    """Seconds of a plan: ``base + sum each[rung]`` over the cars."""
-
-    base: float
-    each: Float[Any, "rungs"]
+from ms_highway.game.arrays import PerHuman, Rungs
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import PACKAGE_MODELS
 
 
 class RungChoice(Protocol):
@@ -33,7 +24,7 @@ class RungChoice(Protocol):
 
     looks: bool
 
-    def choose(self, gains: Gains, costs: RoadCosts, spent: float) -> Rungs:
+    def choose(self, gains: PerHuman, costs: Costs, spent: float) -> Rungs:
         """Return the rung of each car.
 
         Args:
@@ -55,12 +46,12 @@ class FixedRung:
     looks = False
 
     def __post_init__(self) -> None:
-        if self.name not in ROAD_MODELS:
-            raise ValueError(f"there is no model {self.name!r} of traffic; the models are {', '.join(ROAD_MODELS)}")
+        if self.name not in PACKAGE_MODELS:
+            raise ValueError(f"there is no model {self.name!r} of traffic; the models are {', '.join(PACKAGE_MODELS)}")
 
-    def choose(self, gains: Gains, costs: RoadCosts, spent: float) -> Rungs:
+    def choose(self, gains: PerHuman, costs: Costs, spent: float) -> Rungs:
         """See `RungChoice`."""
-        return np.full(len(gains), ROAD_MODELS.index(self.name), np.int32)
+        return np.full(len(gains), PACKAGE_MODELS.index(self.name), np.int32)
 
 
 @dataclass(frozen=True)
@@ -75,12 +66,12 @@ class PricedRungs:
     """
 
     price: float
-    ladder: tuple[str, ...] = ROAD_MODELS
+    ladder: tuple[str, ...] = PACKAGE_MODELS
     looks = True
 
-    def choose(self, gains: Gains, costs: RoadCosts, spent: float) -> Rungs:
+    def choose(self, gains: PerHuman, costs: Costs, spent: float) -> Rungs:
         """See `RungChoice`."""
-        first, *more = map(ROAD_MODELS.index, self.ladder)
+        first, *more = map(PACKAGE_MODELS.index, self.ladder)
         rungs = np.full(len(gains), first, np.int32)
         for rung in more:
             rungs[gains >= self.price * costs.each[rung]] = rung
@@ -97,13 +88,13 @@ class BudgetedRungs:
     """
 
     milliseconds: float
-    ladder: tuple[str, ...] = ROAD_MODELS
+    ladder: tuple[str, ...] = PACKAGE_MODELS
     looks = True
 
-    def choose(self, gains: Gains, costs: RoadCosts, spent: float) -> Rungs:
+    def choose(self, gains: PerHuman, costs: Costs, spent: float) -> Rungs:
         """See `RungChoice`."""
         left = self.milliseconds / 1e3 - spent - costs.base
-        ladder = [ROAD_MODELS.index(name) for name in self.ladder]
+        ladder = [PACKAGE_MODELS.index(name) for name in self.ladder]
         free = max(rung for rung in ladder if costs.each[rung] == 0 or rung == ladder[0])
         rungs = np.full(len(gains), free, np.int32)
         for car in np.argsort(-gains, kind="stable"):

@@ -17,7 +17,7 @@ from ms_highway.benchmarks.road.names import DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
-from ms_highway.planning.road.settings import RUNGS
+from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.visualization.overview import overview
 
 KEPT = Path(__file__).parent
@@ -135,7 +135,7 @@ def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
             "m/s": f"{one['mean_speed']:.1f}",
             "m/s² at most": f"{one['max_acceleration']:.1f}",
             "jerk, m/s³": f"{one['jerk']:.1f}",
-            "naive / idm / turn / tom %": " / ".join(f"{100 * used.get(rung, 0.0):.0f}" for rung in RUNGS)
+            "naive / idm / turn / tom %": " / ".join(f"{100 * used.get(rung, 0.0):.0f}" for rung in PACKAGE_MODELS)
             if used
             else "",
             "ms p50, p99": "" if one["p50_ms"] is None else f"{one['p50_ms']:.1f}, {one['p99_ms']:.1f}",

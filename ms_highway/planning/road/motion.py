@@ -3,15 +3,18 @@
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.road import SPACING, Car, Knots, Number, Pose, RoadScene, interpolate, place
-from ms_highway.planning.road.arrays import Control, Controls, Scalar, States, Steps, Trajectory
+from ms_highway.game.arrays import Car
+from ms_highway.game.road import SPACING, Knots, Pose, RoadScene, interpolate, place
+from ms_highway.optimization.arrays import Control, ManyControls
+from ms_highway.planning.road.arrays import States, Steps, World
 from ms_highway.planning.road.settings import CORNERING, RoadPlanning
+from ms_highway.runtime.arrays import Numbers, Scalar
 
 SLOWEST = 1.0  # m/s, below which curvature is limited as at this speed
 SLOWING = 2.5  # m/s^2, before bends
 
 
-def within_limits(planning: RoadPlanning, speed: Number, control: Control) -> Control:
+def within_tyres(planning: RoadPlanning, speed: Numbers, control: Control) -> Control:
     """Limit curvature and acceleration to the friction circle, to the sharpest curve, and to a stop, never backwards.
 
     The acceleration gives way to the curve: ``|v^2 k| <= grip`` first, then ``a^2 <= grip^2 - (v^2 k)^2``.
@@ -40,15 +43,24 @@ def advance(scene: RoadScene, planning: RoadPlanning, state: Car, control: Contr
     return state + jnp.stack(changes) * planning.time_step
 
 
-def drive(scene: RoadScene, planning: RoadPlanning, controls: Controls) -> tuple[States, Controls]:
+def execute(scene: RoadScene, planning: RoadPlanning, controls: ManyControls) -> tuple[States, ManyControls]:
     """Return the robot's states after each control, and the controls within limits that it executed."""
 
     def go(state: Car, control: Control) -> tuple[Car, tuple[Car, Control]]:
-        held = within_limits(planning, state[3], control)
+        held = within_tyres(planning, state[3], control)
         moved = advance(scene, planning, state, held)
         return moved, (moved, held)
 
     return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
+
+
+def cruise(scene: RoadScene, planning: RoadPlanning) -> World:
+    """Return the trajectory of the robot's centre if it keeps its speed and lateral position along its route."""
+    s, d, _, speed = jnp.asarray(scene.robot)
+    pace = speed / jnp.maximum(1 - d * interpolate(scene.route.curvature, s), 0.2)
+    s = s + scene.size[0] / 2 + pace * planning.times
+    d, speed = (jnp.broadcast_to(number, s.shape) for number in (d, speed))
+    return jnp.stack([*place(scene.route, s, d), speed])
 
 
 def bodies(scene: RoadScene, states: States) -> Pose:
@@ -58,8 +70,8 @@ def bodies(scene: RoadScene, states: States) -> Pose:
     return x + half * jnp.cos(heading), y + half * jnp.sin(heading), heading
 
 
-def centres(scene: RoadScene, states: States) -> States:
-    """Return x, y, heading and speed of the robot's centre in world coordinates, fields before steps."""
+def centres(scene: RoadScene, states: States) -> World:
+    """Return the trajectories of the robot's centre."""
     return jnp.stack([*bodies(scene, states), states[..., 3]], axis=-2)
 
 
@@ -74,12 +86,3 @@ def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Knots:
     allowed = jnp.minimum(CORNERING * planning.grip / bends, planning.desired_speed**2)
     ahead = 2 * SLOWING * SPACING * jnp.arange(len(bends))
     return jnp.sqrt(jnp.maximum(jax.lax.cummin(allowed + ahead, reverse=True) - ahead, 1.0))
-
-
-def cruise(scene: RoadScene, planning: RoadPlanning) -> Trajectory:
-    """Return the trajectory of the robot's centre if it keeps its speed and lateral position along its route."""
-    s, d, _, speed = jnp.asarray(scene.robot)
-    pace = speed / jnp.maximum(1 - d * interpolate(scene.route.curvature, s), 0.2)
-    s = s + scene.size[0] / 2 + pace * planning.times
-    d, speed = (jnp.broadcast_to(number, s.shape) for number in (d, speed))
-    return jnp.stack([*place(scene.route, s, d), speed])

@@ -13,25 +13,26 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.road import Flags, Number, Numbers, RoadScene, Traffic, interpolate, project
-from ms_highway.planning.road.answers import driver_among, for_each
-from ms_highway.planning.road.arrays import Controls, EachStep, Lane, Steps, Trajectories, Trajectory
+from ms_highway.game.road import Flags, Places, RoadScene, Traffic, interpolate, locate
+from ms_highway.optimization.arrays import Controls
+from ms_highway.planning.road.answers import UNIT, commuter_among, for_each
+from ms_highway.planning.road.arrays import EachStep
 from ms_highway.planning.road.motion import centres, cruise
 from ms_highway.planning.road.proposals import (
     PROPOSALS,
+    DrivenPlans,
     Manners,
     Profiles,
-    Rollouts,
     as_given,
     profiles,
-    simulate,
+    simulate_plans,
     trajectories,
 )
-from ms_highway.planning.road.refinement import refine
-from ms_highway.planning.road.reward import Aim
+from ms_highway.planning.road.refinement import Aim, refine
 from ms_highway.planning.road.scoring import Scores, score
-from ms_highway.planning.road.settings import IDM, TOM, TURN, RoadPlanning, RoadWeights
+from ms_highway.planning.road.settings import IDM, NAIVE, TOM, TURN, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traffic import Situation, situation_of
+from ms_highway.runtime.arrays import Flag, Index, Numbers, Vector
 
 REFINED = -1
 """Number of a refined plan, in place of that of a proposal."""
@@ -39,7 +40,7 @@ REFINED = -1
 ANSWERED = 6  # best proposals that others answer
 
 
-class Memory(NamedTuple):
+class LastPlan(NamedTuple):
     """What a plan hands on to the next one.
 
     Attributes:
@@ -48,14 +49,14 @@ class Memory(NamedTuple):
     """
 
     controls: Controls
-    goal: Number
+    goal: Vector
 
 
 class Judged(NamedTuple):
     """Plans, how they turn out, and what they earn."""
 
     plans: Profiles
-    rollouts: Rollouts
+    driven: DrivenPlans
     scores: Scores
 
 
@@ -71,33 +72,34 @@ class RoadPlan(NamedTuple):
     """
 
     controls: Controls
-    path: Number
-    predictions: Number
-    chosen: Lane
-    broken: Flags
+    path: Numbers
+    predictions: Numbers
+    chosen: Index
+    broken: Flag
 
 
-def first_memory(planning: RoadPlanning) -> Memory:
-    """Return the memory before the first plan: go on straight."""
-    return Memory(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32))
+def no_plan(planning: RoadPlanning) -> LastPlan:
+    """Return what stands for the last plan before the first one: go on straight."""
+    return LastPlan(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32))
 
 
-def propose(now: Situation, rungs: Numbers, memory: Memory) -> Judged:
+def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
     """Simulate and judge all proposals while others keep their speed, or follow from the model `IDM` on.
 
     Args:
         now: the situation.
-        rungs: of each of the others, numbers of `ms_highway.planning.road.settings.ROAD_MODELS`.
-        memory: of the last plan.
+        rungs: number of the model of each of the others, see `ms_highway.planning.road.settings.IDM`.
+        last: plan.
     """
-    s, d, _ = project(now.scene.route, memory.goal[0], memory.goal[1], jnp.zeros(()))
-    lane = jnp.argmin(jnp.abs(interpolate(now.scene.lanes, s) - d))
-    plans = profiles(jnp.asarray(memory.controls), jnp.where(jnp.isfinite(d), lane, 1))
-    return _judged(now, plans, _following(now, rungs, PROPOSALS))
+    s, d, _ = locate(now.scene.route, last.goal[0], last.goal[1], jnp.zeros(()))
+    lane = jnp.where(jnp.isfinite(d), jnp.argmin(jnp.abs(interpolate(now.scene.lanes, s) - d)), 1)
+    return _judged(now, profiles(last.controls, lane), _following(now, rungs, PROPOSALS))
 
 
-def highest_gains(scores: Scores) -> Traffic:
+def worth_of_answers(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, last: LastPlan) -> Traffic:
     """Return what the best plan would gain if each of the others made way: a bound on what its answer is worth."""
+    nobody = jnp.full_like(scene.names, NAIVE)
+    scores = propose(situation_of(scene, planning, weights), nobody, last).scores
     total = scores.total
     return (total[:, None] + scores.answerable).max(axis=0) - total.max()
 
@@ -106,8 +108,8 @@ def plan_road(
     scene: RoadScene,
     planning: RoadPlanning,
     weights: RoadWeights,
-    rungs: Numbers,
-    memory: Memory,
+    rungs: Places,
+    last: LastPlan,
     refines: bool = True,
 ) -> RoadPlan:
     """Plan with a model for each of the others.
@@ -117,17 +119,17 @@ def plan_road(
         planning: limits and wishes.
         weights: what counts.
         rungs: see `propose`.
-        memory: of the last plan.
+        last: plan.
         refines: whether the best proposal is refined (static).
     """
     now = situation_of(scene, planning, weights)
-    proposed = propose(now, rungs, memory)
+    proposed = propose(now, rungs, last)
     _, numbers = jax.lax.top_k(proposed.scores.preference, ANSWERED)
     few = jax.tree.map(lambda field: field[numbers], proposed)
     following, optimises = _following(now, rungs, ANSWERED), (rungs >= TURN) & scene.moving & scene.present
 
     def again() -> tuple[Judged, Manners]:
-        manners = following._replace(given=optimises, accelerations=_answers(now, rungs, optimises, few.rollouts))
+        manners = following._replace(given=optimises, accelerations=_answers(now, rungs, optimises, few.driven))
         return _judged(now, few.plans, manners), manners
 
     collides = few.scores.collides  # if others only follow: nobody is counted on to make way
@@ -135,9 +137,9 @@ def plan_road(
     best = jnp.argmax(few.scores.preference - jnp.where(collides & ~collides.all(), weights.collision, 0.0))
     chosen, drives = numbers[best], jax.tree.map(lambda field: field[best, None], few)
     if refines:
-        aim, accelerations = Aim(scene, planning, few.plans.lane[best]), manners.accelerations[best]
-        others, start = trajectories(scene, drives.rollouts)[0], drives.rollouts.controls[0]
-        controls = refine(aim, start, others, optimises & (rungs == TOM), accelerations)
+        aim = Aim(scene, planning, few.plans.lane[best], optimises & (rungs == TOM))
+        others, accelerations = trajectories(scene, drives.driven)[0], manners.accelerations[best]
+        controls = refine(aim, drives.driven.controls[0], others, accelerations / UNIT)
         given = as_given(controls[None], few.plans.lane[best, None])
         refined = _judged(now, given, manners._replace(accelerations=accelerations[None]))
         unanswered = _judged(now, given, _following(now, rungs, 1))
@@ -145,34 +147,32 @@ def plan_road(
         better = ~broken & (refined.scores.total[0] >= drives.scores.total[0])
         chosen = jnp.where(better, REFINED, chosen)
         drives = jax.tree.map(lambda new, old: jnp.where(better, new, old), refined, drives)
-    rollouts = drives.rollouts
-    predictions = jnp.swapaxes(trajectories(scene, rollouts)[0, :, :2], 1, 2)
-    path = centres(scene, rollouts.states)[0, :3].T
-    return RoadPlan(rollouts.controls[0], path, predictions, chosen, drives.scores.broken[0])
+    driven = drives.driven
+    predictions = jnp.swapaxes(trajectories(scene, driven)[0, :, :2], 1, 2)
+    path = centres(scene, driven.states)[0, :3].T
+    return RoadPlan(driven.controls[0], path, predictions, chosen, drives.scores.broken[0])
 
 
 def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:
-    rollouts = simulate(now, manners, plans)
-    return Judged(plans, rollouts, score(now, rollouts, plans.lane))
+    driven = simulate_plans(now, manners, plans)
+    return Judged(plans, driven, score(now, driven, plans.lane))
 
 
-def _following(now: Situation, rungs: Numbers, plans: int) -> Manners:
+def _following(now: Situation, rungs: Places, plans: int) -> Manners:
     """Return the manners of others who keep their speed, or follow."""
     follows = (rungs >= IDM) & now.scene.moving
     return Manners(follows, jnp.zeros_like(follows), jnp.zeros((plans, len(rungs), now.planning.steps)))
 
 
-def _answers(now: Situation, rungs: Numbers, optimises: Flags, rollouts: Rollouts) -> EachStep:
+def _answers(now: Situation, rungs: Places, optimises: Flags, driven: DrivenPlans) -> EachStep:
     """Return the accelerations of those who optimise their reward, under each of some plans."""
-    scene, planning, start = now.scene, now.planning, jnp.zeros(now.planning.steps)
-    robots, others = centres(scene, rollouts.states), trajectories(scene, rollouts)
+    scene, planning = now.scene, now.planning
+    robots, others = centres(scene, driven.states), trajectories(scene, driven)
     kept = jnp.broadcast_to(cruise(scene, planning), robots.shape)
 
-    def one(car: Numbers, found: EachStep) -> EachStep:
-        def answer(robot: Trajectory, others: Trajectories) -> Steps:
-            return driver_among(scene, planning, car, robot, others).answer(start)
-
+    def one(car: Places, found: EachStep) -> EachStep:
         seen = jnp.where(rungs[car] == TOM, robots, kept)
-        return found.at[:, car].set(jax.vmap(answer)(seen, others))
+        answer = jax.vmap(lambda *all_others: commuter_among(scene, planning, car, *all_others).answer())
+        return found.at[:, car].set(UNIT * answer(seen, others))
 
     return for_each(optimises, one, jnp.zeros((len(robots), len(rungs), planning.steps)))

@@ -6,19 +6,20 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.road import LANES, Car, Flags, Pose, RoadScene, Traffic, interpolate
-from ms_highway.planning.road.arrays import Control, Controls, EachStep, Lane, PlanFlags, Plans, States, Trajectories
-from ms_highway.planning.road.motion import advance, within_limits
+from ms_highway.game.arrays import Car
+from ms_highway.game.road import LANES, Flags, Pose, RoadScene, Traffic, interpolate
+from ms_highway.optimization.arrays import Control, Controls, ManyControls
+from ms_highway.planning.car_following import FAR, idm_acceleration
+from ms_highway.planning.road.arrays import EachStep, Lane, PlanFlags, Plans, States, World
+from ms_highway.planning.road.motion import advance, within_tyres
 from ms_highway.planning.road.traffic import (
-    FAR,
     ROOM,
     WAITING,
     Situation,
     aside,
-    expected_traits,
-    follow,
+    assumed_traits,
     follow_all,
-    least,
+    lowest,
     on_route,
     positions,
 )
@@ -97,10 +98,10 @@ class Profiles(NamedTuple):
     closes: PlanFlags
     yields: Plans
     given: PlanFlags
-    controls: Controls
+    controls: ManyControls
 
 
-class Rollouts(NamedTuple):
+class DrivenPlans(NamedTuple):
     """Plans as they turn out.
 
     Attributes:
@@ -113,7 +114,7 @@ class Rollouts(NamedTuple):
     """
 
     states: States
-    controls: Controls
+    controls: ManyControls
     along: EachStep
     across: EachStep
     s: EachStep
@@ -129,31 +130,29 @@ class Rollouts(NamedTuple):
 
 def profiles(last: Controls, last_lane: Lane) -> Profiles:
     """Return the profiles of all proposals: each lane at each speed, and the rest of the last plan."""
-    columns = [jnp.asarray(column) for column in zip(*ALL, strict=True)]
+    lane, *columns = (jnp.asarray(column) for column in zip(*ALL, strict=True))
     given = jnp.arange(PROPOSALS) == LAST_PLAN
-    lane = jnp.where(given, last_lane, columns[0])
-    repeated = jnp.broadcast_to(last, (PROPOSALS, *last.shape))
-    return Profiles(*(lane, *columns[1:], given, repeated))
+    controls = jnp.broadcast_to(last, (PROPOSALS, *last.shape))
+    return Profiles(*(jnp.where(given, last_lane, lane), *columns, given, controls))
 
 
-def as_given(controls: Controls, lane: Lane) -> Profiles:
+def as_given(controls: ManyControls, lane: Lane) -> Profiles:
     """Return the profiles of plans whose controls are given."""
-    ones = jnp.ones(len(controls))
-    return Profiles(lane, ones, 0 * ones, ones < 0, ones < 0, 0 * ones, ones > 0, controls)
+    return jax.vmap(lambda *plan: jax.tree.map(lambda field: field[LAST_PLAN], profiles(*plan)))(controls, lane)
 
 
-def simulate(now: Situation, manners: Manners, plans: Profiles) -> Rollouts:
+def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:
     """Drive plans among others who answer each of them."""
     scene, planning, dt = now.scene, now.planning, now.planning.time_step
-    half, traits = scene.size[0] / 2, expected_traits(scene)
+    half, traits = scene.size[0] / 2, assumed_traits(scene)
     across, start = aside(scene, planning.times), (scene.robot, scene.states[:, 0], scene.states[:, 3])
 
     def one(plan: Profiles, order: EachStep) -> tuple:
         def go(carry: tuple, step: tuple) -> tuple[tuple, tuple]:
             (car, along, speeds), (held, sideways, ordered) = carry, step
             where = on_route(now.ways, along, sideways)
-            control = jnp.where(plan.given, held, _choose(now, plan, car, along, where, speeds))
-            control = within_limits(planning, car[3], control)
+            control = jnp.where(plan.given, held, _control(now, plan, car, along, where, speeds))
+            control = within_tyres(planning, car[3], control)
             gaps = scene.gaps + along[scene.leaders] - along
             answer = follow_all(scene, traits, where, speeds, gaps, (car[0] + half, car[1:2], car[3]))
             unanswered = jnp.where(scene.moving, 0.0, -speeds)  # who has crashed slides to a stop
@@ -167,10 +166,10 @@ def simulate(now: Situation, manners: Manners, plans: Profiles) -> Rollouts:
 
     states, controls, *others = jax.vmap(one)(plans, manners.accelerations)
     along, speeds, s, d, cosine = (jnp.swapaxes(field, 1, 2) for field in others)
-    return Rollouts(states, controls, along, jnp.broadcast_to(across, along.shape), s, d, speeds, cosine)
+    return DrivenPlans(states, controls, along, jnp.broadcast_to(across, along.shape), s, d, speeds, cosine)
 
 
-def _choose(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pose, speeds: Traffic) -> Control:
+def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pose, speeds: Traffic) -> Control:
     """Return the robot's control in a step of a plan."""
     scene, planning = now.scene, now.planning
     s, d, heading, speed = car
@@ -187,7 +186,7 @@ def _choose(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pos
     arrival = jnp.maximum(now.crossings.begin - lengths / 2, 0.0) / jnp.maximum(scene.states[:, 3], CREEPING)
     awaited = scene.present & scene.moving & (arrival < plan.yields) & (along < now.crossings.last + lengths / 2 + 1.0)
     left = now.crossings.line - (s + scene.size[0])
-    left = least(left, awaited & (left > -WAITING)) - PREVIEW * speed
+    left = lowest(left, awaited & (left > -WAITING)) - PREVIEW * speed
     cap = jnp.minimum(interpolate(now.caps, s + PREVIEW * speed), jnp.sqrt(2 * STOPPING * jnp.maximum(left, 0.0)))
 
     # behind whoever is ahead, here or in the lane that the robot goes to
@@ -196,7 +195,7 @@ def _choose(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pos
     gap = jnp.where((where[0] > front) & beside & scene.present, where[0] - front - scene.reach[:, 0], FAR)
     onward = speeds * where[2]
     safe = onward + jnp.sqrt(2 * LATE * jnp.maximum(gap - CLOSEST - REACTION * speed, 0.0))
-    kept = EAGERNESS * follow(speed, FAR, gap, onward, *CLOSE).min()
+    kept = EAGERNESS * idm_acceleration(speed, FAR, gap, onward, *CLOSE).min()
     kept = jnp.where(plan.closes, (safe.min() - speed) / PREVIEW, kept)
 
     haste, gain = (jnp.where(plan.yields > 0, HURRY, other) for other in (HASTE, 1.0))
@@ -206,6 +205,6 @@ def _choose(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pos
     return jnp.stack([curvature, jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))])
 
 
-def trajectories(scene: RoadScene, rollouts: Rollouts) -> Trajectories:
+def trajectories(scene: RoadScene, driven: DrivenPlans) -> World:
     """Return the trajectories of others in world coordinates."""
-    return jnp.stack([*positions(scene, rollouts.along, rollouts.across), rollouts.speeds], axis=-2)
+    return jnp.stack([*positions(scene, driven.along, driven.across), driven.speeds], axis=-2)

@@ -4,18 +4,29 @@ from typing import NamedTuple
 
 from jax import numpy as jnp
 
-from ms_highway.game.road import Number, Pose, interpolate, rotated
+from ms_highway.game.road import Pose, Sizes, interpolate, rotated
+from ms_highway.planning.car_following import FAR
 from ms_highway.planning.road.arrays import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans
 from ms_highway.planning.road.motion import bodies, earlier
-from ms_highway.planning.road.proposals import STOPPING, Rollouts
+from ms_highway.planning.road.proposals import STOPPING, DrivenPlans
 from ms_highway.planning.road.prospects import lane_of, missing_room, prospects, urgency
-from ms_highway.planning.road.traffic import FAR, STANDING, Situation, least, on_route, positions, way_knots
+from ms_highway.planning.road.traffic import (
+    CROSSING,
+    SAME_WAY,
+    STANDING,
+    Situation,
+    lowest,
+    on_route,
+    positions,
+    way_knots,
+)
+from ms_highway.runtime.arrays import Numbers
 
 MARGIN = 0.35  # m between bodies that counts as a collision
 FADING = 0.95  # of what is expected later, per step
 TOLERATED = 1.5  # m/s^2, of braking of others that costs nothing
 SOON = 1.6  # s, until when all counts that others may do
-CROSSES, EARLY = 0.8, 0.15  # cosine of the angle below which cars may come so much earlier or later [s]
+EARLY = 0.15  # s, that cars which cross may come earlier or later
 CLEARANCE = 1.0  # m, around where others cross the robot's way
 UNSURE = 6.0  # m/s^2, of the accelerations that others may have
 DECIDED = 1  # step after which stopping has to be possible
@@ -60,28 +71,28 @@ class Scores(NamedTuple):
         return self.collides | self.leaves | (self.missing > 0)
 
 
-def score(now: Situation, rollouts: Rollouts, lanes: Lane) -> Scores:
+def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
     """Judge plans that go to lanes 0 to 2."""
     scene, planning, weights = now.scene, now.planning, now.weights
     desired = planning.desired_speed
-    s, d, _, speed = jnp.moveaxis(rollouts.states, -1, 0)
+    s, d, _, speed = jnp.moveaxis(driven.states, -1, 0)
     goal = lane_of(scene.lanes, lanes, s)
     off_speed = jnp.abs(speed - jnp.minimum(interpolate(now.caps, s), desired))
     per_second = weights.speed * (1 - off_speed / desired) - weights.centre * (d - goal) ** 2
-    per_second = per_second - _discomfort(now, rollouts)
-    closed = (lane_of(jnp.asarray(scene.open, float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
-    leaves = _leaves(now, rollouts)
+    per_second = per_second - _discomfort(now, driven)
+    closed = (lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
+    leaves = _leaves(now, driven)
     per_plan = (
         weights.right * (lanes - 1.0)
         - weights.change * (lanes != 1)
         - weights.goal * urgency(scene, lanes)
         - weights.off_road * (leaves.astype(float) + closed)
     )
-    others, hit, impact = _meetings(now, rollouts, lanes)
+    others, hit, impact = _meetings(now, driven, lanes)
     leading_s, leading_d, cosine = on_route(now.ways, scene.states[:, 0], scene.states[:, 1])
-    leads = (leading_s > scene.robot[0]) & (jnp.abs(leading_d - scene.robot[1]) < scene.size[1]) & (cosine > 0.5)
-    missing = missing_room(now, rollouts, goal[:, -1])
-    slower, charged = prospects(now, rollouts, lanes)
+    leads = (leading_s > scene.robot[0]) & (jnp.abs(leading_d - scene.robot[1]) < scene.size[1]) & (cosine > CROSSING)
+    missing = missing_room(now, driven, goal[:, -1])
+    slower, charged = prospects(now, driven, lanes)
     lost = weights.prospect * slower / desired
     return Scores(
         own=planning.time_step * per_second.sum(axis=1) + per_plan - jnp.where(charged.any(axis=-1), 0.0, lost),
@@ -94,20 +105,20 @@ def score(now: Situation, rollouts: Rollouts, lanes: Lane) -> Scores:
     )
 
 
-def _discomfort(now: Situation, rollouts: Rollouts) -> EachStep:
+def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
     """Return the cost of acceleration and jerk after each step."""
-    scene, weights, speed, controls = now.scene, now.weights, rollouts.states[..., 3], rollouts.controls
+    scene, weights, speed, controls = now.scene, now.weights, driven.states[..., 3], driven.controls
     squared = earlier(scene.robot[3], speed) ** 2
     lateral = squared * controls[..., 0]
-    bend = interpolate(scene.route.curvature, rollouts.states[..., 0])
+    bend = interpolate(scene.route.curvature, driven.states[..., 0])
     jerk = jnp.diff(lateral, axis=1, prepend=scene.robot[3] ** 2 * scene.applied[0]) ** 2
     jerk = (jerk + jnp.diff(controls[..., 1], axis=1, prepend=scene.applied[1]) ** 2) / now.planning.time_step**2
     return weights.acceleration * (controls[..., 1] ** 2 + (lateral - squared * bend) ** 2) + weights.jerk * jerk
 
 
-def _leaves(now: Situation, rollouts: Rollouts) -> PlanFlags:
+def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
     """Return whether plans leave the road; what cannot be helped any more does not count."""
-    s, d, heading, _ = jnp.moveaxis(rollouts.states, -1, 0)
+    s, d, heading, _ = jnp.moveaxis(driven.states, -1, 0)
     length, width = now.scene.size
     left, right = interpolate(now.scene.edges, s + length / 2)
     middle = d + length / 2 * jnp.sin(heading)
@@ -116,41 +127,41 @@ def _leaves(now: Situation, rollouts: Rollouts) -> PlanFlags:
     return (beyond > beyond[:, :1] + 0.1).any(axis=1)
 
 
-def _meetings(now: Situation, rollouts: Rollouts, lanes: Lane) -> tuple[EachCar, EachFlag, Plans]:
+def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar, EachFlag, Plans]:
     """Return what the nearness of others costs, where plans hit them, and how hard they do.
 
     The impact is the highest difference of velocities when bodies first touch.
     """
-    scene, planning, weights, speeds = now.scene, now.planning, now.weights, rollouts.speeds
-    dt, (s, d, _, speed) = planning.time_step, rollouts.robot
-    own, others = bodies(scene, rollouts.states[:, None]), positions(scene, rollouts.along, rollouts.across)
+    scene, planning, weights, speeds = now.scene, now.planning, now.weights, driven.speeds
+    dt, (s, d, _, speed) = planning.time_step, driven.robot
+    own, others = bodies(scene, driven.states[:, None]), positions(scene, driven.along, driven.across)
     # A follower in the robot's own lane that runs into it, or through it, while it keeps its lane does not count.
-    behind = rollouts.s[..., :1] < s[..., :1] - 1.0
-    followed = jnp.cumprod(jnp.abs(rollouts.d - d) < scene.size[1], axis=-1) > 0
-    pushes = behind & followed & (rollouts.cosine > 0.5) & jnp.equal(lanes, 1)[:, None, None]
+    behind = driven.s[..., :1] < s[..., :1] - 1.0
+    followed = jnp.cumprod(jnp.abs(driven.d - d) < scene.size[1], axis=-1) > 0
+    pushes = behind & followed & (driven.cosine > CROSSING) & jnp.equal(lanes, 1)[:, None, None]
     counts = scene.present[:, None] & ~pushes
-    clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, rollouts)), FAR)
+    clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, driven)), FAR)
     touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)
     first = touch & (jnp.cumsum(touch, axis=-1) == 1)
     squared = speed**2 + speeds**2 - 2 * speed * speeds * jnp.cos(own[2] - others[2])
     impact = jnp.where(first, jnp.sqrt(jnp.maximum(squared, 1e-4)), 0.0).max(axis=(1, 2))
-    revised, steps = _avoidable(now, rollouts)[..., None], jnp.arange(planning.steps)
+    revised, steps = _avoidable(now, driven)[..., None], jnp.arange(planning.steps)
     fading = FADING**steps * jnp.where(revised & (dt * steps > SOON), weights.avoidable, 1.0)
     near = jnp.maximum(1 - jnp.maximum(clear, 0.0) / weights.comfortable, 0.0) ** 2
     slowed = jnp.diff(speeds, axis=-1, prepend=jnp.broadcast_to(scene.states[:, 3:], (*speeds.shape[:-1], 1))) / dt
-    endangered = (rollouts.s < s) & (speeds > speed)  # behind a faster robot, gaps open by themselves
+    endangered = (driven.s < s) & (speeds > speed)  # behind a faster robot, gaps open by themselves
     imposed = jnp.where(endangered, jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
     hit = clear < MARGIN
     cost = (
         dt * weights.near * jnp.sum(near * fading, axis=-1)
         + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
         + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
-        + weights.blocking * blocks(now, rollouts) * jnp.where(revised[..., 0], weights.avoidable, 1.0)
+        + weights.blocking * blocks(now, driven) * jnp.where(revised[..., 0], weights.avoidable, 1.0)
     )
     return cost, hit, impact
 
 
-def separation(own: Pose, size: Number, other: Pose, sizes: Number) -> Number:
+def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
     """Return the distance between two rectangles along the axis that separates them best [m]; negative if they overlap.
 
     Args:
@@ -162,7 +173,7 @@ def separation(own: Pose, size: Number, other: Pose, sizes: Number) -> Number:
     dx, dy, turn = (theirs - mine for theirs, mine in zip(other, own, strict=True))
     c, s = jnp.abs(jnp.cos(turn)), jnp.abs(jnp.sin(turn))
 
-    def apart(heading: Number, size: Number, sizes: Number) -> Number:
+    def apart(heading: Numbers, size: Sizes, sizes: Sizes) -> Numbers:
         (a, b), (e, f) = (jnp.moveaxis(jnp.asarray(each) / 2, -1, 0) for each in (size, sizes))
         u, v = (jnp.abs(part) for part in rotated(dx, dy, heading))
         return jnp.maximum(u - a - e * c - f * s, v - b - e * s - f * c)
@@ -170,35 +181,35 @@ def separation(own: Pose, size: Number, other: Pose, sizes: Number) -> Number:
     return jnp.maximum(apart(own[2], size, sizes), apart(other[2], sizes, size))
 
 
-def _occupied(now: Situation, rollouts: Rollouts) -> EachStep:
+def _occupied(now: Situation, driven: DrivenPlans) -> EachStep:
     """Return length and width of what others may occupy [m]: more of their way where it crosses the robot's.
 
     Nobody knows when exactly a car comes that may brake or speed up; where it is now is known.
     """
-    early = jnp.minimum(EARLY * rollouts.speeds + 0.5, UNSURE * now.planning.times**2 / 2)
-    early = jnp.where((rollouts.cosine < CROSSES) & (rollouts.speeds > STANDING), early, 0.0)
+    early = jnp.minimum(EARLY * driven.speeds + 0.5, UNSURE * now.planning.times**2 / 2)
+    early = jnp.where((driven.cosine < SAME_WAY) & (driven.speeds > STANDING), early, 0.0)
     lengths, widths = now.scene.sizes.T[..., None]
     return jnp.stack([lengths + 2 * early, jnp.broadcast_to(widths, early.shape)], axis=-1)
 
 
-def _avoidable(now: Situation, rollouts: Rollouts) -> EachFlag:
+def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
     """Return whether the robot can still stop before where a car crosses its route, soon after a plan has begun."""
-    s, _, _, speed = rollouts.robot[..., DECIDED]
+    s, _, _, speed = driven.robot[..., DECIDED]
     left = now.crossings.line - s - now.scene.size[0]
     return (now.crossings.first < FAR) & (left > speed**2 / (2 * STOPPING))
 
 
-def blocks(now: Situation, rollouts: Rollouts) -> EachFlag:
+def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
     """Return whether the robot, after a plan, is still where a car crosses its route when that car comes.
 
     The robot goes on as fast as it is then, and faster; the car at its speed.
     """
     scene, ways, across = now.scene, now.ways, now.crossings.across
-    s, _, _, speed = rollouts.robot[..., -1]
+    s, _, _, speed = driven.robot[..., -1]
     rear, front = s[..., None] - CLEARANCE, s[..., None] + scene.size[0] + CLEARANCE
     here, knots = across & (ways.s > rear) & (ways.s < front), way_knots(ways)
-    leaving = (-least(-ways.s, across) + CLEARANCE - s) / (speed + 1.0)
-    along = rollouts.along[..., -1]
-    coming = (least(knots, here) - scene.sizes[:, 0] - along) / jnp.maximum(rollouts.speeds[..., -1], 1.0)
-    comes = (along < -least(-knots, here)) & (coming < leaving + 0.5) & (coming < AWAITED)
+    leaving = (-lowest(-ways.s, across) + CLEARANCE - s) / (speed + 1.0)
+    along = driven.along[..., -1]
+    coming = (lowest(knots, here) - scene.sizes[:, 0] - along) / jnp.maximum(driven.speeds[..., -1], 1.0)
+    comes = (along < -lowest(-knots, here)) & (coming < leaving + 0.5) & (coming < AWAITED)
     return scene.present & scene.moving & comes

@@ -5,15 +5,16 @@ from dataclasses import dataclass, field
 import jax
 from jax import numpy as jnp
 
-from ms_highway.planning.road.arrays import Scalar, Steps
+from ms_highway.planning.human_models import PACKAGE_MODELS
+from ms_highway.planning.road.arrays import Steps
+from ms_highway.runtime.arrays import Scalar
 
-ROAD_MODELS = ("naive", "idm", "turn", "tom")
-"""Names of the models that predict traffic, cheapest first: keep the velocity along the lane; follow by IDM; optimise
-the own reward while the robot keeps its velocity; answer the robot's plan optimally (theory of mind)."""
+NAIVE, IDM, TURN, TOM = range(len(PACKAGE_MODELS))
+"""Numbers of the models that predict traffic: keep the velocity along the lane; follow by IDM; optimise the own reward
+while the robot keeps its velocity; answer the robot's plan optimally (theory of mind)."""
 
-NAIVE, IDM, TURN, TOM = range(len(ROAD_MODELS))
-
-RUNGS = ROAD_MODELS
+LANE = 4.0
+"""Width of lanes [m]."""
 
 CORNERING = 0.85
 """Share of the grip that bends may take."""

@@ -1,4 +1,4 @@
-"""Predict traffic along its paths: keeping its speed, or following by the Intelligent Driver Model (Treiber 2000).
+"""Predict traffic along its paths: keeping its speed, or following by the Intelligent Driver Model.
 
 All predictions run together with the robot's proposals, step by step, so that cars that follow answer the robot.
 """
@@ -12,36 +12,33 @@ from ms_highway.game.road import (
     BEHIND,
     SPACING,
     Knots,
-    Number,
     Pose,
     RoadScene,
     Traffic,
     Traits,
     interpolate,
+    locate,
     place,
-    project,
 )
-from ms_highway.planning.road.arrays import EachFlag, EachStep, Scalar, Steps
+from ms_highway.planning.car_following import FAR, HEADWAY, idm_acceleration
+from ms_highway.planning.road.arrays import EachFlag, EachStep, Steps
 from ms_highway.planning.road.motion import speed_caps
 from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
-
-FAR = 1e3
-"""Distance to what is not there [m]."""
-
-ROOM = 0.4
-"""Lateral distance between bodies that pass [m]."""
+from ms_highway.runtime.arrays import Numbers, Scalar
 
 STANDING = 1.0
 """Speed up to which a car stands [m/s]."""
 
-COMFORTABLE, BRAKING, HEADWAY, STANDSTILL = 3.0, 5.0, 1.5, 10.0  # m/s^2, m/s^2, s, m between centres: highway-env's
-HARDEST = 6.0  # m/s^2, of braking
-SETTLING = 1.0  # s, in which cars move to the middle of their path
-SHARED = 0.85  # cosine of the angle from which cars share a lane
+ROOM, WAITING = 0.4, 1.2
+"""Distance between bodies that pass, and between the robot that waits and those who cross [m]."""
+
+SHARING, SAME_WAY, FOLLOWED, CROSSING = 0.85, 0.8, 0.7, 0.5
+"""Cosines of the angle between a car's path and the robot's route, from which it shares the lane, goes the same way,
+follows the robot if it is behind, and does not cross its way."""
+
 CORRIDOR = 3.0  # m, of the robot's way to each side
-SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
+SETTLING = 1.0  # s, in which cars move to the middle of their path
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
-WAITING = 1.2  # m, between the robot that waits and those who cross
 
 
 class Ways(NamedTuple):
@@ -102,7 +99,7 @@ def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights)
 
 def ways_of(scene: RoadScene) -> Ways:
     """Project the paths of traffic on the robot's route."""
-    s, d, turn = project(scene.route, scene.paths.x, scene.paths.y, scene.paths.heading)
+    s, d, turn = locate(scene.route, scene.paths.x, scene.paths.y, scene.paths.heading)
     return Ways(s, d, jnp.cos(turn))
 
 
@@ -112,11 +109,11 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     Who is in the robot's lane does not cross it where their ways part: one of them follows the other.
     """
     now, inside = int(BEHIND / SPACING), jnp.abs(ways.d) < CORRIDOR
-    sharing = inside[:, now] & (ways.cosine[:, now] > SHARED)
-    across = inside & (ways.cosine < SHARED) & ~sharing[:, None]
-    first, knots = least(ways.s, across), way_knots(ways)
+    shares = inside[:, now] & (ways.cosine[:, now] > SHARING)
+    across = inside & (ways.cosine < SHARING) & ~shares[:, None]
+    first, knots = lowest(ways.s, across), way_knots(ways)
     line = first - scene.sizes[:, 1] / 2 - WAITING
-    return Crossings(across, first, line, least(knots, across), -least(-knots, across))
+    return Crossings(across, first, line, lowest(knots, across), -lowest(-knots, across))
 
 
 def way_knots(ways: Ways) -> Knots:
@@ -124,32 +121,13 @@ def way_knots(ways: Ways) -> Knots:
     return SPACING * jnp.arange(ways.s.shape[-1]) - BEHIND
 
 
-def least(values: Number, where: Number) -> Number:
-    """Return the least of values in the last axis of those that count, `FAR` where none does."""
+def lowest(values: Numbers, where: Numbers) -> Numbers:
+    """Return the lowest of values in the last axis of those that count, `FAR` where none does."""
     return jnp.where(where, values, FAR).min(axis=-1)
 
 
-def follow(
-    speed: Number, wanted: Number, gap: Number, ahead: Number, headway: Number = HEADWAY, standstill: float = STANDSTILL
-) -> Number:
-    """Return the acceleration of the Intelligent Driver Model, by default with highway-env's parameters.
-
-    Args:
-        speed: of the follower [m/s].
-        wanted: its desired speed [m/s].
-        gap: to the car ahead [m]; infinite without one. It is that of centres in highway-env.
-        ahead: speed of that car [m/s].
-        headway: desired time gap [s].
-        standstill: desired gap of standing cars, between bumpers or centres as the gap is [m].
-    """
-    closing = speed * (speed - ahead) / (2 * (COMFORTABLE * BRAKING) ** 0.5)
-    desired = standstill + jnp.maximum(speed * headway + closing, 0.0)
-    free = 1 - (speed / jnp.maximum(wanted, 0.1)) ** 4
-    return jnp.clip(COMFORTABLE * (free - (desired / jnp.maximum(gap, 0.5)) ** 2), -HARDEST, COMFORTABLE)
-
-
 def follow_all(
-    scene: RoadScene, traits: Traits, where: Pose, speeds: Traffic, gaps: Traffic, robot: tuple[Scalar, Number, Scalar]
+    scene: RoadScene, traits: Traits, where: Pose, speeds: Traffic, gaps: Traffic, robot: tuple[Scalar, Numbers, Scalar]
 ) -> Traffic:
     """Return the accelerations of others that follow the car ahead on their path, and the robot in their lane.
 
@@ -163,13 +141,13 @@ def follow_all(
     """
     s, d, speed = robot
     gaps = jnp.where((scene.leaders >= 0) & scene.present, gaps, FAR)
-    beside = (jnp.abs(where[1] - d[:, None]) < scene.reach[:, 1] + ROOM).any(axis=0)
-    behind = jnp.where((where[0] < s) & beside & (where[2] > SAME_WAY), s - where[0], FAR)
-    by_leader = follow(speeds, traits.speed, gaps, speeds[scene.leaders], traits.headway)
-    return jnp.minimum(by_leader, follow(speeds, traits.speed, behind, speed, traits.headway))
+    in_lane = (jnp.abs(where[1] - d[:, None]) < scene.reach[:, 1] + ROOM).any(axis=0)
+    behind = jnp.where((where[0] < s) & in_lane & (where[2] > FOLLOWED), s - where[0], FAR)
+    by_leader = idm_acceleration(speeds, traits.speed, gaps, speeds[scene.leaders], traits.headway)
+    return jnp.minimum(by_leader, idm_acceleration(speeds, traits.speed, behind, speed, traits.headway))
 
 
-def expected_traits(scene: RoadScene) -> Traits:
+def assumed_traits(scene: RoadScene) -> Traits:
     """Return what drivers are like.
 
     Where nothing is known of them, they desire the present speeds, or the limit if they are much slower, and
@@ -184,10 +162,9 @@ def expected_traits(scene: RoadScene) -> Traits:
 
 def aside(scene: RoadScene, times: Steps) -> EachStep:
     """Return the lateral positions of others on their paths, to the middle of which they settle."""
-    now, heading, speed = (scene.states[:, field, None] for field in (1, 2, 3))
-    rate = 1 / SETTLING
-    drift = speed * jnp.sin(heading) + rate * now
-    return (now + drift * times) * jnp.exp(-rate * times)
+    _, now, heading, speed = scene.states.T[..., None]
+    drift = speed * jnp.sin(heading) + now / SETTLING
+    return (now + drift * times) * jnp.exp(-times / SETTLING)
 
 
 def positions(scene: RoadScene, along: EachStep, across: EachStep) -> Pose:

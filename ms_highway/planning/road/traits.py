@@ -15,11 +15,11 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.learned_reward import commuter_traits
-from ms_highway.game.road import Flags, Number, Numbers, RoadScene, Traffic, Traits
+from ms_highway.game.road import Flags, Places, RoadScene, Traffic, Traits
 from ms_highway.optimization.kalman import Gaussian, updated
 from ms_highway.planning.road.answers import by_fields
-from ms_highway.planning.road.arrays import Scalar
 from ms_highway.planning.road.traffic import follow_all, on_route, ways_of
+from ms_highway.runtime.arrays import Numbers, Scalar
 
 SHARE_OF_LIMIT = 0.75  # that drivers desire at least, by the prior
 LEARNED = commuter_traits()  # of how drivers differ, on US-101
@@ -40,12 +40,12 @@ class Observed(NamedTuple):
         accelerations: in the step [m/s^2], NaN of obstacles.
     """
 
-    place: Numbers
+    place: Places
     found: Flags
     accelerations: Traffic
 
 
-def observe(before: RoadScene, now: RoadScene, time_step: Scalar) -> Observed:
+def observed_step(before: RoadScene, now: RoadScene, time_step: Scalar) -> Observed:
     """Find cars again, and what they have done."""
     same = (jnp.asarray(now.names)[:, None] == before.names) & (now.names[:, None] >= 0)
     place = jnp.argmax(same, axis=1)
@@ -61,7 +61,7 @@ def prior(scene: RoadScene) -> Gaussian:
     return Gaussian(mean, jnp.broadcast_to(SPREAD, (2, 2, len(speed))))
 
 
-def traits_of(mean: Number) -> Traits:
+def traits_of(mean: Numbers) -> Traits:
     """Return the medians of desired speeds and headways."""
     return Traits(*jnp.exp(mean))
 
@@ -75,9 +75,9 @@ def updated_traits(estimates: Gaussian, before: RoadScene, now: RoadScene, time_
         now: the road now.
         time_step: between the two [s].
     """
-    place, found, observed = observe(before, now, time_step)
+    place, found, observed = observed_step(before, now, time_step)
 
-    def predict(mean: Number) -> Traffic:
+    def predict(mean: Numbers) -> Traffic:
         return jointly(before, followed(before, traits_of(mean)), time_step)
 
     slopes = by_fields(predict, estimates.mean)[:, place]  # the paths of a car share its state
@@ -86,14 +86,14 @@ def updated_traits(estimates: Gaussian, before: RoadScene, now: RoadScene, time_
     (mean, covariance), _ = updated(old, slopes, surprise, NOISE**2)
     learned = Gaussian(mean, covariance + DRIFT)
 
-    def known(learned: Number, old: Number, new: Number) -> Number:
+    def known(learned: Numbers, old: Numbers, new: Numbers) -> Numbers:
         return jnp.where(found, jnp.where(jnp.isfinite(observed), learned, old), new)
 
     mean, covariance = jax.tree.map(known, learned, old, prior(now))
     return Gaussian(jnp.clip(mean, LOWEST, HIGHEST), covariance)
 
 
-def followed(scene: RoadScene, traits: Traits, aside: Number | None = None) -> Traffic:
+def followed(scene: RoadScene, traits: Traits, aside: Numbers | None = None) -> Traffic:
     """Return the accelerations of the Intelligent Driver Model now, on each path [m/s^2].
 
     Args:
