@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -47,6 +47,9 @@ class CompiledDecision:
         self._leaves = [jnp.asarray(leaf) for leaf in leaves]
         self.rule, self.game = rule, game
         self.function = decide_function(layout, network, game.number == 1 and rule.in_one_kernel)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return CompiledDecision, (self.rule, self.game)  # compiled functions cannot be pickled
 
     def decide(self, memory: Memory, observed: Observation) -> tuple[Decision, float]:
         """Return the decision, in NumPy arrays, and the seconds that it took.

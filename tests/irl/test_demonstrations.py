@@ -28,7 +28,7 @@ from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.dynamics import recover_control, step
 from ms_highway.game.game import rollout_reward
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.recordings.datasets import load
+from ms_highway.irl.recordings.datasets import load_demonstrations
 from ms_highway.irl.recordings.demonstrations import actions, record
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
 
@@ -228,7 +228,7 @@ def test_arrow_keys_drive(monkeypatch):
 
 def test_recordings_come_back_as_they_were_driven(recorded, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(recorded))
-    recordings = load(NAME)
+    recordings = load_demonstrations(NAME)
     for seed, (recording, density) in enumerate(zip(recordings, DENSITIES, strict=True)):
         observations, *_ = driven(make(density), seed)
         present = observations[..., 0] == 1
@@ -265,13 +265,13 @@ def test_a_killed_recording_keeps_its_episodes_and_goes_on(recorded, datasets, m
         time.sleep(0.005)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    kept = len(load(NAME))
+    kept = len(load_demonstrations(NAME))
     assert kept >= 2
     assert main([*arguments, str(kept + 1)]) == 0
-    resumed = load(NAME)
+    resumed = load_demonstrations(NAME)
     assert len(resumed) >= kept + 1
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(recorded))
-    for one, other in zip(load(NAME), resumed, strict=False):
+    for one, other in zip(load_demonstrations(NAME), resumed, strict=False):
         np.testing.assert_allclose(one.states, other.states, atol=1e-4)  # another process compiles a little differently
 
 
@@ -289,7 +289,7 @@ def test_a_disk_without_room_for_another_episode_is_named_before_it_is_driven(fi
         padding.truncate(10**13)  # takes no room, but a copy of it would
     with pytest.raises(OSError, match="mpc-v0/data needs 10000002 MB for another episode; its disk has"):
         list(record("mpc", 4, NAME))
-    assert len(load(NAME)) == 3
+    assert len(load_demonstrations(NAME)) == 3
 
 
 def test_two_recordings_into_one_data_set_do_not_mix_and_a_complete_one_is_left_alone(files):
@@ -347,7 +347,7 @@ def test_spoilt_episodes_are_refused(files, change, message):
         del file["episode_1/observations"]
         file["episode_1/observations"] = changed
     with pytest.raises(ValueError, match=f"^data set {NAME}, episode 1 cannot be read .*{message}.*record it again"):
-        load(NAME)
+        load_demonstrations(NAME)
 
 
 @pytest.mark.parametrize(
@@ -365,18 +365,18 @@ def test_spoilt_data_sets_are_refused(files, change, message):
     metadata = json.loads((files / "metadata.json").read_text())
     (files / "metadata.json").write_text(json.dumps({**metadata, **change}))
     with pytest.raises(ValueError, match=f"^data set {NAME},? {message}"):
-        load(NAME)
+        load_demonstrations(NAME)
 
 
 def test_a_broken_file_and_a_missing_data_set_are_refused_and_without_minari_the_extra_is_named(files, monkeypatch):
     (files / "main_data.hdf5").write_bytes(b"no HDF5")
     with pytest.raises(ValueError, match=f"^data set {NAME}, episode 0 cannot be read"):
-        load(NAME)
+        load_demonstrations(NAME)
     with pytest.raises(ValueError, match="there is no data set ms-highway/other-v0"):
-        load("ms-highway/other-v0")
+        load_demonstrations("ms-highway/other-v0")
     monkeypatch.setitem(sys.modules, "minari", None)
     with pytest.raises(ImportError, match=r"pip install 'ms-highway\[demonstrations\]'"):
-        load(NAME)
+        load_demonstrations(NAME)
 
 
 def test_a_person_needs_a_display_and_keeps_what_is_finished_when_the_window_closes(datasets, monkeypatch, capsys):

@@ -14,7 +14,7 @@ from ms_highway.envs import DEMONSTRATION_ID
 from ms_highway.game.reward import COMFORT, FEATURES, OWN_FEATURES
 from ms_highway.game.reward_model import NO_GRADIENT, RewardModel
 from ms_highway.irl.learning import SIMULATED, best_controls, curvatures, expected_features
-from ms_highway.irl.maximum_entropy import FeatureDerivatives, differentiate, fit, log_likelihoods
+from ms_highway.irl.maximum_entropy import FeatureDerivatives, differentiate, fit_weights, log_likelihoods
 from ms_highway.irl.recordings import TEMPERATURE
 from ms_highway.irl.recordings.demonstrations import actions
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
@@ -127,7 +127,7 @@ def sampled_weights(windows, found, number=256):
 @pytest.mark.slow
 def test_weights_that_demonstrators_drove_for_are_recovered_with_and_without_derivatives(demonstrated):
     derivatives = differentiate(demonstrated, SIMULATED.names)
-    found = fit(derivatives, SIMULATED)
+    found = fit_weights(derivatives, SIMULATED)
     assert found.temperature == pytest.approx(TEMPERATURE, rel=0.15)
     for place, name in enumerate(SIMULATED.learned):
         ratio = found.weights[name] / DRIVER_WEIGHTS[name]
@@ -155,7 +155,7 @@ def test_the_best_controls_of_a_window_earn_more_than_what_was_done(demonstrated
 def test_drivers_that_tell_nothing_about_a_weight_leave_its_prior(demonstrated):
     few = some(demonstrated, 6)
     model = RewardModel((*SIMULATED.learned, "gap"), SIMULATED.given)  # there is no leader to keep a gap to
-    found = fit(differentiate(few, model.names), model)
+    found = fit_weights(differentiate(few, model.names), model)
     assert np.sqrt(found.covariance[3, 3]) == pytest.approx(4.0, rel=1e-3)
     assert found.weights["gap"] == pytest.approx(1.0, rel=1e-2)
 
@@ -185,7 +185,7 @@ def test_weights_that_diverge_and_features_that_are_not_finite_are_refused(demon
     broken = some(demonstrated, 100)
     derivatives = differentiate(broken, SIMULATED.names)
     with pytest.raises(ValueError, match="the weights diverge"):
-        fit(derivatives._replace(gradients=derivatives.gradients * np.nan), SIMULATED)
+        fit_weights(derivatives._replace(gradients=derivatives.gradients * np.nan), SIMULATED)
     broken.start[1, 3] = np.nan
     with pytest.raises(ValueError, match="window 1 have no finite derivatives"):
         differentiate(broken, SIMULATED.names)

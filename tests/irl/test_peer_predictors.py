@@ -13,12 +13,12 @@ from msgspec import structs
 from ms_highway.irl.lane_following import FIRST_KALMAN, fit_kalman, lane_modes
 from ms_highway.irl.moments import cut_moments
 from ms_highway.irl.outlook import expected_path
-from ms_highway.irl.peers import FIRST_IDM, HIGHWAY_ENV_IDM, constant_velocity, fit_idm, idm, turn_and_accelerate
+from ms_highway.irl.peers import FIRST_IDM, HIGHWAY_ENV_IDM, fit_idm, idm, steady_motion, turn_and_accelerate
 from ms_highway.irl.recordings.recording import Recording
 
 LANES = np.array([0.0, 3.4, 6.8])
 PEERS = {
-    "constant velocity": constant_velocity,
+    "constant velocity": steady_motion,
     "turn and accelerate": turn_and_accelerate,
     "highway-env's IDM": lambda moments: idm(moments, HIGHWAY_ENV_IDM),
     "IDM": lambda moments: idm(moments, FIRST_IDM),
@@ -132,9 +132,7 @@ def test_the_filter_settles_on_the_speed_behind_noise():
     car = driving(0, 3.4, 15)
     car[:, 3] += np.random.default_rng(0).normal(scale=1.0, size=91)
     noisy, settings = moment(car), structs.replace(FIRST_KALMAN, pace=1.0, push=0.05)
-    filtered, last = (
-        expected_path(modes)[0, -1, 0] for modes in (lane_modes(noisy, settings), constant_velocity(noisy))
-    )
+    filtered, last = (expected_path(modes)[0, -1, 0] for modes in (lane_modes(noisy, settings), steady_motion(noisy)))
     assert abs(filtered - 75.0) < 0.5 * abs(last - 75.0)
 
 
@@ -151,4 +149,4 @@ def test_real_drivers_are_predicted_better_by_fitted_parameters(us101):
         return np.nanmean(np.linalg.norm(expected_path(modes)[:, 29] - moments.recorded[:, 29], axis=-1))
 
     fitted = error(idm(moments, fit_idm(moments, evaluations=20)))
-    assert fitted < error(constant_velocity(moments)) < error(idm(moments, HIGHWAY_ENV_IDM))
+    assert fitted < error(steady_motion(moments)) < error(idm(moments, HIGHWAY_ENV_IDM))

@@ -17,18 +17,18 @@ from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl.driving import predict
 from ms_highway.irl.evaluation import (
     KINDS,
-    Outcomes,
+    Judged,
     by_regime,
     cross_validate,
     driving_regimes,
-    evaluate,
+    evaluate_reward,
     kept_log_likelihoods,
     measures,
     outcomes,
 )
 from ms_highway.irl.moments import cut_moments
 from ms_highway.irl.outlook import Modes, expected_path, fit_spread, log_density, one_mode, region_level
-from ms_highway.irl.peers import constant_velocity
+from ms_highway.irl.peers import steady_motion
 from ms_highway.irl.predictors import PREDICTORS, Prediction, predictions
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.windows import cut_windows
@@ -67,7 +67,7 @@ def test_a_driver_is_predicted_from_every_full_second_that_a_second_follows():
 
 def test_errors_are_what_a_known_path_is_off():
     moments = cut_moments([following(20.0)])
-    exact = expected_path(constant_velocity(moments)).astype(float)
+    exact = expected_path(steady_motion(moments)).astype(float)
     off = exact + np.stack([3.0 * 0.1 * np.arange(1, 51), np.zeros(50)], axis=-1)  # 3 m/s too fast
     right, wrong = (
         measures(outcomes(Prediction(one_mode(path), DRIVERS.spread), moments.recorded)) for path in (exact, off)
@@ -186,7 +186,7 @@ def test_situations_are_told_apart_by_what_drivers_did_and_counted():
     moving.states[:, 0, 3] -= 2.0 * time
     assert which(moving) == {"lane change", "braking"}
     moments, ones = cut_moments([following(20.0), following(60.0)]), np.ones((12, 50))
-    found = by_regime({"late": Outcomes(ones, 0 * ones, ones)}, moments)
+    found = by_regime({"late": Judged(ones, 0 * ones, ones)}, moments)
     assert list(found["distance"]) == ["no leader", "following"]
     for kind, mean in (("distance", 1), ("log_p", 0)):
         for row in found[kind].values():
@@ -197,7 +197,7 @@ def test_situations_are_told_apart_by_what_drivers_did_and_counted():
 def test_rewards_without_drivers_or_a_peer_or_one_of_its_parameters_predict_nothing():
     moments, peers = cut_moments([following(20.0)]), dict(DRIVERS.peers)
     with pytest.raises(ValueError, match=r"no drivers .* irl fit"):
-        evaluate([following(20.0)], shipped("demonstrations"))
+        evaluate_reward([following(20.0)], shipped("demonstrations"))
     fitted = peers.pop("fitted_idm")
     rest = {name: value for name, value in fitted.parameters.items() if name != "gap"}
     for changed, message in (

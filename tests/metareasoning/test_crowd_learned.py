@@ -6,14 +6,14 @@ from importlib import resources
 import jax
 import numpy as np
 import pytest
-
 from ms_highway.game.crowd_scenario import DENSE_MERGE, crowd_game, draw_crowd
-from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.metareasoning.crowd.learned import LearnedCrowdValue
 from ms_highway.metareasoning.crowd.rule import CrowdCosts, CrowdOutcome, first_crowd_memory
 from ms_highway.metareasoning.crowd.situation import describe_humans, human_description_names
 from ms_highway.metareasoning.crowd.values import CrowdValues, load_crowd_values, save_crowd_values
 from ms_highway.planning.crowd import NAIVE, TOM, CrowdPlan
+
+from ms_highway.game.planning_settings import PlanningSettings
 
 HUMANS = 2
 CROWD = crowd_game(DENSE_MERGE, HUMANS, planning=PlanningSettings(horizon=5))

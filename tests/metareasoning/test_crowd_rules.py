@@ -6,23 +6,23 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-
 from ms_highway.control.crowd import CrowdDriver
 from ms_highway.control.fixed import FixedModel
 from ms_highway.control.switching import ModelSwitching
-from ms_highway.envs import SCENARIOS
 from ms_highway.game.crowd import Crowd
-from ms_highway.game.dynamics import keep_velocity
-from ms_highway.game.dynamics import step as move
-from ms_highway.game.game import swap_roles
 from ms_highway.metareasoning.crowd.baselines import AllOfOne, Influence, Nearest, RandomRungs, TimeToCollision
 from ms_highway.metareasoning.crowd.budget import Budget
 from ms_highway.metareasoning.crowd.compiled_decision import CompiledCrowdDecision, CrowdObservation
 from ms_highway.metareasoning.crowd.rule import CrowdDecision, CrowdOutcome, first_crowd_memory
 from ms_highway.metareasoning.crowd.switching import OneStepGains, crowd_switching
-from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_crowd import CrowdCosts
 from ms_highway.planning.crowd import NAIVE, TOM, TURN, CrowdPlan
+
+from ms_highway.envs import SCENARIOS
+from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.dynamics import step as move
+from ms_highway.game.game import swap_roles
+from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.human_models import MODELS, PAPER_MODELS, ladder
 from ms_highway.runtime.compilation import jit_quickly
 

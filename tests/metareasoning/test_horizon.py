@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from jax import numpy as jnp
+from ms_highway.experiments.simulated import simulated
 
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.experiments.simulated import simulated
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
 from ms_highway.game.game import swap_players, total_reward

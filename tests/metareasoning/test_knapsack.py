@@ -5,9 +5,8 @@ from itertools import product
 import jax
 import numpy as np
 import pytest
-from scipy.optimize import Bounds, LinearConstraint, milp
-
 from ms_highway.metareasoning.crowd.knapsack import best_rungs
+from scipy.optimize import Bounds, LinearConstraint, milp
 
 solve = jax.jit(best_rungs)
 

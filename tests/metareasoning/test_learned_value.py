@@ -7,12 +7,12 @@ import gymnasium as gym
 import jax
 import numpy as np
 import pytest
-
 from ms_highway.control.switching import ModelSwitching
+from ms_highway.experiments.simulated import simulated
+
 from ms_highway.envs import SCENARIOS
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.experiments.simulated import simulated
 from ms_highway.game.scenario import PAPER_UNIT, build_game, draw_starts
 from ms_highway.metareasoning.rule import PUBLISHED_COSTS, first_memory
 from ms_highway.metareasoning.situation import describe, description_names

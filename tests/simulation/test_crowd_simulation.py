@@ -7,15 +7,15 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
+from ms_highway.game.crowd_scenario import DENSE_MERGE, crowd_game, draw_crowd
+from ms_highway.planning.crowd import NAIVE, TOM, TURN, CrowdPlan, plan_crowd, predict_human
+from ms_highway.simulation.crowd import CrowdEpisodes, CrowdLoop, simulate_crowd
 
 from ms_highway.control.fallback import BRAKING, PLANNED
-from ms_highway.game.crowd_scenario import DENSE_MERGE, crowd_game, draw_crowd
 from ms_highway.game.dynamics import step, within_grip
 from ms_highway.game.features import features
 from ms_highway.game.game import constant_velocity
 from ms_highway.game.planning_settings import PlanningSettings
-from ms_highway.planning.crowd import NAIVE, TOM, TURN, CrowdPlan, plan_crowd, predict_human
-from ms_highway.simulation.crowd import CrowdEpisodes, CrowdLoop, simulate_crowd
 from ms_highway.simulation.devices import use_devices
 
 HUMANS, STEPS = 2, 4

@@ -15,7 +15,7 @@ from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.files import naming, part_of, temporary
 
 FORMAT = 1
-"""Version of what is written; `load` reads no other."""
+"""Version of what is written; `load_demonstrations` reads no other."""
 
 PROVENANCE = "ms_highway"  # key in the data set's metadata
 DATASET_ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
@@ -25,7 +25,7 @@ BROKEN = OSError, ValueError, KeyError, AssertionError  # of Minari and HDF5
 REMEDY = "delete it and record it again with `ms-highway irl record`"
 
 
-def load(dataset: str) -> list[Recording]:
+def load_demonstrations(dataset: str) -> list[Recording]:
     """Read the episodes of a recorded data set; car 0 is the driver, and each episode a group.
 
     Raises:
