@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -9,12 +10,15 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.envs import SCENARIOS
+from ms_highway.game import scenarios
 from ms_highway.game.game import Game
-from ms_highway.game.scenario import build_game, draw_starts
+from ms_highway.game.planning_settings import PlanningSettings
+from ms_highway.game.scenario import PAPER_UNIT, Scenario, build_game, draw_episode
 from ms_highway.irl.recordings.commonroad import read_directory
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.jax_settings import keep_compilations
+
+SCENARIOS = {each.name: each for each in vars(scenarios).values() if isinstance(each, Scenario)}
 
 XLA_DEFAULTS = "--xla_cpu_max_isa= --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
 """XLA's own defaults, stated so that commands leave them unchanged. XLA reads its flags once, but JAX names a compiled
@@ -77,18 +81,31 @@ def us101(us101_directory: Path) -> list[Recording]:
     return read_directory(us101_directory)
 
 
-@pytest.fixture(params=SCENARIOS)
+@pytest.fixture(params=[name for name, scenario in SCENARIOS.items() if not scenario.streams])
 def scenario(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
 @pytest.fixture(scope="session")
 def played() -> Callable[..., tuple[Game, jax.Array]]:
-    """A scenario's game, with anything that `build_game` takes, and a drawn start in the game's unit."""
+    """A scenario's game, with anything that `build_game` takes, and a drawn start in the game's unit.
 
-    def make(scenario: str, seed: int = 0, **options: object) -> tuple[Game, jax.Array]:
-        game = build_game(SCENARIOS[scenario], **options)
-        start = draw_starts(SCENARIOS[scenario], np.random.default_rng(seed), unit=float(game.scene.length_unit))
-        return game, jnp.asarray(start, dtype=jnp.float32)
+    Scenarios with streams have two humans and plans of five steps within their limits, unless the options say
+    otherwise. In the others, further humans follow the first one, 30 m apart.
+    """
+
+    def make(name: str, seed: int = 0, **options: object) -> tuple[Game, jax.Array]:
+        scenario = SCENARIOS[name]
+        small = {"humans": 2, "planning": PlanningSettings(horizon=5)}
+        limits = {"control_limit": scenario.control_limit, "grip": scenario.grip}
+        game = build_game(scenario, **(small | limits if scenario.streams else {}) | options)
+        start, _ = draw_episode(scenario, np.random.default_rng(seed), game.humans)
+        followers = 0 if scenario.streams else game.number - 1
+        behind = [start[1] - [30.0 * (1 + place), 0, 0, 0] for place in range(followers)]
+        if behind:
+            start, leader = np.insert(start, 2, behind, axis=0), game.scene.leader
+            game = replace(game, scene=replace(game.scene, leader=leader and leader + followers))
+        unit = float(game.scene.length_unit) / PAPER_UNIT
+        return game, jnp.asarray(start * [unit, unit, 1, unit], dtype=jnp.float32)
 
     return make

@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
+from ms_highway.simulation.following import Rest, warm_plan
 
 from ms_highway.benchmarks.throughput import throughput
 from ms_highway.control.fallback import STATUSES
@@ -18,7 +19,6 @@ from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.planning.human_models import JointPlan
 from ms_highway.simulation.devices import use_devices
-from ms_highway.simulation.following import Rest, warm_plan
 from ms_highway.simulation.loop import simulate
 
 KEYS = ["controller", "seed", "step"]
