@@ -6,6 +6,7 @@ here once more, so that equal plans check ours.
 """
 
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,7 @@ def compiled_peer(
         RuntimeError: without gcc.
     """
     try:
-        import casadi
+        casadi: Any = import_module("casadi")  # whose declared types are not those of its functions
     except ImportError:
         raise ImportError('the peer needs CasADi: pip install "ms-highway[bench]"') from None
     if game.planner.grip is not None:
@@ -58,8 +59,8 @@ def compiled_peer(
     function = casadi.Function("plan", [now], [_plan(casadi, game, model, now)], compiler)
     given, planned = np.zeros(4 * cars), np.zeros(2 * game.planner.horizon)
     buffer, evaluate = function.buffer()
-    buffer.set_arg(0, memoryview(given))
-    buffer.set_res(0, memoryview(planned))
+    buffer.set_arg(0, given.data)
+    buffer.set_res(0, planned.data)
 
     def repeat(kept: Any = (function, buffer, given, planned)) -> None:  # C sees only their addresses
         evaluate()

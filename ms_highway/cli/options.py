@@ -203,8 +203,7 @@ def comparison(
         kinds = {kind: prices if kind == "learned" and prices else several for kind in CHOOSING}
         named = ([f"{kind}:{price:g}" for price in kinds[kind]] if kind in kinds else [kind] for kind in given)
         controllers[name] = list(dict.fromkeys(chain(*named)))
-    own = {key: config.pop(key) for key in ("semantics", "costs", "solver", "human_reward", "ladder") if key in config}
-    asked = Comparison(controllers, options.seeds, first_seed=options.first_seed, planning=config, **own)
+    asked = Comparison(controllers, options.seeds, options.first_seed, config)
     asked.check()
     return asked
 

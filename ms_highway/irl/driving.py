@@ -147,7 +147,7 @@ def shown_traits(drivers: Drivers, moment: Moments) -> Traits:
 
 
 def lane_advantages(moment: Moments) -> tuple[CarStates, CarFlags]:
-    """Return `Intention`'s lane_advantages of the lanes to the left and right [cars, 2, 6], and whether these exist."""
+    """Return the ``lane_advantages`` of the lanes to the left and right [cars, 2, 6], and whether these exist."""
     states, centre = _seen(moment.past[-1]), _centre(moment, 0)
     _, y, heading, speed = states.T
     drift = speed * jnp.sin(heading)

@@ -111,7 +111,7 @@ def drawn(
     """
     values = load_values(which)
     facts = {
-        "ladder": ", ".join(f"{name} {seconds:g} s" for name, seconds in values.costs.items()),
+        "ladder": ", ".join(f"{name} {seconds:g} s" for name, seconds in zip(values.ladder, values.costs, strict=True)),
         "lambda": f"{values.prices[0]:g} to {values.prices[1]:g}",
     }
     facts |= {name: str(value) for name, value in values.provenance.items() if name not in facts}

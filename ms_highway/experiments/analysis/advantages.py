@@ -73,7 +73,9 @@ def see(scenario: str, price: float, values: str, seed: int = 0, cells: int = CE
         ValueError: for an unknown scenario, an impossible price, or values of another ladder.
     """
     learned = load_values(values)
-    env = make_environment(scenario, f"learned:{price}:{values}", costs=dict(learned.costs))
+    env = make_environment(
+        scenario, f"learned:{price}:{values}", costs=dict(zip(learned.ladder, learned.costs, strict=True))
+    )
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)
     env.reset(seed=seed)
@@ -106,12 +108,12 @@ def estimate(rule: LearnedValue, game: Game, states: np.ndarray) -> Advantages:
 
 @jax.jit
 def _estimate(rule: LearnedValue, game: Game, states: Array) -> Advantages:
-    memory, alone = first_memory(rule), jax.tree.map(lambda part: part[:, None], rule.network)
+    memory, alone = first_memory(rule, 1), jax.tree.map(lambda part: part[:, None], rule.network)
 
     def one(state: Array) -> Advantages:
         seen = describe(game, state)
         decision = rule.choose(memory, seen)
         each = jax.vmap(lambda network: replace(rule, network=network).choose(memory, seen).gains)(alone)
-        return Advantages(decision.gains, each.std(axis=0), decision.memory.rung)
+        return Advantages(decision.gains, each.std(axis=0), decision.memory.rungs[0])
 
     return jax.vmap(one)(states)

@@ -138,9 +138,7 @@ def _samples(obstacle: Any) -> np.ndarray:
     usable = (np.abs(samples) <= MOST_SAMPLED).all(axis=1)
     if not usable.all():
         time, *rest = samples[~usable][0]
-        raise ValueError(
-            f"{name} is nowhere on Earth, or faster than any car, at step {time:g}: {np.array(rest)}"
-        )
+        raise ValueError(f"{name} is nowhere on Earth, or faster than any car, at step {time:g}: {np.array(rest)}")
     if not max(_size(obstacle.obstacle_shape)) <= MOST_SIZE:
         raise ValueError(f"{name} is longer than {MOST_SIZE:g} m; {MEND}")
     if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():
