@@ -125,8 +125,8 @@ def shown_traits(drivers: Drivers, moment: Moments) -> Traits:
     prior, past, seen = drivers.prior, _seen(moment.past), jnp.isfinite(moment.past).all(axis=-1)
     speeds = past[..., 3]
     leader = jax.vmap(lambda states: _leader(moment, states, states, states[:, 1]))(past)
-    traits = Gaussian(jnp.zeros(3), jnp.diag(jnp.asarray(prior.deviations) ** 2))
-    traits = jax.tree.map(lambda part: jnp.broadcast_to(part, (past.shape[1], *part.shape)), traits)
+    cars = past.shape[1]
+    traits = Gaussian(jnp.zeros((cars, 3)), jnp.tile(jnp.diag(jnp.asarray(prior.deviations) ** 2), (cars, 1, 1)))
 
     def expected(logarithms: Traits, speed: Cars, leader: Leader) -> Scalar:
         usual = prior.traits(logarithms, moment.speed_limit)
