@@ -6,15 +6,15 @@ here once more, so that equal plans check ours.
 """
 
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
-from jax import numpy as jnp
 
-from ms_highway.game.game import Game, constant_velocity, discomfort, swap_roles, total_reward
+from ms_highway.game.game import Game, constant_velocity, discomfort, swap_players, total_reward
 
 SWEEPS = 6  # of Jacobi's eigenvalue method; more change nothing in float64
 COMPILER = {"compiler": "gcc", "flags": ["-O3", "-march=native"], "cleanup": False}
@@ -45,7 +45,7 @@ def compiled_peer(
         RuntimeError: without gcc.
     """
     try:
-        import casadi
+        casadi: Any = import_module("casadi")
     except ImportError:
         raise ImportError('the peer needs CasADi: pip install "ms-highway[bench]"') from None
     if game.planner.grip is not None:
@@ -56,7 +56,8 @@ def compiled_peer(
     compiling = {**COMPILER, "directory": f"{directory}/"}
     compiler = {"jit": True, "compiler": "shell", "jit_cleanup": False, "jit_options": compiling}
     function = casadi.Function("plan", [now], [_plan(casadi, game, model, now)], compiler)
-    given, planned = np.zeros(4 * cars), np.zeros(2 * game.planner.horizon)
+    given: Any = np.zeros(4 * cars)
+    planned: Any = np.zeros(2 * game.planner.horizon)
     buffer, evaluate = function.buffer()
     buffer.set_arg(0, memoryview(given))
     buffer.set_res(0, memoryview(planned))
@@ -82,9 +83,9 @@ def _plan(ca: Any, game: Game, model: str, now: Any) -> Any:
         """Return the reward of a car for its controls, and for its partner's; without these, it keeps its velocity."""
 
         def earned(state: jax.Array, own: jax.Array, partner: jax.Array | None = None) -> jax.Array:
-            played, state = (swap_roles(game), jnp.concatenate([state[1::-1], state[2:]])) if car else (game, state)
-            partner = constant_velocity(game, state[1]) if partner is None else partner
-            return total_reward(played, state, own, partner) - discomfort(played, state[0], own)
+            played, seen = swap_players(game, state) if car else (game, state)
+            partner = constant_velocity(game, seen[1]) if partner is None else partner
+            return total_reward(played, seen, own, partner[None]) - discomfort(played, seen[0], own)
 
         return _translated(ca, earned, state, *controls)
 

@@ -38,7 +38,13 @@ examples:
 
 DECIDED = 0.4  # of an episode among several humans, in which it is decided whether the robot merges
 COSTS = {"naive": 0.002, "turn": 0.003, "tom": 0.0036}  # s, of a plan with this model for one of several humans
-SEVERAL: dict[str, Any] = {"baseline": "cheapest", "prices": (30.0, 30.0), "rounds": 2, "states": (100, 100), "horizon": 25}
+SEVERAL: dict[str, Any] = {
+    "baseline": "cheapest",
+    "prices": (30.0, 30.0),
+    "rounds": 2,
+    "states": (100, 100),
+    "horizon": 25,
+}
 """How values are learned among several humans, where that differs from the defaults of `Learning`."""
 
 
