@@ -47,8 +47,8 @@ class Expansion(NamedTuple):
 class Driver:
     """A human on its path, and the motion of others in the path's coordinates.
 
-    Its reward is that of `ms_highway.game.crowd.along_others` on a straight road of one lane, less what does not depend
-    on its accelerations. Accelerations are scaled, in units of `UNIT`, but where they are stated in m/s^2.
+    Its reward is that of `ms_highway.game.game.trajectory_reward` on a straight road of one lane, less what does not
+    depend on its accelerations. Accelerations are scaled, in units of `UNIT`, but where they are stated in m/s^2.
 
     Attributes:
         planning: time step and number of steps.
