@@ -86,6 +86,7 @@ class Autopilot(ActionType):
 
     @property
     def vehicle_class(self) -> type[RobotVehicle]:
+        """The class of the robot's vehicle."""
         return RobotVehicle
 
     def act(self, action: int) -> None:
