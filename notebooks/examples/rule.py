@@ -1,7 +1,7 @@
 """Let a decision rule of your own choose the human models: the most expensive for humans within 6 m, else the cheapest.
 
-A rule is a frozen dataclass that JAX knows (`ms_highway.metareasoning.rule.Rule`): it looks at the last step and chooses
-a rung of the ladder for every human, one or several. `notebooks/MAP.md` says how to give it a short name. Run::
+A rule is a frozen dataclass that JAX knows (`ms_highway.metareasoning.rule.Rule`): it looks at the last step and
+chooses a rung of the ladder for every human, one or several. `notebooks/MAP.md` says how to give it a short name. Run::
 
     python notebooks/examples/rule.py
 """
