@@ -70,7 +70,7 @@ def number(least: float, most: float = MOST, kind: type = int) -> Callable[[str]
             value = float("nan")
         if not least <= value <= most:
             whole = "whole " if kind is int else ""
-            raise argparse.ArgumentTypeError(f"{text!r} is no {whole}number from {least:g} to {most:g}")
+            raise argparse.ArgumentTypeError(f"{text!r} is no {whole}number from {least:,} to {most:,}")
         return value
 
     return read

@@ -1,6 +1,7 @@
 """The command ``ms-highway values``: learn values of computation."""
 
 import argparse
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -144,7 +145,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     comparisons = [replace(first, config={**config, "solver": solver}) for solver in solvers] or [first]
     batches = [make_batch(comparison, name) for comparison in comparisons for name in names]
     ladders = [batch.rungs for batch in batches]
-    models = [name for name in known_models(sum(ladders, [])) if any(name in ladder for ladder in ladders)]
+    models = [name for name in known_models(chain(*ladders)) if any(name in ladder for ladder in ladders)]
     if any(starts_warm(human_model(name)) for name in models):
         why = f"the ladder {' '.join(models)} plans from the rest of the last plan"
         raise ValueError(f"{why}, which rollouts do not have; leave +warm out of the ladder")
@@ -175,6 +176,9 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     )
     if options.generated:
         environment = batches[0].environment.settings
-        build = lambda scenario: replace(batches[0].loop, game=environment.game(scenario))
+
+        def build(scenario: Any) -> Any:
+            return replace(batches[0].loop, game=environment.game(scenario))
+
         courses += generated_courses(build, tuple(range(len(models))), options.generated, learning.stream(0))
     return learning, courses

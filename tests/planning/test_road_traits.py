@@ -11,9 +11,9 @@ from roads import scene_of
 
 from ms_highway.game.road import TRAFFIC, Traits
 from ms_highway.planning.road.answers import driver_of
-from ms_highway.planning.road.proposals import Manners, as_given, simulate, speed_caps
-from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import follow, ways_of
+from ms_highway.planning.road.proposals import Manners, as_given, simulate
+from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import follow, situation_of
 from ms_highway.planning.road.traits import prior, traits_of, updated_traits
 
 STEP = 0.2
@@ -105,12 +105,11 @@ def test_predictions_by_idm_and_rewards_of_drivers_take_their_traits():
     def along(scene):
         manners = Manners(scene.moving, jnp.zeros(TRAFFIC, bool), jnp.zeros((1, TRAFFIC, PLANNING.steps)))
         plans = as_given(jnp.zeros((1, PLANNING.steps, 2)), jnp.ones(1, int))
-        return simulate(scene, PLANNING, ways_of(scene), speed_caps(scene, PLANNING), manners, plans).along[0, 0, -1]
+        return simulate(situation_of(scene, PLANNING, RoadWeights()), manners, plans).along[0, 0, -1]
 
     calm, eager = (float(along(one)) for one in known)
     assert calm == pytest.approx(float(along(scene)), abs=1e-3)  # without traits the present speed is the desired one
     assert eager > calm + 5.0
-    still = jnp.zeros((4, PLANNING.steps))
-    driver = driver_of(known[1], PLANNING, 0, still, jnp.zeros((TRAFFIC, 4, PLANNING.steps)))
+    driver = driver_of(known[1], PLANNING, 0)
     assert float(driver.reward.speed_limit) == 30.0
-    assert float(driver.headway) == 1.5
+    assert float(driver.reward.headway) == 1.5
