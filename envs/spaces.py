@@ -54,7 +54,7 @@ class CarTracks(ObservationType):
 
     def space(self) -> spaces.Box:
         high = np.tile(np.array([1, *[self.BOUND] * 4], np.float32), (self.shape[0], 1))
-        return spaces.Box(high * np.float32([0, -1, -1, -1, -1]), high, dtype=np.float32)
+        return spaces.Box(high * np.array([0, -1, -1, -1, -1], np.float32), high, dtype=np.float32)
 
     def observe(self) -> np.ndarray:
         present = self.env.present

@@ -45,7 +45,7 @@ def compiled_peer(
         RuntimeError: without gcc.
     """
     try:
-        casadi: Any = import_module("casadi")
+        casadi: Any = import_module("casadi")  # whose declared types are not those of its functions
     except ImportError:
         raise ImportError('the peer needs CasADi: pip install "ms-highway[bench]"') from None
     if game.planner.grip is not None:
@@ -56,11 +56,10 @@ def compiled_peer(
     compiling = {**COMPILER, "directory": f"{directory}/"}
     compiler = {"jit": True, "compiler": "shell", "jit_cleanup": False, "jit_options": compiling}
     function = casadi.Function("plan", [now], [_plan(casadi, game, model, now)], compiler)
-    given: Any = np.zeros(4 * cars)
-    planned: Any = np.zeros(2 * game.planner.horizon)
+    given, planned = np.zeros(4 * cars), np.zeros(2 * game.planner.horizon)
     buffer, evaluate = function.buffer()
-    buffer.set_arg(0, memoryview(given))
-    buffer.set_res(0, memoryview(planned))
+    buffer.set_arg(0, given.data)
+    buffer.set_res(0, planned.data)
 
     def repeat(kept: Any = (function, buffer, given, planned)) -> None:  # C sees only their addresses
         evaluate()

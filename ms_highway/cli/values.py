@@ -174,7 +174,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         **own,
     )
     if options.generated:
-        settings = batches[0].environment.settings
-        build = lambda scenario: replace(batches[0].loop, game=settings.game(scenario))
+        environment = batches[0].environment.settings
+        build = lambda scenario: replace(batches[0].loop, game=environment.game(scenario))
         courses += generated_courses(build, tuple(range(len(models))), options.generated, learning.stream(0))
     return learning, courses

@@ -10,7 +10,7 @@ import numpy as np
 from ms_highway.game.road import RoadScene
 from ms_highway.metareasoning.road_belief import Belief, first_belief, updated_road_belief
 from ms_highway.planning.road.traits import prior, traits_of, updated_traits
-from ms_highway.runtime.compilation import QUICKLY, known_options
+from ms_highway.runtime.compilation import quick_options
 from ms_highway.runtime.timing import warm_up
 
 
@@ -23,7 +23,7 @@ def _functions() -> tuple[jax.stages.Wrapped, jax.stages.Wrapped]:
         traits = updated_traits(estimates, before, now, time_step)
         return traits, updated_road_belief(belief, before, path, now, time_step)
 
-    options = known_options(QUICKLY)
+    options = quick_options()
     first = jax.jit(lambda scene: (prior(scene), first_belief(scene)), compiler_options=options)
     return first, jax.jit(update, compiler_options=options)
 

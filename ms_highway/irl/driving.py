@@ -48,15 +48,15 @@ def predict(moments: Moments, drivers: Drivers, others: Others = "predicted") ->
     """
     if others not in get_args(Others):
         raise ValueError(f"others are {others!r}; give one of {', '.join(get_args(Others))}")
-    modes = in_batches(lambda some: _predict(drivers, some, others), moments)
+    modes = in_batches(lambda some: _all_modes(drivers, some, others), moments)
     return Modes(*map(moments.drivers, modes))
 
 
 @partial(jax.jit, static_argnums=2)
 @partial(jax.vmap, in_axes=(None, 0, None))
-def _predict(drivers: Drivers, moment: Moments, others: Others) -> Modes:
+def _all_modes(drivers: Drivers, moment: Moments, others: Others) -> Modes:
     """Return all modes of all cars."""
-    logarithms, (drawn, exist) = expected_traits(drivers, moment), advantages(moment)
+    logarithms, (drawn, exist) = shown_traits(drivers, moment), lane_advantages(moment)
     odds = jnp.asarray(drivers.intention.biases) + drawn @ jnp.asarray(drivers.intention.weights)
     odds = jnp.where(exist, odds, -jnp.inf)
     chance = jax.nn.softmax(jnp.concatenate([jnp.zeros((len(odds), 1)), odds], axis=1), axis=1)
@@ -88,7 +88,7 @@ def drive_on(
     Args:
         drivers: what was learned.
         moment: the start.
-        logarithms: of their traits, see `expected_traits`.
+        logarithms: of their traits, see `shown_traits`.
         side: lanes to the right by which each changes lanes, -1, 0 or 1; who changes follows the leader there.
         around: all cars before each step [50, cars, 4], of which each meets the others; by default, all drive together.
     """
@@ -116,7 +116,7 @@ def drive_on(
     return jax.lax.scan(go, _seen(moment.past[-1]), around, length=STEPS)[1]
 
 
-def expected_traits(drivers: Drivers, moment: Moments) -> Traits:
+def shown_traits(drivers: Drivers, moment: Moments) -> Traits:
     """Return the means of the logarithms of traits, as deviations from the medians', given the past 3 s.
 
     For each full second of a car's past, an extended Kalman update with its mean acceleration, which the plan of the
@@ -125,8 +125,8 @@ def expected_traits(drivers: Drivers, moment: Moments) -> Traits:
     prior, past, seen = drivers.prior, _seen(moment.past), jnp.isfinite(moment.past).all(axis=-1)
     speeds = past[..., 3]
     leader = jax.vmap(lambda states: _leader(moment, states, states, states[:, 1]))(past)
-    traits = Gaussian(jnp.zeros(3), jnp.diag(jnp.asarray(prior.deviations) ** 2))
-    traits = jax.tree.map(lambda part: jnp.broadcast_to(part, (past.shape[1], *part.shape)), traits)
+    cars = past.shape[1]
+    traits = Gaussian(jnp.zeros((cars, 3)), jnp.tile(jnp.diag(jnp.asarray(prior.deviations) ** 2), (cars, 1, 1)))
 
     def expected(logarithms: Traits, speed: Cars, leader: Leader) -> Scalar:
         usual = prior.traits(logarithms, moment.speed_limit)
@@ -146,8 +146,8 @@ def expected_traits(drivers: Drivers, moment: Moments) -> Traits:
     return traits.mean
 
 
-def advantages(moment: Moments) -> tuple[CarStates, CarFlags]:
-    """Return `Intention`'s advantages of the lanes to the left and right [cars, 2, 6], and whether these exist."""
+def lane_advantages(moment: Moments) -> tuple[CarStates, CarFlags]:
+    """Return the ``lane_advantages`` of the lanes to the left and right [cars, 2, 6], and whether these exist."""
     states, centre = _seen(moment.past[-1]), _centre(moment, 0)
     _, y, heading, speed = states.T
     drift = speed * jnp.sin(heading)

@@ -16,7 +16,7 @@ from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl.arrays import Flags, Parameters, Paths, Steps, Values
 from ms_highway.irl.driving import Others
 from ms_highway.irl.learning import folds
-from ms_highway.irl.maximum_entropy import differentiate, fit, window_log_likelihoods
+from ms_highway.irl.maximum_entropy import differentiate, fit_weights, window_log_likelihoods
 from ms_highway.irl.moments import AT, HORIZONS, Moments, cut_moments
 from ms_highway.irl.outlook import expected_path, log_density, region_level
 from ms_highway.irl.predictors import PREDICTORS, Prediction, check_drivers, predictions
@@ -77,7 +77,7 @@ class Evaluation(Structure, omit_defaults=True):
             raise ValueError(f"it lacks {', '.join(lacking)}")
 
 
-class Outcomes(NamedTuple):
+class Judged(NamedTuple):
     """What became of every prediction, NaN where the driver was not seen.
 
     Attributes:
@@ -91,14 +91,14 @@ class Outcomes(NamedTuple):
     level: Steps
 
 
-def outcomes(prediction: Prediction, recorded: Paths) -> Outcomes:
+def outcomes(prediction: Prediction, recorded: Paths) -> Judged:
     """Compare predicted distributions with recorded positions."""
     positions = recorded.astype(np.float32)
     distance = np.linalg.norm(expected_path(prediction.modes) - recorded, axis=-1)
-    return Outcomes(distance, np.asarray(log_density(*prediction, positions)), region_level(*prediction, positions))
+    return Judged(distance, np.asarray(log_density(*prediction, positions)), region_level(*prediction, positions))
 
 
-def measures(found: Outcomes) -> dict[str, ByHorizon]:
+def measures(found: Judged) -> dict[str, ByHorizon]:
     """Return what a predictor is worth, by horizon in seconds, over the drivers that are seen until then.
 
     Returns:
@@ -122,7 +122,7 @@ def measures(found: Outcomes) -> dict[str, ByHorizon]:
     return rows
 
 
-def evaluate(
+def evaluate_reward(
     recordings: Sequence[Recording],
     learned: LearnedReward,
     others: Others = "predicted",
@@ -178,11 +178,11 @@ def cross_validate(
     derivatives = differentiate(windows, model.names)
     likely, fold, found = np.empty(len(windows)), np.zeros(len(moments), dtype=int), None
     held_out, weights = folds(np.union1d(windows.group, moments.group), parts), []
-    predicted: dict[str, list[Outcomes]] = {}
+    predicted: dict[str, list[Judged]] = {}
     for number, names in enumerate(held_out):
         held, driven = np.isin(windows.group, names), np.isin(moments.group, names)
         progress(f"learning, fold {number + 1} of {len(held_out)}")
-        found = fit(derivatives.of(~held), model, found)
+        found = fit_weights(derivatives.of(~held), model, found)
         likely[held], fold[driven] = window_log_likelihoods(derivatives.of(held), found), number
         drivers = learn_drivers(moments, ~driven, intervals=False)
         weights.append({"weights": found.weights, "temperature": found.temperature, "drivers": drivers.weights})
@@ -194,7 +194,7 @@ def cross_validate(
 
 
 def _evaluation(
-    moments: Moments, found: Mapping[str, Outcomes], windows: Windows, likely: Values, others: Others
+    moments: Moments, found: Mapping[str, Judged], windows: Windows, likely: Values, others: Others
 ) -> Evaluation:
     likelihood = {"model": likely, "constant_velocity": kept_log_likelihoods(windows)}
     return Evaluation(
@@ -242,7 +242,7 @@ def driving_regimes(moments: Moments) -> dict[str, Flags]:
     return {**found, "following": ~np.any(list(found.values()), axis=0)}
 
 
-def by_regime(found: Mapping[str, Outcomes], moments: Moments) -> dict[str, dict[str, dict[str, ByHorizon]]]:
+def by_regime(found: Mapping[str, Judged], moments: Moments) -> dict[str, dict[str, dict[str, ByHorizon]]]:
     """Return the means of each predictor by what is measured, regime and horizon; see `Evaluation.situations`.
 
     Args:

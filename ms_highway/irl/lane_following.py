@@ -17,7 +17,7 @@ from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.arrays import Parameters, Paths, Scalar, Steps
 from ms_highway.irl.moments import STEPS, Moments, lanes_of
 from ms_highway.irl.outlook import EVERY, SIDES, Modes, log_density
-from ms_highway.optimization.estimation import least
+from ms_highway.optimization.estimation import minimum
 from ms_highway.optimization.kalman import Gaussian, apply, mixed, predicted, updated
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.structures import Finite, Structure, pytree
@@ -106,13 +106,13 @@ def fit_kalman(moments: Moments, evaluations: int = EVALUATIONS) -> KalmanSettin
     known = np.isfinite(positions).all(axis=-1)[:, EVERY - 1 :: EVERY]
     first = np.concatenate([np.log(jax.tree.leaves(FIRST_KALMAN)), FIRST_SPREAD])
     given = map(jnp.asarray, (np.nan_to_num(positions), known))
-    found = least(_surprise, first, _past(moments), *given, maxfun=evaluations)
+    found = minimum(_unlikeliness, first, _past(moments), *given, maxfun=evaluations)
     return KalmanSettings(*np.exp(found[: -len(FIRST_SPREAD)]).tolist())
 
 
 @jit_quickly
 @jax.value_and_grad
-def _surprise(parameters: Parameters, past: _Past, positions: Paths, known: Steps) -> Scalar:
+def _unlikeliness(parameters: Parameters, past: _Past, positions: Paths, known: Steps) -> Scalar:
     """Return minus the mean log density of the known positions."""
     own, rest = parameters[: -len(FIRST_SPREAD)], parameters[-len(FIRST_SPREAD) :]
     spread = Spread(rest[:3], rest[3:6], rest[6:8], jnp.array([jnp.exp(rest[8]), 0.0]))  # type: ignore[arg-type]
@@ -126,12 +126,11 @@ def _past(moments: Moments) -> _Past:
     x, y, heading, speed = np.moveaxis(np.where(seen[..., None], past, past[:, -1:]), -1, 0)
     lanes = moments.lanes[moments.which]
     lane = lanes_of(lanes, y[:, -1:])
-    beside = np.clip(lane + SIDES, 0, lanes.shape[1] - 1)
-    centres, own = np.take_along_axis(lanes, beside, axis=1), np.take_along_axis(lanes, lane, axis=1)
-    exists = (SIDES == 0) | (np.sign(centres - own) == SIDES)
+    centres = np.take_along_axis(lanes, np.clip(lane + SIDES, 0, lanes.shape[1] - 1), axis=1)
+    exists = (SIDES == 0) | (centres != centres[:, :1])
     along = np.stack([x - x[:, -1:], speed * np.cos(heading)], axis=-1)
     across = np.stack([y, speed * np.sin(heading)], axis=-1)
-    parts = seen, along, across, np.where(exists, centres, own), exists, x[:, -1]
+    parts = seen, along, across, centres, exists, x[:, -1]
     return _Past(*(jnp.asarray(np.moveaxis(part, 0, -1)) for part in parts))
 
 
@@ -188,9 +187,9 @@ def _filtered(
         before = mixed(across, jnp.where(possible, joint / jnp.where(possible, after, 1.0), jnp.eye(3)[..., None]))
         ahead = predicted(before._replace(mean=before.mean.at[0].add(-centres)), spring, swaying)
         ahead = ahead._replace(mean=ahead.mean.at[0].add(centres))
-        ahead, likelihood = _measured(ahead, there, settings.across, settings.drift)
+        ahead, likelihood = _after_measuring(ahead, there, settings.across, settings.drift)
         likely = after * jnp.exp(likelihood - jnp.max(likelihood, axis=0)) + LEAST * past.exists
-        moved, _ = _measured(predicted(along, coast, pushed), here, settings.along, settings.pace)
+        moved, _ = _after_measuring(predicted(along, coast, pushed), here, settings.along, settings.pace)
         new = moved, ahead, likely / jnp.sum(likely, axis=0)
         return jax.tree.map(partial(jnp.where, seen), new, state), None
 
@@ -206,7 +205,7 @@ def _filtered(
     return jax.lax.scan(go, start, (past.seen, past.along, past.across))[0]
 
 
-def _measured(belief: Gaussian, values: jax.Array, *deviations: Any) -> tuple[Gaussian, jax.Array]:
+def _after_measuring(belief: Gaussian, values: jax.Array, *deviations: Any) -> tuple[Gaussian, jax.Array]:
     """Return the distribution after a measurement of its first two variables, and the log density of that."""
     total = jnp.zeros(())
     for place, deviation in enumerate(deviations):

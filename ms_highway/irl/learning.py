@@ -16,7 +16,7 @@ from ms_highway.game.reward import COMFORT
 from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.arrays import Controls, Numbers, Values
-from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit, window_log_likelihoods
+from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit_weights, window_log_likelihoods
 from ms_highway.irl.moments import cut_moments
 from ms_highway.irl.recordings.demonstrators import optimal
 from ms_highway.irl.recordings.recording import Recording
@@ -53,7 +53,7 @@ def folds(groups: Numbers, number: int) -> list[Numbers]:
     return np.array_split(names, min(number, len(names)))
 
 
-def learn(
+def learn_reward(
     recordings: Sequence[Recording],
     model: RewardModel,
     horizon: int,
@@ -81,12 +81,12 @@ def learn(
     derivatives = differentiate(windows, model.names)
     progress("fitting")
     real = recordings[0].measured
-    found = fit(derivatives, model, drivers=windows.driver if real else None)
+    found = fit_weights(derivatives, model, drivers=windows.driver if real else None)
     held_out, parts = [], folds(windows.group, validations)
     for number, names in enumerate(parts if len(parts) > 1 else [], 1):
         chosen = np.isin(windows.group, names)
         progress(f"cross-validating, {number} of {len(parts)}")
-        rest = fit(derivatives.of(~chosen), model, found)
+        rest = fit_weights(derivatives.of(~chosen), model, found)
         held_out.append(window_log_likelihoods(derivatives.of(chosen), rest))
     if real:
         moments = cut_moments(recordings)

@@ -176,7 +176,7 @@ def window_log_likelihoods(derivatives: FeatureDerivatives, found: Fit | Learned
         return np.asarray(log_likelihoods(data, theta, found.temperature, found.model.floor, found.tails))
 
 
-def fit(
+def fit_weights(
     derivatives: FeatureDerivatives,
     model: RewardModel,
     near: Fit | None = None,
@@ -200,7 +200,7 @@ def fit(
     """
     number, learned = len(derivatives.features), len(model.learned)
     if near is None and number > MANY:
-        near = fit(derivatives.of(np.arange(0, number, number * 2 // MANY)), model, strict=False)
+        near = fit_weights(derivatives.of(np.arange(0, number, number * 2 // MANY)), model, strict=False)
     remedy = "learn fewer weights, or from more driving"
     with jax.enable_x64(True):
         given = jnp.array([float(value) for value in model.given.values()])

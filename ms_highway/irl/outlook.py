@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ms_highway.game.learned_drivers import Spread
 from ms_highway.irl.arrays import Parameters, Paths, Scalar, Steps
-from ms_highway.optimization.estimation import least
+from ms_highway.optimization.estimation import minimum
 from ms_highway.runtime.structures import plain
 
 DRAWS = 256
@@ -80,7 +80,7 @@ def region_level(modes: Modes, spread: Spread, positions: Paths) -> Steps:
 def fit_spread(modes: Modes, positions: Paths) -> Spread:
     """Fit the spread that makes recorded positions most likely, every half second."""
     known = np.isfinite(positions).all(axis=-1)[:, EVERY - 1 :: EVERY]
-    found = least(_surprise, np.array(FIRST), modes, np.nan_to_num(positions), known)
+    found = minimum(_surprise, np.array(FIRST), modes, np.nan_to_num(positions), known)
     return plain(_spread(found))
 
 

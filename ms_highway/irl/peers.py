@@ -16,7 +16,7 @@ from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.arrays import CarFlags, CarStates, Parameters, Paths, Scalar
 from ms_highway.irl.moments import AT, SCALES, STEPS, Moments, lanes_of
 from ms_highway.irl.outlook import Modes, one_mode
-from ms_highway.optimization.estimation import least
+from ms_highway.optimization.estimation import minimum
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.structures import Finite, Structure, pytree
 
@@ -34,7 +34,7 @@ SINE = np.sin(np.pi / 4)  # of the largest heading
 EVALUATIONS = 50
 
 
-def constant_velocity(moments: Moments) -> Modes:
+def steady_motion(moments: Moments) -> Modes:
     """Predict drivers who keep their speed and heading."""
     now = moments.drivers(moments.now)
     still = np.zeros(len(now))
@@ -128,7 +128,7 @@ def fit_idm(moments: Moments, evaluations: int = EVALUATIONS) -> IdmParameters:
     known = np.isfinite(positions).all(axis=-1) & moments.predicted[..., None]
     first = np.log(jax.tree.leaves(FIRST_IDM)[:7])
     given = map(jnp.asarray, (np.nan_to_num(positions), known))
-    return IdmParameters(*np.exp(least(_error, first, _starts(moments), *given, maxfun=evaluations)).tolist())
+    return IdmParameters(*np.exp(minimum(_error, first, _starts(moments), *given, maxfun=evaluations)).tolist())
 
 
 @jit_quickly

@@ -10,7 +10,7 @@ from ms_highway.irl.driving import Others, predict
 from ms_highway.irl.lane_following import KalmanSettings, fit_kalman, lane_modes
 from ms_highway.irl.moments import Moments
 from ms_highway.irl.outlook import Modes, fit_spread
-from ms_highway.irl.peers import HIGHWAY_ENV_IDM, IdmParameters, constant_velocity, fit_idm, idm, turn_and_accelerate
+from ms_highway.irl.peers import HIGHWAY_ENV_IDM, IdmParameters, fit_idm, idm, steady_motion, turn_and_accelerate
 from ms_highway.runtime.structures import Structure, read
 
 
@@ -18,7 +18,7 @@ class Nothing(Structure):
     """Parameters of peers that have none."""
 
 
-class Peer(NamedTuple):
+class KnownPeer(NamedTuple):
     """A predictor of the literature.
 
     Attributes:
@@ -35,11 +35,11 @@ class Peer(NamedTuple):
 
 
 PEERS = {
-    "constant_velocity": Peer("constant velocity", lambda moments, _: constant_velocity(moments)),
-    "turn_and_accelerate": Peer("CTRA", lambda moments, _: turn_and_accelerate(moments)),
-    "idm": Peer("IDM of highway-env", lambda moments, _: idm(moments, HIGHWAY_ENV_IDM)),
-    "fitted_idm": Peer("IDM, fitted", idm, IdmParameters, fit_idm),
-    "lane_modes": Peer("Kalman over lanes", lane_modes, KalmanSettings, fit_kalman),
+    "constant_velocity": KnownPeer("constant velocity", lambda moments, _: steady_motion(moments)),
+    "turn_and_accelerate": KnownPeer("CTRA", lambda moments, _: turn_and_accelerate(moments)),
+    "idm": KnownPeer("IDM of highway-env", lambda moments, _: idm(moments, HIGHWAY_ENV_IDM)),
+    "fitted_idm": KnownPeer("IDM, fitted", idm, IdmParameters, fit_idm),
+    "lane_modes": KnownPeer("Kalman over lanes", lane_modes, KalmanSettings, fit_kalman),
 }
 """The peers by name; CTRA is constant turn rate and acceleration."""
 

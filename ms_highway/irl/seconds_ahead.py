@@ -15,11 +15,11 @@ from scipy import optimize, special
 
 from ms_highway.game.learned_drivers import CHANGING, LEARNED, Drivers, Intention, LearnedDrivers, TraitPrior
 from ms_highway.irl.arrays import CarFlags, CarNumbers, Cars, Flags, Parameters, Scalar
-from ms_highway.irl.driving import advantages, drive_on, expected_traits, predict
+from ms_highway.irl.driving import drive_on, lane_advantages, predict, shown_traits
 from ms_highway.irl.moments import AT, SCALES, Moments, lanes_of
 from ms_highway.irl.outlook import SIDES, Modes, fit_spread
 from ms_highway.irl.predictors import learn_peers
-from ms_highway.optimization.estimation import grouped_covariance, least, slope_differences
+from ms_highway.optimization.estimation import grouped_covariance, minimum, slope_differences
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.runtime.structures import plain
 
@@ -73,7 +73,7 @@ def learn_drivers(
     if not known.counts.any():
         raise ValueError(f"no driver was seen for {SURE / 10:g} s on end; nothing can be learned seconds ahead")
     progress("fitting drivers seconds ahead")
-    found, drivers = _fit(moments, known)
+    found, drivers = _fit_drivers(moments, known)
     progress("fitting the spread around drivers who were not learned from")
     modes = _predict_unknown(moments, known, found, chosen) or predict(moments, drivers)
     spread = fit_spread(modes, np.where(chosen[moments.which][:, None, None], moments.recorded, np.nan))
@@ -92,7 +92,7 @@ def _afterwards(moments: Moments) -> _Known:
     return _Known(counts, side * counts)
 
 
-def _fit(
+def _fit_drivers(
     moments: Moments, known: _Known, begin: Parameters | None = None, iterations: int = MOST
 ) -> tuple[Parameters, Drivers]:
     """Return the logarithms of `FIRST` and of the factors of `CHANGING` that bring drivers closest to the recorded.
@@ -100,23 +100,23 @@ def _fit(
     Also return the drivers, with the intentions that make their lane changes most likely.
     """
     first, number = np.concatenate([np.log(list(FIRST.values())), np.zeros(len(CHANGING))]), known.counts.sum()
-    given = _single(moments)
+    given = _in_single_precision(moments)
 
     def value(logarithms: Parameters) -> tuple[Scalar, Parameters]:
         off, slope = _mean_off(logarithms, given, known)
         far = (logarithms - first) / DEVIATIONS
         return float(off) + far @ far / (2 * number), np.asarray(slope, dtype=float) + far / DEVIATIONS / number
 
-    found = least(value, first if begin is None else begin, maxiter=iterations, ftol=1e-6)
+    found = minimum(value, first if begin is None else begin, maxiter=iterations, ftol=1e-6)
     return found, structs.replace(_drivers(found), intention=_intention(moments, known))
 
 
-def _single(moments: Moments) -> Moments:
+def _in_single_precision(moments: Moments) -> Moments:
     return jax.tree.map(lambda part: jnp.asarray(part, jnp.float32 if part.dtype.kind == "f" else None), moments)
 
 
 def _drivers(logarithms: Parameters) -> Drivers:
-    """Return the drivers of what `_fit` finds; they keep their lanes."""
+    """Return the drivers of what `_fit_drivers` finds; they keep their lanes."""
     xp = logarithms.__array_namespace__()
     numbers, factors = xp.exp(logarithms[: len(FIRST)]), xp.exp(logarithms[len(FIRST) :])
     headway, *deviations, noise = numbers[len(LEARNED) :]
@@ -151,7 +151,7 @@ def _off(logarithms: Parameters, moments: Moments, known: _Known) -> tuple[Cars,
 
     def one(pair: tuple[Moments, _Known]) -> tuple[Cars, Cars]:
         moment, known = pair
-        path = drive_on(drivers, moment, expected_traits(drivers, moment), known.side)[AT, :, :2]
+        path = drive_on(drivers, moment, shown_traits(drivers, moment), known.side)[AT, :, :2]
         recorded = moment.future[AT, :, :2]
         counts = jnp.isfinite(recorded).all(axis=-1) & known.counts
         error = jnp.where(counts[..., None], path - jnp.nan_to_num(recorded), 0.0) / SCALES[:, None]
@@ -169,8 +169,8 @@ def _predict_unknown(moments: Moments, known: _Known, begin: Parameters, chosen:
     if len(names) < FOLDS:
         return None
     fold = np.searchsorted(names, moments.group) % FOLDS
-    parts = [predict(moments, _fit(moments, known.among(fold != number), begin, REFIT)[1]) for number in range(FOLDS)]
-    return moments.by_fold(fold, parts)
+    rest = [known.among(fold != number) for number in range(FOLDS)]
+    return moments.by_fold(fold, [predict(moments, _fit_drivers(moments, each, begin, REFIT)[1]) for each in rest])
 
 
 def _deviations(found: Parameters, moments: Moments, known: _Known) -> list[float]:
@@ -179,7 +179,7 @@ def _deviations(found: Parameters, moments: Moments, known: _Known) -> list[floa
     That of least errors, with the slopes of each driver's errors at all its moments, and the Hessian with the prior, of
     finite differences.
     """
-    given = _single(moments)
+    given = _in_single_precision(moments)
     hessian = slope_differences(lambda logarithms: _mean_off(logarithms, given, known)[1], found, DIFFERENCE)
     prior = np.diag(1 / DEVIATIONS**2) / known.counts.sum()
     inverse = np.linalg.pinv((hessian + hessian.T) / 2 + prior, hermitian=True)
@@ -190,7 +190,7 @@ def _deviations(found: Parameters, moments: Moments, known: _Known) -> list[floa
 def _intention(moments: Moments, known: _Known) -> Intention:
     """Return the most likely intention, of logistic regression with a weak prior."""
     mode = -known.side[known.counts] % len(SIDES)
-    drawn, exist = (np.asarray(part)[known.counts] for part in _advantages(_single(moments)))
+    drawn, exist = (np.asarray(part)[known.counts] for part in _advantages(_in_single_precision(moments)))
     drawn = drawn.astype(float)
 
     def surprise(numbers: Parameters) -> float:
@@ -203,4 +203,4 @@ def _intention(moments: Moments, known: _Known) -> Intention:
     return Intention(found[:2], found[2:])
 
 
-_advantages = jax.jit(jax.vmap(advantages))
+_advantages = jax.jit(jax.vmap(lane_advantages))

@@ -52,8 +52,8 @@ def updated_road_belief(
     """
     place, found, observed = observe(before, now, time_step)
     predicted = _accelerations(before, path, time_step)[place]
-    controls = (jnp.stack([jnp.zeros_like(each), each], axis=-1) for each in (predicted, observed))
-    mixed = updated_belief(jnp.asarray(belief)[place], *controls, time_step)
+    expected, executed = (jnp.stack([jnp.zeros_like(each), each], axis=-1) for each in (predicted, observed))
+    mixed = updated_belief(jnp.asarray(belief)[place], expected, executed, time_step)
     return jnp.where(found[:, None], mixed, first_belief(now))
 
 

@@ -11,7 +11,7 @@ Parameters = Float[Any, "parameters"]
 Matrix = Float[Any, "parameters parameters"]
 
 
-def least(loss: Callable[..., Any], first: Parameters, *arguments: Any, **options: Any) -> Parameters:
+def minimum(loss: Callable[..., Any], first: Parameters, *arguments: Any, **options: Any) -> Parameters:
     """Return the parameters at which a loss is least, by L-BFGS.
 
     Args:

@@ -63,25 +63,16 @@ def keep_compilations(directory: Path | None = None) -> Path:
     Raises:
         OSError: if it cannot be made, or others can write to it; then nothing is kept or used.
     """
-    chosen, cache = os.environ.get("JAX_COMPILATION_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")
-    home = Path(cache) if cache and Path(cache).is_absolute() else Path.home() / ".cache"
-    directory = directory or (Path(chosen) if chosen else home / "ms_highway" / "compiled")
+    home = Path(os.environ.get("XDG_CACHE_HOME", ""))  # by the standard, ignored if it is relative
+    usual = (home if home.is_absolute() else Path.home() / ".cache") / "ms_highway" / "compiled"
+    directory = directory or Path(os.environ.get("JAX_COMPILATION_CACHE_DIR") or usual)
     jax.config.update("jax_compilation_cache_dir", None)
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-    _check_owner(directory)
+    status = directory.stat()
+    if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & WRITABLE_BY_OTHERS):
+        why = f"others may write to {directory}, and their machine code would run"
+        raise PermissionError(f"{why}; choose a directory of your own, or change that: chmod go-w {directory}")
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     compilation_cache.reset_cache()  # JAX would stay with a directory that it has used
     return directory
-
-
-def _check_owner(directory: Path) -> None:
-    if not hasattr(os, "getuid"):  # Windows
-        return
-    status = directory.stat()
-    if status.st_uid != os.getuid():
-        raise PermissionError(f"{directory} belongs to somebody else, whose machine code would run; choose your own")
-    if status.st_mode & WRITABLE_BY_OTHERS:
-        raise PermissionError(
-            f"others may write to {directory}, and their machine code would run; change that: chmod go-w {directory}"
-        )

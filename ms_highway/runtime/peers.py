@@ -6,15 +6,15 @@ breaks shows that the process at its other end has ended. The computation itself
 
 import socket
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from select import select
 from threading import Event, Thread
-from time import monotonic, sleep
+from time import sleep
 from typing import TypeAlias
 
 from ms_highway.runtime.interrupt import end
 
-PATIENCE = 300  # s, for which processes wait for each other at the beginning
+PATIENCE = 300  # s, for which processes wait for the next one at the beginning
 PAUSE = 0.2  # s, between attempts to connect
 GREETING = 5  # s, within which a process that connects must say which one it is
 SILENCE = 60  # s, after which a connection is tested
@@ -41,17 +41,9 @@ def together(address: str, of: int, place: int) -> Iterator[None]:
     links: Links = {}
     leaving = Event()
     watching = Thread(target=_watch, args=(links, leaving), daemon=True)
-    with ExitStack() as closing:
-        closing.callback(_close, links, leaving, watching)
-        host, _, port = address.rpartition(":")
-        host = host.strip("[]")
+    try:
         try:
-            if not host:
-                raise ValueError("it names no host")
-            if place == 0:
-                _gather(links, (host, int(port)), of)
-            else:
-                _reach(links, (host, int(port)), f"{place} {of}")
+            _connect(links, address, of, place)
         except (ValueError, OSError, OverflowError) as error:
             remedy = "give HOST:PORT, a free port of the machine of process 0"
             raise ValueError(f"--coordinator {address}: {error}; {remedy}") from error
@@ -61,44 +53,66 @@ def together(address: str, of: int, place: int) -> Iterator[None]:
             watching.join()
         else:
             _say(links, DONE)
+    finally:
+        leaving.set()
+        for link in links:
+            with suppress(OSError):  # the other process has closed it
+                link.shutdown(socket.SHUT_RDWR)  # wakes `_watch`
+        if watching.is_alive():
+            watching.join()
+        for link in links:
+            link.close()
 
 
-def _gather(links: Links, address: tuple[str, int], of: int) -> None:
-    """Connect process 0 with all others."""
-    latest = monotonic() + PATIENCE
-    family = socket.getaddrinfo(*address, type=socket.SOCK_STREAM)[0][0]
-    with socket.create_server(address, family=family) as server:
-        while lacking := sorted({*range(1, of)}.difference(links.values())):
-            server.settimeout(max(latest - monotonic(), PAUSE))
-            try:
-                link, _ = server.accept()
-            except TimeoutError:
-                names = ", ".join(map(str, lacking))
-                raise OSError(f"process {names} did not come within {PATIENCE} s") from None
-            link.settimeout(GREETING)
-            greeting = _hear(link)
-            if greeting in [f"{place} {of}" for place in lacking]:
-                links[link] = int(greeting.split()[0])
-            else:
-                _say([link], f"process 0 counts {of} processes, and waits for {lacking}")
-                link.close()
-    _say(links, BEGIN)
-
-
-def _reach(links: Links, address: tuple[str, int], greeting: str) -> None:
-    """Connect another process with process 0."""
-    latest = monotonic() + PATIENCE
-    while not links:
-        try:
-            links[socket.create_connection(address, PATIENCE)] = 0
-        except ConnectionRefusedError:
-            if monotonic() > latest:
-                raise
-            sleep(PAUSE)
-    _say(links, greeting)
+def _connect(links: Links, address: str, of: int, place: int) -> None:
+    name, _, port = address.rpartition(":")
+    host = name.strip("[]"), int(port)
+    if not host[0]:
+        raise ValueError("it names no host")
+    if place == 0:
+        family = socket.getaddrinfo(*host, type=socket.SOCK_STREAM)[0][0]
+        with socket.create_server(host, family=family) as server:
+            server.settimeout(PATIENCE)
+            while lacking := sorted({*range(1, of)}.difference(links.values())):
+                _accept(links, server, of, lacking)
+        _test_silence(links)
+        _say(links, BEGIN)
+        return
+    for _ in range(round(PATIENCE / PAUSE)):
+        with suppress(ConnectionRefusedError):
+            links[socket.create_connection(host)] = 0
+            break
+        sleep(PAUSE)
+    else:
+        raise OSError(f"process 0 was not there within {PATIENCE} s")
+    _test_silence(links)
+    _say(links, f"{place} {of}")
     heard = _hear(*links)
     if heard != BEGIN:
         raise OSError(heard or "process 0 has ended")
+
+
+def _accept(links: Links, server: socket.socket, of: int, lacking: list[int]) -> None:
+    """Connect process 0 with one that it lacks, or refuse whoever comes."""
+    try:
+        link, _ = server.accept()
+    except TimeoutError:
+        names = ", ".join(map(str, lacking))
+        raise OSError(f"process {names} did not come within {PATIENCE} s") from None
+    link.settimeout(GREETING)
+    greeting = _hear(link)
+    if greeting in [f"{place} {of}" for place in lacking]:
+        links[link] = int(greeting.split()[0])
+    else:
+        _say([link], f"process 0 counts {of} processes, and waits for {lacking}")
+        link.close()
+
+
+def _test_silence(links: Iterable[socket.socket]) -> None:
+    for link in links:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        if hasattr(socket, "TCP_KEEPIDLE"):
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, SILENCE)
 
 
 def _say(links: Iterable[socket.socket], line: str) -> None:
@@ -116,10 +130,6 @@ def _hear(link: socket.socket) -> str:
 
 def _watch(links: Links, leaving: Event) -> None:
     """End this process if another ends before it is done; process 0, which all are connected to, informs the others."""
-    for link in links:
-        link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        if hasattr(socket, "TCP_KEEPIDLE"):
-            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, SILENCE)
     busy = dict(links)
     while busy:
         for link in select(busy, (), ())[0]:
@@ -132,14 +142,3 @@ def _watch(links: Links, leaving: Event) -> None:
                 message = heard or f"process {links[link]} has ended before it was done"
                 _say(links.keys() - {link}, message)
                 end(f"ms-highway: {message}, and so does this one; start all again in the same way to resume", status=1)
-
-
-def _close(links: Links, leaving: Event, watching: Thread) -> None:
-    leaving.set()
-    for link in links:
-        with suppress(OSError):  # the other process has closed it
-            link.shutdown(socket.SHUT_RDWR)  # wakes `_watch`
-    if watching.is_alive():
-        watching.join()
-    for link in links:
-        link.close()

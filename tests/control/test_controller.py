@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from jax import numpy as jnp
-
-from ms_highway.control.fallback import brake
 from ms_highway.control.fixed import FixedModel, ScheduledModels
 from ms_highway.control.switching import ModelSwitching
+
+from ms_highway.control.fallback import brake
 from ms_highway.game.dynamics import step as move
 from ms_highway.metareasoning.compiled_decision import EMPTY, decide_function
 from ms_highway.metareasoning.switching import Switching

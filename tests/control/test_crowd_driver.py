@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from ms_highway.control.crowd import CrowdDriver, HumanDriver
 from ms_highway.control.fixed import FixedModel
 from ms_highway.game.crowd import Crowd
@@ -12,6 +11,7 @@ from ms_highway.metareasoning.crowd.baselines import AllOfOne, Nearest
 from ms_highway.metareasoning.crowd.compiled_decision import crowd_decision_function
 from ms_highway.planning.compiled_crowd import crowd_plan_function
 from ms_highway.planning.crowd import NAIVE, TOM
+
 from ms_highway.planning.human_models import MODELS
 
 

@@ -7,14 +7,14 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 import pytest
-
 from ms_highway.control.fixed import FixedModel
-from ms_highway.envs import SCENARIOS
 from ms_highway.envs.merger import MergerEnv
+from ms_highway.experiments.simulated import simulated
+
+from ms_highway.envs import SCENARIOS
 from ms_highway.envs.settings import Settings, merged
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.experiments.simulated import simulated
 from ms_highway.planning.human_models import MODELS, JointPlan, Naive, plan_within_limits, register
 from ms_highway.runtime.compilation import jit_quickly
 

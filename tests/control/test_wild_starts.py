@@ -5,10 +5,10 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
-
-from ms_highway.control.fallback import DECELERATION, brake, braking_control
 from ms_highway.control.fixed import FixedModel
 from ms_highway.control.switching import ModelSwitching
+
+from ms_highway.control.fallback import DECELERATION, brake, braking_control
 from ms_highway.envs import SCENARIOS
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import PHYSICAL_LIMIT

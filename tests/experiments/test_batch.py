@@ -38,7 +38,9 @@ def records(batch):
         ("merger", {}, ["tom+belief", "switching:0.1", "period:tom=1,naive=3"]),
         ("merger", {"yielding": "mixed"}, ["tom", "idm"]),
         pytest.param("dense_merge", SHORT, CONTROLLERS, marks=pytest.mark.slow),
-        pytest.param("dense_merge", {**SHORT, "yielding": "mixed"}, ["tom+belief", "learned:1"], marks=pytest.mark.slow),
+        pytest.param(
+            "dense_merge", {**SHORT, "yielding": "mixed"}, ["tom+belief", "learned:1"], marks=pytest.mark.slow
+        ),
         pytest.param("dense_merge", SHORT, ["horizon:1", "schedule:tom/naive=4,turn"], marks=pytest.mark.slow),
     ],
 )

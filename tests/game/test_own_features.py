@@ -62,15 +62,15 @@ def close(found, expected, tolerance):
     np.testing.assert_allclose(found, expected, atol=tolerance * np.abs(expected).max(), rtol=0)
 
 
-def started(played, horizon):
+def started(played, roomy, horizon):
     """The game of the user's scenario, a start with the cars close to each other, and controls of both."""
-    game, state = played("roomy")
+    game, state = played(roomy.RoomyEnv.scenario)
     controls = np.random.default_rng(0).normal(0, 0.3, (2, horizon, 2)).astype(np.float32)
     return game, state.at[0, 0].add(-3.0), controls
 
 
-def test_the_slope_of_a_plan_is_that_of_differences(played):
-    game, state, controls = started(played, 5)
+def test_the_slope_of_a_plan_is_that_of_differences(played, roomy):
+    game, state, controls = started(played, roomy, 5)
     assert game.robot.names == game.humans.names == (*PAPER_FEATURES, "room")
 
     def earned(both):
@@ -83,9 +83,9 @@ def test_the_slope_of_a_plan_is_that_of_differences(played):
     close(jit_quickly(jax.grad(earned))(controls), differences(jit_quickly(earned), controls), 5e-3)
 
 
-def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played):
+def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played, roomy):
     """Other cars and cones, which are left out of the package's own, change how the feature depends on the human."""
-    game, state, controls = started(played, 1)
+    game, state, controls = started(played, roomy, 1)
     robot, human = controls[:, 0]
 
     @jit_quickly
@@ -102,8 +102,8 @@ def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played):
 
 
 @pytest.mark.slow
-def test_theory_of_mind_steps_along_differences_of_both_slopes(played):
-    game, state, _ = started(played, 5)
+def test_theory_of_mind_steps_along_differences_of_both_slopes(played, roomy):
+    game, state, _ = started(played, roomy, 5)
     still = np.zeros((5, 2), np.float32)
     mirrored, mirrored_state = swap_players(game, state)
     slope_robot, slope_human = jit_quickly(jax.grad(total_reward, argnums=(2, 3)))(game, state, still, still[None])

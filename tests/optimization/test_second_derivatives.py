@@ -11,7 +11,6 @@ from ms_highway.game.game import move, total_reward, trajectory_reward
 from ms_highway.optimization.floored import floored
 from ms_highway.optimization.second_derivatives import (
     eigenpairs,
-    jacobian_and_hessian,
     response,
     second_order_expansion,
 )
@@ -39,16 +38,6 @@ def test_the_exact_response_solves_the_linear_equations(size):
         matrix = matrix + matrix.T + 3 * np.eye(size)
         answer = response("exact", jnp.float32(matrix), jnp.float32(push))
         np.testing.assert_allclose(matrix @ answer, -push, atol=1e-4 * abs(np.linalg.inv(matrix)).max())
-
-
-def test_slope_and_bend_are_the_first_two_derivatives():
-    def function(variables):
-        return jnp.sum(jnp.sin(variables[0]) * variables[1] ** 3)
-
-    point = jnp.array([[0.3, -1.0], [0.7, 2.0]])
-    slope, bend = jax.jit(jacobian_and_hessian(function))(point)
-    np.testing.assert_allclose(slope, jax.jit(jax.grad(function))(point), rtol=1e-6)
-    np.testing.assert_allclose(bend, jax.jit(jax.hessian(function))(point), rtol=1e-6)
 
 
 def test_the_chain_rule_gives_the_hessian_of_the_whole_plan(played):

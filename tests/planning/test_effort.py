@@ -62,9 +62,7 @@ def test_a_name_is_that_of_the_model_that_it_stands_for(name):
 @pytest.mark.parametrize("name", STRANGE)
 def test_a_name_of_no_effort_is_refused_with_the_remedy(name):
     assert not is_model(name)
-    with pytest.raises(
-        ValueError, match=r"unknown human model .*tom, also in 1 to 5000 steps \(tom@8\)"
-    ):
+    with pytest.raises(ValueError, match=r"unknown human model .*tom, also in 1 to 5000 steps \(tom@8\)"):
         ladder([name])
 
 

@@ -39,36 +39,21 @@ def test_every_example_runs_and_prints_what_its_text_says(printed):
         if "Prints::" in EXAMPLES[name]:
             table = "\n".join(output.splitlines()[1:])
             assert f"Prints::\n\n{indent(table, '    ')}\n" in EXAMPLES[name]
-
-
-@pytest.mark.slow
-def test_the_robot_of_the_first_example_drives_an_episode_with_all_models(printed):
-    steps = printed["drive"].splitlines()
-    assert len(steps) == 40
-    assert {step.split()[0] for step in steps} == {"naive", "turn", "tom"}
-    assert len(set(re.findall(r"robot (\[.*?\])", printed["plan"]))) == 3  # another control under each
-
-
-@pytest.mark.slow
-def test_the_robot_in_a_scene_of_ones_own_cuts_in_with_the_models_that_the_text_names(printed):
     models = [model for model in re.findall(r"'(\w+)'", printed["work_zone"]) if model != "naive"]
     assert f"``{'``, ``'.join(models)}``." in " ".join(EXAMPLES["work_zone"].split())
-    assert printed["work_zone"].strip().endswith("False")  # no crash
 
 
 @pytest.mark.slow
-def test_a_rule_of_ones_own_opens_the_gap_with_theory_of_mind_in_some_steps_only(printed):
+def test_robots_of_the_examples_choose_their_models_and_drive_without_a_crash_and_within_their_limits(printed):
+    assert [line.split()[0] for line in printed["plan"].splitlines()[1:]] == ["naive", "turn", "tom"]
+    assert {step.split()[0] for step in printed["drive"].splitlines()} == {"naive", "turn", "tom"}
+    assert printed["work_zone"].strip().endswith("False")  # no crash
     reward, used, steps = re.findall(r"[\d.]+", printed["rule"])[:3]
     assert float(reward) > 5
-    assert 0 < int(used) < int(steps) / 2
-
-
-@pytest.mark.slow
-def test_stock_scenes_are_driven_by_humans_and_within_the_acceleration_that_the_example_asks_for(printed):
-    assert printed["humans_in_highway"].count("HumanVehicle") == 5
+    assert 0 < int(used) < int(steps) / 2  # theory of mind in some steps only
     largest = re.findall(r"at most ([\d.]+) m/s\^2", printed["stock_road"])
-    assert len(largest) == 5
-    assert max(map(float, largest)) <= 4.0
+    assert largest
+    assert max(map(float, largest)) <= 4.0  # that it asks for
 
 
 def test_an_example_imports_the_package_by_one_line_beside_experiments():

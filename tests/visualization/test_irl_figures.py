@@ -12,7 +12,7 @@ from ms_highway.game.learned_reward import shipped
 from ms_highway.irl.evaluation import KINDS, Evaluation, load_evaluation
 from ms_highway.irl.moments import cut_moments
 from ms_highway.irl.outlook import expected_path
-from ms_highway.irl.peers import constant_velocity
+from ms_highway.irl.peers import steady_motion
 from ms_highway.irl.predictors import PREDICTORS
 from ms_highway.visualization.irl import section
 from ms_highway.visualization.irl.prediction import (
@@ -60,7 +60,7 @@ def test_errors_and_misses_are_drawn_against_the_horizon_for_all_predictors():
 
 def test_examples_are_distinct_and_their_recorded_paths_are_drawn(us101):
     moments = cut_moments(us101[:1])
-    off = np.linalg.norm(expected_path(constant_velocity(moments)) - moments.recorded, axis=-1)
+    off = np.linalg.norm(expected_path(steady_motion(moments)) - moments.recorded, axis=-1)
     chosen = examples(moments, off)
     assert len(chosen) == len(set(chosen.values())) == 4
     faster = moments.tracks(moments.future)[:, -1, 3] - moments.drivers(moments.now)[:, 3]

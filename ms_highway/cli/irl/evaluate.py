@@ -49,7 +49,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     import msgspec
 
     from ms_highway.game.learned_reward import named
-    from ms_highway.irl.evaluation import cross_validate, evaluate
+    from ms_highway.irl.evaluation import cross_validate, evaluate_reward
     from ms_highway.irl.predictors import check_drivers
     from ms_highway.visualization.irl.tables import evaluation_tables
 
@@ -61,7 +61,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     recordings = read(options.data)
     with telling() as tell:
         if options.theta:
-            found = evaluate(recordings, learned, options.others, progress=tell)
+            found = evaluate_reward(recordings, learned, options.others, progress=tell)
         else:
             chosen = model(options, recordings)
             found = cross_validate(recordings, *chosen, options.folds, options.others, progress=tell)

@@ -28,12 +28,12 @@ def add_fit(commands: Any) -> None:
     parser = add_command(commands, "fit", "learn a reward", HELP, EXAMPLES)
     add_data(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="a .json file for the learned reward")
-    parser.set_defaults(run=_fit)
+    parser.set_defaults(run=_fit_reward)
 
 
-def _fit(options: argparse.Namespace) -> None:
+def _fit_reward(options: argparse.Namespace) -> None:
     from ms_highway.game.learned_reward import save
-    from ms_highway.irl.learning import learn
+    from ms_highway.irl.learning import learn_reward
     from ms_highway.visualization.irl.tables import learned_tables
 
     if options.out.is_dir():
@@ -41,7 +41,7 @@ def _fit(options: argparse.Namespace) -> None:
     recordings = read(options.data)
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
     with telling() as tell:
-        learned = learn(recordings, *model(options, recordings), source, progress=tell)
+        learned = learn_reward(recordings, *model(options, recordings), source, progress=tell)
     save(learned, options.out)
     print_tables(*learned_tables(learned))
     train, held_out = (learned.log_likelihood[part] for part in ("train", "held_out"))

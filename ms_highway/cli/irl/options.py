@@ -51,9 +51,9 @@ def add_data(parser: argparse.ArgumentParser) -> None:
 def read(data: str) -> "list[Recording]":
     """Read the recordings that ``--data`` names."""
     if data.startswith(MINARI):
-        from ms_highway.irl.recordings.datasets import load
+        from ms_highway.irl.recordings.datasets import load_demonstrations
 
-        return load(data.removeprefix(MINARI))
+        return load_demonstrations(data.removeprefix(MINARI))
     from ms_highway.irl.recordings.commonroad import read_directory
 
     return read_directory(Path(data))

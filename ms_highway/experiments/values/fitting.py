@@ -60,7 +60,7 @@ def fit(
     """
     over_top = prices is not None
     chosen = random.integers(len(rollouts.descriptions), size=(STEPS[over_top], NETWORKS, BATCH))
-    drawn = draw_prices(random, prices, chosen.size).reshape(chosen.shape) if over_top else np.zeros(chosen.shape)
+    drawn = draw_prices(random, prices, chosen.size).reshape(chosen.shape) if prices else np.zeros(chosen.shape)
     numbers = jax.tree.map(np.float32, (rollouts, costs, centre, spread, drawn))
     return jax.tree.map(np.asarray, _fit(_over_the_top if over_top else _over_the_cheapest, network, chosen, *numbers))
 

@@ -96,8 +96,8 @@ class Learning:
             "rounds": number,
             "horizon": self.horizon,
         }
-        known = (costs, self.prices) if over_top else ((), ())
-        return Values(network, centre, spread, tuple(self.costs), *known, self.baseline, names, provenance)
+        known, prices = (costs, self.prices) if over_top else ((), ())
+        return Values(network, centre, spread, tuple(self.costs), known, prices, self.baseline, names, provenance)
 
     def stream(self, *place: int) -> np.random.Generator:
         """Return the random numbers of a place, such as a round and the number of a course."""
@@ -196,13 +196,16 @@ class _HeldOut:
         """Return how far the learned rule stays behind the best of the orders, per step."""
         prices = np.array(HELD_OUT_PRICES)[:, None]
         reward, seconds = self._outcomes(values, np.full((len(prices), self.course.steps), DECIDES), prices[:, 0])
-        best = np.max([earned - prices * planned for earned, planned in zip(*self.orders, strict=True)], axis=0)
+        best = np.max([found - prices * spent for found, spent in zip(*self.orders, strict=True)], axis=0)
         return float(np.mean(np.maximum(best - (reward - prices * seconds), 0)))
 
     def _outcomes(self, values: Values | None, orders: np.ndarray, prices: np.ndarray) -> list[np.ndarray]:
         """Return what orders earn and plan from every start, means over the steps [orders, starts]."""
         count, each = len(orders), HELD_OUT_STARTS
         starts, weights = (np.tile(part, (count, 1, 1)) for part in (self.starts, self.weights))
-        driving, prices = self.learning.driving(self.course, values, self.mesh), np.float32(np.repeat(prices, each))
+        driving, prices = (
+            self.learning.driving(self.course, values, self.mesh),
+            np.repeat(prices, each).astype(np.float32),
+        )
         records, planned = driving.drive(starts, weights, np.repeat(orders, each, axis=0), prices)
         return [np.mean(part, axis=1).reshape(count, each) for part in (records.reward, planned)]

@@ -204,8 +204,8 @@ class Driving:
         first, then = np.repeat(np.arange(own), len(ways)), np.tile([rung for rung, _ in ways], own)
         schedules = np.where(np.arange(self.horizon) == 0, first[:, None], then[:, None])  # [own * ways, steps]
         prices = np.tile(np.stack([price for _, price in ways], axis=1), (1, own)).ravel()
-        given = (np.repeat(part, len(schedules), axis=0) for part in (states, weights))
-        records, planned = self.drive(*given, np.tile(schedules, (count, 1)), prices)
+        states, weights = (np.repeat(part, len(schedules), axis=0) for part in (states, weights))
+        records, planned = self.drive(states, weights, np.tile(schedules, (count, 1)), prices)
         earned = np.nan_to_num(np.sum(records.reward, axis=1, dtype=float), nan=-WORST)
         sums = np.clip(earned, -WORST, WORST), planned.sum(axis=1)
         return np.zeros((count, 1), int), *(part.reshape(count, own, len(ways)) for part in sums)
@@ -242,7 +242,9 @@ def _random_orders(random: np.random.Generator, count: int, course: Course) -> n
     orders = np.zeros((count, steps, course.game.number), np.int32)
     for order, share in zip(orders, random.dirichlet(np.ones(rungs), count), strict=True):
         draw = partial(random.choice, rungs, p=share)
-        changes, drawn = ([], []) if several else (random.random(steps) > STAYS[0], draw(steps))
+        changes, drawn = (
+            (np.zeros(0), np.zeros(0)) if several else (random.random(steps) > STAYS[0], np.asarray(draw(steps)))
+        )
         for step in range(steps):
             changed = step == 0 or (random.random() >= STAYS[1] if several else changes[step])
             order[step] = order[step - 1] if not changed else draw(course.game.number) if several else drawn[step]

@@ -27,7 +27,7 @@ MOST_METRES = 100_000.0  # from one end of a scenario to the other
 MOST_SIZE = 100.0  # m, of a vehicle
 MOST_RADIANS = 1000.0  # of an orientation
 MOST_STATES = 10_000_000  # of all cars at all times
-MOST_SAMPLED = MOST_STATES, 1e8, 1e8, MOST_RADIANS, 200.0  # time step, m, m, rad and m/s, of a vehicle
+MOST_SAMPLED = 1e12, 1e8, 1e8, MOST_RADIANS, 200.0  # time step, m, m, rad and m/s, of a vehicle
 
 MEND = "mend the file or leave it out"
 
@@ -138,7 +138,7 @@ def _samples(obstacle: Any) -> np.ndarray:
     usable = (np.abs(samples) <= MOST_SAMPLED).all(axis=1)
     if not usable.all():
         time, *rest = samples[~usable][0]
-        raise ValueError(f"{name} is nowhere on Earth, or faster than any car, at time step {time:g}: {rest}; {MEND}")
+        raise ValueError(f"{name} is nowhere on Earth, or faster than any car, at step {time:g}: {np.array(rest)}")
     if not max(_size(obstacle.obstacle_shape)) <= MOST_SIZE:
         raise ValueError(f"{name} is longer than {MOST_SIZE:g} m; {MEND}")
     if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():

@@ -15,7 +15,7 @@ from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.files import naming, part_of, temporary
 
 FORMAT = 1
-"""Version of what is written; `load` reads no other."""
+"""Version of what is written; `load_demonstrations` reads no other."""
 
 PROVENANCE = "ms_highway"  # key in the data set's metadata
 DATASET_ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
@@ -25,7 +25,7 @@ BROKEN = OSError, ValueError, KeyError, AssertionError  # of Minari and HDF5
 REMEDY = "delete it and record it again with `ms-highway irl record`"
 
 
-def load(dataset: str) -> list[Recording]:
+def load_demonstrations(dataset: str) -> list[Recording]:
     """Read the episodes of a recorded data set; car 0 is the driver, and each episode a group.
 
     Raises:
@@ -72,10 +72,10 @@ def _recording(name: str, tracks: np.ndarray, expected: tuple[int, ...]) -> Reco
         group=name,
         states=np.where(tracks[..., :1] == 1, tracks[..., 1:], np.nan),
         drivers=np.array([0]),
-        sizes=np.tile(np.asarray(game.scene.car_size, dtype=float), (tracks.shape[1], 1)),
-        lanes=np.asarray(game.scene.lanes, dtype=float),
-        lane_width=float(game.scene.lane_width),
-        speed_limit=float(game.robot.speed_limit),
+        sizes=np.tile(game.scene.car_size, (tracks.shape[1], 1)),
+        lanes=game.scene.lanes,
+        lane_width=game.scene.lane_width,
+        speed_limit=game.robot.speed_limit,
         measured=False,
     )
 

@@ -130,7 +130,7 @@ def smoothed(recorded: Points, dynamics: Dynamics) -> Track:
         speeds = _running(each * dt)
         distances = (speeds[:-1] + speeds[1:]) * dt / 2
         along = _running(cosine[:, None] * distances)
-        x, *motion = _fit(along, recorded[:, 0], change / (JERK * dt), each / ACCELERATION)
+        x, *motion = _least_squares(along, recorded[:, 0], change / (JERK * dt), each / ACCELERATION)
         speed = np.maximum(speeds @ motion, 0)
 
         headings = _running(np.diag(speed[:-1] * dt))
@@ -138,7 +138,7 @@ def smoothed(recorded: Points, dynamics: Dynamics) -> Track:
         across = _running((distance * sine_per_heading)[:, None] * headings[:-1])
         jerks = change * speed[1:-1, None] ** 2 / (LATERAL_JERK * dt)
         first = np.eye(1, len(each) + 1) / HEADING
-        y, *turning = _fit(across, recorded[:, 1], jerks, each / CURVATURE, first)
+        y, *turning = _least_squares(across, recorded[:, 1], jerks, each / CURVATURE, first)
         heading = headings @ [turning[0], *np.clip(turning[1:], -CURVATURE_LIMIT, CURVATURE_LIMIT)]
         cosine, sine_per_heading = np.cos(heading[:-1]), np.sinc(heading[:-1] / np.pi)
 
@@ -156,7 +156,7 @@ def _running(increments: np.ndarray) -> np.ndarray:
     return np.column_stack([np.ones(len(sums)), sums])
 
 
-def _fit(positions: np.ndarray, recorded: np.ndarray, *penalties: np.ndarray) -> np.ndarray:
+def _least_squares(positions: np.ndarray, recorded: np.ndarray, *penalties: np.ndarray) -> np.ndarray:
     """Return the unknowns that fit the positions best, with penalties of the last of them in standard deviations."""
     likely = np.vstack([np.pad(part, ((0, 0), (positions.shape[1] - part.shape[1], 0))) for part in penalties])
     errors = np.pad(recorded / POSITION, (0, len(likely)))

@@ -174,7 +174,9 @@ class Driver:
 
     def _along(self, motion: Steps) -> Steps:
         """Compute the reward after each step: the formulas of `ms_highway.game.features`, on one straight lane."""
-        (s, speed), (x, y, cosine, sine, pace), (length, width) = motion, self.others, self.size
+        (s, speed), (length, width) = motion, self.size
+        assert self.others is not None  # it has looked
+        x, y, cosine, sine, pace = self.others
         weights = dict(zip(self.reward.names, jnp.unstack(jnp.asarray(self.reward.weights)), strict=True))
         forward = speed / self.reward.speed_limit
         ahead, aside = x - s, y - self.aside

@@ -90,7 +90,7 @@ def propose(now: Situation, rungs: Numbers, memory: Memory) -> Judged:
         rungs: of each of the others, numbers of `ms_highway.planning.road.settings.ROAD_MODELS`.
         memory: of the last plan.
     """
-    s, d, _ = project(now.scene.route, *memory.goal, jnp.zeros(()))
+    s, d, _ = project(now.scene.route, memory.goal[0], memory.goal[1], jnp.zeros(()))
     lane = jnp.argmin(jnp.abs(interpolate(now.scene.lanes, s) - d))
     plans = profiles(jnp.asarray(memory.controls), jnp.where(jnp.isfinite(d), lane, 1))
     return _judged(now, plans, _following(now, rungs, PROPOSALS))

@@ -132,7 +132,8 @@ def profiles(last: Controls, last_lane: Lane) -> Profiles:
     columns = [jnp.asarray(column) for column in zip(*ALL, strict=True)]
     given = jnp.arange(PROPOSALS) == LAST_PLAN
     lane = jnp.where(given, last_lane, columns[0])
-    return Profiles(lane, *columns[1:], given, jnp.broadcast_to(last, (PROPOSALS, *last.shape)))
+    repeated = jnp.broadcast_to(last, (PROPOSALS, *last.shape))
+    return Profiles(*(lane, *columns[1:], given, repeated))
 
 
 def as_given(controls: Controls, lane: Lane) -> Profiles:

@@ -1,7 +1,7 @@
 """Refine the robot's controls on a road by damped Newton steps, among cars that keep to predictions or answer.
 
 Car i under theory of mind answers the robot's plan with accelerations u_i: ``J_i = -H_i^-1 d2R_i / du_i du_R``, and the
-robot climbs along ``dR_R/du_R + sum_i J_i^T dR_R/du_i``, as in `ms_highway.planning.crowd`.
+robot climbs along ``dR_R/du_R + sum_i J_i^T dR_R/du_i``, as in `ms_highway.planning.climb`.
 """
 
 from typing import NamedTuple
@@ -120,7 +120,7 @@ class Climb(NamedTuple):
 
         cars, fields, steps = plan.others.shape
         shapes = (fields, steps), (cars, steps, steps), (cars, fields, 2, steps)
-        answers = for_each(self.tom, answer, Answers(*map(jnp.zeros, shapes), plan.accelerations))
+        answers = for_each(self.tom, answer, Answers(*(*map(jnp.zeros, shapes), plan.accelerations)))
         gradient = jnp.tensordot(by_motion, along, 2) + jnp.tensordot(answers.slope, world, 2)
         return Expansion(gradient, self._hessian(motion, plan.others, along), world, answers)
 

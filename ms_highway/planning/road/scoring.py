@@ -127,7 +127,7 @@ def _meetings(now: Situation, rollouts: Rollouts, lanes: Lane) -> tuple[EachCar,
     # A follower in the robot's own lane that runs into it, or through it, while it keeps its lane does not count.
     behind = rollouts.s[..., :1] < s[..., :1] - 1.0
     followed = jnp.cumprod(jnp.abs(rollouts.d - d) < scene.size[1], axis=-1) > 0
-    pushes = behind & followed & (rollouts.cosine > 0.5) & (lanes == 1)[:, None, None]
+    pushes = behind & followed & (rollouts.cosine > 0.5) & jnp.equal(lanes, 1)[:, None, None]
     counts = scene.present[:, None] & ~pushes
     clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, rollouts)), FAR)
     touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)

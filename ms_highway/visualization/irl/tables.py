@@ -37,10 +37,10 @@ def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = No
         if true is not None:
             rows[-1]["true"] = f"{true[name]:g}" if name in true else ""
     found = [grid(f"learned from {learned.windows} windows", rows)]
-    return [*found, _drivers(learned.drivers)] if learned.drivers else found
+    return [*found, _drivers_table(learned.drivers)] if learned.drivers else found
 
 
-def _drivers(drivers: LearnedDrivers) -> Table:
+def _drivers_table(drivers: LearnedDrivers) -> Table:
     """Tabulate what was learned seconds ahead, with 90 % intervals by driver where they were computed."""
     prior = drivers.prior
     numbers = {
