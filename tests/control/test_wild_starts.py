@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from ms_highway.control.driver import Driver, fixed
 from ms_highway.control.fallback import DECELERATION, brake, braking_control
 from ms_highway.envs import SCENARIOS
 from ms_highway.game.dynamics import step as move
