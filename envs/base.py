@@ -90,8 +90,9 @@ class InteractionEnv(StageEnv):
     ``gains``, the highest estimated gain of each model over all humans; ``status``; ``human_status``, a status for each
     human; ``timing``; ``counted_seconds``, T of the plan; with a controller's ``belief``, ``belief``, the probability
     of every model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also
-    holds ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in the target lane and has not collided so far; and
-    ``distance_to_cones``, from the robot's front to the first cone ahead in its lane, infinite without one [m].
+    holds ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in
+    the target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the first cone
+    ahead in its lane, infinite without one [m].
 
     Attributes:
         settings: of the configuration.
