@@ -22,10 +22,12 @@ class CarStates(ObservationType):
     """
 
     def space(self) -> spaces.Box:
+        """Return the space."""
         high = np.tile(np.array([LARGEST] * 4 + [1, 1], np.float32), (self.env.cars, 1))
         return spaces.Box(-high, high, dtype=np.float32)
 
     def observe(self) -> np.ndarray:
+        """Return what is observed now."""
         x, y, heading, speed = self.env.car_states.T
         cosine, sine = np.cos(heading), np.sin(heading)
         rows = np.array([x, y, speed * cosine, speed * sine, cosine, sine]).T
@@ -43,10 +45,12 @@ class CarTracks(ObservationType):
     BOUND = 1e4  # m, rad or m/s; never reached
 
     def space(self) -> spaces.Box:
+        """Return the space."""
         high = np.tile(np.array([1, *[self.BOUND] * 4], np.float32), (self.env.cars, 1))
-        return spaces.Box(high * [0, -1, -1, -1, -1], high, dtype=np.float32)
+        return spaces.Box(high * np.array([0, -1, -1, -1, -1], np.float32), high, dtype=np.float32)
 
     def observe(self) -> np.ndarray:
+        """Return what is observed now."""
         present = self.env.present
         tracks = np.concatenate([present[:, None], self.env.car_states], axis=-1) * present[:, None]
         return tracks.clip(-self.BOUND, self.BOUND).astype(np.float32)
@@ -64,6 +68,7 @@ class Autopilot(ActionType):
     """The robot drives itself, as ``config["controller"]`` says; the only action, 0, lets it."""
 
     def space(self) -> spaces.Space:
+        """Return the space."""
         return spaces.Discrete(1)
 
     def act(self, action: int) -> None:
@@ -84,6 +89,7 @@ class HumanModelAction(Autopilot):
     """
 
     def space(self) -> spaces.Space:
+        """Return the space."""
         rungs, humans = len(self.env.settings.models), self.env.settings.humans
         return spaces.Discrete(rungs) if humans == 1 else spaces.MultiDiscrete([rungs] * humans)
 

@@ -2,17 +2,16 @@
 
 import argparse
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.bench_road import add_bench_road
-from ms_highway.cli.console import add_command, print_tables
-from ms_highway.cli.options import MOST, add_devices, add_planning, add_scenarios, planning
+from ms_highway.cli.console import add_command, print_tables, telling
+from ms_highway.cli.options import SCENARIO_NAMES, add_devices, add_keys, add_number, configuration
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-__all__ = ["add_bench"]
 
 HELP = """\
 Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for every
@@ -23,9 +22,7 @@ With --batches, measure the closed loop instead: how many steps of the robot per
 core, and the simulation of many episodes at once, by batch size, on --devices; for every model of the ladder and for
 switching. MiB is the most memory that the batches have taken until then.
 
-For scenarios with several humans, measure plans by number of humans (--crowd) and horizon (--horizons), a process each;
-or, with --responses, compare the humans' block-diagonal response with their full joint one, in random situations among
-the last number of --crowd.
+For scenarios with several humans, measure plans by number of humans (--crowd), a process each.
 
 `ms-highway bench road` measures how drivers fare in stock scenes of highway-env; it has its own --help."""
 
@@ -34,170 +31,102 @@ examples:
   ms-highway bench merger
   ms-highway bench --peer casadi --json bench.json
   ms-highway bench merger --batches 1 16 64 256 1024 8192
-  ms-highway bench dense_merge --crowd 1 2 4 6 8 12 --horizons 20
-  ms-highway bench dense_merge --crowd 6 --responses 1000
+  ms-highway bench dense_merge --crowd 1 2 4 6 8 12
   ms-highway bench road merge --drivers switching idm"""
+
+
+PEER = {"C us": "{peer_us[p50]:.0f}", "ratio": "{ratio:.2f}"}
+PLANS = {
+    "plan us": "{plan_us[p50]:.0f}",
+    "p99": "{plan_us[p99]:.0f}",
+    "decision us": "{decision_us:.0f}",
+    "of mean plan": "{of_mean_plan:.0%}",
+    "step us": "{step_us:.0f}",
+    "compile s": "{compile_s[cold]:.1f}",
+    "cached": "{compile_s[cached]:.1f}",
+}
+SEVERAL = {
+    "all naive": "{plan_ms[naive][0]:.2f} ({plan_ms[naive][1]:.2f})",
+    "one tom": "{plan_ms[tom_one][0]:.2f} ({plan_ms[tom_one][1]:.2f})",
+    "all turn": "{plan_ms[turn][0]:.2f} ({plan_ms[turn][1]:.2f})",
+    "all tom": "{plan_ms[tom][0]:.2f} ({plan_ms[tom][1]:.2f})",
+    "compile s": "{compile_s:.1f}",
+    "MiB": "{memory_mib:.0f}",
+}
+"""Headings of tables, and how their texts are made of what was measured."""
 
 
 def add_bench(commands: Any) -> None:
     """Add the command ``bench`` to a parser's subparsers."""
     parser = add_command(commands, "bench", "measure planning time, and the closed loop", HELP, EXAMPLES)
-    add_scenarios(parser, "all")
+    names = ", ".join(SCENARIO_NAMES)
+    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: the paper's)")
     parser.add_argument("--peer", choices=["casadi"], help="measure the same plans in CasADi's C code as well")
-    parser.add_argument(
-        "--batches", nargs="+", type=int, metavar="SIZE", help="measure the closed loop in such batches"
-    )
-    parser.add_argument("--crowd", nargs="+", type=int, metavar="N", help="numbers of humans (default: 1 6 8)")
-    parser.add_argument("--horizons", nargs="+", type=int, metavar="K", help="controls in their plans (default: 20)")
-    parser.add_argument("--responses", type=int, metavar="COUNT", help="compare responses in so many situations")
+    add_number(parser, "--batches", None, "measure the closed loop in such batches", nargs="+", metavar="SIZE")
+    add_number(parser, "--crowd", None, "numbers of humans (default: 1 6 8)", nargs="+", metavar="N")
     add_devices(parser)
-    add_planning(parser)
+    add_keys(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
     parser.set_defaults(run=_bench)
     add_bench_road(parser)
 
 
 def _bench(options: argparse.Namespace) -> None:
-    from rich.console import Console
-    from rich.progress import Progress, TextColumn, TimeElapsedColumn
-
-    from ms_highway.benchmarks.latency import bench
+    from ms_highway.benchmarks.latency import bench, bench_several
     from ms_highway.benchmarks.throughput import throughput
-    from ms_highway.envs import SCENARIOS, is_crowd, two_player_scenario
+    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
     from ms_highway.experiments.comparison import paper_controllers
     from ms_highway.runtime.files import replacing
 
     if (options.batches and options.peer) or (options.devices and not options.batches):
         raise ValueError("--peer is about plans, and --devices about --batches; leave one out")
-    if options.batches and max(options.batches) > MOST:
-        raise ValueError(f"--batches has {max(options.batches)}; a batch may have {MOST} episodes")
-    scenarios = list(dict.fromkeys(options.scenarios)) or list(SCENARIOS)
-    if any(map(is_crowd, scenarios)):
-        _bench_crowds(options, scenarios)
-        return
-    if options.crowd or options.horizons or options.responses:
-        raise ValueError("--crowd, --horizons and --responses are about scenarios with several humans; name one")
+    config, results = configuration(options), dict[str, dict[str, Any]]()
+    scenarios = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS))
     for scenario in scenarios:
-        two_player_scenario(scenario)  # refuses unknown ones before anything is measured
-    columns = TextColumn("{task.description}"), TimeElapsedColumn()
-    results: dict[str, dict[str, Any]] = {}
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("measuring", total=None)
+        environment_id(scenario)  # refuses unknown ones before anything is measured
+        if options.peer and SCENARIOS[scenario].streams:
+            raise ValueError(f"--peer is for scenarios with one human; leave out {scenario}")
+    with telling() as tell:
         for scenario in scenarios:
-            measured = (
-                throughput(
-                    scenario,
-                    paper_controllers(scenario),
-                    options.batches,
-                    options.devices,
-                    options.modules,
-                    planning(options),
-                )
-                if options.batches
-                else bench(scenario, peer=options.peer == "casadi", **planning(options))
-            )
+            if options.batches:
+                loops = paper_controllers(scenario), options.batches, options.devices, options.modules
+                measured = throughput(scenario, *loops, config)
+            elif SCENARIOS[scenario].streams:
+                measured = bench_several(scenario, options.crowd or [1, 6, 8], config)
+            else:
+                measured = bench(scenario, options.peer == "casadi", **config)
             for name, result in measured:
-                progress.update(task, description=f"measured {scenario}, {name}")
+                tell(f"measured {scenario}, {name}")
                 results.setdefault(scenario, {})[name] = result
-    print_tables(*map(_batches, results, results.values()) if options.batches else [_plans(results)])
+    print_tables(*map(_table, results, results.values()))
     if options.json:
         with replacing(options.json) as path:
             path.write_text(json.dumps(results, indent=2) + "\n")
 
 
-def _bench_crowds(options: argparse.Namespace, scenarios: list[str]) -> None:
-    """Measure plans among several humans, or compare their responses."""
-    from ms_highway.benchmarks.crowd_latency import crowd_latency
-    from ms_highway.benchmarks.joint_response import compare_responses
-    from ms_highway.game.crowd_scenario import crowd_scenario
-    from ms_highway.runtime.files import replacing
+def _table(scenario: str, measured: Mapping[str, Any]) -> "Table":
+    """Tabulate what was measured in a scenario."""
+    from ms_highway.visualization.tables import grid
 
-    for scenario in scenarios:
-        crowd_scenario(scenario)  # refuses others before anything is measured
-    if options.batches or options.peer or planning(options):
-        raise ValueError("--batches, --peer and plans' options are for scenarios with one human; leave them out")
-    if options.responses is not None and options.responses < 1:
-        raise ValueError(f"--responses is {options.responses}; give a number of situations")
-    crowd, horizons = options.crowd or [1, 6, 8], options.horizons or [20]
-    results: dict[str, Any] = {}
-    for scenario in scenarios:
-        if options.responses:
-            results[scenario] = compare_responses(scenario, crowd[-1], options.responses)
-            print_tables(_responses(scenario, crowd[-1], results[scenario]))
-            continue
-        measured = {f"{number} humans, K = {k}": one for (number, k), one in crowd_latency(scenario, crowd, horizons)}
-        results[scenario] = measured
-        print_tables(_crowd_plans(scenario, measured))
-    if options.json:
-        with replacing(options.json) as path:
-            path.write_text(json.dumps(results, indent=2) + "\n")
-
-
-def _crowd_plans(scenario: str, measured: dict[str, Any]) -> "Table":
-    """Tabulate what plans among several humans take."""
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    grid = Table(box=SIMPLE, title=f"{scenario}: ms of a plan on one core, median (p99)", title_justify="left")
-    for column in ("", "all naive", "one tom", "all turn", "all tom", "compile s", "MiB"):
-        grid.add_column(column, justify="right" if column else "left")
-    for name, result in measured.items():
-        times = [result["plan_ms"][kind] for kind in ("naive", "tom_one", "turn", "tom")]
-        cells = [f"{median:.2f} ({slow:.2f})" for median, slow in times]
-        grid.add_row(name, *cells, f"{result['compile_s']:.1f}", f"{result['memory_mib']:.0f}")
-    return grid
-
-
-def _responses(scenario: str, humans: int, result: dict[str, Any]) -> "Table":
-    """Tabulate quantiles of the cosine between ascent directions."""
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    title = f"{scenario}: cosine of the ascent with block-diagonal and full response, {humans} humans"
-    grid = Table(box=SIMPLE, title=f"{title}; they differ in {result['situations']} of {result['of']}")
-    for share in result["cosines"]:
-        grid.add_column(f"quantile {share}", justify="right")
-    grid.add_row(*(f"{cosine:.4f}" for cosine in result["cosines"].values()))
-    return grid
-
-
-def _plans(results: dict[str, dict[str, Any]]) -> "Table":
-    """Tabulate what plans, decisions and steps of the environment take."""
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    grid = Table(box=SIMPLE, title="medians, on one core; us: microseconds", title_justify="left")
-    names = "plan us", "p99", "C us", "ratio", "decision us", "of mean plan", "step us", "compile s", "cached"
-    for column in ("scenario", "model", *names):
-        grid.add_column(column, justify="left" if column in ("scenario", "model") else "right")
-    for scenario, models in results.items():
-        mean_plan = sum(result["plan_us"]["p50"] for result in models.values()) / len(models)
-        for model, result in models.items():
-            ours, theirs = result["plan_us"], result.get("peer_us", {}).get("p50")
-            against = [f"{theirs:.0f}", f"{ours['p50'] / theirs:.2f}"] if theirs else ["", ""]
-            decision = [f"{result['decision_us']:.0f}", f"{result['decision_us'] / mean_plan:.0%}"]
-            compiling = [f"{result['compile_s'][kind]:.1f}" for kind in ("cold", "cached")]
-            rest = [*against, *decision, f"{result['step_us']:.0f}", *compiling]
-            grid.add_row(scenario, model, f"{ours['p50']:.0f}", f"{ours['p99']:.0f}", *rest)
-    return grid
-
-
-def _batches(scenario: str, controllers: dict[str, Any]) -> "Table":
-    """Tabulate steps per second of a scenario's closed loop, and their ratio to the environment's; a row per size."""
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    first = next(iter(controllers.values()))
-    title = f"{scenario}: steps of the closed loop per second; batches on {first['devices']}"
-    grid = Table(box=SIMPLE, title=title, title_justify="left")
-    for column in ("", *controllers, "MiB"):
-        grid.add_column(column, justify="right" if column else "left", no_wrap=True)
-    grid.add_row("environment", *(f"{result['environment']:,.0f}" for result in controllers.values()), "")
-    for size in first["batch"]:
-        cells = [
-            f"{result['batch'][size]:,.0f} ({result['batch'][size] / result['environment']:.1f}x)"
-            for result in controllers.values()
+    results = list(measured.values())
+    if "batch" in results[0]:
+        devices = results[0]["devices"]
+        rows = [
+            {"": "environment", **{name: f"{one['environment']:,.0f}" for name, one in measured.items()}, "MiB": ""}
         ]
-        memory = max(result["memory_mib"][size] for result in controllers.values())
-        grid.add_row(f"batch of {size}", *cells, f"{memory:,.0f}")
-    return grid
+        for size in results[0]["batch"]:
+            row = {"": f"batch of {size}"}
+            for name, one in measured.items():
+                row[name] = f"{one['batch'][size]:,.0f} ({one['batch'][size] / one['environment']:.1f}x)"
+            rows.append({**row, "MiB": f"{max(one['memory_mib'][size] for one in results):,.0f}"})
+        return grid(f"{scenario}: steps of the closed loop per second; batches on {devices}", rows)
+    forms, what = SEVERAL, "ms of a plan on one core, median (p99)"
+    if "plan_us" in results[0]:
+        forms, what = (PEER if "peer_us" in results[0] else {}) | PLANS, "medians, on one core; us: microseconds"
+        mean = sum(one["plan_us"]["p50"] for one in results) / len(results)
+        for one in results:
+            if "peer_us" in one:
+                one["ratio"] = one["plan_us"]["p50"] / one["peer_us"]["p50"]
+            one["of_mean_plan"] = one["decision_us"] / mean
+    rows = [{"": name, **{key: form.format(**one) for key, form in forms.items()}} for name, one in measured.items()]
+    return grid(f"{scenario}: {what}", rows)

@@ -1,32 +1,10 @@
 """The command ``ms-highway compare``."""
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ms_highway.cli.console import add_command, count_episodes, print_tables
-from ms_highway.cli.options import (
-    CROWD_CONTROLLERS,
-    CROWD_NAMES,
-    MOST,
-    SCENARIO_NAMES,
-    SOLVERS,
-    add_controllers,
-    add_costs,
-    add_humans,
-    add_ladder,
-    add_out,
-    add_planning,
-    add_scenarios,
-    add_semantics,
-    asked_comparison,
-    check_most,
-    controllers_by_scenario,
-)
-
-if TYPE_CHECKING:
-    from ms_highway.experiments.comparison import Comparison
-
-__all__ = ["add_compare", "comparison"]
+from ms_highway.cli.options import SCENARIO_NAMES, add_comparison, comparison
 
 HELP = f"""\
 Run the same seeded episodes with several controllers and compare reward and computation.
@@ -40,10 +18,10 @@ such as period:tom=1,naive=3; or random:MODEL=SHARE,..., a model drawn for every
 a choice that looks at nothing, which others have to beat. Without scenarios and controllers, the paper's comparison
 runs: its three scenarios, each with its ladder and the paper's two lambdas.
 
-In {" and ".join(CROWD_NAMES)}, a controller chooses a model for each of several humans: {CROWD_CONTROLLERS}. A model's
-name stands for all humans; nearest:K, ttc:K and influence:K predict K humans by tom, the nearest, those with the
-smallest time to collision, or those with the largest influence on the plan, and the others naively; budget:MILLISECONDS
-chooses what is worth most within this time of planning and deciding per step.
+In {" and ".join(SCENARIO_NAMES[3:])}, a controller chooses a model for each of several humans. A model's name stands
+for all humans; nearest:K, ttc:K and influence:K predict K humans by tom, the nearest, those with the smallest time to
+collision, or those with the largest influence on the plan, and the others naively; budget:MILLISECONDS chooses what is
+worth most within this time of planning and deciding per step.
 
 Any controller with +belief at the end, such as tom+belief, infers from what each human does whether it is predicted by
 naive, idm, turn or tom, and plans naively where a model would count on a response that the human does not show.
@@ -57,78 +35,28 @@ EXAMPLES = """\
 examples:
   ms-highway compare
   ms-highway compare merger --controllers naive tom learned:1 switching:0.1 --seeds 10 --out results/merger
-  ms-highway compare merger --controllers tom switching:{0.01,0.1} schedule:tom={4,6,8},naive --out results/curve
-  ms-highway compare merger --ladder naive tom --controllers switching:0.1 --out results/two_rungs
-  ms-highway compare give_way --semantics released --costs measured --out results/measured
-  ms-highway compare stay_back --controllers naive turn --solver newton --seeds 100 --out results/newton
+  ms-highway compare merger --controllers tom switching schedule:tom={4,6,8},naive --lambdas 0.01:1:9 --out out
+  ms-highway compare merger --set ladder=naive,tom --controllers switching:0.1 --out results/two_rungs
+  ms-highway compare give_way --set semantics=released --set costs=measured --out results/measured
+  ms-highway compare stay_back --controllers naive turn --set solver=newton --seeds 100 --out results/newton
+  ms-highway compare --seeds 300 --set control_limit=0.2,9 --out results/what_tyres_hold
   ms-highway compare dense_merge --controllers naive tom nearest:1 budget:20 --out results/dense_merge
-  ms-highway compare merger --yielding never --controllers tom tom+belief --out results/never
-  ms-highway compare merger --horizon 10 --control-limit 0.2,9 --out results/second"""
-
-
-YIELDING = ("usual", "never", "always", "mixed")
-"""What the humans of environments may do beside the robot; told here so that help needs no JAX."""
+  ms-highway compare merger --set yielding=never --controllers tom tom+belief --out results/never"""
 
 
 def add_compare(commands: Any) -> None:
     """Add the command ``compare`` to a parser's subparsers."""
     parser = add_command(commands, "compare", "compare controllers over many episodes", HELP, EXAMPLES)
-    add_scenarios(parser, known=[*SCENARIO_NAMES, *CROWD_NAMES])
-    add_controllers(parser)
-    parser.add_argument("--seeds", type=int, default=30, help="episodes per controller (default: 30)")
-    parser.add_argument("--first-seed", dest="seed", type=int, default=0, help="of the first one (default: 0)")
-    add_ladder(parser)
-    add_semantics(parser)
-    parser.add_argument(
-        "--solver",
-        choices=SOLVERS,
-        help="how the robot improves its plans under naive and turn: gradient, the paper's 20 steps (default), or "
-        "newton, second-order steps with a line search; tom always takes gradient steps. Among several humans, under "
-        "all models: damped_newton (default), for horizons of seconds, or gradient",
-    )
-    add_costs(parser)
-    add_planning(parser)
-    add_humans(parser)
-    parser.add_argument(
-        "--yielding",
-        choices=YIELDING,
-        help="what humans do beside the robot: usual, plan for their reward (default); never yield, but keep their "
-        "velocity; always make room for it; or mixed, each of them never or always, drawn for every episode",
-    )
-    parser.add_argument(
-        "--no-way-out",
-        dest="way_out",
-        action="store_const",
-        const=False,
-        help=f"let plans leave no escape from humans who do not yield, in {', '.join(CROWD_NAMES)}",
-    )
-    add_out(parser, "results/compare")
+    add_comparison(parser, 30, "results/compare")
     parser.set_defaults(run=_compare)
 
 
-def comparison(options: argparse.Namespace) -> "Comparison":
-    """Return the comparison that the options of ``ms-highway compare`` describe, checked.
-
-    Raises:
-        ValueError: naming what cannot be compared.
-    """
-    if options.seeds < 1:
-        raise ValueError(f"--seeds is {options.seeds}; there must be at least one episode")
-    check_most(options, seeds=MOST)
-    if options.seed < 0:
-        raise ValueError(f"--first-seed is {options.seed}; it must not be negative")
-    asked = asked_comparison(options, controllers_by_scenario(options), options.seeds)
-    asked.check()
-    return asked
-
-
 def _compare(options: argparse.Namespace) -> None:
-    from ms_highway.cli.results_directory import own_results
+    from ms_highway.cli.results_directory import own_results, save_figures, write_table
     from ms_highway.experiments.analysis.selection import select
     from ms_highway.experiments.analysis.summary import summary
     from ms_highway.experiments.results import read_results
     from ms_highway.experiments.runner import read, run
-    from ms_highway.runtime.files import replacing
     from ms_highway.visualization.comparison import table
     from ms_highway.visualization.figures import CAPTIONS, figures
 
@@ -140,17 +68,13 @@ def _compare(options: argparse.Namespace) -> None:
             record()
         count_episodes(counts, already, wanted)
         summaries = summary(read(asked, options.out))
-        for scenario in asked.controllers:
-            print_tables(table(summaries, scenario))
+        print_tables(*(table(summaries, scenario) for scenario in asked.controllers))
         results = read_results(options.out)  # of this command and of those before
-        with replacing(options.out / "summary.csv") as path:
-            results.summaries.to_csv(path, index=False)
+        write_table(results.summaries, options.out / "summary.csv")
         for scenario in asked.controllers:
             selection = select(results.records, results.summaries, scenario)
             drawn = figures(results.records, results.summaries, scenario, selection)
-            for name, figure in drawn.items():
-                with replacing(options.out / f"{scenario}_{name}.png") as path:
-                    figure.savefig(path, dpi=110)
             for name in CAPTIONS.keys() - drawn.keys():  # what fewer controllers had
                 (options.out / f"{scenario}_{name}.png").unlink(missing_ok=True)
+            save_figures({f"{scenario}_{name}": figure for name, figure in drawn.items()}, options.out)
     print(f"results are in {options.out}")

@@ -5,12 +5,11 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
     from rich.table import Table
-
-__all__ = ["Command", "add_command", "count_episodes", "draw_unseen", "print_tables", "printing", "telling"]
 
 TABLE_WIDTH = 120  # characters
 
@@ -19,8 +18,6 @@ FORM: dict[str, Any] = {
     "allow_abbrev": False,  # --seed is no short form of --seeds
 }
 """What the parsers of all commands have in common."""
-
-Result = TypeVar("Result")
 
 
 class Command(argparse.ArgumentParser):
@@ -44,6 +41,14 @@ class Command(argparse.ArgumentParser):
         if args and args[0] in self._branches:
             return self._branches[args[0]].parse_known_args(args[1:], namespace)
         return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse arguments in one line.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(f"{message}; see {self.prog} --help")
 
 
 def add_command(commands: Any, name: str, summary: str, description: str, epilog: str = "") -> Command:
@@ -89,31 +94,28 @@ def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
         already: the number at the start.
         total: the number at the end.
     """
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 
-    done, columns = already, (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as progress:
-        task = progress.add_task("episodes", total=max(total, already), completed=already)
+    done = already
+    with _progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
+        task = bar.add_task("episodes", total=max(total, already), completed=already)
         for done in counts:
-            progress.update(task, completed=done)
+            bar.update(task, completed=done)
     return done
 
 
 @contextmanager
 def telling() -> Iterator[Callable[[str], None]]:
     """Show progress messages on standard error; yields the function that sets the message."""
+    with _progress(transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+        yield lambda message: bar.update(task, description=message)
+
+
+def _progress(*columns: Any, transient: bool = False) -> "Progress":
+    """Return a line on standard error of a text, these columns and the time that has passed."""
     from rich.console import Console
     from rich.progress import Progress, TextColumn, TimeElapsedColumn
 
-    columns = TextColumn("{task.description}"), TimeElapsedColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading", total=None)
-        yield lambda message: bar.update(task, description=message)
+    text = TextColumn("{task.description}")
+    return Progress(text, *columns, TimeElapsedColumn(), console=Console(stderr=True), transient=transient)

@@ -16,28 +16,23 @@ from ms_highway.cli.compare import add_compare
 from ms_highway.cli.console import Command, printing
 from ms_highway.cli.frontier import add_frontier
 from ms_highway.cli.irl import add_irl
-from ms_highway.cli.learners import add_learners
 from ms_highway.cli.report import add_report
-from ms_highway.cli.safety import add_safety
 from ms_highway.cli.sweep import add_sweep
 from ms_highway.cli.validate import add_validate
 from ms_highway.cli.values import add_values
 from ms_highway.cli.video import add_video
 from ms_highway.runtime.interrupt import INTERRUPTED, STOPPED
 
-__all__ = ["build_parser", "main"]
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, or 2 after one line on standard error if the input is at fault."""
     given = sys.argv[1:] if arguments is None else arguments
-    for text in given:
-        if any("\ud800" <= letter <= "\udfff" for letter in text):  # how Python keeps other bytes
-            print(f"ms-highway: {text!r} is not UTF-8, the encoding of all results; rename it", file=sys.stderr)
-            return 2
-    options = build_parser().parse_args(given)
-    options.command_line = shlex.join(["ms-highway", *given])
     try:
+        for text in given:
+            if any("\ud800" <= letter <= "\udfff" for letter in text):  # how Python keeps other bytes
+                raise ValueError(f"{text!r} is not UTF-8, the encoding of all results; rename it")
+        options = build_parser().parse_args(given)
+        options.command_line = shlex.join(["ms-highway", *given])
         with _warnings_in_one_line():
             _set_jax_up(options)
             _import(options.modules)
@@ -92,9 +87,7 @@ def _set_jax_up(options: argparse.Namespace) -> None:
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands, whose result has the function that runs the command in ``run``."""
-    parser = argparse.ArgumentParser(
-        prog="ms-highway", description="Robot cars that choose how hard to think about human drivers."
-    )
+    parser = Command(prog="ms-highway", description="Robot cars that choose how hard to think about human drivers.")
     parser.add_argument(
         "--no-compilation-cache",
         action="store_true",
@@ -112,7 +105,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")
     parser.set_defaults(simulates=False)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=Command)
-    everyday = add_compare, add_sweep, add_frontier, add_safety, add_video, add_report, add_bench, add_validate
-    for add in (*everyday, add_learners, add_irl, add_values):
+    everyday = add_compare, add_sweep, add_frontier, add_video, add_report, add_bench, add_validate
+    for add in (*everyday, add_irl, add_values):
         add(commands)
     return parser

@@ -1,47 +1,17 @@
-"""Options that several commands have in common, and what they stand for.
+"""Options that several commands share, and what they stand for.
 
 Only the functions that run a command import what computes: help needs neither JAX nor highway-env.
 """
 
 import argparse
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
-
-__all__ = [
-    "CONTROLLERS",
-    "CROWD_CONTROLLERS",
-    "CROWD_NAMES",
-    "EFFORTS",
-    "MOST",
-    "MOST_LAMBDAS",
-    "MOST_PROCESSES",
-    "MOST_SEEDS",
-    "SCENARIO_NAMES",
-    "SEMANTICS",
-    "SOLVERS",
-    "add_controllers",
-    "add_costs",
-    "add_devices",
-    "add_humans",
-    "add_ladder",
-    "add_out",
-    "add_planning",
-    "add_scenarios",
-    "add_semantics",
-    "asked_comparison",
-    "check_least",
-    "check_most",
-    "control_limit",
-    "controllers_by_scenario",
-    "costs",
-    "human_reward",
-    "lambdas",
-    "planning",
-]
 
 MOST = 1_000_000
 """Upper bound on episodes, parts and other counts; more would take years or all memory."""
@@ -49,247 +19,204 @@ MOST = 1_000_000
 MOST_LAMBDAS = 10_000
 """Lambdas of switching in a sweep."""
 
-MOST_SEEDS = 2**63
-"""Seeds that Parquet's integers hold."""
+MOST_SEEDS = 2**63 - 1 - MOST
+"""First seed of as many as possible that Parquet's integers hold."""
 
 MOST_PROCESSES = 1000
 """Processes that share a sweep."""
 
-SCENARIO_NAMES = ("stay_back", "merger", "give_way")
-"""`ms_highway.envs.PAPER_SCENARIOS`, for help texts."""
-
-CROWD_NAMES = ("dense_merge", "crossing_crowd")
-"""`ms_highway.envs.CROWD_SCENARIOS`, for help texts."""
-
-SEMANTICS = ("paper", "released")
-"""Keys of `ms_highway.envs.settings.HUMAN_REWARDS`; told here so that help needs no JAX."""
-
-SOLVERS = ("gradient", "newton", "damped_newton")
-"""The values of `ms_highway.optimization.solvers.Solver`; told here so that help needs no JAX."""
-
-EFFORTS = "tom@8 plans in 8 ascent steps, tom@8+warm or tom+warm from the rest of the last plan"
-"""What a model's name may say of its effort, for help texts."""
+SCENARIO_NAMES = ("stay_back", "merger", "give_way", "dense_merge", "crossing_crowd")
+"""Keys of `ms_highway.envs.ENVIRONMENTS`, for help texts, which need no JAX."""
 
 CONTROLLERS = (
     "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA, schedule:MODEL=STEPS,...,MODEL, "
-    "period:MODEL=STEPS,..., random:MODEL=SHARE,..."
+    "period:MODEL=STEPS,..., random:MODEL=SHARE,..., budget:MILLISECONDS[:FILE], nearest:K, ttc:K, influence:K"
 )
 """What controllers are called on the command line, for help texts."""
 
+KEYS = f"""\
+--set changes a key of the environments' configuration, and may be repeated. help(ms_highway.InteractionEnv) lists the
+keys; these are the usual ones:
 
-CROWD_CONTROLLERS = (
-    "naive, turn, tom, switching:LAMBDA, learned:LAMBDA[:FILE], budget:MILLISECONDS[:FILE], nearest:K, ttc:K, "
-    "influence:K, random:MODEL=SHARE,..."
-)
-"""What controllers among several humans are called, for help texts."""
+  semantics=released      the paper's released code exactly (default: paper, its dynamics and a damped theory of mind)
+  human_reward=published  what humans drive for: learned from demonstrations (default), published (default in released
+                          semantics), or a file that `ms-highway irl fit` wrote
+  ladder=naive,tom        models to choose from, cheapest first (default: the scenario's), or best, the rungs that were
+                          found to serve best; tom@8 plans in 8 ascent steps, tom@8+warm from the last plan's rest
+  costs=measured          T(M), the seconds per plan that controllers decide with: published (0.09, 0.17, 0.37), the
+                          default; measured on this machine, the default among several humans, but not in simulations;
+                          or seconds by model, such as costs=naive=0.1,turn=0.2,tom=0.5
+  solver=newton           how the robot improves its plans: gradient, the paper's steps (default); newton under naive
+                          and turn; or damped_newton (default among several humans)
+  horizon=10              controls in a plan (default: 5), each of time_step=0.1 seconds; iterations=20 gradient steps
+                          of step_size=0.03 are chosen to suit the horizon unless they are given
+  control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
+  grip=8                  acceleration that tyres hold in all [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: no limit)
+  humans=6                number of humans, 2 to 12, in {" and ".join(SCENARIO_NAMES[3:])}
+  yielding=never          what humans do beside the robot: usual, plan for their reward (default); never yield, but keep
+                          their velocity; always make room for it; or mixed, each of them never or always
+  way_out=false           let plans leave no escape from humans who do not yield
+
+A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""
 
 
-def add_scenarios(
-    parser: argparse.ArgumentParser, default: str = "the paper's", known: Sequence[str] = SCENARIO_NAMES
+def number(least: float, most: float = MOST, kind: type = int) -> Callable[[str], Any]:
+    """Return a reader of the numbers in a range, for the type of an option."""
+
+    def read(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = float("nan")
+        if not least <= value <= most:
+            whole = "whole " if kind is int else ""
+            raise argparse.ArgumentTypeError(f"{text!r} is no {whole}number from {least:,} to {most:,}")
+        return value
+
+    return read
+
+
+def add_number(
+    parser: Any, name: str, default: float | None, text: str, least: float = 1, most: float = MOST, **more: Any
 ) -> None:
-    """Add the scenarios, any number of them, to a command."""
-    names = ", ".join(known)
-    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: {default})")
+    """Add an option that is a number in a range: whole unless its default has a decimal point.
+
+    Args:
+        parser: of a command.
+        name: of the option.
+        default: its value where it is left out, which the help text tells unless it is None.
+        text: of help.
+        least: that it may be.
+        most: that it may be.
+        more: arguments of `argparse.ArgumentParser.add_argument`.
+    """
+    usual = "" if default is None else f" (default: {default})"
+    kind = number(least, most, float if isinstance(default, float) else int)
+    parser.add_argument(name, type=kind, default=default, help=text + usual, **more)
 
 
-def add_controllers(parser: argparse.ArgumentParser, default: str = "the paper's") -> None:
-    """Add ``--controllers`` to a command."""
+def add_comparison(parser: argparse.ArgumentParser, seeds: int, out: str | None, controllers: str = "") -> None:
+    """Add the options that say what is compared, see `comparison`: all but ``--set`` of `add_keys`.
+
+    Args:
+        parser: of a command.
+        seeds: default number of episodes.
+        out: default directory of results; without, it has to be named.
+        controllers: what the help text says of ``--controllers``, by default that they are all that is compared.
+    """
     parser.add_argument(
-        "--controllers", nargs="+", metavar="CONTROLLER", help=f"{CONTROLLERS}; {EFFORTS} (default: {default})"
+        "scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIO_NAMES)} (default: the paper's)"
     )
-
-
-def add_ladder(parser: argparse.ArgumentParser) -> None:
-    """Add ``--ladder`` to a command."""
+    usual = controllers or "(default: all models of the ladder, and switching)"
+    kinds = "A kind that has a lambda, without it, stands for one controller at each of --lambdas"
+    parser.add_argument("--controllers", nargs="+", metavar="CONTROLLER", help=f"{CONTROLLERS}. {kinds} {usual}")
     parser.add_argument(
-        "--ladder",
+        "--lambdas",
         nargs="+",
-        metavar="MODEL",
-        help="models to choose from, cheapest first, or best, the rungs that were found to serve best (default: the "
-        f"scenario's). {EFFORTS}",
+        type=lambdas,
+        metavar="LAMBDA",
+        help="several, or LOW:HIGH:COUNT evenly spaced in the logarithm (three digits) (default: the scenario's two)",
     )
+    add_number(parser, "--seeds", seeds, "episodes per controller")
+    add_number(parser, "--first-seed", 0, "of the first episode, from which the others count on", 0, MOST_SEEDS)
+    usual = "" if out is None else f" (default: {out})"
+    parser.add_argument("--out", type=Path, metavar="DIR", required=not out, default=out, help=f"of results{usual}")
+    add_keys(parser)
 
 
-def add_out(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    """Add ``--out``, the directory of results, to a command; it is required if it has no default."""
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        required=default is None,
-        default=None if default is None else Path(default),
-        help="directory of results" + ("" if default is None else f" (default: {default})"),
-    )
-
-
-def add_semantics(parser: argparse.ArgumentParser) -> None:
-    """Add ``--semantics`` and ``--human-reward``, which say what drives and how it moves, to a command."""
-    parser.add_argument(
-        "--semantics",
-        choices=SEMANTICS,
-        default="paper",
-        help="paper: the paper's dynamics, damped theory of mind (default); released: exactly its released code",
-    )
-    parser.add_argument(
-        "--human-reward",
-        metavar="REWARD",
-        help="what humans drive for: learned (from demonstrations; default in paper semantics), published (default in "
-        "released semantics), or a file that `ms-highway irl fit` wrote",
-    )
-
-
-def human_reward(text: str | None) -> str | dict[str, float] | None:
-    """Return the human's reward that ``--human-reward`` names: a name, the weights of a file, or None if not given.
-
-    Raises:
-        ValueError: if the text is neither a known name nor a file of a learned reward.
-    """
-    from ms_highway.envs.settings import HUMAN_REWARDS
-    from ms_highway.game.learned_reward import load
-
-    if text is None or text in HUMAN_REWARDS.values():
-        return text
-    try:
-        return load(Path(text)).weights
-    except ValueError as error:
-        raise ValueError(f"--human-reward is neither {' nor '.join(HUMAN_REWARDS.values())}: {error}") from error
-
-
-def add_planning(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say how robot and human plan, see `planning`, to a command."""
-    group = parser.add_argument_group("plans of robot and human", "what is left out is chosen to suit the horizon")
-    group.add_argument("--horizon", type=int, metavar="K", help="controls in a plan (default: 5)")
-    group.add_argument("--time-step", type=float, metavar="SECONDS", help="of plans and world (default: 0.1)")
-    group.add_argument("--iterations", type=int, help="gradient steps (default: as suits the horizon; paper: 20)")
-    group.add_argument("--step-size", type=float, help="length of one (default: as suits the horizon; paper: 0.03)")
-    group.add_argument(
-        "--control-limit",
-        metavar="OMEGA,ACCELERATION",
-        help="bounds on the controls, or unlimited (default: 0.2,50 in paper semantics, 1/m and m/s^2; unlimited in "
-        "released semantics)",
-    )
-    group.add_argument(
-        "--grip",
-        type=float,
-        metavar="ACCELERATION",
-        help="what tyres hold in all, (v^2 kappa)^2 + a^2 <= grip^2, such as 8 m/s^2 (default: no limit)",
-    )
-
-
-def planning(options: argparse.Namespace) -> dict[str, Any]:
-    """Return what the options of plans and of humans give, by key of the configuration.
-
-    Raises:
-        ValueError: if the limits are no numbers.
-    """
-    from ms_highway.envs.settings import PLANNING
-
-    own = ("humans", "yielding", "way_out")
-    given = {key: value for key in (*PLANNING, *own) if (value := getattr(options, key, None)) is not None}
-    if "control_limit" in given:
-        given["control_limit"] = control_limit("--control-limit", given["control_limit"])
-    return given
-
-
-def control_limit(option: str, text: str) -> list[float] | str:
-    """Return the bounds on plans that an option gives.
-
-    Raises:
-        ValueError: if the limits are no numbers.
-    """
-    if text == "unlimited":
-        return text
-    try:
-        return [float(bound) for bound in text.split(",")]
-    except ValueError:
-        raise ValueError(f"{option} is {text!r}; give two numbers like 0.2,9, or unlimited") from None
-
-
-def add_humans(parser: argparse.ArgumentParser) -> None:
-    """Add ``--humans``, the number of humans of the scenarios with several, to a command."""
-    parser.add_argument(
-        "--humans", type=int, metavar="N", help=f"number of humans, 2 to 12, in {', '.join(CROWD_NAMES)}"
-    )
-
-
-def add_costs(parser: argparse.ArgumentParser, measured: bool = True) -> None:
-    """Add ``--costs``, which says what T(M) is, to a command; a simulation cannot measure it."""
-    parser.add_argument(
-        "--costs",
-        help="seconds per plan that controllers decide with: published (0.09, 0.17, 0.37; default), "
-        + ("measured on this machine (default among several humans), " if measured else "")
-        + "or given like naive=0.1,turn=0.2,tom=0.5",
-    )
-
-
-def costs(text: str | None) -> str | dict[str, float] | None:
-    """Return T(M) as ``--costs`` gives it: a word, or seconds by model; None if not given.
-
-    Raises:
-        ValueError: if the seconds are no numbers.
-    """
-    if text is None or "=" not in text:
-        return text
-    try:
-        return {name: float(value) for name, _, value in (part.partition("=") for part in text.split(","))}
-    except ValueError:
-        raise ValueError(f"--costs is {text!r}; give seconds by model like naive=0.1,turn=0.2,tom=0.5") from None
+def add_keys(parser: argparse.ArgumentParser) -> None:
+    """Add ``--set``, see `configuration`, to a command."""
+    group = parser.add_argument_group("environments", KEYS)
+    group.add_argument("--set", dest="keys", action="append", default=[], metavar="KEY=VALUE", help="see above")
 
 
 def add_devices(parser: argparse.ArgumentParser) -> None:
     """Add ``--devices``, see `ms_highway.simulation.devices.use_devices`, to a command."""
-    parser.add_argument("--devices", type=int, help="how many devices to use (default: all, or one per core)")
+    add_number(parser, "--devices", None, "how many devices to use (default: all, or one per core)")
 
 
-def controllers_by_scenario(options: argparse.Namespace) -> dict[str, list[str]]:
-    """Return ``--controllers``, or else the paper's, of each of the scenarios, or else of the paper's.
+def configuration(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the configuration of environments that ``--set`` gives, by key.
 
     Raises:
-        ValueError: for an unknown scenario.
+        ValueError: for what is no key and value, and for a human's reward that cannot be read.
     """
-    from ms_highway.envs import PAPER_SCENARIOS
-    from ms_highway.experiments.comparison import paper_controllers
+    config = {}
+    for text in options.keys:
+        key, sign, value = text.partition("=")
+        if not sign or key in ("controller", "action"):
+            raise ValueError(f"--set {text}: say it like --set horizon=10; who drives is no key that can be set")
+        config[key] = _value(value)
+    if isinstance(reward := config.get("human_reward"), str):
+        config["human_reward"] = _human_reward(reward)
+    return config
 
-    scenarios = dict.fromkeys(options.scenarios or PAPER_SCENARIOS)
-    return {name: options.controllers or paper_controllers(name) for name in scenarios}
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        pass
+    parts = [part for part in text.split(",") if part]
+    if "=" in text:
+        return {name: _value(value) for name, _, value in (part.partition("=") for part in parts)}
+    return list(map(_value, parts)) if "," in text else text
 
 
-def asked_comparison(
-    options: argparse.Namespace, controllers: Mapping[str, Sequence[str]], episodes: int
+def _human_reward(text: str) -> str | dict[str, float]:
+    from ms_highway.envs.settings import HUMAN_REWARDS
+    from ms_highway.game.learned_reward import load
+
+    known = HUMAN_REWARDS.values()
+    try:
+        return text if text in known else load(Path(text)).weights
+    except ValueError as error:
+        raise ValueError(f"--set human_reward is neither {' nor '.join(known)}: {error}") from error
+
+
+def comparison(
+    options: argparse.Namespace, always: Sequence[str] = (), prices: Sequence[float] | None = None
 ) -> "Comparison":
-    """Return the comparison that a command's options describe; options that it lacks keep their defaults.
+    """Return the comparison that a command's options describe, checked.
 
     Args:
-        options: of the command.
-        controllers: short names by scenario; one that is named twice runs once.
-        episodes: number of each controller's.
+        options: of the command, see `add_comparison`.
+        always: controllers that run in addition to those of ``--controllers``, and to the models of the ladder.
+        prices: lambdas of learned controllers that are named without one, where these are not ``--lambdas``.
 
     Raises:
-        ValueError: if costs, limits or the human's reward cannot be read.
+        ValueError: naming what cannot be compared.
     """
+    from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, environment_id
+    from ms_highway.envs.controllers import CHOOSING
     from ms_highway.experiments.comparison import Comparison
+    from ms_highway.planning.human_models import rung_names
 
-    return Comparison(
-        {scenario: list(dict.fromkeys(names)) for scenario, names in controllers.items()},
-        episodes,
-        options.semantics,
-        costs(options.costs),
-        getattr(options, "solver", None),
-        human_reward(options.human_reward),
-        getattr(options, "ladder", None),
-        getattr(options, "seed", 0),
-        planning(options),
-    )
+    config, controllers = configuration(options), {}
+    for name in options.scenarios or PAPER_SCENARIOS:
+        environment_id(name)
+        scenario = ENVIRONMENTS[name].scenario
+        given = list(options.controllers or ["switching"])
+        if always or not options.controllers:
+            given = [*rung_names(config.get("ladder", scenario.ladder)), *given, *always]
+        several = list(chain(*(options.lambdas or [scenario.prices])))
+        kinds = {kind: prices if kind == "learned" and prices else several for kind in CHOOSING}
+        named = ([f"{kind}:{price:g}" for price in kinds[kind]] if kind in kinds else [kind] for kind in given)
+        controllers[name] = list(dict.fromkeys(chain(*named)))
+    asked = Comparison(controllers, options.seeds, options.first_seed, config)
+    asked.check()
+    return asked
 
 
 def lambdas(text: str) -> list[float]:
-    """Return the lambdas of switching that ``--lambdas`` gives: a range or several.
+    """Return the lambdas that an option gives: a range, or several with commas between them.
 
     A range is ``LOW:HIGH:COUNT``, evenly spaced in the logarithm and rounded to three significant digits, which make
-    short names of controllers; several have commas between them.
+    short names of controllers.
 
     Raises:
-        ValueError: if the text is neither, names negative lambdas, or spaces them so closely that some are equal.
+        ArgumentTypeError: for a text that is neither, names negative lambdas, or spaces them so closely that some are
+            equal.
     """
     import numpy as np
 
@@ -310,29 +237,5 @@ def lambdas(text: str) -> list[float]:
             "give LOW:HIGH:COUNT with 0 < LOW < HIGH and two or more that differ in three digits, such as 0.001:10:25, "
             "or lambdas like 0.1,0.5"
         )
-        raise ValueError(f"lambdas are {text!r}; {remedy}") from None
+        raise argparse.ArgumentTypeError(f"lambdas are {text!r}; {remedy}") from None
     return list(dict.fromkeys(abs(value) for value in values))  # also of -0
-
-
-def check_least(options: argparse.Namespace, **least: int) -> None:
-    """Check numbers that options give, by name, against the least that they may be.
-
-    Raises:
-        ValueError: naming an option whose number is smaller.
-    """
-    for name, bound in least.items():
-        value = getattr(options, name)
-        if value is not None and value < bound:
-            raise ValueError(f"--{name.replace('_', '-')} is {value}; it must be {bound} or more")
-
-
-def check_most(options: argparse.Namespace, **most: int) -> None:
-    """Check numbers that options give, by name, against the most that they may be.
-
-    Raises:
-        ValueError: naming an option whose number is larger.
-    """
-    for name, bound in most.items():
-        value = getattr(options, name)
-        if value is not None and value > bound:
-            raise ValueError(f"--{name.replace('_', '-')} is {value}; it must be {bound} or less")

@@ -3,38 +3,45 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, draw_unseen, telling
 
-__all__ = ["add_report"]
+if TYPE_CHECKING:
+    from ms_highway.experiments.results import Results
+    from ms_highway.runtime.progress import Progress
+    from ms_highway.visualization.html_page import Drawn
 
 HELP = """\
 Make one HTML page of a directory that `ms-highway compare` wrote: a table, sentences on what was found,
 figures, a video of two controllers side by side, and the settings, versions, machine and commands that made it. Of
-further such directories, the page has the outcomes beside those of the first, and of a directory that `ms-highway
-safety` wrote, its collisions. It is a single file and needs no network.
+further such directories, the page has the outcomes beside those of the first. It is a single file and needs no network.
 
-With --markdown, print the tables in Markdown instead."""
+With --values, a section shows what a file of learned values holds, and what the values see: what each model is worth
+along an episode that they choose for at a price of 1, and by where the human starts; in the scenarios of the page, or
+in those that they were learned in. With --evaluation, --theta and --data, a section shows how well drivers that were
+learned from recordings predict: errors, likelihood and calibration by horizon, and paths. DIR may then be left out.
+
+With --markdown, print the table of the directories in Markdown instead."""
 
 EXAMPLES = """\
 examples:
   ms-highway report results/compare
-  ms-highway report results/compare results/released results/safety --out page.html
+  ms-highway report results/compare results/released --out page.html
   ms-highway report results/merger --no-videos --out merger.html
-  ms-highway report results/compare results/released --markdown"""
+  ms-highway report results/compare results/released --markdown
+  ms-highway report --values shipped --out values.html
+  ms-highway report --evaluation evaluation.json --theta us101 --data recordings --out drivers.html"""
 
 
 def add_report(commands: Any) -> None:
     """Add the command ``report`` to a parser's subparsers."""
-    parser = add_command(commands, "report", "make a page of a comparison", HELP, EXAMPLES)
-    parser.add_argument(
-        "directories",
-        nargs="+",
-        type=Path,
-        metavar="DIR",
-        help="directories of results of `ms-highway compare`, and of `safety`",
-    )
+    parser = add_command(commands, "report", "make a page of results", HELP, EXAMPLES)
+    parser.add_argument("directories", nargs="*", type=Path, metavar="DIR", help="results of `ms-highway compare`")
+    parser.add_argument("--values", metavar="FILE", help="of `ms-highway values learn`, or: shipped")
+    parser.add_argument("--evaluation", type=Path, metavar="FILE", help="what `ms-highway irl evaluate --json` prints")
+    parser.add_argument("--theta", metavar="FILE", help="a reward learned by `ms-highway irl fit`, or: us101")
+    parser.add_argument("--data", metavar="DIR", help="the recordings that paths are drawn of")
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="an .html file (default: report.html in the first DIR)"
     )
@@ -49,40 +56,55 @@ def add_report(commands: Any) -> None:
 
 
 def _report(options: argparse.Namespace) -> None:
-    from ms_highway.experiments.analysis.selection import select_of_several
     from ms_highway.experiments.results import read_results
-    from ms_highway.experiments.safety import SAFETY_FILE, read_safety, safety_cells
     from ms_highway.runtime.files import replacing
-    from ms_highway.visualization.html_page import draw, render
-    from ms_highway.visualization.overview import markdown, overview
+    from ms_highway.visualization.html_page import page
+    from ms_highway.visualization.overview import overview
+    from ms_highway.visualization.tables import markdown
     from ms_highway.visualization.video import check_format
 
-    out = options.out or options.directories[0] / "report.html"
-    if options.markdown and options.out:
-        raise ValueError("--out is the file of a page; leave it out with --markdown, which prints")
+    directories = options.directories
+    drivers = options.evaluation, options.theta, options.data
+    if not (options.out or directories):
+        raise ValueError("there is neither DIR nor --out; name a directory of results, or a page to write")
+    if any(drivers) and not all(drivers):
+        raise ValueError("--evaluation, --theta and --data go together")
+    out = options.out or directories[0] / "report.html"
+    if options.markdown and (options.out or options.values or any(drivers)):
+        raise ValueError("--markdown prints the table of the directories; leave the other options out")
     if out.suffix != ".html" or out.is_dir():
         raise ValueError(f"--out is {out}; name an .html file")
-    counted = [directory for directory in options.directories if (directory / SAFETY_FILE).is_file()]
-    several = [read_results(directory) for directory in options.directories if directory not in counted]
-    safeties = [read_safety(directory) for directory in counted]
+    several = list(map(read_results, directories))
     for results in several:
         if results.missing:
             remedy = "start the same `ms-highway compare` again, which resumes"
             print(f"ms-highway: {results.directory} lacks {results.missing} episodes; {remedy}", file=sys.stderr)
     if options.markdown:
-        tables = [overview(several)] if several else []
-        print("\n\n".join(markdown(table) for table in [*tables, *map(safety_cells, safeties)]))
+        print(markdown(overview(several)))
         return
-    if not several:
-        raise ValueError(f"{counted[0]} holds no comparison; name a directory that `ms-highway compare` wrote as well")
-    if options.videos:
+    if several and options.videos:
         try:
             check_format(Path("film.mp4"))
         except ImportError as error:
             raise ImportError(f"{error}, or add --no-videos") from error
     draw_unseen()
     with telling() as tell:
-        page = render(several, draw(several, select_of_several(several), options.videos, tell), safeties)
+        text = page(several, _further(options, several, tell), options.videos, tell)
     with replacing(out) as path:
-        path.write_text(page, encoding="utf-8")
-    print(f"the page is {out}, {len(page) / 1e6:.1f} MB")
+        path.write_text(text, encoding="utf-8")
+    print(f"the page is {out}, {len(text) / 1e6:.1f} MB")
+
+
+def _further(options: argparse.Namespace, several: "list[Results]", progress: "Progress") -> "dict[str, Drawn]":
+    """Return the sections of learned values and of learned drivers that are asked for."""
+    from ms_highway.visualization.irl.section import drawn as drawn_drivers
+    from ms_highway.visualization.values import drawn as drawn_values
+
+    further: dict[str, Drawn] = {}
+    if options.values:
+        scenarios = dict.fromkeys(scenario for results in several for scenario in results.scenarios)
+        further["Values of computation"] = drawn_values(options.values, list(scenarios), progress)
+    if options.evaluation:
+        section = drawn_drivers(options.evaluation, options.theta, options.data, progress)
+        further["Drivers learned from recordings"] = section
+    return further

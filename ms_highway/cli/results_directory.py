@@ -5,14 +5,16 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ms_highway.experiments.provenance import add_run, differing_versions, read_runs, this_run
-from ms_highway.experiments.resuming import check_settings
-from ms_highway.experiments.settings import write_settings
-from ms_highway.runtime.files import held, tidy
+from ms_highway.experiments.directory import ResultsDirectory
+from ms_highway.runtime.files import held, replacing, tidy
 
-__all__ = ["own_results"]
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+DPI = 110
 
 
 @contextmanager
@@ -32,18 +34,30 @@ def own_results(
     Raises:
         ValueError: if another command is writing there, or what is there has other settings or cannot be read.
     """
+    results = ResultsDirectory(options.out)
     with held(options.out):
         if settings is not None:
-            check_settings(options.out, settings)
-        read_runs(options.out)
+            results.take_up(settings)
+        results.runs()
         tidy(options.out, *parts)
 
         def record() -> None:
             if settings is not None:
-                write_settings(options.out, settings)
-            run = this_run(options.command_line)
-            if differing := differing_versions(options.out, run):
+                results.write_settings(settings)
+            if differing := results.record(options.command_line):
                 print(f"ms-highway: {options.out} continues with {differing}; results may not agree", file=sys.stderr)
-            add_run(options.out, run)
 
         yield record
+
+
+def write_table(table: "pd.DataFrame", file: Path) -> None:
+    """Write a table without its index to a file of comma-separated values."""
+    with replacing(file) as path:
+        table.to_csv(path, index=False)
+
+
+def save_figures(figures: Mapping[str, "Figure"], directory: Path) -> None:
+    """Write figures to ``NAME.png`` in a directory."""
+    for name, figure in figures.items():
+        with replacing(directory / f"{name}.png") as path:
+            figure.savefig(path, dpi=DPI)

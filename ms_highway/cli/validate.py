@@ -7,8 +7,6 @@ from typing import Any
 
 from ms_highway.cli.console import add_command, print_tables
 
-__all__ = ["add_validate"]
-
 HELP = """\
 Replay logged episodes of the paper's released code: plan from every logged state and compare controls, rewards, human
 controls and switching decisions with the logs. Errors are quantiles over all steps, in the units of the logs."""
@@ -27,23 +25,18 @@ def add_validate(commands: Any) -> None:
 
 
 def _validate(options: argparse.Namespace) -> None:
-    from rich.box import SIMPLE
-    from rich.table import Table
-
     from ms_highway.experiments.validation import validate
+    from ms_highway.visualization.tables import grid
 
     result = validate(options.directory)
     if options.json:
         print(json.dumps(result, indent=2))
         return
-    grid = Table(box=SIMPLE, title="errors against the logs: median, 90 %, 99 %, largest", title_justify="left")
-    for column in ("file", "robot's control", "reward", "human's control", "decisions"):
-        grid.add_column(column, justify="left" if column == "file" else "right", no_wrap=column == "file")
+    kinds = {"action_error": "robot's control", "reward_error": "reward", "human_error": "human's control"}
+    rows = []
     for name, errors in result["files"].items():
-        cells = [
-            " ".join(f"{value:.0e}" for value in errors[kind].values())
-            for kind in ("action_error", "reward_error", "human_error")
-        ]
-        decisions = errors.get("decisions")
-        grid.add_row(name, *cells, f"{decisions['agree']} of {decisions['all']}" if decisions else "")
-    print_tables(grid)
+        cells = {kinds[kind]: " ".join(f"{value:.0e}" for value in errors[kind].values()) for kind in kinds}
+        decided = errors.get("decisions")
+        agree = f"{decided['agree']} of {decided['all']}" if decided else ""
+        rows.append({"file": name, **cells, "decisions": agree})
+    print_tables(grid("errors against the logs: median, 90 %, 99 %, largest", rows))

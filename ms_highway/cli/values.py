@@ -1,35 +1,20 @@
-"""The command ``ms-highway values``: learn values of computation, and show what a file of them holds."""
+"""The command ``ms-highway values``: learn values of computation."""
 
 import argparse
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.console import add_command, print_tables, telling
-from ms_highway.cli.crowd_values import learn_crowd_values
-from ms_highway.cli.options import (
-    CROWD_NAMES,
-    MOST,
-    SCENARIO_NAMES,
-    SOLVERS,
-    add_costs,
-    add_devices,
-    add_humans,
-    add_ladder,
-    add_planning,
-    add_scenarios,
-    add_semantics,
-    asked_comparison,
-    check_least,
-    check_most,
-)
+from ms_highway.cli.console import add_command, telling
+from ms_highway.cli.options import SCENARIO_NAMES, add_devices, add_keys, add_number, configuration
 
 if TYPE_CHECKING:
-    from ms_highway.experiments.values.course import Course
     from ms_highway.experiments.values.learning import Learning
+    from ms_highway.experiments.values.rollouts import Course
 
-__all__ = ["add_values"]
-
-HELP = "Learn when it pays to think: the value of planning with a dearer model, for the controller learned:LAMBDA."
+HELP = (
+    "Learn when it pays to think: the value of planning with a more expensive model, for the controller learned:LAMBDA."
+)
 
 LEARN = """\
 Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. From states that episodes
@@ -38,7 +23,7 @@ networks are fitted to what was earned and planned, and so on for some rounds. O
 to 100.
 
 Among several humans (dense_merge, crossing_crowd), every human has a value of its own: what the robot earns more with
-this one human predicted by a dearer model. The file is for learned:LAMBDA:FILE there.
+this one human predicted by a more expensive model. The file is for learned:LAMBDA:FILE there.
 
 After every round, the regret per step is shown: how far the rule stays behind the best of simple orders of models from
 starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts are drawn anew, not by the numbered seeds
@@ -49,43 +34,35 @@ LEARN_EXAMPLES = """\
 examples:
   ms-highway values learn merger give_way --out values.npz
   ms-highway compare merger --controllers tom learned:1:values.npz
-  ms-highway values learn dense_merge crossing_crowd --out crowd_values.npz
+  ms-highway values learn dense_merge crossing_crowd --out several.npz
   ms-highway --import zipper values learn zipper --out zipper.npz"""
 
-SHOW = """\
-Show what a file of values holds. With --scenario, draw what the values see there: what each model is worth along an
-episode that they choose for, and by where the human starts."""
-
-SHOW_EXAMPLES = """\
-examples:
-  ms-highway values show shipped
-  ms-highway values show shipped --scenario merger --price 1 --out merger_values.png"""
-
-DEFAULTS = {"states": 400, "rounds": 5, "horizon_steps": 20}  # with one human
-MOST_GENERATED = 1000
-DPI = 160
+DECIDED = 0.4  # of an episode among several humans, in which it is decided whether the robot merges
+COSTS = {"naive": 0.002, "turn": 0.003, "tom": 0.0036}  # s, of a plan with this model for one of several humans
+SEVERAL: dict[str, Any] = {
+    "baseline": "cheapest",
+    "prices": (30.0, 30.0),
+    "rounds": 2,
+    "states": (100, 100),
+    "horizon": 25,
+}
+"""How values are learned among several humans, where that differs from the defaults of ``Learning``."""
 
 
 def add_values(commands: Any) -> None:
-    """Add the command ``values`` with its subcommands to a parser's subparsers."""
+    """Add the command ``values`` with its subcommand to a parser's subparsers."""
     values = commands.add_parser("values", help="learn when it pays to think", description=HELP)
     subcommands = values.add_subparsers(title="commands", required=True, metavar="COMMAND")
     parser = add_command(subcommands, "learn", "learn values of computation", LEARN, LEARN_EXAMPLES)
-    add_scenarios(parser, known=(*SCENARIO_NAMES, *CROWD_NAMES))
+    names = ", ".join(SCENARIO_NAMES)
+    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: the paper's)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the values, such as values.npz")
-    parser.add_argument(
-        "--generated", type=int, default=0, metavar="N", help="learn on so many random scenes as well (default: 0)"
-    )
-    parser.add_argument(
-        "--states",
-        type=int,
-        help="that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; "
-        "among several humans 100 in every round)",
-    )
-    parser.add_argument("--rounds", type=int, help="of rollouts and fits (default: 5; among several humans 2)")
-    parser.add_argument(
-        "--horizon-steps", type=int, metavar="STEPS", help="of a rollout (default: 20; among several humans 25)"
-    )
+    add_number(parser, "--generated", 0, "random scenes to be learned on as well", 0, 1000)
+    states = "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; "
+    add_number(parser, "--states", None, states + "among several humans 100 in every round)")
+    add_number(parser, "--rounds", None, "of rollouts and fits (default: 5; among several humans 2)", most=100)
+    steps = "of a rollout (default: 20; among several humans 25)"
+    add_number(parser, "--horizon-steps", None, steps, most=100, metavar="STEPS")
     parser.add_argument(
         "--without",
         nargs="+",
@@ -93,62 +70,42 @@ def add_values(commands: Any) -> None:
         default=[],
         help="inputs that the networks do not get, to see what they are worth",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: 0)")
-    add_ladder(parser)
-    add_semantics(parser)
-    add_costs(parser, measured=False)
+    add_number(parser, "--seed", 0, "of everything that is drawn", 0)
     parser.add_argument(
-        "--solver",
-        dest="solvers",
+        "--solvers",
         nargs="+",
-        choices=SOLVERS,
+        metavar="SOLVER",
         help="of the robot's plans; each scenario is learned with each of them (default: gradient)",
     )
-    add_planning(parser)
-    add_humans(parser)
+    add_keys(parser)
     add_devices(parser)
     parser.set_defaults(run=_learn, simulates=True)
-    show = add_command(subcommands, "show", "show what a file of values holds", SHOW, SHOW_EXAMPLES)
-    show.add_argument("file", help="a file that `ms-highway values learn` wrote, or: shipped")
-    show.add_argument("--scenario", metavar="SCENARIO", help=f"to draw: {', '.join(SCENARIO_NAMES)}")
-    show.add_argument("--price", type=float, default=1.0, metavar="LAMBDA", help="of a second (default: 1)")
-    show.add_argument("--seed", type=int, default=0, help="of the episode that is drawn (default: 0)")
-    show.add_argument("--out", type=Path, metavar="FILE", help="a .png file to draw to")
-    show.set_defaults(run=_show)
 
 
 def _learn(options: argparse.Namespace) -> None:
-    from ms_highway.envs import is_crowd
-    from ms_highway.experiments.values.learning import learn, rollouts_file
+    from shutil import rmtree
+
+    from ms_highway.experiments.values.learning import learn, rollouts_directory
     from ms_highway.metareasoning.values import save_values
     from ms_highway.simulation.devices import use_devices
 
-    several = any(map(is_crowd, options.scenarios))
-    check_least(options, states=1, rounds=1, horizon_steps=1, generated=0, seed=0, devices=1)
-    check_most(options, states=MOST, rounds=100, horizon_steps=100 if several else 20, generated=MOST_GENERATED)
     if options.out.is_dir() or not options.out.parent.is_dir():
         raise ValueError(f"--out is {options.out}; name a file in a directory that exists, such as values.npz")
     if options.out.suffix != ".npz":
         raise ValueError(f"--out is {options.out}; give the file a name that ends in .npz")
-    if several:
-        learn_crowd_values(options)
-        return
-    for name, default in DEFAULTS.items():
-        if getattr(options, name) is None:
-            setattr(options, name, default)
     learning, courses = _courses(options)
-    values, kept = None, rollouts_file(options.out)
+    values, kept = None, rollouts_directory(options.out)
     with telling() as tell:
         tell(f"{courses[0].name}: compiling")
         for done in learn(learning, courses, kept, use_devices(options.devices)):
-            tell(f"round {done.round} of {options.rounds}: {done.course or 'fitted'}")
-            if done.values is not None:
-                values = done.values
-                told = ", ".join(f"{name} {regret:.3f}" for name, regret in done.regrets.items())
-                print(f"round {done.round}: held-out regret per step: {told or 'not measured'}", flush=True)
+            tell(f"round {done.round} of {learning.rounds}: {done.course or 'fitted'}")
+            values = done.values or values
+            if done.regrets:
+                behind = ", ".join(f"{name} {regret:.3f}" for name, regret in done.regrets.items())
+                print(f"round {done.round}: held-out regret per step: {behind}", flush=True)
     if values is not None:
         save_values(values, options.out)
-    kept.unlink(missing_ok=True)
+    rmtree(kept, ignore_errors=True)
     print(f"values are in {options.out}")
 
 
@@ -160,105 +117,68 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     """
     from dataclasses import replace
 
-    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, two_player_scenario
-    from ms_highway.envs.settings import Settings
-    from ms_highway.experiments.provenance import this_run
-    from ms_highway.experiments.simulated import make_batch
-    from ms_highway.experiments.values.course import Course
+    from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, environment_id
+    from ms_highway.experiments.batch import make_batch
+    from ms_highway.experiments.comparison import Comparison
+    from ms_highway.experiments.directory import this_run
     from ms_highway.experiments.values.generator import generated_courses
     from ms_highway.experiments.values.learning import Learning
+    from ms_highway.experiments.values.rollouts import Course
     from ms_highway.planning.effort import starts_warm
     from ms_highway.planning.human_models import human_model, known_models
 
-    names = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS))
+    names, config = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS)), configuration(options)
     for name in names:
-        two_player_scenario(name)
-    first = asked_comparison(options, {name: list(SCENARIOS[name].ladder[:1]) for name in names}, 1)
-    solvers = list(dict.fromkeys(options.solvers or ["gradient"]))
-    comparisons = [replace(first, solver=solver) for solver in solvers]
-    for comparison in comparisons:
-        comparison.check()
+        environment_id(name)
+    alone = [name for name in names if not ENVIRONMENTS[name].scenario.streams]
+    several = not alone
+    if alone and len(alone) < len(names):
+        raise ValueError(f"{alone[0]} has one human, other scenarios several; learn them in a file each")
+    if several and (options.generated or options.without):
+        raise ValueError("--generated and --without are for scenarios with one human")
+    if several:
+        given = config.get("costs", {})
+        config["costs"] = given if isinstance(given, str) else {**COSTS, **given}
+    controllers = {name: [ENVIRONMENTS[name].scenario.ladder[0]] for name in names}
+    first = Comparison(controllers, 1, config=config)
+    solvers = list(dict.fromkeys(options.solvers or []))
+    comparisons = [replace(first, config={**config, "solver": solver}) for solver in solvers] or [first]
     batches = [make_batch(comparison, name) for comparison in comparisons for name in names]
-    ladders = [[model.name for model in batch.environment.models] for batch in batches]
-    models = known_models({name for ladder in ladders for name in ladder})
-    models = [name for name in models if any(name in ladder for ladder in ladders)]
+    ladders = [batch.rungs for batch in batches]
+    models = [name for name in known_models(chain(*ladders)) if any(name in ladder for ladder in ladders)]
     if any(starts_warm(human_model(name)) for name in models):
         why = f"the ladder {' '.join(models)} plans from the rest of the last plan"
-        raise ValueError(f"{why}, which rollouts do not have; leave +warm out of --ladder")
+        raise ValueError(f"{why}, which rollouts do not have; leave +warm out of the ladder")
     costs = {name: seconds for batch in batches for name, seconds in batch.costs.items()}
     courses = [
         Course(
-            batch.scenario.name if len(comparisons) == 1 else f"{batch.scenario.name} ({batch.comparison.solver})",
-            batch.loop.game,
-            batch.environment.draw_starts,
-            batch.steps,
-            tuple(models.index(model.name) for model in batch.environment.models),
+            batch.scenario if len(solvers) < 2 else f"{batch.scenario} ({batch.comparison.config['solver']})",
+            batch.loop,
+            batch.environment.draw_episode,
+            round(DECIDED * batch.steps) if several else batch.steps,
+            tuple(map(models.index, batch.rungs)),
         )
         for batch in batches
     ]
-    told = {**first.common_config(), "solver": solvers, "scenarios": names, "generated": options.generated}
+    settings = {**first.common_config(), **({"solver": solvers} if solvers else {}), "scenarios": names}
+    settings |= {name: getattr(options, name) for name in ("generated", "seed", "without")}
+    own = dict(SEVERAL) if several else {}
+    if options.states:
+        own |= {"states": (options.states, options.states if several else -(-options.states * 5 // 8))}
+    own |= {"rounds": options.rounds} if options.rounds else {}
+    own |= {"horizon": options.horizon_steps} if options.horizon_steps else {}
     learning = Learning(
         {name: costs[name] for name in models},
-        rounds=options.rounds,
-        states=(options.states, -(-options.states * 5 // 8)),
-        horizon=options.horizon_steps,
         without=tuple(options.without),
         seed=options.seed,
-        settings={**told, "seed": options.seed, "without": options.without, "versions": this_run("")["versions"]},
+        settings={**settings, "versions": this_run()["versions"]},
+        **own,
     )
     if options.generated:
-        settings = Settings.read(first.config(names[0], models[0]))
-        rungs, random = tuple(range(len(models))), learning.stream(0)
-        share = min(1.0, 3 / options.generated) * 0.99
-        courses += generated_courses(settings.game, rungs, options.generated, share, random)
+        environment = batches[0].environment.settings
+
+        def build(scenario: Any) -> Any:
+            return replace(batches[0].loop, game=environment.game(scenario))
+
+        courses += generated_courses(build, tuple(range(len(models))), options.generated, learning.stream(0))
     return learning, courses
-
-
-def _show(options: argparse.Namespace) -> None:
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    from ms_highway.metareasoning.crowd.values import load_crowd_values
-    from ms_highway.metareasoning.values import load_values
-
-    try:
-        values = load_values(options.file)
-        own = {
-            "ladder": ", ".join(f"{name} {seconds:g} s" for name, seconds in values.costs.items()),
-            "lambda": f"{values.prices[0]:g} to {values.prices[1]:g}",
-        }
-        facts = {**own, **values.provenance, **own}  # what was asked for may name the ladder, too
-    except ValueError as error:
-        try:
-            facts = {"of": "each of several humans", **load_crowd_values(options.file).provenance}
-        except ValueError:
-            raise error from None
-        if options.scenario is not None:
-            raise ValueError(f"{options.file} holds values per human, which are not drawn") from None
-    if (options.scenario is None) != (options.out is None):
-        raise ValueError("--scenario and --out go together: name a scenario, and the .png file to draw it to")
-    if options.out is not None:
-        _draw(options)
-        return
-    grid = Table(box=SIMPLE, title=f"values of computation: {options.file}", title_justify="left", title_style="bold")
-    grid.add_column("")
-    grid.add_column("", overflow="fold")
-    for name, value in facts.items():
-        grid.add_row(name, str(value))
-    print_tables(grid)
-
-
-def _draw(options: argparse.Namespace) -> None:
-    """Draw what the values see in a scenario."""
-    from ms_highway.runtime.files import replacing
-    from ms_highway.visualization.values import draw_values
-
-    check_least(options, seed=0)
-    if options.out.suffix != ".png" or not options.out.parent.is_dir():
-        raise ValueError(f"--out is {options.out}; name a .png file in a directory that exists")
-    with telling() as tell:
-        tell(f"{options.scenario}: compiling, and driving an episode")
-        figure = draw_values(options.scenario, options.price, options.file, options.seed)
-    with replacing(options.out) as path:
-        figure.savefig(path, format="png", dpi=DPI)
-    print(f"{options.out}: {options.scenario} at a price of {options.price:g}")

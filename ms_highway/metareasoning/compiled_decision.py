@@ -16,7 +16,7 @@ from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule, first
 from ms_highway.optimization.arrays import Control
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Array, Vector
-from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
+from ms_highway.runtime.compilation import in_one_kernel, quick_options
 from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up
 
@@ -117,9 +117,7 @@ def decide_function(layout: Layout, network: jax.tree_util.PyTreeDef = EMPTY, fu
         return jnp.concatenate([rungs, step[None], checks.ravel(), gains.ravel(), failed[None]])
 
     whole = fuses and network == EMPTY
-    return jax.jit(
-        in_one_kernel(look_and_choose) if whole else look_and_choose, compiler_options=known_options(QUICKLY)
-    )
+    return jax.jit(in_one_kernel(look_and_choose) if whole else look_and_choose, compiler_options=quick_options())
 
 
 def _memory(rule: Rule, game: Game, observed: Vector) -> tuple[Memory, Vector]:

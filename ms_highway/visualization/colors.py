@@ -1,8 +1,14 @@
 """The colours of videos, as Matplotlib takes them."""
 
-from ms_highway.envs.graphics import Color, model_color
+from collections.abc import Sequence
+from itertools import cycle
 
-__all__ = ["choosing_shades", "color_of", "paint"]
+from matplotlib.colors import ListedColormap
+
+from ms_highway.envs.controllers import CHOOSING
+from ms_highway.envs.graphics import Color, model_color
+from ms_highway.envs.short_names import controller_config
+from ms_highway.planning.human_models import is_model
 
 SHADES = {
     "switching": ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"],
@@ -11,9 +17,19 @@ SHADES = {
 OTHER_SHADES = ["#12908e", "#62bcb9", "#a9dad8", "#0b6462"]
 
 
+def paint(color: Color) -> str:
+    """Return a colour of red, green and blue from 0 to 255 as Matplotlib takes it."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
 def color_of(model: str) -> str:
     """Return the colour of a human model in figures, as it is in videos."""
     return paint(model_color(model))
+
+
+def model_colors(models: Sequence[str]) -> ListedColormap:
+    """Return the colours of human models by their places."""
+    return ListedColormap([color_of(model) for model in models])
 
 
 def choosing_shades(kind: str) -> list[str]:
@@ -21,6 +37,9 @@ def choosing_shades(kind: str) -> list[str]:
     return SHADES.get(kind, OTHER_SHADES)
 
 
-def paint(color: Color) -> str:
-    """Return a colour of red, green and blue from 0 to 255 as Matplotlib takes it."""
-    return "#{:02x}{:02x}{:02x}".format(*color)
+def controller_colors(controllers: Sequence[str]) -> list[str]:
+    """Return a model's own colour for a fixed model, shades of its kind's for one that chooses online, else greys."""
+    kinds = [kind if (kind := controller_config(name)["type"]) in CHOOSING else "switching" for name in controllers]
+    shades = {kind: cycle(choosing_shades(kind)) for kind in kinds}
+    pairs = zip(controllers, kinds, strict=True)
+    return [color_of(name) if is_model(name) else next(shades[kind]) for name, kind in pairs]

@@ -3,28 +3,25 @@
 import base64
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 from PIL import Image
+from rich.table import Table
 
 from ms_highway.envs.graphics import model_meaning
 from ms_highway.experiments.analysis.findings import answer, in_order
-from ms_highway.experiments.analysis.selection import Selection
+from ms_highway.experiments.analysis.selection import Selection, select_of_several
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.experiments.results import Results
-from ms_highway.experiments.safety import Safety, safety_cells, safety_sentences
 from ms_highway.game.scenario import title
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization import video
 from ms_highway.visualization.figures import CAPTIONS, figures
 from ms_highway.visualization.overview import overview
 from ms_highway.visualization.side_by_side import side_by_side
-
-__all__ = ["Section", "Shown", "draw", "render"]
 
 DPI = 160
 POSTER = 0.4  # of the video, from which the picture is taken that stands for it
@@ -33,9 +30,11 @@ SEMANTICS = {
     "released": "the dynamics and the theory of mind of the paper's released code",
 }
 
+Drawn = tuple[Sequence[Table], Mapping[str, tuple[Figure, str]]]
+"""What a further section of the page shows: tables, and figures with their captions, by name."""
 
-@dataclass(frozen=True)
-class Shown:
+
+class Shown(NamedTuple):
     """A picture or video: its content as a data URI, and its caption; of a video, its poster and its size [px]."""
 
     source: str
@@ -44,50 +43,14 @@ class Shown:
     size: tuple[int, int] = (1, 1)
 
 
-@dataclass(frozen=True)
-class Section:
-    """One scenario's part of the page.
-
-    Attributes:
-        scenario: its name.
-        answer: what was found, see `ms_highway.experiments.analysis.findings.answer`.
-        rows: texts of the `overview`, from the controller on, of few controllers.
-        others: those of the other controllers.
-        figures: by name.
-        videos: what was filmed.
-    """
-
-    scenario: str
-    answer: str
-    rows: list[list[str]]
-    others: list[list[str]]
-    figures: dict[str, Shown]
-    videos: list[Shown]
-
-    @property
-    def title(self) -> str:
-        """What people call the scenario."""
-        return title(self.scenario)
-
-    @property
-    def group(self) -> tuple[str, list[list[str]]]:
-        """The rows under their title."""
-        return self.title, self.rows
-
-
-def draw(
-    several: Sequence[Results],
-    selections: Mapping[str, Selection],
-    videos: bool = True,
-    progress: Progress = silent,
-) -> list[Section]:
-    """Draw figures and films; return a section per scenario.
-
-    A section draws the first of the comparisons that has its scenario; the tables have all beside each other.
+def page(
+    several: Sequence[Results], further: Mapping[str, Drawn], videos: bool = True, progress: Progress = silent
+) -> str:
+    """Return the page, as HTML: a section for each scenario, of the first comparison that has it, and further ones.
 
     Args:
-        several: comparisons.
-        selections: what to show of each scenario, by its name, see `ms_highway.experiments.analysis.selection`.
+        several: comparisons, which the tables have beside each other.
+        further: sections by their titles.
         videos: whether films are made.
         progress: called with a message before everything that takes time.
 
@@ -95,57 +58,59 @@ def draw(
         ImportError: for videos without the packages of the extra ``video``.
         ValueError: if two comparisons are the same, or episodes cannot be run again under the settings of the results.
     """
-    table, sections = overview(several), []
+    table = overview(several, explained=True) if several else pd.DataFrame()
+    sections, selections = [], select_of_several(several)
     for scenario in in_order(selections):
-        progress(f"drawing {scenario}")
-        results, selection = next(one for one in several if scenario in one.scenarios), selections[scenario]
+        progress(f"drawing {scenario}" + " and filming it" * videos)
+        selection, results = selections[scenario], next(one for one in several if scenario in one.scenarios)
         drawn = figures(results.records, results.summaries, scenario, selection)
-        shown = {name: Shown(_png(figure), CAPTIONS.get(name, name)) for name, figure in drawn.items()}
-        films = []
-        if videos:
-            progress(f"filming {scenario}")
-            films.append(_film(results, scenario, selection))
         own = table[table["scenario"] == scenario].drop(columns="scenario")
-        chosen = own["controller"].isin(selection.main)
-        rows, others = (part.to_numpy().tolist() for part in (own[chosen], own[~chosen]))
-        text = answer(results.records, results.summaries, scenario)
-        sections.append(Section(scenario, text, rows, others, shown, films))
-    return sections
-
-
-def render(several: Sequence[Results], sections: list[Section], safeties: Sequence[Safety] = ()) -> str:
-    """Return the page, as HTML, of what `draw` has drawn of the same comparisons, and of collision counts."""
-    summaries = pd.concat([one.summaries for one in several])
+        main = own["controller"].isin(selection.main)
+        sections.append(
+            {
+                "name": scenario,
+                "title": title(scenario),
+                "answer": answer(results.records, results.summaries, scenario),
+                "rows": own[main].to_numpy().tolist(),
+                "others": own[~main].to_numpy().tolist(),
+                "figures": {name: _picture(figure, CAPTIONS[name]) for name, figure in drawn.items()},
+                "videos": [_film(results, scenario, selection)] if videos else [],
+            }
+        )
+    parts = [one.summaries for one in several] or [pd.DataFrame(columns=["episodes", "kind"])]
+    summaries = pd.concat(parts)
     used = [name for name in models_of(summaries, share_column) if (summaries[share_column(name)] > 0).any()]
+    semantics = [one.settings["semantics"] for one in several]
     environment = Environment(
         loader=PackageLoader("ms_highway", "data"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     return environment.get_template("report.html.jinja").render(
         sections=sections,
-        headings=list(overview(several)),
-        safeties=[_counted(safety, number) for number, safety in enumerate(safeties, 1)],
+        headings=list(table),
         episodes=sorted(set(summaries["episodes"])),
         models={name: model_meaning(name) or "a model that was added" for name in used},
         kinds=set(summaries["kind"]),
-        semantics={
-            name: SEMANTICS[name] for name in SEMANTICS if name in [one.settings["semantics"] for one in several]
-        },
-        made=[*map(_made, several), *map(_made, safeties)],
+        semantics={name: meaning for name, meaning in SEMANTICS.items() if name in semantics},
+        further=[_further(heading, *drawn) for heading, drawn in further.items()],
+        made=list(map(_made, several)),
         missing=sum(one.missing for one in several),
     )
 
 
-def _counted(safety: Safety, number: int) -> dict[str, Any]:
-    """Return collision counts as the template takes them: sentences, and the texts of the table by scenario."""
-    cells = safety_cells(safety)
-    order = cells.groupby("scenario", sort=False)
-    groups = {title(name): order.get_group(name).iloc[:, 1:].to_numpy().tolist() for name in in_order(order.groups)}
-    text = " ".join(safety_sentences(safety))
-    heading = {"id": f"safety-{number}", "title": "Safety" if number == 1 else f"Safety, {safety.directory}"}
-    return {**heading, "text": text, "headings": list(cells), "groups": groups}
+def _further(heading: str, tables: Sequence[Table], drawn: Mapping[str, tuple[Figure, str]]) -> dict[str, Any]:
+    """Return a further section as the template takes it."""
+    texts = [
+        {
+            "title": table.title,
+            "headings": [column.header for column in table.columns],
+            "rows": list(zip(*(column.cells for column in table.columns), strict=True)),
+        }
+        for table in tables
+    ]
+    return {"title": heading, "tables": texts, "figures": {name: _picture(*one) for name, one in drawn.items()}}
 
 
-def _made(results: Results | Safety) -> dict[str, Any]:
+def _made(results: Results) -> dict[str, Any]:
     """Return what made some results, in texts."""
     settings = {name: _text(value) for name, value in results.settings.items() if name != "asked" and value != {}}
     runs = [{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in results.runs]
@@ -154,11 +119,10 @@ def _made(results: Results | Safety) -> dict[str, Any]:
 
 def _film(results: Results, scenario: str, selection: Selection) -> Shown:
     """Film an episode of the selected controllers from the same start."""
-    controllers, seed = selection.filmed, selection.film_seed
+    controllers, seed, picture = selection.filmed, selection.film_seed, io.BytesIO()
     films = [video.film(scenario, name, seed, **results.config(scenario)) for name in controllers]
     pictures = side_by_side(films)
     content = video.encoded(pictures, ".mp4", films[0].frames_per_second)
-    picture = io.BytesIO()
     Image.fromarray(pictures[int(POSTER * len(pictures))]).save(picture, "PNG", optimize=True)
     places = " above, ".join(controllers) + (" below" if len(controllers) > 1 else "")
     caption = f"Episode {seed}, at true speed: {places}. Times are as measured while filming; other episodes differ."
@@ -166,10 +130,10 @@ def _film(results: Results, scenario: str, selection: Selection) -> Shown:
     return Shown(_data("video/mp4", content), caption, _data("image/png", picture.getvalue()), (width, height))
 
 
-def _png(figure: Figure) -> str:
+def _picture(figure: Figure, caption: str) -> Shown:
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=DPI)
-    return _data("image/png", content.getvalue())
+    return Shown(_data("image/png", content.getvalue()), caption)
 
 
 def _data(kind: str, content: bytes) -> str:

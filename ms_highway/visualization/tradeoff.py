@@ -1,21 +1,24 @@
-"""The figure of reward against computation."""
+"""Figures of reward against computation."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+from ms_highway.envs.controllers import FIXED_ORDERS
+from ms_highway.envs.short_names import controller_config, named_controller
+from ms_highway.experiments.analysis.regret import frontier_curve
 from ms_highway.experiments.analysis.tradeoff import best_schedules, choosing, reference
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import choosing_shades, color_of
 from ms_highway.visualization.comparison import episode_count
 
-__all__ = ["curve"]
-
-SCHEDULE_COLOR, RANDOM_COLOR = "#8a93a5", "#2e8b57"
-LABEL = 0.08, 0.05  # width and height of a label, as shares of the axes
+SCHEDULE_COLOR, RANDOM_COLOR, FRONTIER_COLOR = "#8a93a5", "#2e8b57", "#c2185b"
+LABEL = np.array([0.08, 0.05])  # width and height of a label, as shares of the axes
+COUNTED = "planning per step, counted at T(M) [ms]"
 
 
 def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
@@ -25,73 +28,89 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     planning and deciding are as on this machine. Controllers that choose online are joined in the order of lambda, a
     line per kind; the dashed line joins `best_schedules`; crosses are random controllers.
     """
-    rows = summaries[summaries["scenario"] == scenario]
-    measured = {"planning_ms", "decision_ms"} <= set(rows)
-    figure = Figure(figsize=(10 if measured else 7, 4.4), layout="constrained")
-    left, *right = figure.subplots(1, 2 if measured else 1, sharey=True, squeeze=False)[0]
-    _draw(left, rows, best_schedules(rows, scenario), "counted_ms")
-    left.set(xlabel="planning per step, counted at T(M) [ms]", ylabel="reward per step")
-    for axes in right:
+    rows, name = summaries[summaries["scenario"] == scenario], reference(summaries, scenario)
+    measures = {"counted_ms": COUNTED}
+    if {"planning_ms", "decision_ms"} <= set(rows):
         rows = rows.assign(measured_ms=rows["planning_ms"] + rows["decision_ms"])
-        _draw(axes, rows, best_schedules(rows, scenario, "measured_ms"), "measured_ms")
-        axes.set(xlabel="planning + deciding per step, measured [ms]")
-    _share_axes(left, summaries, scenario)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+        measures["measured_ms"] = "planning + deciding per step, measured [ms]"
+    figure = Figure(figsize=(4 + 3 * len(measures), 4.4), layout="constrained")
+    panels = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
+    for axes, (measure, label) in zip(panels, measures.items(), strict=True):
+        orders, best = rows[rows["kind"].isin(("schedule", "period"))], best_schedules(rows, scenario, measure)
+        if len(orders):
+            axes.plot(orders[measure], orders["reward"], ".", color=SCHEDULE_COLOR, markersize=5)
+            axes.plot(best[measure], best["reward"], "--", color=SCHEDULE_COLOR, label="best fixed schedules")
+        _draw(axes, rows, measure)
+        axes.set_xlabel(label)
+    panels[0].set_ylabel("reward per step")
+    if name is not None:  # a second scale, in shares of the most expensive fixed model's planning
+        whole = rows.set_index("controller").loc[name, "counted_ms"]
+        top = panels[0].secondary_xaxis("top", functions=(lambda ms: ms / whole, lambda part: part * whole))
+        top.xaxis.set_major_formatter(PercentFormatter(1.0))
+        top.set_xlabel(f"share of {name}'s planning")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
     figure.suptitle(f"{title(scenario)}: reward against computation, {episode_count(rows)}")
     return figure
 
 
-def _share_axes(axes: Axes, summaries: pd.DataFrame, scenario: str) -> None:
-    """Draw a second scale of computation, in shares of the dearest fixed model's."""
-    name = reference(summaries, scenario)
-    if name is None:
-        return
-    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    whole = rows.loc[name, "counted_ms"]
-    top = axes.secondary_xaxis("top", functions=(lambda ms: ms / whole, lambda part: part * whole))
-    top.xaxis.set_major_formatter(PercentFormatter(1.0))
-    top.set_xlabel(f"share of {name}'s planning")
+def frontier(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequence[int]) -> Figure:
+    """Draw reward against counted computation: what a search has found, and the controllers that stay behind it.
+
+    The line joins the means of the best orders of each start from price to price; at prices that were not searched it
+    is a lower bound all the same. Dots are orders that were tried from every start.
+
+    Args:
+        table: of `ms_highway.experiments.frontier.Outcomes`.
+        behind: rows of `ms_highway.experiments.analysis.regret.regrets`, with columns ``scenario`` and ``price``.
+        scenario: its name.
+        seeds: of the starts.
+    """
+    rows, figure = behind[behind["scenario"] == scenario], Figure(figsize=(7, 4.4), layout="constrained")
+    axes, means = figure.subplots(), ["reward", "counted_seconds"]
+    shared = pd.DataFrame({name: table[name].unstack("seed")[list(seeds)].dropna().mean(axis=1) for name in means})
+    orders = shared[[controller_config(str(name))["type"] in FIXED_ORDERS for name in shared.index]]
+    found = rows[rows["kind"] == "search"].sort_values("counted_seconds", ascending=False)
+    for points, form, color, label in (
+        (orders, ".", SCHEDULE_COLOR, "other orders"),
+        (frontier_curve(table, seeds), "-", FRONTIER_COLOR, None),
+        (found, "D", FRONTIER_COLOR, "best order of each start"),
+    ):
+        axes.plot(1e3 * points["counted_seconds"], points["reward"], form, color=color, label=label)
+    own = rows[rows["kind"] != "search"].drop_duplicates("controller")
+    prices = [named_controller(name).price for name in own["controller"]]
+    _draw(axes, own.assign(counted_ms=1e3 * own["counted_seconds"], price=prices), "counted_ms")
+    axes.set(xlabel=COUNTED, ylabel="reward per step")
+    figure.suptitle(f"{title(scenario)}: the best orders of models, {len(seeds)} starts")
+    searched = ", ".join(f"{price:g}" for price in found["price"])
+    axes.set_title(f"diamonds, from the right: a second of planning costs {searched}", fontsize="small")
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    return figure
 
 
-def _draw(axes: Axes, rows: pd.DataFrame, best: pd.DataFrame, computation: str) -> None:
-    """Draw all controllers over one measure of computation."""
-    schedules, online = rows[rows["kind"].isin(("schedule", "period"))], choosing(rows)
-    if len(schedules):
-        axes.plot(schedules[computation], schedules["reward"], ".", color=SCHEDULE_COLOR, markersize=5)
-        axes.plot(best[computation], best["reward"], "--", color=SCHEDULE_COLOR, label="best fixed schedules")
-    for name, one in online.items():
-        _points(axes, one, computation, "o-", choosing_shades(one["kind"].iloc[0])[-1], f"{name}, by lambda")
-    chance = rows[rows["kind"] == "random"]
-    if len(chance):
-        _points(axes, chance, computation, "x", RANDOM_COLOR, "random")
-    for price, place in _apart(online.values(), rows, computation):
-        axes.annotate(f"{price:.3g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
-    for name, one in rows[rows["kind"] == "fixed"].groupby("controller", sort=False):
-        _points(axes, one, computation, "s", color_of(str(name)), str(name))
+def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
+    """Draw the controllers of a summary over a measure of computation: online ones, random ones and fixed models."""
+    online, points = choosing(rows), rows[rows["kind"] == "random"]
+    for name, own in online.items():
+        _points(axes, own, measure, "o-", choosing_shades(own["kind"].iloc[0])[-1], f"{name}, by lambda")
+    if len(points):
+        _points(axes, points, measure, "x", RANDOM_COLOR, "random")
+    for name, own in rows[rows["kind"] == "fixed"].groupby("controller", sort=False):
+        _points(axes, own, measure, "s", color_of(str(name)), str(name))
     axes.set_xlim(left=0)
     axes.grid(color="#eeeeee")
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+    axes.autoscale_view()
+    labelled: list[np.ndarray] = []
+    for price, *place in pd.concat([rows[:0], *online.values()])[["price", measure, "reward"]].to_numpy(float):
+        spot = axes.transAxes.inverted().transform(axes.transData.transform(place))  # as shares of the axes
+        if all((np.abs(spot - other) > LABEL).any() for other in labelled):  # else labels would cover each other
+            labelled.append(spot)
+            axes.annotate(f"{price:.3g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
 
 
-def _apart(
-    online: Iterable[pd.DataFrame], rows: pd.DataFrame, computation: str
-) -> list[tuple[float, tuple[float, float]]]:
-    """Those lambdas, with their points, whose labels would not cover each other."""
-    width = rows[computation].max()
-    height = rows["reward_high"].fillna(rows["reward"]).max() - rows["reward_low"].fillna(rows["reward"]).min()
-    chosen: list[tuple[float, tuple[float, float]]] = []
-    points = [point for one in online for point in one[["price", computation, "reward"]].to_numpy(float).tolist()]
-    for price, x, y in points:
-        if all(abs(x - u) > LABEL[0] * width or abs(y - v) > LABEL[1] * height for _, (u, v) in chosen):
-            chosen.append((price, (x, y)))
-    return chosen
-
-
-def _points(axes: Axes, rows: pd.DataFrame, computation: str, form: str, color: str, label: str) -> None:
-    """Controllers with the intervals of their rewards; a single episode has none."""
-    below, above = rows["reward"] - rows["reward_low"], rows["reward_high"] - rows["reward"]
-    errors = [below.fillna(0), above.fillna(0)]
-    axes.errorbar(
-        rows[computation], rows["reward"], errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2
-    )
+def _points(axes: Axes, rows: pd.DataFrame, measure: str, form: str, color: str, label: str) -> None:
+    """Draw controllers, with the intervals of their rewards where they have any."""
+    reward = rows["reward"]
+    errors = [(rows.get(end, reward) - reward).abs().fillna(0) for end in ("reward_low", "reward_high")]
+    axes.errorbar(rows[measure], reward, errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2)

@@ -7,7 +7,8 @@ import imageio.v3 as imageio
 import pandas as pd
 import pytest
 
-from ms_highway.cli.main import main
+from ms_highway.cli.main import build_parser, main
+from ms_highway.cli.options import comparison, configuration
 from ms_highway.experiments.records import columns
 from ms_highway.game.learned_reward import save, shipped
 from ms_highway.runtime.files import held
@@ -95,7 +96,7 @@ def test_a_controller_named_twice_runs_once(compared, tmp_path):
 
 @pytest.mark.slow
 def test_compare_keeps_measured_costs_with_the_results(tmp_path):
-    arguments = ["compare", "stay_back", "--controllers", "switching:1", "--seeds", "1", "--costs", "measured"]
+    arguments = ["compare", "stay_back", "--controllers", "switching:1", "--seeds", "1", "--set", "costs=measured"]
     assert main([*arguments, "--out", str(tmp_path)]) == 0
     settings = (tmp_path / "settings.json").read_text()
     costs = json.loads(settings)["measured"]["stay_back"]
@@ -128,13 +129,13 @@ def test_compare_refuses_records_of_another_version(compared, tmp_path, capsys):
 
 
 def test_compare_refuses_a_directory_of_other_settings(compared, capsys):
-    line = failure(capsys, *COMPARE, str(compared), "--semantics", "released")
+    line = failure(capsys, *COMPARE, str(compared), "--set", "semantics=released")
     assert "choose another directory" in line
 
 
 @pytest.mark.slow
 def test_compare_plans_with_the_solver_that_is_asked_for_and_keeps_its_results_apart(compared, tmp_path, capsys):
-    arguments = ["compare", "stay_back", "--controllers", "naive", "--seeds", "1", "--solver", "newton", "--out"]
+    arguments = ["compare", "stay_back", "--controllers", "naive", "--seeds", "1", "--set", "solver=newton", "--out"]
     assert "choose another directory" in failure(capsys, *arguments, str(compared))
     assert main([*arguments, str(tmp_path)]) == 0
     assert json.loads((tmp_path / "settings.json").read_text())["solver"] == "newton"
@@ -145,10 +146,20 @@ def test_compare_plans_with_the_solver_that_is_asked_for_and_keeps_its_results_a
 @pytest.mark.slow
 def test_compare_keeps_results_among_other_humans_apart(compared, tmp_path, capsys):
     assert json.loads((compared / "settings.json").read_text())["human_reward"] == "learned"
-    assert "choose another directory" in failure(capsys, *COMPARE, str(compared), "--human-reward", "published")
+    assert "choose another directory" in failure(capsys, *COMPARE, str(compared), "--set", "human_reward=published")
     learned = tmp_path / "lazy.json"
     save(replace(shipped("demonstrations"), weights=shipped("demonstrations").weights | {"speed": 0.5}), learned)
-    arguments = ["compare", "merger", "--controllers", "turn", "--seeds", "1", "--human-reward", str(learned), "--out"]
+    arguments = [
+        "compare",
+        "merger",
+        "--controllers",
+        "turn",
+        "--seeds",
+        "1",
+        "--set",
+        f"human_reward={learned}",
+        "--out",
+    ]
     assert main([*arguments, str(tmp_path / "out")]) == 0
     assert json.loads((tmp_path / "out" / "settings.json").read_text())["human_reward"]["speed"] == 0.5
     assert main([*arguments, str(tmp_path / "out")]) == 0
@@ -187,3 +198,33 @@ def test_compare_refuses_a_corrupt_file_and_leaves_it(compared, tmp_path, capsys
     (tmp_path / "steps.csv").write_text("these are\nno, records\n")
     assert "cannot be resumed" in failure(capsys, *COMPARE, str(tmp_path))
     assert (tmp_path / "steps.csv").read_text() == "these are\nno, records\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("horizon=10", 10),
+        ("control_limit=0.2,9", [0.2, 9]),
+        ("control_limit=unlimited", "unlimited"),
+        ("ladder=tom,", ["tom"]),
+        ("costs=naive=0.1,tom=0.2", {"naive": 0.1, "tom": 0.2}),
+        ('costs={"naive": 0.1}', {"naive": 0.1}),
+        ("way_out=false", False),
+        ("human_reward=published", "published"),
+    ],
+)
+def test_a_key_is_set_by_json_or_by_words(text, value):
+    options = build_parser().parse_args(["compare", "--set", "grip=8", "--set", text])
+    assert configuration(options) == {"grip": 8, text.partition("=")[0]: value}
+
+
+def test_without_controllers_the_ladder_and_switching_are_compared_at_the_lambdas_that_are_named():
+    def names(*arguments):
+        return comparison(build_parser().parse_args(["compare", "merger", *arguments])).controllers["merger"]
+
+    assert names() == ["naive", "turn", "tom", "switching:0.6", "switching:0.1"]
+    assert names("--set", "ladder=naive,tom", "--lambdas", "0.5,1") == ["naive", "tom", "switching:0.5", "switching:1"]
+    assert names("--controllers", "tom", "learned", "--lambdas", "0.01:1:3") == [
+        "tom",
+        *(f"learned:{price}" for price in ("0.01", "0.1", "1")),
+    ]

@@ -6,6 +6,8 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
+from ms_highway.experiments.simulated import columns_simulated, episodes_of, make_batch, run_episodes, simulated, start
+from ms_highway.simulation.following import Rest, warm_plan
 
 from ms_highway.benchmarks.throughput import throughput
 from ms_highway.control.fallback import STATUSES
@@ -13,12 +15,10 @@ from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
 from ms_highway.experiments.analysis.summary import interval
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.experiments.simulated import columns_simulated, episodes_of, make_batch, run_episodes, simulated, start
 from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.planning.human_models import JointPlan
 from ms_highway.simulation.devices import use_devices
-from ms_highway.simulation.following import Rest, warm_plan
 from ms_highway.simulation.loop import simulate
 
 KEYS = ["controller", "seed", "step"]

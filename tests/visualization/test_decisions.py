@@ -11,8 +11,7 @@ from ms_highway.experiments.records import one_episode, switches
 from ms_highway.experiments.runner import read, run
 from ms_highway.planning.human_models import MODELS, TheoryOfMind, register
 from ms_highway.visualization.colors import color_of
-from ms_highway.visualization.decisions import decisions, storyboard
-from ms_highway.visualization.video import film
+from ms_highway.visualization.decisions import decisions
 
 
 @pytest.fixture(scope="module")
@@ -40,14 +39,6 @@ def test_decisions_are_drawn_at_the_steps_and_in_the_models_that_were_recorded(r
     np.testing.assert_array_equal(rewards.lines[0].get_ydata(), episode["reward"])
 
 
-def test_a_storyboard_shows_the_road_at_the_first_switches(records):
-    episode = one_episode(records, "merger", "switching:0.01", 0)
-    figure = storyboard(episode, film("merger", "switching:0.01", 0).pictures, most=3)
-    titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert titles[:2] == ["1: step 0, naive", f"2: step {switches(episode)[1]}, tom"]
-    assert len([axes for axes in figure.axes if axes.images]) == 3
-
-
 def test_an_episode_that_is_not_there_is_named(records):
     with pytest.raises(ValueError, match="no episode of 'tom' in 'merger' with seed 0"):
         one_episode(records, "merger", "tom", 0)
@@ -59,11 +50,6 @@ class Brief(TheoryOfMind):
 
     def plan(self, game, state, start=None):
         return super().plan(replace(game, planner=replace(game.planner, iterations=5)), state, start)
-
-
-class Unhashable(TheoryOfMind):
-    name: ClassVar[str] = "unhashable"
-    __hash__ = None
 
 
 @pytest.fixture
@@ -94,15 +80,3 @@ def test_a_model_of_ones_own_is_compared_recorded_and_drawn_like_the_papers(brie
     assert len(decisions([older]).axes) == 2
     with pytest.raises(ValueError, match="no seconds of 'brief' were published; say 'measured' or give them"):
         Comparison({"merger": ["naive"]}, ladder=["naive", "brief"]).check()
-
-
-def test_only_a_whole_model_with_a_name_of_its_own_becomes_a_rung():
-    for model, before, message in (
-        (object(), None, "lacks name, responds, predict, plan"),
-        (TheoryOfMind(), None, "cannot be called 'tom'"),
-        (Unhashable(), None, "cannot be compiled for: unhashable type.*make it a frozen dataclass"),
-        (Brief(), "oracle", "unknown human model 'oracle'"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            register(model, before)
-    assert list(MODELS) == ["naive", "turn", "tom"]

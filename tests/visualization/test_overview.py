@@ -33,6 +33,7 @@ def test_the_markdown_table_has_the_numbers_of_the_summary(compared, capsys):
         ({"human_reward": "published"}, ["learned human reward", "published human reward"]),
         ({"semantics": "released", "human_reward": "published"}, ["paper semantics", "released semantics"]),
         ({"human_reward": {"speed": 2.0}}, ["learned human reward", "given human reward"]),
+        ({"control_limit": [0.2, 9.0]}, ["usual control limit", "0.2 and 9.0 control limit"]),
         ({}, ["compare", "other"]),
     ],
 )

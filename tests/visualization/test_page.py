@@ -138,7 +138,7 @@ def test_the_bar_of_a_dear_model_that_decides_nothing_leaves_room_for_the_legend
     ("options", "message"),
     [
         (["--out", "page.pdf"], "--out is page.pdf; name an .html file"),
-        (["--markdown", "--out", "page.html"], "leave it out with --markdown"),
+        (["--markdown", "--out", "page.html"], "leave the other options out"),
         (["elsewhere"], "there is no directory elsewhere"),
     ],
 )
@@ -146,24 +146,6 @@ def test_a_page_that_cannot_be_is_refused_in_one_line(options, message, compared
     monkeypatch.chdir(tmp_path)
     assert message in failure(capsys, "report", str(compared), *options)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_page_shows_collisions_that_were_counted_under_limits(compared, tmp_path):
-    counted = tmp_path / "safety"
-    counted.mkdir()
-    (counted / "settings.json").write_text(json.dumps({"semantics": "paper", "limits": [None, [0.2, 9.0]]}))
-    rows = [("stay_back", "turn", 0.2, 50.0, 300, 11, 1.6), ("stay_back", "turn", 0.2, 9.0, 300, 300, -18.0)]
-    columns = ["scenario", "controller", "omega", "acceleration", "episodes", "collision_episodes", "reward"]
-    pd.DataFrame(rows, columns=columns).to_csv(counted / "safety.csv", index=False)
-    page = tmp_path / "page.html"
-    assert main(["report", str(counted), str(compared), "--no-videos", "--out", str(page)]) == 0
-    texts = Page(page.read_text()).texts
-    sentence = "Within 0.2 1/m and 9 m/s², episodes with a collision are in Stay Back 300 of 300 with turn."
-    assert any(text.endswith(sentence) for text in texts)
-    place = texts.index("0.2 1/m and 50 m/s²")
-    row = [text for text in texts[place:] if text][1:]
-    assert row[:5] == ["0.2 1/m and 9 m/s²", "Stay Back", "turn", "11 of 300", "300 of 300"]
-    assert f"Settings of {counted}" in texts
 
 
 def test_a_page_begins_with_few_controllers_and_has_a_curve_where_there_are_three_lambdas(compared, html, tmp_path):
@@ -205,19 +187,3 @@ def test_a_page_of_a_comparison_that_was_stopped_says_how_many_episodes_are_miss
     assert main(["report", str(directory), "--no-videos"]) == 0
     assert "lacks 3 episodes; start the same" in capsys.readouterr().err
     assert "3 of the requested episodes are missing." in Page((directory / "report.html").read_text()).texts
-
-
-def test_every_part_of_a_page_with_several_counts_of_collisions_has_its_own_id(compared, tmp_path):
-    directories = [tmp_path / "safety", tmp_path / "more"]
-    for directory in directories:
-        directory.mkdir()
-        (directory / "settings.json").write_text(json.dumps({"semantics": "paper"}))
-        columns = "scenario,controller,omega,acceleration,episodes,collision_episodes,reward"
-        (directory / "safety.csv").write_text(f"{columns}\nstay_back,turn,0.2,9.0,300,0,1.0\n")
-    page = tmp_path / "page.html"
-    assert main(["report", str(compared), *map(str, directories), "--no-videos", "--out", str(page)]) == 0
-    elements = Page(page.read_text()).elements
-    ids = [attributes["id"] for _, attributes in elements if "id" in attributes]
-    links = [attributes["href"] for tag, attributes in elements if tag == "a"]
-    assert len(ids) == len(set(ids))
-    assert {"#safety-1", "#safety-2"} <= set(links) <= {f"#{name}" for name in ids}

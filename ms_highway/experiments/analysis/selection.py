@@ -12,8 +12,6 @@ from ms_highway.experiments.comparison import paper_controllers
 from ms_highway.experiments.records import common_seeds, one_episode
 from ms_highway.experiments.results import Results
 
-__all__ = ["Selection", "choosing_controllers", "select", "select_of_several", "telling_pair"]
-
 MOST_CONTROLLERS = 8  # in bars and timelines
 MOST_DECIDING = 2  # whose decisions are drawn beside each other
 PREFERRED = "learned"  # among the kinds that choose online
@@ -29,7 +27,8 @@ class Selection:
         film_seed: of the episode that is filmed, the first that all of them have driven.
         deciding: the episodes of controllers that choose online whose decisions are drawn, all from the same start:
             the first two, or where there are several kinds, one of each of two kinds.
-        beside: the episode from that start of the dearest fixed model, for comparison; None without such a model.
+        beside: the episode from that start of the most expensive fixed model, for comparison; None without such a
+            model.
     """
 
     main: list[str]
@@ -48,24 +47,17 @@ def select(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> Sel
         scenario: its name.
     """
     rows = summaries[summaries["scenario"] == scenario]
-    names = list(rows["controller"])
+    names, filmed, dearest = list(rows["controller"]), telling_pair(summaries, scenario), reference(summaries, scenario)
     paper = [name for name in names if name in paper_controllers(scenario)]
     main = names if len(names) <= MOST_CONTROLLERS else paper or names[:MOST_CONTROLLERS]
-    filmed = telling_pair(summaries, scenario)
-    dearest = reference(summaries, scenario)
     shown = rows[rows["kind"].isin(CHOOSING) & rows["controller"].isin(main)]
-    deciding = list(shown["controller"]) if shown["kind"].nunique() < 2 else choosing_controllers(shown, scenario)
-    deciding = deciding[:MOST_DECIDING]
-    driving = [*deciding, *([] if dearest is None else [dearest])]
+    several = shown["kind"].nunique() > 1
+    deciding = choosing_controllers(shown, scenario) if several else list(shown["controller"])
+    driving = [*deciding[:MOST_DECIDING], dearest] if dearest else deciding[:MOST_DECIDING]
     seeds = common_seeds(records, scenario, driving) if deciding else []
-    episodes = {name: one_episode(records, scenario, name, seeds[0]) for name in driving if seeds}
-    return Selection(
-        main,
-        filmed,
-        next(iter(common_seeds(records, scenario, filmed)), 0),
-        [episodes[name] for name in deciding if name in episodes],
-        episodes.get(dearest) if dearest else None,
-    )
+    episodes = [one_episode(records, scenario, name, seeds[0]) for name in driving if seeds]
+    beside = episodes.pop() if episodes and dearest else None
+    return Selection(main, filmed, next(iter(common_seeds(records, scenario, filmed)), 0), episodes, beside)
 
 
 def select_of_several(several: Sequence[Results]) -> dict[str, Selection]:
@@ -76,14 +68,14 @@ def select_of_several(several: Sequence[Results]) -> dict[str, Selection]:
     """
     selections: dict[str, Selection] = {}
     for results in several:
+        rows = results.summaries
         for scenario in results.scenarios:
-            if scenario not in selections:
-                selections[scenario] = select(results.records, results.summaries, scenario)
-                continue
-            rows, main = results.summaries, selections[scenario].main
-            further = [name for name in rows.loc[rows["scenario"] == scenario, "controller"] if name not in main]
-            room = max(0, MOST_CONTROLLERS - len(main))
-            selections[scenario] = replace(selections[scenario], main=[*main, *further[:room]])
+            if scenario in selections:
+                main = [*selections[scenario].main, *rows.loc[rows["scenario"] == scenario, "controller"]]
+                room = max(MOST_CONTROLLERS, len(selections[scenario].main))
+                selections[scenario] = replace(selections[scenario], main=list(dict.fromkeys(main))[:room])
+            else:
+                selections[scenario] = select(results.records, rows, scenario)
     return selections
 
 
@@ -95,9 +87,7 @@ def telling_pair(summaries: pd.DataFrame, scenario: str) -> list[str]:
     """
     rows = summaries[summaries["scenario"] == scenario].set_index("controller")
     fixed, choosing = rows[rows["kind"] == "fixed"], choosing_controllers(summaries, scenario)
-    if fixed.empty or not choosing:
-        return list(rows.index[:2])
-    return [str(fixed["reward"].idxmax()), choosing[0]]
+    return list(rows.index[:2]) if fixed.empty or not choosing else [str(fixed["reward"].idxmax()), choosing[0]]
 
 
 def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
@@ -105,11 +95,7 @@ def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
 
     It is the one at the paper's conservative lambda or else at the smallest.
     """
-    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
+    rows = summaries[(summaries["scenario"] == scenario) & summaries["kind"].isin(CHOOSING)].set_index("controller")
     usual = named_controller(paper_controllers(scenario)[-1]).price
-    chosen = []
-    for kind in sorted(CHOOSING, key=lambda kind: kind != PREFERRED):
-        prices = rows.loc[rows["kind"] == kind, "price"].astype(float)
-        if len(prices):
-            chosen.append(str(prices.index[prices == usual][0] if (prices == usual).any() else prices.idxmin()))
-    return chosen
+    chosen = {kind: (own["price"] != usual) * (1 + own["price"]) for kind, own in rows.groupby("kind")}
+    return [str(chosen[kind].astype(float).idxmin()) for kind in sorted(chosen, key=lambda kind: kind != PREFERRED)]

@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 
 from ms_highway.experiments.analysis.findings import answer
-from ms_highway.experiments.analysis.summary import summary
-from ms_highway.experiments.sweep import sweep_summary
+from ms_highway.experiments.analysis.summary import summary, sweep_summary
 from ms_highway.visualization.comparison import cells
 
 COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185, "learned:0.1": 0.111}
@@ -57,7 +56,7 @@ def test_one_episode_shows_no_gain_and_one_controller_is_told_alone():
     assert "; one episode cannot show that it is better." in said(records(naive=[1], tom=[2]))
     assert said(records(naive=[1])).startswith("Planning every step with naive earns a reward of 1.00 per step. No")
     assert said(records(switching_1=[1, 2])).startswith("switching:0.1 earns a reward of 1.50 per step.")
-    assert "earns a reward of 3.00 per step, and no dearer model earns more in these episodes." in said(
+    assert "earns a reward of 3.00 per step, and no more expensive model earns more in these episodes." in said(
         records(naive=[3], tom=[2])
     )
 
@@ -90,13 +89,14 @@ def test_a_sweep_tells_them_as_well():
     rows = [
         {
             "controller": name,
+            "seed": seed,
             "reward": 1.0,
             "counted_seconds": 0.1,
             "share_naive": 1.0,
             "collisions": 0,
             "fallbacks": count,
         }
-        for name, count in (("naive", 0), ("naive", 3), ("turn", 0))
+        for seed, (name, count) in enumerate((("naive", 0), ("naive", 3), ("turn", 0)))
     ]
     summaries = sweep_summary(pd.DataFrame(rows).assign(scenario="merger"))
     assert cells(summaries, "merger")["fallback steps"].tolist() == ["3", "0"]

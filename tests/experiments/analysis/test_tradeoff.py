@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from ms_highway.envs.short_names import controller_config
-from ms_highway.experiments.analysis.tradeoff import best_schedules, coin, meta_rewards, reference, shares
+from ms_highway.experiments.analysis.tradeoff import best_schedules, meta_rewards, reference
 from ms_highway.visualization.comparison import episode_count
 from ms_highway.visualization.tradeoff import curve
 
@@ -36,40 +36,16 @@ def summaries():
     )
 
 
-def test_shares_are_those_of_the_dearest_fixed_model(summaries):
-    share = shares(summaries, "merger")
-    assert reference(summaries, "merger") == "tom"
-    assert share.loc["switching:0.1"].tolist() == pytest.approx([0.8, 0.5])
-    assert share.loc["tom"].tolist() == [1, 1]
-
-
-def test_shares_of_a_reward_below_zero_are_left_empty(summaries):
-    summaries.loc[summaries["controller"] == "tom", "reward"] = -1.0
-    share = shares(summaries, "merger")
-    assert share["reward"].isna().all()
-    assert share.loc["switching:0.1", "computation"] == 0.5
-
-
-def test_shares_need_a_fixed_model(summaries):
+def test_a_curve_needs_no_fixed_model(summaries):
     switching = summaries[summaries["kind"] == "switching"]
+    assert reference(summaries, "merger") == "tom"
     assert reference(switching, "merger") is None
-    with pytest.raises(ValueError, match="no fixed model was compared in 'merger'; add naive, turn, tom"):
-        shares(switching, "merger")
     assert len(curve(switching, "merger").axes) == 2
 
 
 def test_the_best_schedules_are_those_that_nothing_fixed_beats_with_less(summaries):
     best = best_schedules(summaries, "merger")
     assert best["controller"].tolist() == ["naive", "schedule:tom=4,naive", "schedule:tom=6,naive", "tom"]
-
-
-def test_a_coin_has_a_controllers_own_shares(summaries):
-    thirds = summaries.assign(share_naive=1 / 3, share_turn=1 / 3, share_tom=1 / 3)
-    assert coin(thirds, "merger", "switching:0.1") == "random:naive=0.334,turn=0.333,tom=0.333"
-    fixed = summaries.assign(share_naive=0.0, share_turn=0.0, share_tom=1.0)
-    assert controller_config(coin(fixed, "merger", "tom")) == {"type": "random", "shares": {"tom": 1.0}}
-    with pytest.raises(ValueError, match="'switching:3' was not compared in 'merger'; add it"):
-        coin(thirds, "merger", "switching:3")
 
 
 def test_meta_rewards_take_off_the_price_of_planning(summaries):
