@@ -38,7 +38,13 @@ examples:
 
 DECIDED = 0.4  # of an episode among several humans, in which it is decided whether the robot merges
 COSTS = {"naive": 0.002, "turn": 0.003, "tom": 0.0036}  # s, of a plan with this model for one of several humans
-SEVERAL: dict[str, Any] = {"baseline": "cheapest", "prices": (30.0, 30.0), "rounds": 2, "states": (100, 100), "horizon": 25}
+SEVERAL: dict[str, Any] = {
+    "baseline": "cheapest",
+    "prices": (30.0, 30.0),
+    "rounds": 2,
+    "states": (100, 100),
+    "horizon": 25,
+}
 """How values are learned among several humans, where that differs from the defaults of `Learning`."""
 
 
@@ -137,8 +143,8 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     solvers = list(dict.fromkeys(options.solvers or []))
     comparisons = [replace(first, config={**config, "solver": solver}) for solver in solvers] or [first]
     batches = [make_batch(comparison, name) for comparison in comparisons for name in names]
-    ladders = [batch.rungs for batch in batches]
-    models = [name for name in known_models(sum(ladders, [])) if any(name in ladder for ladder in ladders)]
+    used = {name for batch in batches for name in batch.rungs}
+    models = [name for name in known_models(used) if name in used]
     if any(starts_warm(human_model(name)) for name in models):
         why = f"the ladder {' '.join(models)} plans from the rest of the last plan"
         raise ValueError(f"{why}, which rollouts do not have; leave +warm out of the ladder")
@@ -168,7 +174,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         **own,
     )
     if options.generated:
-        settings = batches[0].environment.settings
-        build = lambda scenario: replace(batches[0].loop, game=settings.game(scenario))
-        courses += generated_courses(build, tuple(range(len(models))), options.generated, learning.stream(0))
+        loop, game = batches[0].loop, batches[0].environment.settings.game
+        rungs, random = tuple(range(len(models))), learning.stream(0)
+        courses += generated_courses(lambda one: replace(loop, game=game(one)), rungs, options.generated, random)
     return learning, courses

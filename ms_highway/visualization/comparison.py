@@ -11,7 +11,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from rich.table import Table
 
 from ms_highway.envs.controllers import CHOOSING
-from ms_highway.envs.crowd.controllers import any_controller
+from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import known_models
@@ -104,7 +104,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     """
     rows = records[records["scenario"] == scenario]
     controllers = list(dict.fromkeys(rows["controller"]))
-    choosing = [name for name in controllers if any_controller(name).type in CHOOSING]
+    choosing = [name for name in controllers if controller_config(name)["type"] in CHOOSING]
     figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")
     heights = [2.5] + [1] * len(choosing)
     above, *panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
