@@ -1,7 +1,6 @@
 """The command ``ms-highway values``: learn values of computation."""
 
 import argparse
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +45,7 @@ SEVERAL: dict[str, Any] = {
     "states": (100, 100),
     "horizon": 25,
 }
-"""How values are learned among several humans, where that differs from the defaults of ``Learning``."""
+"""How values are learned among several humans, where that differs from the defaults of `Learning`."""
 
 
 def add_values(commands: Any) -> None:
@@ -144,8 +143,8 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     solvers = list(dict.fromkeys(options.solvers or []))
     comparisons = [replace(first, config={**config, "solver": solver}) for solver in solvers] or [first]
     batches = [make_batch(comparison, name) for comparison in comparisons for name in names]
-    ladders = [batch.rungs for batch in batches]
-    models = [name for name in known_models(chain(*ladders)) if any(name in ladder for ladder in ladders)]
+    used = {name for batch in batches for name in batch.rungs}
+    models = [name for name in known_models(used) if name in used]
     if any(starts_warm(human_model(name)) for name in models):
         why = f"the ladder {' '.join(models)} plans from the rest of the last plan"
         raise ValueError(f"{why}, which rollouts do not have; leave +warm out of the ladder")
@@ -175,10 +174,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         **own,
     )
     if options.generated:
-        environment = batches[0].environment.settings
-
-        def build(scenario: Any) -> Any:
-            return replace(batches[0].loop, game=environment.game(scenario))
-
-        courses += generated_courses(build, tuple(range(len(models))), options.generated, learning.stream(0))
+        loop, game = batches[0].loop, batches[0].environment.settings.game
+        rungs, random = tuple(range(len(models))), learning.stream(0)
+        courses += generated_courses(lambda one: replace(loop, game=game(one)), rungs, options.generated, random)
     return learning, courses
