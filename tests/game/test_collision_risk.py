@@ -52,7 +52,7 @@ def test_the_risk_and_its_first_two_derivatives_are_those_of_the_formula(played,
     noise = np.random.default_rng(0).normal(0, [3, 3, 1, 2], (6, 4, 4))
     with jax.enable_x64(True):
         scene = jax.tree.map(partial(jnp.asarray, dtype=jnp.float64), scene)
-        states = jnp.asarray(noise + [*np.asarray(scene.obstacles[0]), 0, 20])
+        states = jnp.asarray(noise).at[..., :2].add(scene.obstacles[0])
         found = jit_quickly(jax.vmap(derivative(lambda cars: computed(scene, cars)[0])))(states)
         expected = np.asarray(jit_quickly(jax.vmap(derivative(partial(by_formula, scene))))(states))
     assert abs(expected).max() > 0.1, "the cars should be close"
