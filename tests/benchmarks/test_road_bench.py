@@ -12,7 +12,7 @@ from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, run_episode, summary
 from ms_highway.benchmarks.road.measures import Watch, measured
-from ms_highway.cli.main import build_parser, main
+from ms_highway.cli.main import main
 
 KEYS = {"success", "collisions", "at_fault", "reward_per_step", "max_acceleration", "p50_ms", "p99_ms"}
 
@@ -150,10 +150,3 @@ def test_what_is_unknown_is_refused_before_anything_is_driven(arguments, message
     assert main(["bench", "road", *arguments, "--json", str(file)]) == 2
     assert message in capsys.readouterr().err
     assert not file.exists()
-
-
-def test_scenarios_are_measured_as_before_beside_the_road():
-    options = build_parser().parse_args(["bench", "merger", "stay_back"])
-    assert options.scenarios == ["merger", "stay_back"]
-    assert not hasattr(options, "scenes")
-    assert build_parser().parse_args(["bench", "road", "merge", "--seeds", "3"]).scenes == ["merge"]

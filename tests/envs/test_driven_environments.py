@@ -144,7 +144,10 @@ def test_pictures_and_videos_are_made_inside_and_outside_of_the_wrapper(outside,
     wrapper, options = gym.wrappers.RenderCollection, {}
     if video:
         pytest.importorskip("moviepy", reason="moviepy, which Gymnasium records with, is not installed")
-        wrapper, options = gym.wrappers.RecordVideo, {"video_folder": str(tmp_path / "films"), "episode_trigger": lambda _: True}
+        wrapper, options = (
+            gym.wrappers.RecordVideo,
+            {"video_folder": str(tmp_path / "films"), "episode_trigger": lambda _: True},
+        )
     env = ms_highway.drive(env if outside else wrapper(env, **options), {"driver": "fixed:naive"})
     env = wrapper(env, **options) if outside else env
     recorder = env if outside else env.env

@@ -68,16 +68,15 @@ def test_humans_drive_episodes_of_stock_environments_and_compile_nothing_after_t
     )
     driven = 0
     for name, config, steps in [("highway-v0", {"vehicles_count": 10, "duration": 10}, 10), ("merge-v0", {}, 12)]:
-        for seed in range(3):
+        for seed in range(2):
             for humans in drive(humans_in(name, seed, **config), steps):
-                if driven == 0:
-                    compiled.clear()
+                driven or compiled.clear()
                 driven += len(humans)
                 assert {human.last_step.status for human in humans} == {"planned"}
                 assert all(np.isfinite(human.state).all() for human in humans)
                 assert all(human.on_road and not human.crashed for human in humans)
     assert compiled == []
-    assert driven > 3 * 10 * 10 + 3 * 4 * 8
+    assert driven > 2 * 10 * 10 + 2 * 4 * 8
 
 
 @pytest.mark.slow
@@ -130,18 +129,6 @@ def test_drivers_of_all_kinds_can_take_each_others_places_and_keep_their_routes(
         environment = environment.change_vehicles(kind)
         assert [car.route for car in environment.road.vehicles[1:]] == routes
     environment.step(IDLE)
-
-
-def test_a_human_is_predicted_along_its_route_as_highway_envs_own_drivers_are():
-    times, predicted = np.arange(0.25, 3, 0.25), 0
-    humans = [car for car in humans_in("intersection-v0").road.vehicles if isinstance(car, HumanVehicle)]
-    for human, driver in zip(humans, map(IDMVehicle.create_from, humans), strict=True):
-        if driver.route[0][:2] == driver.lane_index[:2]:
-            paths = (car.predict_trajectory_constant_speed(times) for car in (human, driver))
-            for mine, theirs in zip(*paths, strict=True):
-                np.testing.assert_allclose(mine, theirs)
-            predicted += 1
-    assert predicted > 2
 
 
 def test_humans_keep_to_what_tyres_hold_and_never_reverse_in_a_roundabout():

@@ -83,16 +83,15 @@ def test_the_nearest_lanes_and_obstacles_ahead_are_seen_and_landmarks_and_far_ca
     assert (view.states[1:, 0] == far[0]).all()
 
 
-@pytest.mark.parametrize(("along", "lanes"), [(10.0, [-4, 0]), (350.0, [-4, -2]), (385.0, [-4])])
-def test_a_lane_that_ends_runs_into_the_nearest_lane_that_goes_on(along, lanes):
-    road, (_, ramp) = road_with("straight", lanes=2, c=StraightLane([400, 0], [600, 0]))
+@pytest.mark.parametrize(
+    ("along", "onward", "lanes"),
+    [(10.0, True, [-4, 0]), (350.0, True, [-4, -2]), (385.0, True, [-4]), (385.0, False, [-4, 0])],
+)
+def test_a_lane_that_ends_runs_into_the_nearest_lane_that_goes_on_if_there_is_one(along, onward, lanes):
+    following = {"c": StraightLane([400, 0], [600, 0])} if onward else {}
+    road, (_, ramp) = road_with("straight", lanes=2, **following)
     driver = put(road, HumanVehicle, ramp, along)
     np.testing.assert_allclose(sorted(set(look(driver).scene.lanes)), lanes)
-
-
-def test_a_lane_where_everything_ends_stays_what_it_is():
-    road, lanes = road_with("straight", lanes=2)
-    np.testing.assert_allclose(sorted(set(look(put(road, HumanVehicle, lanes[1], 385.0)).scene.lanes)), [-4, 0])
 
 
 @pytest.mark.parametrize("goal", ["ahead", "right"])
