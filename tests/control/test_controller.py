@@ -180,9 +180,9 @@ def test_who_meets_another_partner_starts_again_at_the_bottom_with_its_own_plan(
     moved = [state + np.outer(state[:, 3], [0.1 * count, 0, 0, 0]) for count in range(4)]
     models = [controller.step(now).models[0] for now in moved]
     assert models[-1] == "turn"
-    own = controller._last.plan.robot.copy()
+    own = controller._left.robot.copy()
     controller.reset_partner()
-    np.testing.assert_array_equal(controller._last.plan.robot, own)
+    np.testing.assert_array_equal(controller._left.robot, own)
     assert (controller._left.humans == 0).all()
     step = controller.step(moved[-1])
     assert step.models == ("naive",)

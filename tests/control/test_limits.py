@@ -3,12 +3,13 @@
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
 
 from ms_highway.control.driver import fixed
-from ms_highway.envs import SCENARIOS, MergerEnv
+from ms_highway.envs import PAPER_SCENARIOS, MergerEnv
 from ms_highway.envs.configuration import read_own
 from ms_highway.envs.settings import Settings
 from ms_highway.experiments.batch import simulated
@@ -81,7 +82,7 @@ def test_plans_of_the_papers_models_are_left_as_they_are(played, name):
         return within_limits(game, state, MODELS[name].plan(game, state))
 
     plans = [jit_quickly(plan)(game, state) for plan in (MODELS[name].plan, held)]
-    np.testing.assert_array_equal(*plans)
+    jax.tree.map(np.testing.assert_array_equal, *plans)
 
 
 @pytest.mark.slow
@@ -126,7 +127,7 @@ def held_by(control, speed):
 
 
 def test_the_papers_scenes_do_not_look_at_the_grip_unless_they_are_asked_to():
-    for scenario in SCENARIOS:
+    for scenario in PAPER_SCENARIOS:
         env = make_environment(scenario, "naive").unwrapped
         assert env.game.planner.grip is None
     asked = read_own(Settings, MergerEnv.checked_config({"grip": GRIP})).game(MergerEnv.scenario)
