@@ -46,7 +46,7 @@ class InteractionEnv(StageEnv):
       nearest humans; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom",
       "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
       repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the episode starts. All of
-      them and their short names: `ms_highway.envs.controllers.controller_config`. Any of them with ``"belief": True``
+      them and their short names: `ms_highway.envs.short_names.controller_config`. Any of them with ``"belief": True``
       infers from what a human does which model predicts it (`ms_highway.planning.hypotheses`), and counts on no
       response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
@@ -87,12 +87,12 @@ class InteractionEnv(StageEnv):
     each other nor stop, and ``info["collision_effect"]`` says so.
 
     ``info`` holds after every step: ``models``, the name of every human's model; ``model``, the most expensive of them;
-    ``gains``, the highest estimated gain of each model over all humans; ``human_gains``, an array [humans, rungs];
-    ``status``, ``human_status``, a status for each human; ``timing``, ``counted_seconds``, T of the plan; with a
-    controller's ``belief``, ``belief``, the probability of every model for every human, [humans, 4] in the order
-    naive, idm, turn, tom. In scenarios with streams it also holds ``humans_MODEL``, how many humans each model above
-    the first predicts; ``success``, whether the robot is in the target lane and has not collided so far; and
-    ``distance_to_cones``, from the robot's front to the first cone ahead in its lane, infinite without one [m].
+    ``gains``, the highest estimated gain of each model over all humans; ``status``; ``human_status``, a status for each
+    human; ``timing``; ``counted_seconds``, T of the plan; with a controller's ``belief``, ``belief``, the probability
+    of every model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also
+    holds ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in
+    the target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the first cone
+    ahead in its lane, infinite without one [m].
 
     Attributes:
         settings: of the configuration.
@@ -131,7 +131,7 @@ class InteractionEnv(StageEnv):
             "duration": scenario.steps * TIME_STEP,
             "terminate_on_collision": False,
             "screen_width": 1280 if several else 960,
-            "screen_height": 420 if several else 352,
+            "screen_height": 380 if several else 352,
             "scaling": 13.0,
             "centering_position": [0.4, 0.29],
         }
@@ -273,9 +273,9 @@ class InteractionEnv(StageEnv):
         if step is None:
             return info
         info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
-        info |= {"gains": step.highest_gains(), "human_gains": step.gains}
         info["timing"] = Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds)
-        known = {"belief": step.belief, "counted_seconds": self.counted_seconds(step.models)}
+        info["gains"], counted = step.highest_gains(), self.counted_seconds(step.models)
+        known = {"belief": step.belief, "counted_seconds": counted}
         info |= {name: value for name, value in known.items() if value is not None}
         if streams:
             info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}

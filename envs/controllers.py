@@ -75,7 +75,7 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
         return None
 
     def rule(self, start: Start) -> Any:
-        """Return the `Rule` of an episode, or its `Order`."""
+        """Return the `ms_highway.metareasoning.rule.Rule` of an episode, or its `Order`."""
         raise NotImplementedError
 
 
@@ -114,7 +114,7 @@ class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
         return (self.model,)
 
 
-class ScheduleSettings(OrderSettings, tag="schedule"):
+class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
     """A model per step, the last one is kept; ``tom/naive`` stands for a model of each human."""
 
     models: Models
@@ -136,7 +136,7 @@ class ScheduleSettings(OrderSettings, tag="schedule"):
         return np.array([row * (humans // len(row)) for row in rows])
 
 
-class PeriodSettings(ScheduleSettings, tag="period"):
+class PeriodSettings(ScheduleSettings, frozen=True, tag="period"):
     """A model per step, repeated to the end of the episode."""
 
     def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:

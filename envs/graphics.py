@@ -50,10 +50,8 @@ GRID, GROUND, ASPHALT = (215, 218, 224), (205, 218, 195), (96, 100, 106)
 MARGIN = 16  # px
 TEXT_WIDTH = 440  # px, left part of the panel
 LARGE, MEDIUM, SMALL = 24, 15, 13  # px, sizes of texts
-NAMED = 45  # px, width from which on a part of a bar is named
+NAMED = 60  # px, width from which on a part of a bar is named
 WORST = -10.0  # reward below which the curve is cut: a collision would dwarf everything
-LONGEST = 3.0  # times the median, from which on bars of planning times are cut
-SPARSE = 10  # steps of a plan, from which on every second one is drawn, smaller
 
 
 def words(text: str, size: int, color: Color, ground: Color | None = None) -> pygame.Surface:
@@ -163,7 +161,7 @@ class InteractionViewer(Viewer):
     def _draw_plan(self, step: ControlStep) -> None:
         """Draw the predicted paths as dots in the colours of their models, and the robot's plan as a line."""
         surface, (own, *others) = self.sim_surface, self.env.robot.last_state
-        every, radius = (1, 4) if len(step.plan) <= SPARSE else (2, 2)
+        every, radius = (1, 4) if len(step.models) == 1 else (2, 2)
         for state, controls, model in zip(others, step.humans, step.models, strict=False):
             for point in self._path(state, controls)[every::every]:
                 pygame.draw.circle(surface, PAPER, point, radius + 2)
@@ -197,7 +195,8 @@ class InteractionViewer(Viewer):
             return
         chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, (self.panel_height - 66) // 2)
         edges = np.linspace(chart.left, chart.right, 1 + max(env.episode_steps, len(history)))  # of the steps
-        happened = "COLLISION" if env.collision else "in the target lane" if env.success else ""
+        arrived = env.scenario.streams and env.success
+        happened = "COLLISION" if env.collision else "in the target lane" if arrived else ""
         lines = [f"step {len(history)}    reward {history[-1].reward:+.2f}    {happened}"]
         if step:
             self._draw_models(step, MARGIN, top + 10)
@@ -222,15 +221,15 @@ class InteractionViewer(Viewer):
 
     def _times(self, step: ControlStep) -> str:
         budget = self.env.robot.controller.budget
-        text = f"planning {1e3 * step.planning_seconds:.1f} ms, deciding {1e3 * step.decision_seconds:.1f} ms"
-        return text if budget is None else f"{text}, budget {1e3 * budget:g} ms"
+        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": budget}
+        return ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in times.items() if seconds)
 
     def _remarks(self, step: ControlStep) -> str:
         """Say why the only human's model plans, where the cones are, and what became of the plan."""
         rule, cones = self.env.robot.controller.rule, self.env.distance_to_cones
         remarks = {
             _reason(step, isinstance(rule, LearnedValue)): len(step.models) == 1 and not isinstance(rule, Order),
-            f"cones in {cones:.0f} m": cones < np.inf,
+            f"cones in {cones:.0f} m": self.env.scenario.streams and cones < np.inf,
             step.status: step.status != "planned",
         }
         return "    ".join(remark for remark, holds in remarks.items() if holds)
@@ -241,7 +240,7 @@ class InteractionViewer(Viewer):
         for place, shares in enumerate(belief):
             left = start = MARGIN + place * width
             if len(belief) > 1:
-                start = self._write(str(place + 1), SMALL, topleft=(left, top)).right
+                start = self._write(str(place + 1), SMALL, topleft=(left, top)).right + 3
             ends = start + (left + width - 4 - start) * np.cumsum([0.0, *shares])
             for name, low, high in zip(PACKAGE_MODELS, ends, ends[1:], strict=False):
                 part = self.sim_surface.fill(model_color(name), (low, top, high - low + 1, 17))
@@ -261,14 +260,13 @@ class InteractionViewer(Viewer):
         if len(steps[0].models) == 1:
             values = np.array([1e3 * step.planning_seconds for step in steps])
             heading = "planning time of each step [ms], in the colour of its model"
-        most = min(values.max(), LONGEST * np.median(values))
-        heights = np.clip(box.height * values / most, 3, box.height)
+        heights = np.maximum(3, box.height * values / values.max())
         for step, height, left, right in zip(steps, heights, edges, edges[1:], strict=False):
             part = height / len(step.models)
             for place, model in enumerate(sorted(step.models, key=known_models(step.models).index, reverse=True)):
                 bar = (left, box.bottom - part * (1 + place), max(1, right - left - 2), part + 1)
                 self.sim_surface.fill(model_color(model), bar)
-        self._draw_chart(box, heading, "0", f"{most:.3g}")
+        self._draw_chart(box, heading, "0", f"{values.max():.3g}")
 
     def _draw_curve(self, box: pygame.Rect, edges: Vector, rewards: Sequence[float]) -> None:
         """Draw the reward of each step, cut at its `WORST`; the line at 0 is drawn where it lies within."""

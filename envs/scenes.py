@@ -1,8 +1,7 @@
 """The environments of the package's scenarios."""
 
-from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MERGER, STAY_BACK
-
 from ms_highway.envs.base import InteractionEnv
+from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MERGER, STAY_BACK
 
 
 class StayBackEnv(InteractionEnv):

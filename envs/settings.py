@@ -9,7 +9,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import force_setattr
 
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
-from ms_highway.envs.controllers import OrderSettings, controller_settings
+from ms_highway.envs.controllers import ControllerSettings, OrderSettings, controller_settings
 from ms_highway.game.arrays import HumansWeights
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
@@ -63,7 +63,8 @@ class Settings(Struct, frozen=True):
     terminate_on_collision: bool
 
     def __post_init__(self) -> None:
-        force_setattr(self, "controller", controller_settings(self.controller))
+        if not isinstance(self.controller, ControllerSettings):  # as it is in copies
+            force_setattr(self, "controller", controller_settings(self.controller))
         horizon, time_step, chosen = self.horizon, self.time_step, gradient_steps(self.planning)[0]
         if chosen > MOST_ITERATIONS:
             why = f"{horizon} steps of {time_step:g} s need {chosen} gradient steps, which take seconds"

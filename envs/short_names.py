@@ -24,7 +24,7 @@ SHORT_NAMES = {
 
 
 def named_controller(text: str) -> Any:
-    """Return the `ControllerSettings` that a controller's short name stands for, see `controller_config`.
+    """Return the settings that a controller's short name stands for, see `controller_config`.
 
     Raises:
         ValueError: if it stands for none.

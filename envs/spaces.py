@@ -28,10 +28,12 @@ class CarStates(ObservationType):
         self.shape = env.cars, 6
 
     def space(self) -> spaces.Box:
+        """Return the space."""
         high = np.tile(np.array([LARGEST] * 4 + [1, 1], np.float32), (self.shape[0], 1))
         return spaces.Box(-high, high, dtype=np.float32)
 
     def observe(self) -> np.ndarray:
+        """Return what is observed now."""
         x, y, heading, speed = self.env.car_states.T
         cosine, sine = np.cos(heading), np.sin(heading)
         rows = np.array([x, y, speed * cosine, speed * sine, cosine, sine]).T
@@ -53,10 +55,12 @@ class CarTracks(ObservationType):
         self.shape = env.cars, 5
 
     def space(self) -> spaces.Box:
+        """Return the space."""
         high = np.tile(np.array([1, *[self.BOUND] * 4], np.float32), (self.shape[0], 1))
-        return spaces.Box(high * [0, -1, -1, -1, -1], high, dtype=np.float32)
+        return spaces.Box(high * np.array([0, -1, -1, -1, -1], np.float32), high, dtype=np.float32)
 
     def observe(self) -> np.ndarray:
+        """Return what is observed now."""
         present = self.env.present
         tracks = np.concatenate([present[:, None], self.env.car_states], axis=-1) * present[:, None]
         return tracks.clip(-self.BOUND, self.BOUND).astype(np.float32)
@@ -77,10 +81,12 @@ class Autopilot(ActionType):
         super().__init__(env)
 
     def space(self) -> spaces.Space:
+        """Return the space."""
         return spaces.Discrete(1)
 
     @property
     def vehicle_class(self) -> type[RobotVehicle]:
+        """The class of the robot's vehicle."""
         return RobotVehicle
 
     def act(self, action: int) -> None:
@@ -105,6 +111,7 @@ class HumanModelAction(Autopilot):
         self.price = config["lambda"]
 
     def space(self) -> spaces.Space:
+        """Return the space."""
         rungs, humans = len(self.env.settings.models), self.env.settings.humans
         return spaces.Discrete(rungs) if humans == 1 else spaces.MultiDiscrete([rungs] * humans)
 

@@ -16,7 +16,6 @@ from highway_env.envs.common.action import (
     DiscreteMetaAction,
     MultiAgentAction,
 )
-from jaxtyping import Float
 
 from ms_highway.control.road import RoadDriver
 from ms_highway.envs.road.ego import replace_ego
@@ -25,11 +24,23 @@ from ms_highway.envs.road.graphics import show
 from ms_highway.envs.road.settings import RoadSettings
 from ms_highway.envs.road.traffic import restore_traffic
 from ms_highway.envs.stage import StageEnv
-from ms_highway.vehicle.road_robot import RoadRobot, steering_of
-
-__all__ = ["Driven", "check_drivable", "drive"]
+from ms_highway.optimization.arrays import Control
+from ms_highway.vehicle.road_robot import RoadRobot
 
 WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
+UNTIL_FIRST = {
+    "rungs": (),
+    "gains": np.zeros(0),
+    "source": "",
+    "broken": False,
+    "failed": False,
+    "planning_seconds": 0.0,
+    "decision_seconds": 0.0,
+    "compile_seconds": 0.0,
+    "traits": None,
+    "belief": None,
+}
+"""What ``info["road"]`` has of the driver's last step, with its values before the first."""
 
 
 def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
@@ -44,7 +55,7 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
 
     Args:
         env: a highway, merge, roundabout, intersection, exit, two-way, u-turn or racetrack environment.
-        config: any of these keys, see `ms_highway.envs.road.settings.RoadSettings`: ``driver`` (``"switching"`` by
+        config: any of these keys, see `ms_highway.envs.road.settings.RoadSettings`: ``driver`` (``"priced"`` by
             default; ``"fixed:naive"``, ``"proposals"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
             ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs``,
             ``traits`` (whether each driver's desired speed and headway are estimated) and ``belief`` (whether the robot
@@ -65,14 +76,15 @@ def check_drivable(env: Any) -> None:
     Raises:
         ValueError: naming what works.
     """
-    base = env.unwrapped
-    name = base.spec.id if base.spec else type(base).__name__
+    base, reason = env.unwrapped, None
     if isinstance(base, ParkingEnv):
-        raise ValueError(f"{name} has no road to follow; the robot drives {WORKS}")
-    if isinstance(base, LaneKeepingEnv):
-        raise ValueError(f"{name} observes the inner state of its own vehicle; the robot drives {WORKS}")
-    if not isinstance(base, AbstractEnv) or isinstance(base, StageEnv):
-        raise ValueError(f"{name} is none of highway-env's own environments; the robot drives {WORKS}")
+        reason = "has no road to follow"
+    elif isinstance(base, LaneKeepingEnv):
+        reason = "observes the inner state of its own vehicle"
+    elif not isinstance(base, AbstractEnv) or isinstance(base, StageEnv):
+        reason = "is none of highway-env's own environments"
+    if reason:
+        raise ValueError(f"{base.spec.id if base.spec else type(base).__name__} {reason}; the robot drives {WORKS}")
 
 
 class Driven(gym.Wrapper, RecordConstructorArgs):
@@ -113,13 +125,13 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         observation, info = self.env.reset(seed=seed, options=options)
         base = self._base
         planning = self.settings.planning(desired_speed_of(base))
-        cars = len(base.controlled_vehicles)
-        self._drivers += [self.settings.build(planning) for _ in range(cars - len(self._drivers))]
         self.robots = []
-        for number, driver in enumerate(self._drivers[:cars]):
+        for number in range(len(base.controlled_vehicles)):
+            if number == len(self._drivers):
+                self._drivers.append(self.settings.build(planning))
+            driver, goal = self._drivers[number], destination_of(base, number)
             driver.planning = planning
             driver.reset()
-            goal = destination_of(base, number)
             robot = replace_ego(base, RoadRobot.create_from, number)
             robot.drive_with(driver, goal, self.settings.acceleration)
             self.robots.append(robot)
@@ -137,8 +149,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             )
         for robot in self.robots:
             robot.forget()
-        observation, reward, terminated, truncated, info = self.env.step(_harmless(self._base.action_type))
-        return observation, reward, terminated, truncated, {**info, "road": self._told()}
+        *outcome, info = self.env.step(unheeded(self._base.action_type))
+        return *outcome, {**info, "road": self._told()}
 
     def render(self) -> Any:
         """Show the road, the plan, the predictions and the rungs."""
@@ -151,56 +163,42 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
 
     def _told(self) -> dict[str, Any]:
         robot = self.robots[0]
-        last = robot.last_step
-        return {
-            "rungs": list(last.rungs) if last else [],
-            "gains": np.asarray(last.gains) if last else np.zeros(0),
-            "source": last.source if last else "",
-            "broken": bool(last and last.broken),
-            "failed": bool(last and last.failed),
-            "planning_seconds": last.planning_seconds if last else 0.0,
-            "decision_seconds": last.decision_seconds if last else 0.0,
-            "compile_seconds": last.compile_seconds if last else 0.0,
-            "traits": last and last.traits,
-            "belief": last and last.belief,
+        return {name: getattr(robot.last_step, name, value) for name, value in UNTIL_FIRST.items()} | {
             "decisions": [step.planning_seconds + step.decision_seconds for step in robot.steps],
             "sources": [step.source for step in robot.steps],
             "rung_counts": Counter(rung for step in robot.steps for rung in step.rungs if rung),
             "acceleration": max(robot.accelerations, default=0.0),
             "jerk": max(robot.jerks, default=0.0),
             "destination": robot.goal,
-            "success": success(self.unwrapped),
+            "success": success(self._base),
         }
 
 
-def _harmless(action_type: ActionType) -> Any:
-    """Return an action that the environment's reward takes for what the robot does: idle, or what it applies now."""
+def unheeded(action_type: ActionType) -> Any:
+    """Return an action, for a car that drives itself, that rewards take for what it does: idle, or its own one."""
     if isinstance(action_type, MultiAgentAction):
-        return tuple(_harmless(each) for each in action_type.agents_action_types)
+        return tuple(map(unheeded, action_type.agents_action_types))
     if isinstance(action_type, DiscreteMetaAction):
         return action_type.actions_indexes["IDLE"]
-    robot = action_type.controlled_vehicle
-    action = normalised(action_type, robot.applied, robot.LENGTH)
+    action = normalised(action_type, action_type.controlled_vehicle.action)
     if isinstance(action_type, DiscreteAction):
         places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(int)
         return int(np.ravel_multi_index(tuple(places), (action_type.actions_per_axis,) * action_type.size))
     return action
 
 
-def normalised(
-    action_type: ContinuousAction, control: Float[np.ndarray, "2"], length: float
-) -> Float[np.ndarray, "axes"]:
-    """Return a continuous action of highway-env for a control, throttle first, as far as it has both.
+def normalised(action_type: ContinuousAction, action: Mapping[str, float]) -> Control:
+    """Return a vehicle's action as a continuous action of highway-env, throttle first, as far as it has both.
 
     Args:
         action_type: says which ranges [-1, 1] stands for.
-        control: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
-        length: of the vehicle [m].
+        action: ``acceleration`` [m/s^2] and ``steering`` [rad].
     """
-    (curvature, acceleration), wanted = control.tolist(), []
-    if action_type.longitudinal:
-        wanted.append((acceleration, action_type.acceleration_range))
-    if action_type.lateral:
-        wanted.append((steering_of(curvature, length), action_type.steering_range))
-    values = [2 * (value - low) / (high - low) - 1 for value, (low, high) in wanted]
+    values = []
+    for key, there, (low, high) in (
+        ("acceleration", action_type.longitudinal, action_type.acceleration_range),
+        ("steering", action_type.lateral, action_type.steering_range),
+    ):
+        if there:
+            values.append(2 * (action[key] - low) / (high - low) - 1)
     return np.clip(values, -1, 1).astype(np.float32)

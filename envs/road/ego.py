@@ -6,8 +6,6 @@ from typing import Any
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
-__all__ = ["replace_ego"]
-
 KEPT = ("color", "route", "target_speeds", "check_collisions", "collidable", "solid", "MIN_SPEED", "MAX_SPEED")
 """Attributes of a vehicle, beside its state, that its replacement keeps where the vehicle itself has them."""
 
@@ -28,26 +26,24 @@ def replace_ego(env: Any, make: Callable[[Vehicle], Vehicle], number: int = 0) -
     new = make(old)
     new.position, new.heading, new.speed = old.position.copy(), old.heading, old.speed
     new.crashed, new.impact = old.crashed, old.impact
-    for name in KEPT:
-        if name in vars(old):
-            setattr(new, name, getattr(old, name))
+    for name in vars(old).keys() & KEPT:
+        setattr(new, name, getattr(old, name))
     if getattr(new, "color", None) is None:
         new.color = VehicleGraphics.EGO_COLOR
     new.on_state_update()
     env.controlled_vehicles[number] = new
     env.road.vehicles[env.road.vehicles.index(old)] = new
-    for action_type in _parts(env.action_type, "agents_action_types"):
-        if action_type.controlled_vehicle is old or len(env.controlled_vehicles) == 1:
-            action_type.controlled_vehicle = new
-    for observation_type in _parts(env.observation_type, "agents_observation_types", "observation_types"):
-        if observation_type.observer_vehicle is old or len(env.controlled_vehicles) == 1:
-            observation_type.observer_vehicle = new
+    alone = len(env.controlled_vehicles) == 1
+    for part in (*_parts(env.action_type), *_parts(env.observation_type)):
+        for name in ("controlled_vehicle", "observer_vehicle"):
+            if hasattr(part, name) and (alone or getattr(part, name) is old):
+                setattr(part, name, new)
     return new
 
 
-def _parts(whole: Any, *names: str) -> Iterator[Any]:
+def _parts(whole: Any) -> Iterator[Any]:
     """Yield an action or observation type, and those that it is made of."""
     yield whole
-    for name in names:
+    for name in ("agents_action_types", "agents_observation_types", "observation_types"):
         for part in getattr(whole, name, ()):
-            yield from _parts(part, *names)
+            yield from _parts(part)

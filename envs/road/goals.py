@@ -2,16 +2,9 @@
 
 from typing import Any
 
-from highway_env.envs import (
-    ExitEnv,
-    IntersectionEnv,
-    MergeEnv,
-    RoundaboutEnv,
-    UTurnEnv,
-)
+from highway_env.envs import ExitEnv, IntersectionEnv, MergeEnv, RoundaboutEnv, UTurnEnv
 
-__all__ = ["desired_speed_of", "destination_of", "success"]
-
+DESTINATIONS = {RoundaboutEnv: "nxs", ExitEnv: "exit", UTurnEnv: "d"}
 USUAL_SPEED = 30.0  # m/s
 MERGED = 370.0  # m, where merge-v0 ends
 
@@ -24,16 +17,10 @@ def destination_of(env: Any, number: int = 0) -> str | None:
         number: of the controlled vehicle.
     """
     env = env.unwrapped
-    if isinstance(env, RoundaboutEnv):
-        return "nxs"
-    if isinstance(env, ExitEnv):
-        return "exit"
-    if isinstance(env, UTurnEnv):
-        return "d"
     if isinstance(env, IntersectionEnv):
         route = getattr(env.controlled_vehicles[number], "route", None) or []
         return route[-1][1] if len(route) > 1 else env.config["destination"] if number == 0 else None
-    return None
+    return next((node for kind, node in DESTINATIONS.items() if isinstance(env, kind)), None)
 
 
 def desired_speed_of(env: Any) -> float:
@@ -42,11 +29,9 @@ def desired_speed_of(env: Any) -> float:
     action = config["action"].get("action_config", config["action"])
     if isinstance(env.unwrapped, IntersectionEnv):  # which rewards no more than 9 m/s, but grants 13 s only
         return float(env.unwrapped.vehicle.lane.speed_limit)
-    if config.get("reward_speed_range"):
-        return float(config["reward_speed_range"][1])
-    if action.get("target_speeds") is not None:
-        return float(max(action["target_speeds"]))
-    return float(config.get("speed_limit") or USUAL_SPEED)
+    speeds = config.get("reward_speed_range") or action.get("target_speeds")
+    speeds = [config.get("speed_limit") or USUAL_SPEED] if speeds is None else speeds
+    return float(max(speeds))
 
 
 def success(env: Any) -> bool | None:
@@ -56,17 +41,17 @@ def success(env: Any) -> bool | None:
     the north; merge: it has passed the ramp; u-turn: it is on the road back. A car that has crashed has no success.
     """
     env = env.unwrapped
-    if not isinstance(env, (ExitEnv, IntersectionEnv, RoundaboutEnv, MergeEnv, UTurnEnv)):
-        return None
-    if any(vehicle.crashed for vehicle in env.controlled_vehicles):
-        return False
-    road = env.vehicle.lane_index[:2]
+    vehicles, road = env.controlled_vehicles, env.vehicle.lane_index[:2]
     if isinstance(env, ExitEnv):
-        return bool(env._is_success())
-    if isinstance(env, IntersectionEnv):
-        return all(bool(env.has_arrived(vehicle)) for vehicle in env.controlled_vehicles)
-    if isinstance(env, RoundaboutEnv):
-        return road in (("nx", "nxs"), ("nxs", "nxr"))
-    if isinstance(env, MergeEnv):
-        return bool(env.vehicle.position[0] > getattr(env, "end_position", MERGED))
-    return road == ("c", "d")
+        there = env._is_success()
+    elif isinstance(env, IntersectionEnv):
+        there = all(env.has_arrived(vehicle) for vehicle in vehicles)
+    elif isinstance(env, RoundaboutEnv):
+        there = road in (("nx", "nxs"), ("nxs", "nxr"))
+    elif isinstance(env, MergeEnv):
+        there = env.vehicle.position[0] > getattr(env, "end_position", MERGED)
+    elif isinstance(env, UTurnEnv):
+        there = road == ("c", "d")
+    else:
+        return None
+    return bool(there) and not any(vehicle.crashed for vehicle in vehicles)

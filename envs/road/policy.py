@@ -8,16 +8,14 @@ import gymnasium as gym
 import numpy as np
 from highway_env.envs.common.action import ContinuousAction, DiscreteAction
 from highway_env.vehicle.kinematics import Vehicle
-from jaxtyping import Bool, Float
 
 from ms_highway.control.road import RoadStep
 from ms_highway.envs.road.driven import check_drivable, normalised
 from ms_highway.envs.road.goals import desired_speed_of, destination_of
 from ms_highway.envs.road.settings import RoadSettings
-from ms_highway.vehicle.road_robot import MARGIN, PERIOD, Motion, held
+from ms_highway.optimization.arrays import Control
+from ms_highway.vehicle.road_robot import MARGIN, PERIOD, Velocity, keep_grip, steering_of
 from ms_highway.vehicle.road_scene import observe_road
-
-__all__ = ["RoadPolicy"]
 
 SLOWEST = 4.0  # Hz, of actions
 
@@ -42,12 +40,13 @@ class RoadPolicy:
     """
 
     def __init__(self, env: Any, config: Mapping[str, Any] | None = None) -> None:
-        self.settings = RoadSettings.read(config)
+        settings = RoadSettings.read(config)
         self.single = isinstance(env, gym.Env) and not isinstance(env, gym.vector.VectorEnv)
-        if not self.single and not isinstance(getattr(env, "envs", None), (list, tuple)):
-            told = "is neither an environment nor keeps a list of them"
-            raise ValueError(f"{type(env).__name__} {told}; use gym.make(...), or SyncVectorEnv for several")
-        self._pilots = [_Pilot(each, self.settings) for each in ([env] if self.single else env.envs)]
+        envs: Any = [env] if self.single else getattr(env, "envs", None)
+        if not isinstance(envs, (list, tuple)):
+            message = "is neither an environment nor keeps a list of them"
+            raise ValueError(f"{type(env).__name__} {message}; use gym.make(...), or SyncVectorEnv for several")
+        self._pilots = [_Pilot(each, settings) for each in envs]
 
     @property
     def steps(self) -> list[RoadStep | None]:
@@ -55,12 +54,8 @@ class RoadPolicy:
         return [pilot.last_step for pilot in self._pilots]
 
     def predict(
-        self,
-        observation: Any = None,
-        state: Any = None,
-        episode_start: Bool[np.ndarray, "envs"] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Float[np.ndarray, "*envs 2"], Any]:
+        self, observation: Any = None, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[np.ndarray, Any]:
         """Return the action of each environment now, and the state as it was given.
 
         Args:
@@ -70,12 +65,10 @@ class RoadPolicy:
             deterministic: the policy is, either way.
         """
         starts = np.broadcast_to(False if episode_start is None else episode_start, len(self._pilots))
-        actions = [pilot.act(bool(start)) for pilot, start in zip(self._pilots, starts, strict=True)]
-        return (actions[0] if self.single and not self._is_batch(observation) else np.stack(actions)), state
-
-    def _is_batch(self, observation: Any) -> bool:
+        actions = np.stack([pilot.act(bool(start)) for pilot, start in zip(self._pilots, starts, strict=True)])
         space = self._pilots[0].env.observation_space
-        return isinstance(space, gym.spaces.Box) and np.shape(observation) == (1, *space.shape)
+        batch = isinstance(space, gym.spaces.Box) and np.shape(observation) == (1, *space.shape)
+        return actions[0] if self.single and not batch else actions, state
 
 
 class _Pilot:
@@ -83,51 +76,50 @@ class _Pilot:
 
     def __init__(self, env: Any, settings: RoadSettings) -> None:
         check_drivable(env)
-        _check(env)
+        _check_actions(env)
         self.env, self.settings = env, settings
         self.vehicle: Vehicle | None = None
         self.driver = settings.build(settings.planning(0.0))
         self.last_step: RoadStep | None = None
         self._planned_at = 0.0
 
-    def act(self, start: bool) -> Float[np.ndarray, "2"]:
+    def act(self, start: bool) -> Control:
         """Return the action for the coming step."""
         base = self.env.unwrapped
-        if start or base.vehicle is not self.vehicle or self.last_step is None:
-            self._begin()
         vehicle, frame = base.vehicle, 1 / base.config["simulation_frequency"]
-        applied, before = _past(vehicle, frame)
+        if start or vehicle is not self.vehicle:
+            _check_actions(self.env)
+            self.driver.planning = self.settings.planning(desired_speed_of(self.env))
+            self.driver.reset()
+            self.vehicle, self.last_step = vehicle, None
+        applied, before = _last_frame(vehicle, frame)
         if self.last_step is None or base.time - self._planned_at > PERIOD - 0.5 / base.config["policy_frequency"]:
             self.last_step = self.driver.step(observe_road(vehicle, destination_of(base), applied))
             self._planned_at = base.time
-        now, grip = Motion(vehicle.speed, vehicle.heading), MARGIN * self.settings.acceleration
-        control = held(self.last_step.control, now, before, vehicle.LENGTH, frame, grip)
-        return normalised(base.action_type, np.array(control), vehicle.LENGTH)
-
-    def _begin(self) -> None:
-        """Start an episode."""
-        _check(self.env)
-        self.driver.planning = self.settings.planning(desired_speed_of(self.env))
-        self.driver.reset()
-        self.vehicle, self.last_step = self.env.unwrapped.vehicle, None
+        now, grip = Velocity(vehicle.speed, vehicle.heading), MARGIN * self.settings.acceleration
+        curvature, along = keep_grip(self.last_step.control, now, before, vehicle.LENGTH, frame, grip)
+        action = {"acceleration": along, "steering": steering_of(curvature, vehicle.LENGTH)}
+        return normalised(base.action_type, action)
 
 
-def _past(vehicle: Vehicle, frame: float) -> tuple[tuple[float, float], Motion]:
+def _last_frame(vehicle: Vehicle, frame: float) -> tuple[tuple[float, float], Velocity]:
     """Return curvature and acceleration of a vehicle in its last frame, and how its centre moved in it."""
     slip = atan(tan(float(vehicle.action["steering"])) / 2)
     curvature, acceleration = 2 * sin(slip) / vehicle.LENGTH, float(vehicle.action["acceleration"])
     speed = vehicle.speed - acceleration * frame
-    return (curvature, acceleration), Motion(speed, vehicle.heading - speed * curvature * frame + slip)
+    return (curvature, acceleration), Velocity(speed, vehicle.heading - speed * curvature * frame + slip)
 
 
-def _check(env: Any) -> None:
+def _check_actions(env: Any) -> None:
     """Check that an environment can be driven by actions."""
-    base = env.unwrapped
+    base, needs = env.unwrapped, None
     action_type, rate = base.action_type, base.config["policy_frequency"]
-    remedy = "make it with config={'action': {'type': 'ContinuousAction'}, 'policy_frequency': 5}, or use drive(env)"
     if not isinstance(action_type, ContinuousAction) or isinstance(action_type, DiscreteAction):
-        raise ValueError(f"a RoadPolicy needs continuous actions, not {type(action_type).__name__}; {remedy}")
-    if not (action_type.longitudinal and action_type.lateral):
-        raise ValueError(f"a RoadPolicy needs longitudinal and lateral actions; {remedy}")
-    if rate < SLOWEST:
-        raise ValueError(f"a RoadPolicy needs {SLOWEST:g} actions per second or more, not {rate:g}; {remedy}")
+        needs = f"continuous actions, not {type(action_type).__name__}"
+    elif not (action_type.longitudinal and action_type.lateral):
+        needs = "longitudinal and lateral actions"
+    elif rate < SLOWEST:
+        needs = f"{SLOWEST:g} actions per second or more, not {rate:g}"
+    if needs:
+        remedy = "config={'action': {'type': 'ContinuousAction'}, 'policy_frequency': 5}"
+        raise ValueError(f"a RoadPolicy needs {needs}; make it with {remedy}, or use drive(env)")

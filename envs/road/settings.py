@@ -1,30 +1,35 @@
-"""Parse and check the configuration of a driver for stock environments."""
+"""Read the configuration of a driver for stock environments."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct, ValidationError, convert
 
 from ms_highway.control.road import RoadDriver
-from ms_highway.envs.checks import LARGEST, is_number, refuse_unknown
-from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
+from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
+from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts, RungChoice
 from ms_highway.planning.road.settings import RUNGS, RoadPlanning
 from ms_highway.vehicle.road_robot import MARGIN
 
-__all__ = ["RoadSettings"]
+DRIVERS = ("priced", "priced:PRICE", "budget:MS", "proposals", *(f"fixed:{rung}" for rung in RUNGS))
+"""What drives, as in ``config["driver"]``."""
 
-DRIVERS = "'switching', 'switching:PRICE', 'budget:MS', 'proposals', " + ", ".join(f"'fixed:{rung}'" for rung in RUNGS)
+NUMBERED: dict[str, tuple[Callable[..., RungChoice], str]] = {
+    "priced": (PricedRungs, "its price, such as priced:0.1"),
+    "budget": (BudgetedRungs, "its milliseconds, such as budget:5"),
+}
+Wish = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
+IN_ORDER = f"give rungs of {', '.join(RUNGS)} in this order, {RUNGS[0]} among them"
 
 
-@dataclass(frozen=True)
-class RoadSettings:
-    """How a robot drives a stock environment. Impossible values raise a ValueError.
+class RoadSettings(Struct, frozen=True):
+    """How a robot drives a stock environment.
 
     Attributes:
-        driver: ``"switching"``, a rung for each car by price or budget; ``"switching:PRICE"`` and ``"budget:MS"``, the
-            same with the number; ``"fixed:RUNG"``, the same rung for all cars; ``"proposals"``, the best proposal,
-            without refinement.
+        driver: ``"priced"``, a rung for each car by price or budget; ``"priced:PRICE"`` and ``"budget:MS"``, the same
+            with the number; ``"fixed:RUNG"``, the same rung for all cars; ``"proposals"``, the best proposal, without
+            refinement.
         price: reward that a second of computation costs.
         budget: milliseconds of computation per plan, instead of a price; None for no budget.
         costs: milliseconds that each rung adds to a plan per car, by name, 0 where left out; None to measure
@@ -36,46 +41,23 @@ class RoadSettings:
         traits: whether the desired speed and time headway of each driver are estimated while driving, and used.
         belief: whether the robot infers which model each driver follows, and counts on a yield only of those who have
             shown one: for others, tom falls back to idm.
+
+    Raises:
+        ValueError: for a ladder in another order, unknown rungs, or an impossible driver.
     """
 
-    driver: str = "switching"
-    price: float = 1.0
-    budget: float | None = None
-    costs: Mapping[str, float] | None = None
-    ladder: tuple[str, ...] = RUNGS
-    desired_speed: float | None = None
-    acceleration: float = 5.0
-    curvature: float = 0.2
+    driver: Annotated[str, Meta(description=f"choose one of {', '.join(map(repr, DRIVERS))}")] = "priced"
+    price: NotNegative = 1.0
+    budget: Wish = None
+    costs: Annotated[
+        dict[str, NotNegative] | None, Meta(description="give milliseconds from 0 by rung, such as {'tom': 0.5}")
+    ] = None
+    ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = RUNGS
+    desired_speed: Wish = None
+    acceleration: Positive = 5.0
+    curvature: Positive = 0.2
     traits: bool = False
     belief: bool = False
-
-    def __post_init__(self) -> None:
-        for name in ("price", "budget", "desired_speed", "acceleration", "curvature"):
-            value = getattr(self, name)
-            if value is None and name in ("budget", "desired_speed"):
-                continue
-            if not is_number(value) or value < 0 or (value == 0 and name != "price"):
-                least = "from 0" if name == "price" else "above 0"
-                raise ValueError(f"config[{name!r}] is {value!r}; it must be a number {least} to {LARGEST:.2g}")
-        for name in ("traits", "belief"):
-            if not isinstance(getattr(self, name), bool):
-                raise ValueError(f"config[{name!r}] is {getattr(self, name)!r}; it must be True or False")
-        if self.costs is not None:
-            if not isinstance(self.costs, Mapping):
-                raise ValueError(
-                    f"config['costs'] is {self.costs!r}; give milliseconds by rung, such as {{'tom': 0.5}}"
-                )
-            refuse_unknown("config['costs']", self.costs, RUNGS)
-            for rung, cost in self.costs.items():
-                if not is_number(cost) or cost < 0:
-                    raise ValueError(f"config['costs'][{rung!r}] is {cost!r}; it must be milliseconds, a number from 0")
-        names = self.ladder
-        ordered = isinstance(names, (list, tuple)) and list(names) == [rung for rung in RUNGS if rung in names]
-        if not ordered or RUNGS[0] not in names:
-            remedy = f"give rungs of {', '.join(RUNGS)} in this order, {RUNGS[0]} among them"
-            raise ValueError(f"config['ladder'] is {names!r}; {remedy}")
-        object.__setattr__(self, "ladder", tuple(names))
-        self.choice()
 
     @classmethod
     def read(cls, config: Mapping[str, Any] | None) -> "RoadSettings":
@@ -84,38 +66,43 @@ class RoadSettings:
         Raises:
             ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
         """
-        config = {} if config is None else config
-        if not isinstance(config, Mapping):
-            raise ValueError(f"the configuration is {config!r}; it must be a dictionary")
-        refuse_unknown("config", config, [field.name for field in fields(cls)])
-        return cls(**config)
+        return read(cls, "config", {} if config is None else config)
 
-    def choice(self) -> FixedRung | PricedRungs | BudgetedRungs:
+    def __post_init__(self) -> None:
+        refuse_unknown("config['costs']", self.costs or (), RUNGS)
+        if RUNGS[0] not in self.ladder or self.ladder != tuple(rung for rung in RUNGS if rung in self.ladder):
+            raise ValueError(f"config['ladder'] is {self.ladder!r}; {IN_ORDER}")
+        self.choice()
+
+    def choice(self) -> RungChoice:
         """Return what chooses the rungs.
 
         Raises:
             ValueError: for an unknown driver.
         """
-        text = self.driver if isinstance(self.driver, str) else ""
-        kind, _, rest = text.partition(":")
-        if kind == "switching" and not rest and self.budget is not None:
-            return BudgetedRungs(float(self.budget), self.ladder)
-        if self.budget is not None:
-            raise ValueError(f"config['budget'] is {self.budget!r}, but config['driver'] is {text!r}; say 'switching'")
+        kind, colon, rest = self.driver.partition(":")
+        message = f"config['driver'] is {self.driver!r}"
         if kind == "switching":
-            price = _number(text, rest, "its price, such as switching:0.1") if rest else float(self.price)
-            return PricedRungs(price, self.ladder)
-        if kind == "budget":
-            return BudgetedRungs(_number(text, rest, "its milliseconds, such as budget:5"), self.ladder)
-        if kind == "fixed" and rest in self.ladder:
-            return FixedRung(rest)
-        if text == "proposals":
+            raise ValueError(f"{message}; on roads, the choice by price is called {'priced' + colon + rest!r}")
+        if self.budget is not None:
+            if self.driver != "priced":
+                raise ValueError(f"config['budget'] is {self.budget!r}, but {message}; say 'priced'")
+            return BudgetedRungs(self.budget, self.ladder)
+        if self.driver == "priced":
+            return PricedRungs(self.price, self.ladder)
+        if kind in NUMBERED:
+            rule, wanted = NUMBERED[kind]
+            try:
+                return rule(convert(rest, NotNegative, strict=False), self.ladder)
+            except ValidationError:
+                raise ValueError(f"{message}; it needs {wanted}, as a number from 0") from None
+        if self.driver == "proposals":
             return FixedRung("idm")
         if kind == "fixed" and rest in RUNGS:
-            raise ValueError(
-                f"config['driver'] is {text!r}, but config['ladder'] is {self.ladder!r}; add {rest!r} to it"
-            )
-        raise ValueError(f"config['driver'] is {self.driver!r}; choose one of {DRIVERS}")
+            if rest in self.ladder:
+                return FixedRung(rest)
+            raise ValueError(f"{message}, but config['ladder'] is {self.ladder!r}; add {rest!r} to it")
+        raise ValueError(f"{message}; choose one of {', '.join(map(repr, DRIVERS))}")
 
     def planning(self, desired_speed: float) -> RoadPlanning:
         """Return limits and wishes of plans.
@@ -123,11 +110,7 @@ class RoadSettings:
         Args:
             desired_speed: that the scene rewards, where no other is configured [m/s].
         """
-        return RoadPlanning(
-            desired_speed=float(self.desired_speed or desired_speed),
-            grip=MARGIN * float(self.acceleration),
-            curvature=float(self.curvature),
-        )
+        return RoadPlanning(self.desired_speed or desired_speed, MARGIN * self.acceleration, self.curvature)
 
     def build(self, planning: RoadPlanning) -> RoadDriver:
         """Return a driver with these limits and wishes."""
@@ -136,13 +119,3 @@ class RoadSettings:
             costs = RoadCosts(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in RUNGS]))
         refines = self.driver != "proposals"
         return RoadDriver(planning, self.choice(), refines, costs=costs, traits=self.traits, belief=self.belief)
-
-
-def _number(text: str, part: str, wanted: str) -> float:
-    try:
-        number = float(part)
-    except ValueError:
-        number = -1.0
-    if not (is_number(number) and number >= 0):
-        raise ValueError(f"config['driver'] is {text!r}; it needs {wanted}, as a number from 0")
-    return number

@@ -8,8 +8,6 @@ from typing import Any
 from highway_env.envs import IntersectionEnv
 from highway_env.vehicle import behavior
 
-__all__ = ["restore_traffic"]
-
 OVERWRITTEN = MappingProxyType({"DISTANCE_WANTED": 7, "COMFORT_ACC_MAX": 6, "COMFORT_ACC_MIN": -3})
 """What the reset of an `IntersectionEnv` sets on the class of its traffic."""
 

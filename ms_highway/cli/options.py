@@ -70,7 +70,7 @@ def number(least: float, most: float = MOST, kind: type = int) -> Callable[[str]
             value = float("nan")
         if not least <= value <= most:
             whole = "whole " if kind is int else ""
-            raise argparse.ArgumentTypeError(f"{text!r} is no {whole}number from {least:g} to {most:g}")
+            raise argparse.ArgumentTypeError(f"{text!r} is no {whole}number from {least:,} to {most:,}")
         return value
 
     return read
@@ -239,27 +239,3 @@ def lambdas(text: str) -> list[float]:
         )
         raise argparse.ArgumentTypeError(f"lambdas are {text!r}; {remedy}") from None
     return list(dict.fromkeys(abs(value) for value in values))  # also of -0
-
-
-def check_least(options: argparse.Namespace, **least: int) -> None:
-    """Check numbers that options give, by name, against the least that they may be.
-
-    Raises:
-        ValueError: naming an option whose number is smaller.
-    """
-    for name, bound in least.items():
-        value = getattr(options, name)
-        if value is not None and value < bound:
-            raise ValueError(f"--{name.replace('_', '-')} is {value}; it must be {bound} or more")
-
-
-def check_most(options: argparse.Namespace, **most: int) -> None:
-    """Check numbers that options give, by name, against the most that they may be.
-
-    Raises:
-        ValueError: naming an option whose number is larger.
-    """
-    for name, bound in most.items():
-        value = getattr(options, name)
-        if value is not None and value > bound:
-            raise ValueError(f"--{name.replace('_', '-')} is {value}; it must be {bound} or less")

@@ -12,8 +12,8 @@ from typing import Any, NotRequired, TypedDict
 
 import msgspec
 
-from ms_highway.runtime.cores import cores
 from ms_highway.runtime.files import PART, read_json, replacing
+from ms_highway.runtime.jax_settings import cores
 
 SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
 EXTENDED = ("measured", "asked")

@@ -179,7 +179,7 @@ def check_rule(rule: "Rule | Order") -> None:
     strange = [model for model in rule.ladder if not hasattr(model, "plan")]
     if strange:
         raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
-    if isinstance(rule, Order) or not hasattr(rule, "costs"):
+    if isinstance(rule, Order) or getattr(rule, "costs", None) is None:
         return
     each = np.asarray(rule.costs.each)
     check_costs(rule)

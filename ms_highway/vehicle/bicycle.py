@@ -9,16 +9,15 @@ import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
-from jaxtyping import Float
 
+from ms_highway.game.arrays import Car, State
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.scenario import PAPER_DYNAMICS
+from ms_highway.optimization.arrays import Control
 from ms_highway.vehicle.road_view import states_of
 
-__all__ = ["BicycleVehicle", "RoutedVehicle", "ScriptedVehicle"]
 
-
-def _apart(one: RoadObject, other: RoadObject) -> bool:
+def _separated(one: RoadObject, other: RoadObject) -> bool:
     """Return whether an axis of the first body separates the two."""
     x, y = (other.position - one.position).tolist()
     forward, right = cos(one.heading), sin(one.heading)
@@ -46,7 +45,7 @@ class BicycleVehicle(Vehicle):
 
     speed: float
     crashed: bool
-    impact: Float[np.ndarray, "2"] | None
+    impact: Control | None
 
     def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
         super().__init__(road, position, heading, speed)
@@ -56,23 +55,25 @@ class BicycleVehicle(Vehicle):
             self.color = self.COLOR
 
     @property
-    def state(self) -> Float[np.ndarray, "4"]:
+    def state(self) -> Car:
         """``(x, y, heading, speed)`` in metres, radians and metres per second."""
         return states_of([self])[0]
 
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Execute an action until the next one; without one, continue the last."""
         if action:
-            curvature = tan(float(action["steering"])) / self.LENGTH
-            omega = curvature if self.dynamics.steering == "curvature" else curvature * self.speed
+            omega = tan(float(action["steering"])) / self.LENGTH * self._omega_per_curvature
             self.execute(np.array([omega, float(action["acceleration"])]))
 
-    def execute(self, control: Float[np.ndarray, "2"]) -> None:
+    @property
+    def _omega_per_curvature(self) -> float:
+        return 1.0 if self.dynamics.steering == "curvature" else self.speed
+
+    def execute(self, control: Control) -> None:
         """Execute a control ``(omega, acceleration)``, in the units of the dynamics, until the next one."""
-        self.control = np.asarray(control, dtype=float)
-        omega, acceleration = self.control
-        curvature = omega if self.dynamics.steering == "curvature" else omega / self.speed if self.speed else 0.0
-        self.action = {"steering": atan(curvature * self.LENGTH), "acceleration": float(acceleration)}
+        self.control, scale = np.asarray(control, dtype=float), self._omega_per_curvature
+        omega, acceleration = self.control.tolist()
+        self.action = {"steering": atan((omega / scale if scale else 0.0) * self.LENGTH), "acceleration": acceleration}
 
     def randomize_behavior(self) -> None:
         """Do nothing: highway-env randomises its own drivers here, and nothing of this car is random."""
@@ -91,7 +92,7 @@ class BicycleVehicle(Vehicle):
             self.impact = None
         self.on_state_update()
 
-    def _is_colliding(self, other: RoadObject, dt: float) -> tuple[bool, bool, Float[np.ndarray, "2"] | None]:
+    def _is_colliding(self, other: RoadObject, dt: float) -> tuple[bool, bool, Control | None]:
         """Return whether the bodies overlap, whether they will within ``dt``, and the push apart; see `RoadObject`.
 
         Where one of them is not solid, nothing is pushed, and only the present overlap counts: no axis of either
@@ -99,7 +100,7 @@ class BicycleVehicle(Vehicle):
         """
         if self.solid and other.solid:
             return super()._is_colliding(other, dt)
-        return not (_apart(self, other) or _apart(other, self)), False, None
+        return not (_separated(self, other) or _separated(other, self)), False, None
 
 
 class ScriptedVehicle(BicycleVehicle):
@@ -112,7 +113,7 @@ class ScriptedVehicle(BicycleVehicle):
         self.execute(keep_velocity(self.dynamics, self.state))
 
 
-class RoutedVehicle(BicycleVehicle):
+class RoutedVehicle(ScriptedVehicle):
     """Car on a given route, whatever happens; past its end, the car keeps its velocity.
 
     Args:
@@ -120,17 +121,11 @@ class RoutedVehicle(BicycleVehicle):
         route: ``(x, y, heading, speed)`` now and after every step, [times, 4].
     """
 
-    COLOR = (150, 150, 160)
-
-    def __init__(self, road: Road | None, route: Float[np.ndarray, "times 4"]) -> None:
+    def __init__(self, road: Road | None, route: State) -> None:
         x, y, heading, speed = route[0].tolist()
         super().__init__(road, [x, y], heading, speed)
         self.route = route
         self.place = 0
-
-    def act(self, action: dict[str, Any] | None = None) -> None:
-        """Compensate friction, for the time after the route; ignore actions."""
-        self.execute(keep_velocity(self.dynamics, self.state))
 
     def step(self, dt: float) -> None:
         """Move to the next state of the route, whatever ``dt`` is."""

@@ -1,16 +1,17 @@
 """Measure the lanes beside a route: where they are, where they may be driven on, and where the road's edges are."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from math import inf
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from scipy.spatial import cKDTree
 
 from ms_highway.game.road import LANES
-from ms_highway.vehicle.lane_paths import FINE, Curve, samples
-from ms_highway.vehicle.road_map import BLOCK, LIMIT, Chain, Goal, LaneIndex, RoadMap
-
-__all__ = ["Corridor", "corridor"]
+from ms_highway.vehicle.lane_paths import FINE, Curve, Row, Rows, from_heading, samples
+from ms_highway.vehicle.road_map import LIMIT, Chain, Goal, Lane, kept
 
 AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
 BEYOND = 3.0  # m, up to which a lane is taken to go straight on
@@ -23,141 +24,104 @@ class Corridor:
 
     Attributes:
         curve: of the route.
-        lanes: lateral positions of the lanes left of it, on it, right of it [m].
-        open: where they may be driven on.
-        edges: lateral positions of the road's edges [m].
-        limit: speed limit [m/s].
+        rows: lateral positions of the lanes left of it, on it, right of it, and of the road's edges [m]; speed limit
+            [m/s].
+        open: where the lanes may be driven on.
     """
 
     curve: Curve
-    lanes: Float[np.ndarray, "lanes samples"]
+    rows: Rows
     open: Bool[np.ndarray, "lanes samples"]
-    edges: Float[np.ndarray, "2 samples"]
-    limit: Float[np.ndarray, "samples"]
 
-    def at(self, s: Float[np.ndarray, "knots"]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return lanes, open, edges and limit at distances from the curve's beginning [m]."""
-        numbers = np.concatenate([self.lanes, self.edges, self.limit[None]])
-        rows = self.curve.gather(numbers, s).astype(np.float32)
-        nearest = np.clip(np.round(s / FINE).astype(int), 0, self.limit.size - 1)
-        return rows[:LANES], self.open[:, nearest], rows[LANES : LANES + 2], rows[-1]
+    def at(self, s: Row) -> dict[str, Any]:
+        """Return what a ``RoadScene`` has of the lanes at distances from the curve's beginning [m]."""
+        rows = self.curve.gather(self.rows, s).astype(np.float32)
+        nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
+        return {"lanes": rows[:LANES], "open": self.open[:, nearest], "edges": rows[LANES:-1], "speed_limit": rows[-1]}
 
 
-@dataclass(frozen=True)
-class _Section:
-    """Lanes between two ways of a route: left of it, its own, right of it; None where there is none to drive on."""
-
-    low: float
-    high: float
-    lanes: tuple[LaneIndex | None, LaneIndex | None, LaneIndex | None]
-
-
-def corridor(roads: RoadMap, chain: Chain, goal: Goal, way: float) -> Corridor:
-    """Return what is around the route along a chain of lanes near a way [m], computed once."""
-    key = (chain, goal, way // BLOCK)
-    if key not in roads.kept:
-        roads.kept[key] = _measure(roads, roads.curve(chain, way), chain, goal)
-    return roads.kept[key]  # type: ignore[return-value]
-
-
-def _sections(roads: RoadMap, chain: Chain, goal: Goal, until: float) -> list[_Section]:
-    """Return the sections of a route.
-
-    A lane beside the route goes on as that lane does, also where it alone leads to the goal; another one begins where
-    the route's road has a lane there that is not forbidden. A lane of the route that ends while others beside it go on
-    cannot be driven on from there, one at the end of the network can.
-    """
-    sections, starts = [], roads.starts(chain)
-    sides: list[LaneIndex | None] = [None, None]
-    for number, own in enumerate(chain):
-        for side, step in enumerate((-1, 1)):
-            last = sides[side]
-            onward = roads.following_towards(last, goal) if last else None
-            sibling = roads.beside(own, step)
-            wanted = roads.towards(goal).get(own[0])
-            if onward in chain or (onward and onward[:2] != own[:2] and onward[1] != wanted):
-                onward = None
-            if onward is None and sibling is not None and not roads.forbidden(sibling):
-                onward = sibling
-            sides[side] = onward
-        sections.append(_Section(starts[number], starts[number + 1], (sides[0], own, sides[1])))
-    own_goes_on = None if roads.refuge(chain[-1]) else chain[-1]
-    way = starts[-1]
-    while way < until:
-        nexts = [roads.following_towards(side, goal) if side else None for side in sides]
-        sides = sides if own_goes_on else nexts
-        length = min((roads.lanes[side].length for side in nexts if side), default=np.inf)
-        sections.append(_Section(way, way + length, (sides[0], own_goes_on, sides[1])))
-        way += length
-    return sections
-
-
-def _measure(roads: RoadMap, curve: Curve, chain: Chain, goal: Goal) -> Corridor:
+@kept
+def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
+    """Return what is around the route along a chain of lanes near a block of it."""
+    curve = chain.curve(block)
     ways = curve.samples[4]
-    count = ways.size
-    lanes, is_open = np.zeros((LANES, count)), np.zeros((LANES, count), dtype=bool)
-    edges, limit = np.zeros((2, count)), np.full(count, LIMIT)
-    sections = _sections(roads, chain, goal, ways[-1])
-    for number, section in enumerate(sections):
-        low = 0 if number == 0 else int(np.searchsorted(ways, section.low))
-        high = int(np.searchsorted(ways, section.high))
-        if high <= low:
+    rows, is_open, low = np.zeros((LANES + 3, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
+    lanes, edges, limit = rows[:LANES], rows[LANES:-1], rows[-1]
+    limit[:] = LIMIT
+    for until, section in _sections(chain, goal, ways[-1]):
+        here = slice(low, int(np.searchsorted(ways, until)))
+        if here.stop <= here.start:
             continue
-        here = slice(low, high)
-        own = section.lanes[1]
-        width = float(roads.lanes[own or chain[-1]].width_at(0.0))
+        low = here.stop
+        reference = section[1] or chain.lanes[-1]
+        width = float(reference.shape.width_at(0.0))
         lanes[:, here] = np.array([[-width], [0.0], [width]])
         found = []
-        for place, index in enumerate(section.lanes):
-            if index is None:
-                continue
-            beside = _beside(roads, curve, here, index) if place != 1 else lanes[place, here]
-            lanes[place, here] = beside
-            is_open[place, here] = ~(np.abs(beside) >= NEARBY * width)
-            found.append(np.where(is_open[place, here], beside, 0.0))
-        found += [_beside(roads, curve, here, index) for index in _outermost(roads, section)]
+        for place, lane in enumerate(section):
+            if lane:
+                beside = lanes[place, here] = _beside(curve, here, lane) if place != 1 else lanes[place, here]
+                inside = is_open[place, here] = ~(np.abs(beside) >= NEARBY * width)
+                found.append(np.where(inside, beside, 0.0))
+        for lane, step in ((section[0], -1), (section[2], 1)):
+            outermost = lane and _outermost(lane, step)
+            if outermost and outermost is not lane:
+                found.append(_beside(curve, here, outermost))
         found = found or [lanes[1, here]]
-        edges[0, here] = np.min(found, axis=0) - width / 2
-        edges[1, here] = np.max(found, axis=0) + width / 2
-        reference = own or section.lanes[0] or section.lanes[2] or chain[-1]
-        limit[here] = roads.limit(reference)
-    return Corridor(curve, _bridged(lanes), is_open, _bridged(edges), limit)
+        edges[:, here] = np.min(found, axis=0) - width / 2, np.max(found, axis=0) + width / 2
+        limit[here] = (section[1] or section[0] or section[2] or chain.lanes[-1]).limit
+    return Corridor(curve, _filled(rows), is_open)
 
 
-def _bridged(rows: Float[np.ndarray, "rows samples"]) -> Float[np.ndarray, "rows samples"]:
+def _sections(chain: Chain, goal: Goal, until: float) -> Iterator[tuple[float, tuple[Lane | None, ...]]]:
+    """Yield the sections of a route: the way until which, and the lanes left of it, its own, right of it.
+
+    None stands for a lane that is not there to be driven on. A lane beside the route goes on as that lane does, also
+    where it alone leads to the goal; another one begins where the route's road has a lane there that is not forbidden.
+    A lane of the route that ends while others beside it go on cannot be driven on from there, one at the end of the
+    network can.
+    """
+    sides: list[Lane | None] = [None, None]
+    for own, end in zip(chain.lanes, chain.starts[1:], strict=True):
+        for side, step in enumerate((-1, 1)):
+            onward, sibling = goal.next(sides[side]), own.beside(step)
+            joins = onward and (onward in own.siblings or onward.end == goal.towards.get(own.start))
+            if not joins or onward in chain.lanes:
+                onward = None if sibling is None or sibling.forbidden else sibling
+            sides[side] = onward
+        yield end, (sides[0], own, sides[1])
+    last = None if chain.lanes[-1].refuge else chain.lanes[-1]
+    way = chain.starts[-1]
+    while way < until:
+        nexts = [goal.next(side) for side in sides]
+        sides = sides if last else nexts
+        way += min((lane.length for lane in nexts if lane), default=inf)
+        yield way, (sides[0], last, sides[1])
+
+
+def _filled(rows: Rows) -> Rows:
     """Interpolate where numbers are missing; without any, return zeros."""
     places, known = np.arange(rows.shape[1]), np.isfinite(rows)
-    return np.stack(
-        [
-            np.interp(places, places[there], row[there]) if there.any() else 0 * places
-            for row, there in zip(rows, known, strict=True)
-        ]
-    )
+    filled = [
+        np.interp(places, places[there], row[there]) if there.any() else 0 * places
+        for row, there in zip(rows, known, strict=True)
+    ]
+    return np.stack(filled)
 
 
-def _outermost(roads: RoadMap, section: _Section) -> list[LaneIndex]:
-    """Return the lanes on both sides of a road that are reached over lanes that are not forbidden."""
-    found = []
-    for place, step in ((0, -1), (2, 1)):
-        index = section.lanes[place]
-        while index and (other := roads.beside(index, step)) is not None and not roads.forbidden(other):
-            index = other
-        if index and index != section.lanes[place]:
-            found.append(index)
-    return found
+def _outermost(lane: Lane, step: int) -> Lane:
+    """Return the last lane towards a side that is reached over lanes that are not forbidden."""
+    other = lane.beside(step)
+    return lane if other is None or other.forbidden else _outermost(other, step)
 
 
-def _beside(roads: RoadMap, curve: Curve, here: slice, index: LaneIndex) -> Float[np.ndarray, "samples"]:
+def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     """Return lateral positions of a lane's centre at some of a curve's samples [m], NaN before and after it."""
-    lane = roads.lanes[index]
     x, y, heading = curve.samples[:3, here]
-    first, last = (lane.local_coordinates(np.array([x[end], y[end]]))[0] for end in (0, -1))
-    low, high = max(min(first, last) - AROUND, 0.0), min(max(first, last) + AROUND, lane.length)
-    _, points, along = samples(lane, *((low, high) if high - low > AROUND else (0.0, lane.length)))
-    here_points = np.stack([x, y], axis=-1)
-    _, nearest = cKDTree(points).query(here_points)
-    delta = points[nearest] - here_points
-    cosine, sine = np.cos(heading), np.sin(heading)
-    ahead, aside = cosine * delta[:, 0] + sine * delta[:, 1], cosine * delta[:, 1] - sine * delta[:, 0]
+    points = np.stack([x, y], axis=-1)
+    ends = sorted(lane.shape.local_coordinates(points[end])[0] for end in (0, -1))
+    low, high = max(ends[0] - AROUND, 0.0), min(ends[1] + AROUND, lane.length)
+    _, centres, along = samples(lane.shape, *((low, high) if high - low > AROUND else (0.0, lane.length)))
+    _, nearest = cKDTree(centres).query(points)
+    ahead, aside = from_heading(heading, *(centres[nearest] - points).T)
     lateral = aside - ahead * np.clip(np.tan(along[nearest] - heading), -1.0, 1.0)
     return np.where(np.abs(ahead) < BEYOND, lateral, np.nan)

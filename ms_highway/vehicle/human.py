@@ -16,8 +16,6 @@ from ms_highway.optimization.solvers import Solver
 from ms_highway.vehicle.planning import PlanningVehicle
 from ms_highway.vehicle.road_view import RoadView, look
 
-__all__ = ["CommuterVehicle", "HumanVehicle"]
-
 
 class HumanVehicle(PlanningVehicle):
     """Plan for a reward of its own, predicting that all others keep their velocity.
@@ -92,17 +90,10 @@ class CommuterVehicle(HumanVehicle):
     weights = commuter_weights()
     solver = "newton"
 
-    def __init__(
-        self,
-        road: Road | None,
-        position: Sequence[float],
-        heading: float = 0,
-        speed: float = 0,
-        enable_lane_change: bool = True,
-    ) -> None:
-        super().__init__(road, position, heading, speed, enable_lane_change)
+    def __init__(self, *place: Any, **options: Any) -> None:
+        super().__init__(*place, **options)
         prior = commuter_traits()
-        self.traits = prior.draw(road.np_random, 1.0) if road else prior.traits(np.zeros(3), 1.0)
+        self.traits = prior.draw(self.road.np_random, 1.0) if self.road else prior.traits(np.zeros(3), 1.0)
 
     def desired_speed(self, view: RoadView) -> float:
         """Return its own desired speed [m/s]: a share of what the road and `target_speed` allow, perhaps above 1."""
@@ -112,4 +103,4 @@ class CommuterVehicle(HumanVehicle):
         game = super()._own_game(view)
         comfort = np.asarray(game.robot.comfort) * [1.0, self.traits.patience]
         own = replace(game.robot, headway=self.traits.headway, comfort=comfort.astype(np.float32))
-        return replace(game, robot=own, human=own)
+        return replace(game, robot=own, humans=replace(own, weights=game.humans.weights))

@@ -5,7 +5,7 @@ Lanes need not meet where one follows the other, and their curvature jumps there
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+from typing import Any
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, StraightLane
@@ -15,7 +15,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from ms_highway.game.road import BEHIND, SPACING, Path, wrapped
 
-__all__ = ["FINE", "Curve", "join_lanes", "samples", "starts_of"]
+Point = Float[np.ndarray, "2"]
+Row = Float[np.ndarray, "samples"]
+Rows = Float[np.ndarray, "rows samples"]
+Points = Float[np.ndarray, "samples 2"]
 
 FINE = 0.5
 """Distance between samples of curves [m]."""
@@ -25,6 +28,14 @@ TRIM = 2.0  # m, left out of lanes on both sides of a joint
 MARGIN = 20.0  # m, beyond a curve's ends, for smoothing
 SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m, tried in order until no curve is too sharp
 SHARPEST = 0.19  # 1/m
+NEAR = 20.0  # m, along a curve, in which a car is looked for
+TIGHTEST = 0.2  # of the radius of a bend, that a car is away from its centre at least
+
+
+def from_heading(heading: Any, x: Any, y: Any) -> tuple[Any, Any]:
+    """Return how far a displacement leads ahead and to the right of a heading, numbers or arrays."""
+    cosine, sine = np.cos(heading), np.sin(heading)
+    return cosine * x + sine * y, cosine * y - sine * x
 
 
 @dataclass(frozen=True)
@@ -36,11 +47,9 @@ class Curve:
             lengths of the lanes passed and the longitudinal coordinate on the present one [m].
     """
 
-    samples: Float[np.ndarray, "5 samples"]
+    samples: Rows
 
-    def gather(
-        self, rows: Float[np.ndarray, "rows samples"], s: Float[np.ndarray, "knots"]
-    ) -> Float[np.ndarray, "rows knots"]:
+    def gather(self, rows: Rows, s: Row) -> Rows:
         """Interpolate rows that belong to the curve's samples at distances from its beginning [m]."""
         place = np.clip(s / FINE, 0.0, rows.shape[1] - 1.001)
         low = place.astype(int)
@@ -49,49 +58,35 @@ class Curve:
 
     def path(self, s: float, knots: int) -> Path:
         """Return the path whose s = 0 is at a distance from the curve's beginning [m]; its heading there is wrapped."""
-        along = s - BEHIND + SPACING * np.arange(knots)
-        x, y, heading, curvature = self.gather(self.samples[:4], along)
+        x, y, heading, curvature = self.gather(self.samples[:4], s - BEHIND + SPACING * np.arange(knots))
         here = heading[int(BEHIND / SPACING)]
         return Path(*np.stack([x, y, heading + wrapped(here) - here, curvature]).astype(np.float32))
 
-    def project(
-        self, position: Float[np.ndarray, "2"], heading: float, way: float, reach: float = 20.0
-    ) -> tuple[float, float, float]:
+    def project(self, position: Point, heading: float, way: float) -> tuple[float, float, float]:
         """Return distance from the curve's beginning, distance to its right and heading relative to it.
 
         Args:
             position: of a car [m].
             heading: of it [rad].
             way: near which it is [m].
-            reach: how near [m].
         """
         ways = self.samples[4]
-        low = min(int(np.searchsorted(ways, way - reach)), ways.size - 2)
-        high = max(int(np.searchsorted(ways, way + reach)), low + 1)
+        low = min(int(np.searchsorted(ways, way - NEAR)), ways.size - 2)
+        high = max(int(np.searchsorted(ways, way + NEAR)), low + 1)
         delta = position[:, None] - self.samples[:2, low:high]
         nearest = int(np.argmin((delta**2).sum(axis=0)))
         _, _, along, bend, _ = self.samples[:, low + nearest]
-        x, y = delta[:, nearest]
-        cosine, sine = np.cos(along), np.sin(along)
-        ahead, aside = cosine * x + sine * y, cosine * y - sine * x
-        step = ahead / max(1 - bend * aside, 0.2)
-        s = (low + nearest) * FINE + step
+        ahead, aside = from_heading(along, *delta[:, nearest])
+        step = ahead / max(1 - bend * aside, TIGHTEST)
         d = aside - bend * ahead * step / 2
-        return float(s), float(d), float(wrapped(heading - along - bend * step))
+        return float((low + nearest) * FINE + step), float(d), float(wrapped(heading - along - bend * step))
 
     def way(self, s: float) -> float:
         """Return the way at a distance from the curve's beginning [m]."""
         return float(np.interp(s, FINE * np.arange(self.samples.shape[1]), self.samples[4]))
 
 
-def starts_of(lanes: Sequence[AbstractLane]) -> list[float]:
-    """Return the ways at which each of the lanes begins, and that at which the last one ends [m]."""
-    return [0.0, *accumulate(float(lane.length) for lane in lanes)]
-
-
-def samples(
-    lane: AbstractLane, low: float, high: float
-) -> tuple[Float[np.ndarray, "samples"], Float[np.ndarray, "samples 2"], Float[np.ndarray, "samples"]]:
+def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, Row]:
     """Return places, positions and headings along a lane, always at the same places between two bounds."""
     s = COARSE * np.arange(np.ceil(low / COARSE), np.floor(high / COARSE) + 1)
     if isinstance(lane, StraightLane):  # the only ones that take arrays
@@ -100,31 +95,30 @@ def samples(
     return s, points, np.array([lane.heading_at(place) for place in s])
 
 
-def join_lanes(lanes: Sequence[AbstractLane], low: float, high: float) -> Curve:
+def join_lanes(lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float) -> Curve:
     """Return the curve along lanes, between two ways; it goes straight on beyond the last one.
 
     A Hermite spline through positions and headings on the lanes bridges the joints. Averages along it, weighted as by a
     Gaussian and corrected so that they keep circles, make its curvature continuous.
+
+    Args:
+        lanes: each of which follows the one before.
+        starts: ways at which each of them begins, and at which the last one ends [m].
+        low: way from which on the curve is needed [m].
+        high: way until which it is needed [m].
     """
-    low, high = low - MARGIN, high + MARGIN
-    starts = starts_of(lanes)
-    ways, points, headings = [], [], []
+    low, high, end = low - MARGIN, high + MARGIN, starts[-1]
+    parts = []
     for number, (lane, start) in enumerate(zip(lanes, starts, strict=False)):
         first = TRIM if number else -np.inf
         last = lane.length - (TRIM if number + 1 < len(lanes) else 1.0)
-        s, place, heading = samples(lane, max(first, low - start), min(last, high - start))
-        ways.append(start + s)
-        points.append(place)
-        headings.append(heading)
-    if high > starts[-1]:
-        beyond = np.arange(max(0.0, low - starts[-1]), high - starts[-1] + COARSE, COARSE)
-        heading = lanes[-1].heading_at(lanes[-1].length)
-        ways.append(starts[-1] + beyond)
-        points.append(
-            lanes[-1].position(lanes[-1].length, 0.0) + beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
-        )
-        headings.append(np.full(beyond.shape, heading))
-    raw = _even(np.concatenate(points), np.concatenate(headings), np.concatenate(ways))
+        s, points, headings = samples(lane, max(first, low - start), min(last, high - start))
+        parts.append((start + s, points, headings))
+    if high > end:
+        beyond, heading = np.arange(max(0.0, low - end), high - end + COARSE, COARSE), lane.heading_at(lane.length)
+        straight = beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
+        parts.append((end + beyond, lane.position(lane.length, 0.0) + straight, np.full(beyond.shape, heading)))
+    raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
     for width in SMOOTHING:
         curve = _smooth(raw, width)
         if np.abs(curve[3]).max() <= SHARPEST:
@@ -132,9 +126,7 @@ def join_lanes(lanes: Sequence[AbstractLane], low: float, high: float) -> Curve:
     return Curve(curve)
 
 
-def _even(
-    points: Float[np.ndarray, "points 2"], headings: Float[np.ndarray, "points"], ways: Float[np.ndarray, "points"]
-) -> Float[np.ndarray, "3 samples"]:
+def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
     """Return x, y and way of points every `FINE` metres of a Hermite spline."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     spline = CubicHermiteSpline(along, points, np.stack([np.cos(headings), np.sin(headings)], axis=-1))
@@ -142,14 +134,14 @@ def _even(
     return _resampled(np.concatenate([spline(dense).T, np.interp(dense, along, ways)[None]]))
 
 
-def _resampled(rows: Float[np.ndarray, "rows points"]) -> Float[np.ndarray, "rows samples"]:
+def _resampled(rows: Rows) -> Rows:
     """Resample rows, the first two of which are positions, at equal distances."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:2])))])
     even = np.arange(0.0, along[-1], FINE)
     return np.stack([np.interp(even, along, row) for row in rows])
 
 
-def _smooth(raw: Float[np.ndarray, "3 points"], width: float) -> Float[np.ndarray, "5 samples"]:
+def _smooth(raw: Rows, width: float) -> Rows:
     """Return a curve's samples, smoothed over a width [m], without the margins at both ends."""
     once = gaussian_filter1d(raw[:2], width / FINE, mode="nearest")
     twice = gaussian_filter1d(once, width / FINE, mode="nearest")

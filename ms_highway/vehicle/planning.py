@@ -2,45 +2,25 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
-from jaxtyping import Bool, Float
 
 from ms_highway.control.controller import Controller, ControlStep
 from ms_highway.control.driver import Driver
 from ms_highway.control.fallback import braking_control
+from ms_highway.game.arrays import State
 from ms_highway.game.dynamics import within_grip
 from ms_highway.game.game import Game
 from ms_highway.game.neighbours import far_behind, headways
-from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
 from ms_highway.vehicle.bicycle import BicycleVehicle
+from ms_highway.vehicle.road_map import LIMIT
 from ms_highway.vehicle.road_view import RoadView, Route, at_constant_speed, look, states_of
 
-__all__ = ["PlanningVehicle", "RobotVehicle"]
-
 STEADINESS = 0.5  # s, by which a neighbour's time gap must be shorter than the partner's to replace it
-
-
-class _Seen(NamedTuple):
-    """Previous states of a driver and its neighbours, and which places were taken."""
-
-    taken: Bool[np.ndarray, "cars"]
-    states: Float[np.ndarray, "taken 4"]
-
-    def along(self, view: RoadView) -> Float[np.ndarray, "cars 4"]:
-        """Return their states in the coordinates of a view; states of empty places are far behind."""
-        straight = view.straightened(self.states)
-        states = np.tile(far_behind(straight[0]), (len(self.taken), 1))
-        states[self.taken] = straight
-        return states
-
-
-def _seen(cars: Sequence[Vehicle | None]) -> _Seen:
-    return _Seen(np.array([car is not None for car in cars]), states_of(filter(None, cars)))
 
 
 def _at(view: RoadView, game: Game, limit: float) -> Game:
@@ -81,12 +61,10 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         super().__init__(road, position, heading, speed)
         self.route: Route | None = None
         self.target_speed = None
-        self.controller: Controller | None = None
-        self.companions: list[Vehicle] = []
-        self.partner: Vehicle | None = None
         self.last_step: ControlStep | None = None
-        self.last_state: Float[np.ndarray, "cars 4"] | None = None
-        self._before: _Seen | None = None
+        self.last_state: State | None = None
+        self._before: dict[int, State] = {}  # states of itself and of its neighbours a step ago, by their row
+        self.drive_with(None)
 
     @classmethod
     def create_from(cls, vehicle: Vehicle) -> Self:
@@ -101,20 +79,19 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         """Maximum speed [m/s], by default (None) that of its lane; 0 to stop."""
         if self._target_speed is not None:
             return self._target_speed
-        limit = self.lane.speed_limit if self.road else None
-        return limit or SPEED_LIMIT * PAPER_UNIT
+        return (self.road and self.lane.speed_limit) or LIMIT
 
     @target_speed.setter
     def target_speed(self, speed: float | None) -> None:
         self._target_speed = speed
 
-    def drive_with(self, controller: Controller, companions: Sequence[Vehicle] = ()) -> None:
+    def drive_with(self, controller: Controller | None, companions: Sequence[Vehicle] = ()) -> None:
         """Let a controller drive: in its game with these other cars, the partner first; without any, by itself."""
         self.controller = controller
         self.companions = list(companions)
-        self.partner = self.companions[0] if self.companions else None
+        self.partner: Vehicle | None = self.companions[0] if companions else None
 
-    def observe(self) -> Float[np.ndarray, "cars 4"]:
+    def observe(self) -> State:
         """Return the states of this car and of its companions."""
         return states_of([self, *self.companions])
 
@@ -133,14 +110,10 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
             BicycleVehicle.act(self, action)
         elif self.companions:
             self.last_state = self.observe()
-            self._take(self.controller.step(self.last_state))
+            self.last_step = self.controller.step(self.last_state)
+            self.execute(self.last_step.control)
         elif not self.crashed:
             self._drive_on_road(self.controller)
-
-    def _take(self, planned: ControlStep, bend: float = 0.0) -> None:
-        """Take the control of a step in the coordinates of a road with a bend [1/m]."""
-        self.last_step = planned
-        self.execute(planned.control + np.array([bend, 0.0]))
 
     def _drive_on_road(self, controller: Controller) -> None:
         """Plan as if the lane were straight, and add its bend to the plan's first control."""
@@ -148,17 +121,28 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self.route = self.route and view.route
         controller.game = _at(view, controller.game, self.desired_speed(view))
         if self.target_speed <= 0:
-            self.execute(braking_control(controller.game, view.states[0]) + np.array([view.bend, 0.0]))
-            self._before = None
-            return
-        place = self._partners_place(view)
-        if view.cars[place] is not self.partner or self._before is None:
-            controller.reset_partner()
-            self.partner, self._before = view.cars[place], None
-        order = [place, *(other for other in range(len(view.cars)) if other != place)]
-        self.last_state = view.states[[0, *(number + 1 for number in order)]]
-        self._take(controller.step(self.last_state, self._before and self._before.along(view)), view.bend)
-        self._before = _seen([self, *(view.cars[number] for number in order)])
+            control, self._before = braking_control(controller.game, view.states[0]), {}
+        else:
+            place = self._partners_place(view)
+            if view.cars[place] is not self.partner or not self._before:
+                controller.reset_partner()
+                self.partner, self._before = view.cars[place], {}
+            order = [place, *(other for other in range(len(view.cars)) if other != place)]
+            self.last_state = view.states[[0, *(number + 1 for number in order)]]
+            self.last_step = controller.step(self.last_state, self._seen_before(view))
+            cars = [self, *(view.cars[number] for number in order)]
+            self._before = {row: states_of([car])[0] for row, car in enumerate(cars) if car is not None}
+            control = self.last_step.control
+        self.execute(control + np.array([view.bend, 0.0]))
+
+    def _seen_before(self, view: RoadView) -> State | None:
+        """Return the states of a step ago in the coordinates of a view, absent neighbours far behind."""
+        if not self._before:
+            return None
+        straight = view.straightened(np.array(list(self._before.values())))
+        states = np.tile(far_behind(straight[0]), (len(view.states), 1))
+        states[list(self._before)] = straight
+        return states
 
     def desired_speed(self, view: RoadView) -> float:
         """Return the speed at which its reward of speed is highest [m/s]: the road's limit, at most `target_speed`."""
@@ -176,31 +160,21 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         """Move for ``dt`` seconds; with a ``grip``, within it and never backwards.
 
         Raises:
-            ValueError: if it drives by itself with Algorithm 1 or a belief, and ``dt`` is not its game's time step.
+            ValueError: if it drives by itself and chooses models or infers beliefs by its last step, and ``dt`` is not
+                its game's time step.
         """
-        self._check_rate(dt)
+        if isinstance(self.controller, Driver) and self.controller.looks_back and not self.companions:
+            wanted = float(self.controller.game.world.time_step)
+            if abs(dt - wanted) > 1e-6:
+                message = f"the road moves in steps of {dt:g} s, and the robot's game in steps of {wanted:g} s"
+                raise ValueError(f"{message}; configure the environment with 'simulation_frequency': {1 / wanted:g}")
         grip = self.controller.game.planner.grip if self.controller else None
         if grip is not None:
             dynamics = replace(self.dynamics, time_step=dt)
             self.execute(within_grip(dynamics, float(grip), np.asarray(self.speed), self.control))
         super().step(dt)
 
-    def _check_rate(self, dt: float) -> None:
-        """Check that a car that drives by itself and learns from its steps acts at the time step of its game."""
-        controller = self.controller
-        if not isinstance(controller, Driver) or self.companions:
-            return
-        if controller.looks_back:
-            wanted = float(controller.game.world.time_step)
-            if abs(dt - wanted) > 1e-6:
-                told = f"the road moves in steps of {dt:g} s, and the robot's game in steps of {wanted:g} s"
-                raise ValueError(f"{told}; configure the environment with 'simulation_frequency': {1 / wanted:g}")
-
-    def predict_trajectory_constant_speed(
-        self, times: Float[np.ndarray, "times"]
-    ) -> tuple[list[Float[np.ndarray, "2"]], list[float]]:
-        """See `ms_highway.vehicle.road_view.at_constant_speed`."""
-        return at_constant_speed(self, times)
+    predict_trajectory_constant_speed = at_constant_speed
 
     def on_state_update(self) -> None:
         """Update the lane that it is on."""

@@ -1,210 +1,277 @@
-"""Find which lanes follow which in a highway-env network, keeping what has been computed."""
+"""Find which lanes follow which in a highway-env network and where a goal lies, and keep what has been computed."""
 
 from bisect import bisect_right
-from collections.abc import Hashable, Mapping
-from functools import cache, cached_property
-from math import cos, inf, sin
-from typing import TypeAlias
-from weakref import WeakKeyDictionary
+from collections.abc import Callable, Iterator
+from functools import cached_property, wraps
+from itertools import accumulate, islice
+from math import cos, hypot, inf, sin
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
+from weakref import WeakKeyDictionary, proxy
 
 from highway_env.road.lane import AbstractLane
-from highway_env.road.road import RoadNetwork
+from highway_env.road.road import LaneIndex, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.game.road import wrapped
-from ms_highway.vehicle.lane_paths import Curve, join_lanes, starts_of
+from ms_highway.vehicle.lane_paths import Curve, Point, join_lanes
 
-__all__ = ["LIMIT", "Chain", "Goal", "LaneIndex", "RoadMap", "road_map"]
-
-LaneIndex: TypeAlias = tuple[str, str, int]
-Chain: TypeAlias = tuple[LaneIndex, ...]
-"""Lanes, each of which follows the one before."""
-
-Goal: TypeAlias = str | tuple[tuple[str, str], ...] | None
+Destination: TypeAlias = str | tuple[tuple[str, str], ...] | None
 """A node to reach, or roads to follow where they begin, or none."""
 
 LIMIT = 20.0
 """Speed limit where a lane has none [m/s]."""
 
+BLOCK = 100.0
+"""Length of the stretches in which long chains of lanes are sampled [m]."""
+
 REACH = 0.5  # widths of a lane, sideways at a joint, up to which a lane leads to the next
 BRIDGED = 10.0  # m, along the lane at a joint
 SHARPEST_TURN = 2.0  # rad, at a joint
 TURN = 5.0  # m of a jump that one radian of a jump in heading is worth
-BLOCK = 100.0  # m, in steps of which long lanes are sampled
+UNEVEN = 0.5  # m, by which a lane may continue another less evenly than the best
 BEFORE, AFTER = 70.0, 260.0  # m, sampled before and after a block
+MOST_ROADS = 50  # in which changes of lane are looked for
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-class RoadMap:
-    """The lanes of a network and what follows from them alone, computed once."""
+def kept(function: Function) -> Function:
+    """Compute a function once for equal arguments, as long as the first argument lives, which keeps the results."""
 
-    def __init__(self, graph: Mapping[str, Mapping[str, list[AbstractLane]]]) -> None:
-        self.graph = graph
-        self.kept: dict[Hashable, object] = {}
-        self.joint = cache(self._joint)
-        self.following = cache(self._following)
-        self.towards = cache(self._towards)
-        self.demand = cache(self._demand)
-        self.refuge = cache(self._refuge)
-        self.starts = cache(self._starts)
-        self.joined = cache(self._joined)
+    @wraps(function)
+    def remembered(owner: Any, *rest: Any) -> Any:
+        results, key = vars(owner).setdefault("_kept", {}), (function, *rest)
+        if key not in results:
+            results[key] = function(owner, *rest)
+        return results[key]
 
-    @cached_property
-    def lanes(self) -> dict[LaneIndex, AbstractLane]:
-        """All lanes by their index."""
-        return {
-            (start, end, number): lane
-            for start, ends in self.graph.items()
-            for end, lanes in ends.items()
-            for number, lane in enumerate(lanes)
-        }
+    return cast(Function, remembered)
 
-    @cached_property
-    def entering(self) -> dict[str, list[LaneIndex]]:
-        """Lanes that end at each node."""
-        found: dict[str, list[LaneIndex]] = {}
-        for index in self.lanes:
-            found.setdefault(index[1], []).append(index)
-        return found
 
-    def beside(self, index: LaneIndex, steps: int) -> LaneIndex | None:
+class Lane:
+    """A lane of a map.
+
+    Attributes:
+        index: in the network.
+        shape: the lane of highway-env.
+        length: [m].
+        limit: of speed [m/s].
+        priority: whoever comes along a lane of a lower one gives way.
+    """
+
+    def __init__(self, roads: "RoadMap", index: LaneIndex, shape: AbstractLane) -> None:
+        self.roads, self.index, self.shape = roads, index, shape
+        self.start, self.end, self.number = index
+        self.length = float(shape.length)
+        self.limit = float(shape.speed_limit or LIMIT)
+        self.forbidden = bool(shape.forbidden)
+        self.priority = getattr(shape, "priority", 0)
+
+    def beside(self, steps: int) -> "Lane | None":
         """Return the lane of the same road some lanes to the right, None without one."""
-        other = (*index[:2], index[2] + steps)
-        return other if other in self.lanes else None
+        return self.roads.lanes.get((self.start, self.end, self.number + steps))
 
-    def forbidden(self, index: LaneIndex) -> bool:
-        """Return whether changes to a lane are forbidden."""
-        return bool(self.lanes[index].forbidden)
+    @property
+    def siblings(self) -> "Lanes":
+        """All lanes of its road."""
+        return self.roads.road(self.start, self.end)
 
-    def limit(self, index: LaneIndex) -> float:
-        """Return the speed limit of a lane [m/s]."""
-        return float(self.lanes[index].speed_limit or LIMIT)
+    @cached_property
+    def joints(self) -> "dict[Lane, Joint]":
+        """How this lane continues each lane before it."""
+        return {lane: _joint(lane.shape, self.shape) for lane in self.roads.lanes.values() if lane.end == self.start}
 
-    def _joint(self, index: LaneIndex, following: LaneIndex) -> tuple[float, float]:
-        """Return how far a lane begins beside the end of another, in widths, and how unevenly it continues it [m].
+    @kept
+    def following(self, reach: float = REACH) -> "Lanes":
+        """Return the nearest lane of each next road that this lane leads to, the most even one first."""
+        roads = [self.roads.road(self.end, end) for end in self.roads.graph.get(self.end, {})]
+        nearest = [min(road, key=lambda other: other.joints[self].aside) for road in roads]
+        leading = [lane for lane in nearest if lane.joints[self].aside < reach]
+        return tuple(sorted(leading, key=lambda other: (other.joints[self].kink, other.index)))
 
-        Beside is measured across the mean of both headings: an arc that touches both lanes has its chord along it.
-        """
-        one, other = self.lanes[index], self.lanes[following]
-        x, y = other.position(0.0, 0.0) - one.position(one.length, 0.0)
-        before = one.heading_at(one.length)
-        turn = wrapped(other.heading_at(0.0) - before)
-        mean = before + turn / 2
-        aside = abs(cos(mean) * y - sin(mean) * x)
-        aside += max(abs(cos(mean) * x + sin(mean) * y) - BRIDGED, 0.0) + (inf if abs(turn) > SHARPEST_TURN else 0.0)
-        later = wrapped(other.heading_at(min(other.length, BRIDGED)) - before)
-        return aside / float(one.width_at(one.length)), aside + TURN * (abs(turn) + abs(later) / 10)
+    @cached_property
+    def touched(self) -> set[str]:
+        """Ends of the next roads of which a lane begins right where this one ends."""
+        nexts = [lane for lane in self.roads.lanes.values() if lane.start == self.end]
+        return {lane.end for lane in nexts if lane.joints[self].apart < REACH}
 
-    def _following(self, index: LaneIndex, reach: float = REACH) -> Chain:
-        """Return the nearest lane of each next road that a lane leads to, the most even one first."""
-        found = []
-        for end, lanes in self.graph.get(index[1], {}).items():
-            nexts = [(index[1], end, number) for number in range(len(lanes))]
-            nearest = min(nexts, key=lambda other: self.joint(index, other)[0])
-            aside, kink = self.joint(index, nearest)
-            if aside < reach:
-                found.append((kink, nearest))
-        return tuple(lane for _, lane in sorted(found))
+    @cached_property
+    def preceding(self) -> "Lane | None":
+        """The lane that this one continues best."""
+        best = min(self.joints, key=lambda other: self.joints[other].kink, default=None)
+        return best if best and self.joints[best].aside < REACH else None
 
-    def following_towards(self, index: LaneIndex, goal: Goal) -> LaneIndex | None:
-        """Return the lane to follow next: towards the goal if this lane leads there, None where a lane ends."""
-        wanted = self.towards(goal).get(index[1])
-        return min(
-            self.following(index),
-            key=lambda other: (other[1] != wanted, self.forbidden(other)),
-            default=None,
-        )
+    def continues_best(self, before: "Lane") -> bool:
+        """Return whether no other lane leads to this one clearly more evenly; whoever joins gives way."""
+        return self.joints[before].kink < min(joint.kink for joint in self.joints.values()) + UNEVEN
 
-    def preceding(self, index: LaneIndex) -> LaneIndex | None:
-        """Return the lane that a lane continues best."""
-        found = [(self.joint(other, index), other) for other in self.entering.get(index[0], ())]
-        (aside, _), best = min(found, key=lambda item: item[0][1], default=((inf, inf), None))
-        return best if aside < REACH else None
+    @cached_property
+    def refuge(self) -> "Lane | None":
+        """The nearest lane of the same road that goes on where this one ends, None if this one goes on or none does."""
+        onward = () if self.following() else [other for other in self.siblings if other.following()]
+        return min(onward, key=lambda other: abs(other.number - self.number), default=None)
 
-    def continues_best(self, index: LaneIndex, following: LaneIndex) -> bool:
-        """Return whether no lane leads to another clearly more evenly than this one; who joins gives way."""
-        kinks = [self.joint(other, following)[1] for other in self.entering.get(following[0], ())]
-        return self.joint(index, following)[1] < min(kinks) + 0.5
+    @kept
+    def continued(self, end: str, number: int | None) -> "Lane":
+        """Return the lane of the road to a node that highway-env's drivers take, who may ask for the lane's number."""
+        last = self.shape.position(self.length, 0)
+        number, _ = self.roads.network.next_lane_given_next_road(*self.index, end, number, last)
+        return self.roads.lanes[self.end, end, number]
 
-    def _towards(self, goal: Goal) -> dict[str, str]:
-        """Return the node to go to from each node from which the goal can be reached."""
-        if goal is None:
-            return {}
-        if not isinstance(goal, str):
-            return dict(goal)
-        found: dict[str, str] = {}
-        queue = [goal]
+    def distance(self, vehicle: Vehicle) -> float:
+        """Return how far a vehicle is from the lane, in position and heading."""
+        return self.shape.distance_with_heading(vehicle.position, vehicle.heading)
+
+    def behind(self, length: float) -> "Lanes":
+        """Return lanes that lead to this one, over at least a length [m] as far as there are any."""
+        before = self.preceding
+        return (*before.behind(length - before.length), before) if before and length > 0 else ()
+
+
+Lanes: TypeAlias = tuple[Lane, ...]
+
+
+class Joint(NamedTuple):
+    """How a lane continues another one.
+
+    Attributes:
+        apart: distance from the other's end to its beginning, in widths.
+        aside: the same across the mean of both headings: an arc that touches both lanes has its chord along it.
+        kink: how unevenly it goes on [m].
+    """
+
+    apart: float
+    aside: float
+    kink: float
+
+
+def _joint(one: AbstractLane, other: AbstractLane) -> Joint:
+    x, y = other.position(0.0, 0.0) - one.position(one.length, 0.0)
+    before, width = one.heading_at(one.length), float(one.width_at(one.length))
+    turn = wrapped(other.heading_at(0.0) - before)
+    mean = before + turn / 2
+    aside = abs(cos(mean) * y - sin(mean) * x)
+    aside += max(abs(cos(mean) * x + sin(mean) * y) - BRIDGED, 0.0) + (inf if abs(turn) > SHARPEST_TURN else 0.0)
+    later = wrapped(other.heading_at(min(other.length, BRIDGED)) - before)
+    return Joint(hypot(x, y) / width, aside / width, aside + TURN * (abs(turn) + abs(later) / 10))
+
+
+class Chain:
+    """Lanes, each of which follows the one before; a way is a distance along them from the beginning of the first [m].
+
+    Attributes:
+        lanes: in order.
+        starts: ways at which each of them begins, and at which the last one ends.
+    """
+
+    def __init__(self, lanes: Lanes) -> None:
+        self.lanes = lanes
+        self.starts = [0.0, *accumulate(lane.length for lane in lanes)]
+
+    def leg(self, way: float) -> int:
+        """Return the number of the lane at a way."""
+        return bisect_right(self.starts, way, 1, len(self.lanes)) - 1
+
+    def at(self, way: float) -> tuple[Point, float]:
+        """Return position and heading in the middle of the lanes at a way; beyond the end, along the last lane."""
+        leg = self.leg(way)
+        shape, place = self.lanes[leg].shape, float(way - self.starts[leg])
+        return shape.position(place, 0), shape.heading_at(place)
+
+    @kept
+    def curve(self, block: float) -> Curve:
+        """Return the curve along the lanes near a block, a number of `BLOCK` lengths."""
+        low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
+        return join_lanes([lane.shape for lane in self.lanes], self.starts, low, high)
+
+
+class Goal:
+    """A destination and which lanes lead there.
+
+    Attributes:
+        towards: the node to go to from each node from which the destination can be reached.
+        leading: lanes from whose end a node of destination can be reached.
+    """
+
+    def __init__(self, roads: "RoadMap", destination: Destination) -> None:
+        self.roads = roads
+        self.towards = dict(destination) if isinstance(destination, tuple) else {}
+        queue = [destination] if isinstance(destination, str) else []
         for node in queue:
-            for start, ends in self.graph.items():
-                if node in ends and start not in found and start != goal:
-                    found[start] = node
+            for start, ends in roads.graph.items():
+                if node in ends and start not in self.towards and start != destination:
+                    self.towards[start] = node
                     queue.append(start)
-        return found
+        self.leading = [lane for lane in roads.lanes.values() if lane.end in queue]
 
-    def ahead(self, index: LaneIndex, goal: Goal, length: float) -> Chain:
+    def next(self, lane: Lane | None) -> Lane | None:
+        """Return the lane to follow next: towards the goal if this lane leads there, None where a lane ends."""
+        wanted = lane and self.towards.get(lane.end)
+        nexts = lane.following() if lane else ()
+        return min(nexts, key=lambda other: (other.end != wanted, other.forbidden), default=None)
+
+    def onward(self, lane: Lane) -> Iterator[Lane]:
+        """Yield a lane and those that follow it."""
+        following: Lane | None = lane
+        while following:
+            yield following
+            following = self.next(following)
+
+    def ahead(self, lane: Lane, length: float) -> Lanes:
         """Return a lane and those that follow it, over at least a length [m] as far as there are lanes."""
-        chain, covered = [index], float(self.lanes[index].length)
-        while covered < length and (following := self.following_towards(chain[-1], goal)) is not None:
-            chain.append(following)
-            covered += float(self.lanes[following].length)
-        return tuple(chain)
+        lanes, covered = [], 0.0
+        for own in self.onward(lane):
+            lanes.append(own)
+            covered += own.length
+            if covered >= length:
+                break
+        return tuple(lanes)
 
-    def behind(self, index: LaneIndex, length: float) -> Chain:
-        """Return lanes that lead to a lane, over at least a length [m] as far as there are any."""
-        chain, covered = [index], 0.0
-        while covered < length and (before := self.preceding(chain[0])) is not None:
-            chain.insert(0, before)
-            covered += float(self.lanes[before].length)
-        return tuple(chain[:-1])
-
-    def _refuge(self, index: LaneIndex) -> LaneIndex | None:
-        """Return the nearest lane of the same road that goes on where this one ends, None if it does not."""
-        if self.following(index):
-            return None
-        onward = [other for other in self._road(index) if self.following(other)]
-        return min(onward, key=lambda other: abs(other[2] - index[2]), default=None)
-
-    def _road(self, index: LaneIndex) -> Chain:
-        return tuple((*index[:2], number) for number in range(len(self.graph[index[0]][index[1]])))
-
-    def _demand(self, index: LaneIndex, goal: Goal) -> tuple[int, float]:
+    @kept
+    def demand(self, lane: Lane) -> tuple[int, float]:
         """Return changes of lane to the right that are needed and the distance from the lane's beginning for them.
 
         They are needed before the end of the first road from whose lane, followed from here, the next road towards
         the goal, or without one any road, is out of reach while other lanes lead there.
         """
-        passed, towards = 0.0, self.towards(goal)
-        for _ in range(50):
-            passed += float(self.lanes[index].length)
-            wanted = towards.get(index[1])
+        passed = 0.0
+        for own in islice(self.onward(lane), MOST_ROADS):
+            passed, wanted = passed + own.length, self.towards.get(own.end)
             leading = [
-                other
-                for other in self._road(index)
-                if any(wanted in (None, following[1]) for following in self.following(other))
+                other for other in own.siblings if any(wanted in (None, onward.end) for onward in other.following())
             ]
+            if leading and own not in leading:
+                return min((other.number - own.number for other in leading), key=abs), passed
             if not leading:
                 break
-            if index not in leading:
-                return min((other[2] - index[2] for other in leading), key=abs), passed
-            following = self.following_towards(index, goal)
-            if following is None:
-                break
-            index = following
         return 0, inf
 
-    def _starts(self, chain: Chain) -> list[float]:
-        """Return the way along a chain at which each of its lanes begins, and its end [m]."""
-        return starts_of([self.lanes[index] for index in chain])
 
-    def leg(self, chain: Chain, way: float) -> int:
-        """Return the number of the lane of a chain at a way [m]."""
-        return min(max(bisect_right(self.starts(chain), way) - 1, 0), len(chain) - 1)
+class RoadMap:
+    """The lanes of a network.
 
-    def curve(self, chain: Chain, way: float) -> Curve:
-        """Return the curve along a chain near a way [m]."""
-        return self.joined(chain, way // BLOCK)
+    Attributes:
+        lanes: by their index.
+    """
 
-    def _joined(self, chain: Chain, block: float) -> Curve:
-        low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
-        return join_lanes([self.lanes[index] for index in chain], low, high)
+    def __init__(self, network: RoadNetwork) -> None:
+        self.network, self.graph = proxy(network), network.graph
+        self.lanes = {index: Lane(self, index, shape) for index, shape in network.lanes_dict().items()}
+
+    @kept
+    def road(self, start: str, end: str) -> Lanes:
+        """Return the lanes from a node to the next, from the left."""
+        return tuple(self.lanes[start, end, number] for number in range(len(self.graph[start][end])))
+
+    @kept
+    def chain(self, lanes: Lanes) -> Chain:
+        """Return a chain of lanes, the same one for the same lanes."""
+        return Chain(lanes)
+
+    @kept
+    def goal(self, destination: Destination) -> Goal:
+        """Return a goal, the same one for the same destination."""
+        return Goal(self, destination)
 
 
 _maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()
@@ -213,5 +280,5 @@ _maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()
 def road_map(network: RoadNetwork) -> RoadMap:
     """Return the map of a network, the same one as long as it lives."""
     if network not in _maps:
-        _maps[network] = RoadMap(network.graph)
+        _maps[network] = RoadMap(network)
     return _maps[network]

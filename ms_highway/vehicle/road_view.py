@@ -9,31 +9,18 @@ from math import dist
 from typing import TypeAlias
 
 import numpy as np
-from highway_env.road.lane import AbstractLane
-from highway_env.road.road import RoadNetwork
+from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
-from jaxtyping import Float
 
-from ms_highway.game.neighbours import FAR_AWAY, neighbours, places
+from ms_highway.game.arrays import State
+from ms_highway.game.neighbours import FAR_AWAY, far_behind, places
 from ms_highway.game.road import wrapped
-from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
+from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
+from ms_highway.vehicle.lane_paths import Point, Row
+from ms_highway.vehicle.road_map import Chain, Lane, road_map
 
-__all__ = [
-    "MAX_LANES",
-    "MAX_OBSTACLES",
-    "RoadView",
-    "Route",
-    "along_route",
-    "at_constant_speed",
-    "followed_lane",
-    "look",
-    "remaining_route",
-    "states_of",
-]
-
-LaneIndex: TypeAlias = tuple[str, str, int]
 Route: TypeAlias = list[tuple[str, str, int | None]]
 """Roads to follow in order, as in highway-env's vehicles; the lane of a road may be None."""
 
@@ -58,7 +45,7 @@ class RoadView:
     Attributes:
         scene: `MAX_LANES` lanes, missing ones repeat the rightmost, and `MAX_OBSTACLES` obstacles, missing ones are far
             behind. The target lane is that of the route or else the nearest.
-        states: of the driver and its `neighbours`.
+        states: of the driver and its neighbours.
         cars: the neighbours, None where there is none.
         speed_limit: of the lane, reduced before bends [m/s].
         route: the driver's, from its present road on; without a route, this road only.
@@ -67,11 +54,11 @@ class RoadView:
     """
 
     scene: Scene
-    states: Float[np.ndarray, "7 4"]
+    states: State
     cars: tuple[Vehicle | None, ...]
     speed_limit: float
     route: Route
-    lane: AbstractLane
+    lane: Lane
     place: float
 
     @property
@@ -79,12 +66,12 @@ class RoadView:
         """Curvature of the lane at the driver [1/m], positive to the right."""
         return float(self.scene.bend or 0.0)
 
-    def straightened(self, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars 4"]:
+    def straightened(self, states: State) -> State:
         """Transform states of cars from highway-env's coordinates to those of the lane."""
         return _straightened(self.lane, self.place, states)
 
 
-def states_of(cars: Iterable[Vehicle]) -> Float[np.ndarray, "cars 4"]:
+def states_of(cars: Iterable[Vehicle]) -> State:
     """Return ``(x, y, heading, speed)`` of highway-env vehicles."""
     return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
 
@@ -98,21 +85,17 @@ def look(driver: Vehicle, route: Route | None = None) -> RoadView:
         driver: whose size is assumed for all cars.
         route: roads that it follows, None to follow whichever road it is on.
     """
-    network, others = driver.road.network, driver.road.vehicles
-    index = followed_lane(driver, route)
-    lane = network.get_lane(index)
-    place, lateral = lane.local_coordinates(driver.position)
-    width = float(lane.width_at(place))
-    seen = [car for car in others if car is not driver and dist(car.position, driver.position) < SIGHT]
-    states = _straightened(lane, place, states_of([driver, *seen, driver]))  # at least one other, which is not there
-    present = np.arange(len(seen) + 1) < len(seen)
-    around = neighbours(states[0], states[1:], present, np.array(width))
-    numbers, taken = places(states[0], states[1:], present, np.array(width))
-    obstacles, obstacle_size = _obstacles(lane, place, driver.road.objects)
-    centres = _lanes(network, index, route, driver)
-    nearest = _nearest(centres, lateral)
+    lane = followed_lane(driver, route)
+    shape, left = lane.shape, remaining_route(route or [(lane.start, lane.end, None)], lane.index)
+    place, lateral = shape.local_coordinates(driver.position)
+    width = float(shape.width_at(place))
+    seen = [car for car in driver.road.vehicles if car is not driver and dist(car.position, driver.position) < SIGHT]
+    own, *others = _straightened(lane, place, states_of([driver, *seen, driver]))  # at least one, which is not there
+    numbers, taken = places(own, np.array(others), np.arange(len(others)) < len(seen), np.array(width))
+    obstacles, obstacle_size = _solid(lane, place, driver.road.objects)
+    centres = _centres(lane, route or [], driver.position)
+    nearest = sorted(centres, key=lambda centre: abs(centre - lateral))
     lanes = sorted(nearest[:MAX_LANES])
-    left = remaining_route(route or [(*index[:2], None)], index)
     ahead = max(driver.speed * PREVIEW, 0.5)
     scene = Scene(
         lanes=np.array(lanes + lanes[-1:] * (MAX_LANES - len(lanes))),
@@ -123,148 +106,93 @@ def look(driver: Vehicle, route: Route | None = None) -> RoadView:
         corner=0.5,
         target_lane=nearest[0] if left[0][2] is None else centres[left[0][2]],
         length_unit=PAPER_UNIT,
-        bend=wrapped(lane.heading_at(place + ahead) - lane.heading_at(place)) / ahead,
+        bend=wrapped(shape.heading_at(place + ahead) - shape.heading_at(place)) / ahead,
     )
     return RoadView(
         scene,
-        np.concatenate([states[:1], around]),
+        np.stack([own, *np.where(taken[:, None], np.array(others)[numbers], far_behind(own))]),
         tuple(seen[number] if there else None for number, there in zip(numbers, taken, strict=True)),
-        min(lane.speed_limit or SPEED_LIMIT * PAPER_UNIT, _bend_limit(network, left, index, place)),
+        min(lane.limit, _limit_before_bends(route_ahead(lane, left), place)),
         left,
         lane,
         place,
     )
 
 
+def followed_lane(driver: Vehicle, route: Route | None) -> Lane:
+    """Return the lane of a driver; with a route, the nearest lane on it."""
+    roads = road_map(driver.road.network)
+    on_route = [lane for start, end, _ in route or () for lane in roads.road(start, end)]
+    return min(on_route or [roads.lanes[driver.lane_index]], key=lambda lane: lane.distance(driver))
+
+
 def remaining_route(route: Route, index: LaneIndex) -> Route:
     """Return the rest of a route from a lane on; only this lane, if it does not lead to the route."""
-    for number, leg in enumerate(route):
-        if leg[:2] == index[:2]:
-            return route[number:]
-    for number, leg in enumerate(route):
-        if leg[0] == index[1]:
-            return [index, *route[number:]]
-    return [index]
+    own = [route[number:] for number, leg in enumerate(route) if leg[:2] == index[:2]]
+    next_own = [[index, *route[number:]] for number, leg in enumerate(route) if leg[0] == index[1]]
+    return [*own, *next_own, [index]][0]
 
 
-def along_route(
-    network: RoadNetwork, route: Route, index: LaneIndex, places: Float[np.ndarray, "places"]
-) -> tuple[list[Float[np.ndarray, "2"]], list[float]]:
-    """Return positions in the middle of lanes, and headings, along a route; beyond its end, along its last lane.
-
-    Args:
-        network: of roads.
-        route: from the road of the lane on.
-        index: of the lane.
-        places: distances from the beginning of the lane, ascending [m].
-    """
-    positions, headings, passed, lane, legs = [], [], 0.0, network.get_lane(index), iter(route[1:])
-    for place in places.tolist():
-        while place - passed > lane.length and (leg := next(legs, None)) is not None:
-            passed += lane.length
-            number, _ = network.next_lane_given_next_road(*index, leg[1], leg[2], lane.position(lane.length, 0))
-            index = (*leg[:2], number)
-            lane = network.get_lane(index)
-        positions.append(lane.position(place - passed, 0))
-        headings.append(lane.heading_at(place - passed))
-    return positions, headings
+def route_ahead(lane: Lane, route: Route) -> Chain:
+    """Return the lanes of a driver on a route, which begins with its road."""
+    lanes = [lane]
+    for _, end, number in route[1:]:
+        lanes.append(lanes[-1].continued(end, number))
+    return lane.roads.chain(tuple(lanes))
 
 
-def at_constant_speed(
-    vehicle: Vehicle, times: Float[np.ndarray, "times"]
-) -> tuple[list[Float[np.ndarray, "2"]], list[float]]:
+def at_constant_speed(vehicle: Vehicle, times: Row) -> tuple[list[Point], list[float]]:
     """Predict positions and headings of a vehicle at times from now [s], at constant speed along its lane and route."""
-    index, network = vehicle.lane_index, vehicle.road.network
-    place, _ = network.get_lane(index).local_coordinates(vehicle.position)
-    route = remaining_route(vehicle.route or [index], index)
-    return along_route(network, route, index, place + vehicle.speed * np.asarray(times))
+    lane = followed_lane(vehicle, None)
+    chain = route_ahead(lane, remaining_route(vehicle.route or [lane.index], lane.index))
+    place, _ = lane.shape.local_coordinates(vehicle.position)
+    positions, headings = zip(*map(chain.at, place + vehicle.speed * np.asarray(times)), strict=True)
+    return list(positions), list(headings)
 
 
-def _bend_limit(network: RoadNetwork, route: Route, index: LaneIndex, place: float) -> float:
-    """Return the highest speed [m/s] from which moderate braking suffices for all bends ahead.
-
-    Args:
-        network: of roads.
-        route: from the driver's road on.
-        index: of its lane.
-        place: position along that lane [m].
-    """
-    _, headings = along_route(network, route, index, place + BENDS_SPACING * np.arange(BENDS_SEEN + 1))
+def _limit_before_bends(chain: Chain, place: float) -> float:
+    """Return the highest speed [m/s] from which moderate braking suffices for all bends ahead of a place [m]."""
+    headings = [chain.at(place + BENDS_SPACING * number)[1] for number in range(BENDS_SEEN + 1)]
     bends = np.maximum(np.abs(wrapped(np.diff(headings))) / BENDS_SPACING, STRAIGHT)
     ahead = BENDS_SPACING * np.arange(BENDS_SEEN)
     return float(np.sqrt(np.maximum(CORNERING / bends, SLOWEST**2) + 2 * SLOWING * ahead).min())
 
 
-def followed_lane(driver: Vehicle, route: Route | None) -> LaneIndex:
-    """Return the lane of a driver; with a route, the nearest lane on it."""
-    if not route:
-        return driver.lane_index
-    network = driver.road.network
-    lanes = [index for start, end, _ in route for index in network.all_side_lanes((start, end, 0))]
-    return min(lanes, key=lambda index: network.get_lane(index).distance_with_heading(driver.position, driver.heading))
-
-
-def _straightened(lane: AbstractLane, place: float, states: Float[np.ndarray, "cars 4"]) -> Float[np.ndarray, "cars 4"]:
+def _straightened(lane: Lane, place: float, states: State) -> State:
     """Transform states of cars from highway-env's coordinates to those of a lane, with x from ``place`` on."""
     straight = []
     for *position, heading, speed in states:
-        x, y = lane.local_coordinates(np.array(position))
-        straight.append((x - place, y, wrapped(heading - lane.heading_at(x)), speed))
+        x, y = lane.shape.local_coordinates(np.array(position))
+        straight.append((x - place, y, wrapped(heading - lane.shape.heading_at(x)), speed))
     return np.array(straight, dtype=float)
 
 
-def _obstacles(
-    lane: AbstractLane, start: float, objects: Iterable[RoadObject]
-) -> tuple[Float[np.ndarray, "obstacles 2"], Float[np.ndarray, "2"]]:
+def _solid(lane: Lane, place: float, objects: Iterable[RoadObject]) -> tuple[State, Point]:
     """Return positions of the nearest obstacles in the coordinates of a lane, and the largest size, assumed for all."""
-    behind, ahead = OBSTACLE_SIGHT
-    seen = []
-    for item in objects:
-        x, y = lane.local_coordinates(item.position)
-        if behind < x - start < ahead and not isinstance(item, Landmark):
-            seen.append((x - start, y, item.LENGTH, item.WIDTH))
-    seen = sorted(seen, key=lambda item: abs(item[0]))[:MAX_OBSTACLES]
-    absent = [(-FAR_AWAY, 0.0, 1.0, 1.0)] * (MAX_OBSTACLES - len(seen))
-    table = np.array(seen + absent)
+    solid = [item for item in objects if not isinstance(item, Landmark)]
+    placed = [(*lane.shape.local_coordinates(item.position), item.LENGTH, item.WIDTH) for item in solid]
+    shifted = [(x - place, *rest) for x, *rest in placed if OBSTACLE_SIGHT[0] < x - place < OBSTACLE_SIGHT[1]]
+    absent = [(-FAR_AWAY, 0.0, 1.0, 1.0)] * MAX_OBSTACLES
+    table = np.array([*sorted(shifted, key=lambda item: abs(item[0])), *absent][:MAX_OBSTACLES])
     return table[:, :2], table[:, 2:].max(axis=0)
 
 
-def _lanes(network: RoadNetwork, index: LaneIndex, route: Route | None, driver: Vehicle) -> list[float]:
-    """Return the centres of the road's lanes beside a driver, in the coordinates of the lane of this index.
+def _centres(lane: Lane, route: Route, position: Point) -> list[float]:
+    """Return the centres of the road's lanes beside a position, in the coordinates of a lane.
 
     A lane that ends where the road continues, such as a ramp, tapers: towards its end its centre moves to that of the
     nearest lane that continues, so that its followers merge.
     """
-    lane = network.get_lane(index)
-    sides = [network.get_lane(side) for side in network.all_side_lanes(index)]
-    along = [side.local_coordinates(driver.position)[0] for side in sides]
-    centres = [lane.local_coordinates(side.position(x, 0))[1] for side, x in zip(sides, along, strict=True)]
-    starts = [following.position(0, 0) for following in _lanes_ahead(network, index[1], route)]
-    onward = [centre for side, centre in zip(sides, centres, strict=True) if _goes_on(side, starts)]
-    if not onward:
-        return centres
+    along = [side.shape.local_coordinates(position)[0] for side in lane.siblings]
+    sides = list(zip(lane.siblings, along, strict=True))
+    centres = [lane.shape.local_coordinates(side.shape.position(x, 0))[1] for side, x in sides]
+    chosen = {end for start, end, _ in route if start == lane.end}
+    goes_on = [bool(side.touched & chosen if chosen else side.touched) for side in lane.siblings]
+    onward = [centre for centre, on in zip(centres, goes_on, strict=True) if on]
     first, last = TAPER
-    for number, (side, x) in enumerate(zip(sides, along, strict=True)):
-        centre = centres[number]
-        if centre not in onward:
+    for number, (side, x) in enumerate(sides):
+        if onward and not goes_on[number]:
             share = min(max((first - (side.length - x)) / (first - last), 0.0), 1.0)
-            centres[number] += share * (_nearest(onward, centre)[0] - centre)
+            nearest = min(onward, key=lambda other: abs(other - centres[number]))
+            centres[number] += share * (nearest - centres[number])
     return centres
-
-
-def _goes_on(lane: AbstractLane, starts: Iterable[Float[np.ndarray, "2"]]) -> bool:
-    """Return whether another lane begins at the end of this one."""
-    end, reach = lane.position(lane.length, 0), lane.width_at(lane.length) / 2
-    return any(dist(start, end) < reach for start in starts)
-
-
-def _nearest(numbers: Iterable[float], number: float) -> list[float]:
-    """Sort numbers by their distance to another."""
-    return sorted(numbers, key=lambda other: abs(other - number))
-
-
-def _lanes_ahead(network: RoadNetwork, node: str, route: Route | None) -> list[AbstractLane]:
-    """Return the lanes that begin at a node: those on the route, if it continues there, or else all."""
-    roads = network.graph.get(node, {})
-    chosen = [end for start, end, _ in route or () if start == node]
-    return [lane for end, lanes in roads.items() if not chosen or end in chosen for lane in lanes]

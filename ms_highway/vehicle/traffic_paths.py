@@ -1,25 +1,27 @@
 """Find the ways that other vehicles may take, and who follows whom and who gives way on them."""
 
-from dataclasses import dataclass
 from itertools import count as counter
 from itertools import pairwise
 from math import sin
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
+import jax
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
+from ms_highway.game.arrays import Car
 from ms_highway.game.road import BEHIND, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path, wrapped
-from ms_highway.vehicle.road_map import LIMIT, Chain, LaneIndex, RoadMap
-
-__all__ = ["Traffic", "Way", "traffic_of"]
+from ms_highway.vehicle.lane_paths import Row, from_heading
+from ms_highway.vehicle.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
 
 AHEAD, BEHIND_SIGHT = 120.0, 60.0  # m, in which others are seen
 MOST_VEHICLES, MOST_WAYS = 16, 3
 BRANCHES = 60.0  # m ahead, up to which all ways are told apart
 LENGTH = 140.0  # m, of ways
+TENS = 10.0  # m, in steps of which the rest of a lane is counted
 CROOKED = 0.8  # widths of a lane: others take joints, such as exits from inner lanes, that the robot does not
 ON_LANE, ALONG = 1.0, 0.3  # m aside and rad, up to which a vehicle may follow a lane that begins where its own does
 NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, and conflict
@@ -28,98 +30,108 @@ JOINED = 5.0  # m after a joint, up to which a vehicle still has the right of wa
 NO_GAP = 1e3  # m, without a leader
 FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
+LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
+NOBODY = {
+    "paths": Path(LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE),
+    "states": np.zeros(4),
+    "sizes": np.array([5.0, 2.0]),
+    "present": False,
+    "limits": LIMIT,
+    "owners": -1,
+    "names": -1,
+    "moving": False,
+    "priority": False,
+}
+"""An unused row of what is known of others."""
+
+Owners = Int[np.ndarray, "traffic"]
 
 
-@dataclass(frozen=True)
-class Way:
-    """A way that a vehicle may take: lanes that follow each other, and the place on the first one [m]."""
+class Way(NamedTuple):
+    """A way that a vehicle may take.
+
+    Attributes:
+        car: the vehicle, or an obstacle.
+        owner: number of it, nearest first.
+        chain: lanes.
+        place: on the first of them [m].
+        path: along them.
+        state: of the vehicle on the path.
+    """
 
     car: RoadObject
     owner: int
     chain: Chain
     place: float
+    path: Path
+    state: Car
 
 
-@dataclass(frozen=True)
-class Traffic:
-    """The fields of a ``RoadScene`` that tell of others."""
+class Conflict(NamedTuple):
+    """Distances along a path and along the route to where they first come near, and how near [m]."""
 
-    paths: Path
-    states: Float[np.ndarray, "traffic 4"]
-    sizes: Float[np.ndarray, "traffic 2"]
-    present: Bool[np.ndarray, "traffic"]
-    limits: Float[np.ndarray, "traffic"]
-    leaders: Int[np.ndarray, "traffic"]
-    gaps: Float[np.ndarray, "traffic"]
-    owners: Int[np.ndarray, "traffic"]
-    names: Int[np.ndarray, "traffic"]
-    moving: Bool[np.ndarray, "traffic"]
-    priority: Bool[np.ndarray, "traffic"]
+    ahead: float
+    on_route: float
+    apart: float
 
 
-def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, chain: Chain, way: float) -> Traffic:
-    """Return the paths of others around a vehicle, those that come near its route first, then by distance.
+def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, chain: Chain, at: float) -> dict[str, Any]:
+    """Return what a ``RoadScene`` has of others: those whose paths come near the robot's route first, then by distance.
 
     Args:
         vehicle: the robot.
         roads: of its network.
         route: its path.
         chain: lanes of its path.
-        way: at which it is along them [m].
+        at: way at which it is along them [m].
     """
-    ways = [way for number, car in enumerate(_seen(vehicle)) for way in _ways(car, number, roads)]
-    drawn = [_draw(way, roads) for way in ways]
-    conflicts = [_conflict(path, route) for path, _ in drawn]
-    order = sorted(range(len(ways)), key=lambda number: (conflicts[number] is None, ways[number].owner))[:TRAFFIC]
-    count, unused = len(order), TRAFFIC - len(order)
-    line = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
-    nowhere = Path(line + np.float32(FAR), np.full_like(line, FAR), np.zeros_like(line), np.zeros_like(line))
-    paths = [drawn[number][0] for number in order] + [nowhere] * unused
-    cars = [ways[number].car for number in order]
-    owners = np.array([ways[number].owner for number in order] + [-1] * unused, dtype=np.int32)
-    present = np.arange(TRAFFIC) < count
-    stacked = Path(*(np.stack([getattr(path, name) for path in paths]) for name in ("x", "y", "heading", "curvature")))
-    leaders, gaps = _leaders(stacked, cars, owners)
-    priority = [
-        _gives_way(roads, chain, way, ways[number], conflicts[number]) and _drives(ways[number].car) for number in order
+    ways = [way for number, car in enumerate(_in_sight(vehicle)) for way in _ways(car, number, roads)]
+    meeting = [(way, _conflict(way.path, route)) for way in ways]
+    meeting = sorted(meeting, key=lambda item: (item[1] is None, item[0].owner))[:TRAFFIC]
+    rows = [
+        {
+            "paths": way.path,
+            "states": way.state,
+            "sizes": np.array([way.car.LENGTH, way.car.WIDTH]),
+            "present": True,
+            "limits": way.chain.lanes[0].limit,
+            "owners": way.owner,
+            "names": _number_of(way.car),
+            "moving": _drives(way.car),
+            "priority": _goes_first(way, conflict, chain, at),
+        }
+        for way, conflict in meeting
     ]
-    return Traffic(
-        paths=stacked,
-        states=np.array([drawn[number][1] for number in order] + [(0.0,) * 4] * unused, dtype=np.float32),
-        sizes=np.array([(car.LENGTH, car.WIDTH) for car in cars] + [(5.0, 2.0)] * unused, dtype=np.float32),
-        present=present,
-        limits=np.array([roads.limit(ways[number].chain[0]) for number in order] + [LIMIT] * unused, dtype=np.float32),
-        leaders=leaders,
-        gaps=gaps,
-        owners=owners,
-        names=np.array([_name(car) for car in cars] + [-1] * unused, dtype=np.int32),
-        moving=np.array([_drives(car) for car in cars] + [False] * unused),
-        priority=np.array(priority + [False] * unused),
-    )
+    table = jax.tree.map(_column, *rows, *[NOBODY] * (TRAFFIC - len(rows)))
+    leaders, gaps = _leaders_of(table["paths"], [way.car for way, _ in meeting], table["owners"])
+    return table | {"leaders": leaders, "gaps": gaps}
 
 
-def _seen(vehicle: Vehicle) -> list[RoadObject]:
+def _column(*values: Any) -> np.ndarray:
+    column = np.array(values)
+    return column.astype({"i": np.int32, "f": np.float32}.get(column.dtype.kind, bool))
+
+
+def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
     """Return vehicles and solid objects in sight, nearest first."""
     others = [car for car in vehicle.road.vehicles if car is not vehicle]
     others += [item for item in vehicle.road.objects if not isinstance(item, Landmark)]
-    if not others:
-        return []
-    delta = np.array([car.position for car in others]) - vehicle.position
+    delta = np.array([car.position for car in others]).reshape(-1, 2) - vehicle.position
     distances = np.hypot(delta[:, 0], delta[:, 1])
-    in_sight = distances < np.where(delta @ vehicle.direction > 0, AHEAD, BEHIND_SIGHT)
-    nearest = [number for number in np.argsort(distances, kind="stable") if in_sight[number]]
+    seen = distances < np.where(delta @ vehicle.direction > 0, AHEAD, BEHIND_SIGHT)
+    nearest = [number for number in np.argsort(distances, kind="stable") if seen[number]]
     return [others[number] for number in nearest[:MOST_VEHICLES]]
 
 
-_names: WeakKeyDictionary[RoadObject, int] = WeakKeyDictionary()
-_unused_names = counter()
+_numbers: WeakKeyDictionary[RoadObject, int] = WeakKeyDictionary()
+_unused_numbers = counter()
 
 
-def _name(car: RoadObject) -> int:
+def _number_of(car: RoadObject) -> int:
     """Return a number that belongs to a vehicle as long as it lives."""
-    if car not in _names:
-        _names[car] = next(_unused_names)
-    return _names[car]
+    if car not in _numbers:
+        _numbers[car] = next(_unused_numbers)
+    return _numbers[car]
 
 
 def _drives(car: RoadObject) -> bool:
@@ -129,85 +141,77 @@ def _drives(car: RoadObject) -> bool:
 
 def _ways(car: RoadObject, owner: int, roads: RoadMap) -> list[Way]:
     """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane."""
-    found = []
-    for index in _begun(car, roads) if _drives(car) else [car.lane_index]:
-        place = float(roads.lanes[index].local_coordinates(car.position)[0])
-        for number, chain in enumerate(_chains(roads, index, place)):
-            found.append((number, Way(car, owner, chain, place)))
+    found, own = [], roads.lanes[car.lane_index]
+    for lane in _begun(car, own) if _drives(car) else [own]:
+        place = float(lane.shape.local_coordinates(car.position)[0])
+        chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS))
+        found += [(number, place, chain) for number, chain in enumerate(chains)]
     found.sort(key=lambda item: item[0])
-    return [way for _, way in found[: MOST_WAYS if _drives(car) else 1]]
+    ways = []
+    for _, place, chain in found[: MOST_WAYS if _drives(car) else 1]:
+        curve = chain.curve(place // BLOCK)
+        s, d, heading = curve.project(car.position, car.heading, place)
+        path = curve.path(s, TRAFFIC_KNOTS)
+        ways.append(Way(car, owner, chain, place, path, np.array([0.0, d, heading, car.speed])))
+    return ways
 
 
-def _begun(car: Vehicle, roads: RoadMap) -> list[LaneIndex]:
+def _begun(car: Vehicle, own: Lane) -> list[Lane]:
     """Return the lanes that a vehicle may be following.
 
     These are its lane; those that begin at the same node, as long as it cannot be told apart which one it takes; the
     neighbour that it moves to within a second, and that beside a lane that ends.
     """
-    index = car.lane_index
-    lane, found = roads.lanes[index], [index]
-    place, aside = lane.local_coordinates(car.position)
-    for end, lanes in roads.graph[index[0]].items():
-        other = (index[0], end, min(index[2], len(lanes) - 1))
-        if end != index[1]:
-            s, d = roads.lanes[other].local_coordinates(car.position)
-            turned = wrapped(car.heading - roads.lanes[other].heading_at(s))
+    place, aside = own.shape.local_coordinates(car.position)
+    found = [own]
+    for end, lanes in own.roads.graph[own.start].items():
+        if end != own.end:
+            other = own.roads.lanes[own.start, end, min(own.number, len(lanes) - 1)]
+            s, d = other.shape.local_coordinates(car.position)
+            turned = wrapped(car.heading - other.shape.heading_at(s))
             if s >= -1.0 and abs(d) < max(ON_LANE, abs(aside)) and abs(turned) < ALONG:
                 found.append(other)
-    drift = aside + car.speed * sin(wrapped(car.heading - lane.heading_at(place)))
-    if abs(drift) > lane.width_at(place) / 2:
-        neighbour = roads.beside(index, 1 if drift > 0 else -1)
-    else:
-        neighbour = roads.refuge(index)
+    drift = aside + car.speed * sin(wrapped(car.heading - own.shape.heading_at(place)))
+    changes = abs(drift) > own.shape.width_at(place) / 2
+    neighbour = own.beside(1 if drift > 0 else -1) if changes else own.refuge
     return [*found, neighbour] if neighbour else found
 
 
-def _chains(roads: RoadMap, index: LaneIndex, place: float) -> tuple[Chain, ...]:
-    """Return the chains of lanes from a place on a lane on, one for each way within `BRANCHES`."""
-    tens = int(max(roads.lanes[index].length - place, 0.0) // 10)
-    key = ("chains", index, tens)
-    if key not in roads.kept:
-        found: list[Chain] = []
-        open_ends: list[tuple[Chain, float]] = [((index,), 10.0 * tens)]
-        while open_ends:
-            chain, covered = open_ends.pop(0)
-            nexts = roads.following(chain[-1], CROOKED) if covered < LENGTH else ()
-            if not nexts:
-                found.append(chain)
-            for following in nexts if covered < BRANCHES else nexts[:1]:
-                open_ends.append(((*chain, following), covered + float(roads.lanes[following].length)))
-        roads.kept[key] = tuple(found)
-    return roads.kept[key]  # type: ignore[return-value]
+@kept
+def _chains_from(lane: Lane, tens: int) -> list[Chain]:
+    """Return the chains of lanes from some tens of metres before a lane's end on, one for each way that branches."""
+    found: list[Chain] = []
+    open_ends: list[tuple[Lanes, float]] = [((lane,), TENS * tens)]
+    for lanes, covered in open_ends:
+        nexts = lanes[-1].following(CROOKED) if covered < LENGTH else ()
+        open_ends += [
+            ((*lanes, following), covered + following.length)
+            for following in (nexts if covered < BRANCHES else nexts[:1])
+        ]
+        if not nexts:
+            found.append(lane.roads.chain(lanes))
+    return found
 
 
-def _draw(way: Way, roads: RoadMap) -> tuple[Path, tuple[float, float, float, float]]:
-    """Return the path of a way and the vehicle's state on it."""
-    curve = roads.curve(way.chain, way.place)
-    s, d, heading = curve.project(way.car.position, way.car.heading, way.place)
-    return curve.path(s, TRAFFIC_KNOTS), (0.0, d, heading, float(way.car.speed))
-
-
-def _conflict(path: Path, route: Path) -> tuple[float, float, float] | None:
-    """Return distances along a path and along the route to where they first come near, and how near; None if never.
+def _conflict(path: Path, route: Path) -> Conflict | None:
+    """Return where a path and the route come near; None if they never do.
 
     Oncoming traffic that keeps to its own lane does not come near.
     """
     ahead = slice(int(BEHIND / SPACING) - 2, None, EVERY)
-    x = path.x[ahead, None] - route.x[None, ahead]
-    y = path.y[ahead, None] - route.y[None, ahead]
-    distances = np.hypot(x, y)
+    distances = np.hypot(path.x[ahead, None] - route.x[None, ahead], path.y[ahead, None] - route.y[None, ahead])
     oncoming = np.cos(path.heading[ahead, None] - route.heading[None, ahead]) < 0
     crossing = (distances < CROSSING).any(axis=1)
     near = crossing | ((distances < NEAR_ROUTE) & ~oncoming).any(axis=1)
     if not near.any():
         return None
-    first = int(np.argmax(crossing)) if crossing.any() else int(np.argmax(near))
+    first = int(np.argmax(crossing if crossing.any() else near))
     on_route = int(np.argmin(distances[first]))
-    return first * EVERY * SPACING, on_route * EVERY * SPACING, float(distances[first, on_route])
+    return Conflict(first * EVERY * SPACING, on_route * EVERY * SPACING, float(distances[first, on_route]))
 
 
-def _gives_way(roads: RoadMap, chain: Chain, at: float, way: Way, conflict: tuple[float, float, float] | None) -> bool:
-    """Return whether the robot, at a way along a chain of lanes, has to give way to a vehicle.
+def _goes_first(way: Way, conflict: Conflict | None, chain: Chain, at: float) -> bool:
+    """Return whether the robot, at a way along a chain of lanes, has to give way to a vehicle that drives.
 
     It has to
 
@@ -216,31 +220,25 @@ def _gives_way(roads: RoadMap, chain: Chain, at: float, way: Way, conflict: tupl
     * with equal priorities, where their ways join in a lane that another lane than the robot's continues into more
       evenly, such as the ring of a roundabout from its entry, and the vehicle comes from there.
     """
-    if conflict is None or conflict[2] > CROSSING:
+    if conflict is None or conflict.apart > CROSSING or not _drives(way.car):
         return False
-    until = roads.leg(way.chain, way.place + conflict[0])
-    here, mine_until = roads.leg(chain, at), roads.leg(chain, at + conflict[1])
-    theirs = min(_priority(roads, index) for index in way.chain[: until + 1])
-    mine = min(_priority(roads, index) for index in chain[here : mine_until + 1])
+    until = way.chain.leg(way.place + conflict.ahead) + 1
+    onward = chain.lanes[chain.leg(at) :]
+    theirs = min(lane.priority for lane in way.chain.lanes[:until])
+    mine = min(lane.priority for lane in onward[: chain.leg(at + conflict.on_route) - chain.leg(at) + 1])
     if theirs != mine:
         return theirs > mine
-    meeting = way.chain[: until + 2]
-    for before, lane in pairwise(chain[here:]):
+    meeting = way.chain.lanes[: until + 1]
+    for before, lane in pairwise(onward):
         if lane in meeting:
-            if roads.continues_best(before, lane):
+            if lane.continues_best(before):
                 return False
             place = meeting.index(lane)
-            return way.place < JOINED if place == 0 else roads.continues_best(meeting[place - 1], lane)
+            return way.place < JOINED if place == 0 else lane.continues_best(meeting[place - 1])
     return False
 
 
-def _priority(roads: RoadMap, index: LaneIndex) -> int:
-    return getattr(roads.lanes[index], "priority", 0)
-
-
-def _leaders(
-    paths: Path, cars: list[RoadObject], owners: Int[np.ndarray, "traffic"]
-) -> tuple[Int[np.ndarray, "traffic"], Float[np.ndarray, "traffic"]]:
+def _leaders_of(paths: Path, cars: list[RoadObject], owners: Owners) -> tuple[Owners, Row]:
     """Return the place of the car ahead on each path, -1 without one, and the distance to it."""
     leaders, gaps = np.full(TRAFFIC, -1, dtype=np.int32), np.full(TRAFFIC, NO_GAP, dtype=np.float32)
     if not cars:
@@ -251,14 +249,12 @@ def _leaders(
     y = positions[None, :, None, 1] - paths.y[:count, None, :]
     nearest = np.argmin(x**2 + y**2, axis=-1)
     rows, columns = np.arange(count)[:, None], np.arange(count)[None, :]
-    x, y, heading = x[rows, columns, nearest], y[rows, columns, nearest], paths.heading[rows, nearest]
-    s = SPACING * nearest - BEHIND + np.cos(heading) * x + np.sin(heading) * y
-    d = np.cos(heading) * y - np.sin(heading) * x
+    ahead, d = from_heading(paths.heading[rows, nearest], x[rows, columns, nearest], y[rows, columns, nearest])
+    s = SPACING * nearest - BEHIND + ahead
     other = owners[:count, None] != owners[None, :count]
-    ahead = other & (np.abs(d) < IN_FRONT) & (s > 0) & (s < LEADER_AHEAD)
-    distance = np.where(ahead, s, NO_GAP)
+    leading = other & (np.abs(d) < IN_FRONT) & (s > 0) & (s < LEADER_AHEAD)
+    distance = np.where(leading, s, NO_GAP)
     leader = np.argmin(distance, axis=1)  # the first path of a car comes before its others
-    found = ahead.any(axis=1)
-    leaders[:count] = np.where(found, leader, -1)
+    leaders[:count] = np.where(leading.any(axis=1), leader, -1)
     gaps[:count] = distance[np.arange(count), leader]
     return leaders, gaps

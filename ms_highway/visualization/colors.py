@@ -6,8 +6,8 @@ from itertools import cycle
 from matplotlib.colors import ListedColormap
 
 from ms_highway.envs.controllers import CHOOSING
-from ms_highway.envs.short_names import controller_config
 from ms_highway.envs.graphics import Color, model_color
+from ms_highway.envs.short_names import controller_config
 from ms_highway.planning.human_models import is_model
 
 SHADES = {

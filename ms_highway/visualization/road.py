@@ -3,16 +3,16 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.patches import Polygon
+from matplotlib.patches import Rectangle
 
-__all__ = ["car_outline", "draw_road"]
+from ms_highway.game.arrays import Car
+from ms_highway.runtime.arrays import Vector
 
 GROUND, EDGE, MARKING = "#f1f2f4", "#555b66", "#b4b9c2"
 
 
-def draw_road(axes: Axes, lanes: Float[np.ndarray, "lanes"], lane_width: float, stretch: tuple[float, float]) -> None:
+def draw_road(axes: Axes, lanes: Vector, lane_width: float, stretch: tuple[float, float]) -> None:
     """Draw a stretch of straight road, at one scale along and across, with a tick at every lane's centre.
 
     Args:
@@ -32,16 +32,14 @@ def draw_road(axes: Axes, lanes: Float[np.ndarray, "lanes"], lane_width: float, 
     axes.set_yticks(lanes, [f"{round(y, 1) + 0.0:.1f}" for y in lanes], fontsize="x-small")
 
 
-def car_outline(state: Float[np.ndarray, "4"], size: Float[np.ndarray, "2"], **style: Any) -> Polygon:
+def car_outline(state: Car, size: Vector, **style: Any) -> Rectangle:
     """Return the outline of a car seen from above, to be added to axes.
 
     Args:
         state: ``(x, y, heading, speed)`` in metres, radians and metres per second.
         size: length and width [m].
-        style: of the polygon, see ``matplotlib.patches.Polygon``.
+        style: of the outline, see ``matplotlib.patches.Rectangle``.
     """
-    x, y, heading, _ = map(float, state)
-    ahead = np.array([np.cos(heading), np.sin(heading)]) * size[0] / 2
-    right = np.array([-np.sin(heading), np.cos(heading)]) * size[1] / 2
-    corners = [ahead + right, ahead - right, -ahead - right, -ahead + right]
-    return Polygon(np.array([x, y]) + np.array(corners), closed=True, **style)
+    (x, y, heading, _), (length, width) = map(float, state), map(float, size)
+    corner = x - length / 2, y - width / 2
+    return Rectangle(corner, length, width, angle=np.degrees(heading), rotation_point="center", **style)

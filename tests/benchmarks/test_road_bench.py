@@ -9,12 +9,12 @@ import pytest
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
+from ms_highway.benchmarks.road.summary import summary
 
 from ms_highway.benchmarks.road.episodes import TRAFFIC, Block, make_driver, run_episode
 from ms_highway.benchmarks.road.measures import Watch, measured
 from ms_highway.benchmarks.road.names import check_drivers
 from ms_highway.benchmarks.road.peers import Idm
-from ms_highway.benchmarks.road.summary import summary
 from ms_highway.cli.bench_road import TRAFFIC_NAMES
 from ms_highway.cli.main import build_parser, main
 

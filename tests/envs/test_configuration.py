@@ -1,5 +1,6 @@
 """What configurations say, and what is said of wrong ones."""
 
+import re
 from dataclasses import replace
 
 import gymnasium as gym
@@ -93,9 +94,8 @@ def make(scenario=PAIR, **config):
 @pytest.mark.parametrize(("config", "message"), WRONG)
 def test_a_wrong_configuration_is_refused_with_key_value_and_remedy(config, message):
     for scenario in (PAIR, SEVERAL):
-        with pytest.raises(ValueError) as refused:
+        with pytest.raises(ValueError, match=re.escape(message)):
             ENVIRONMENTS[scenario].checked_config(config)
-        assert message in str(refused.value)
 
 
 def test_one_human_is_one_and_streams_have_several():
@@ -191,9 +191,8 @@ def test_a_short_name_stands_for_a_configuration(text, config):
     ],
 )
 def test_what_is_no_short_name_is_refused_with_an_example(text, message):
-    with pytest.raises(ValueError) as refused:
+    with pytest.raises(ValueError, match=re.escape(message)):
         controller_config(text)
-    assert message in str(refused.value)
 
 
 @pytest.mark.parametrize("name", ["merger", "dense_merge", "Zipper", "two words"])

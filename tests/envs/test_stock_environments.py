@@ -6,8 +6,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
-
 from ms_highway.control.switching import ModelSwitching
+
 from ms_highway.game.scenario import driving_game
 from ms_highway.metareasoning.compiled_decision import decide_function
 from ms_highway.metareasoning.switching import Switching

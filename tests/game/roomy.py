@@ -4,8 +4,7 @@ from dataclasses import replace
 
 from jax import numpy as jnp
 
-from ms_highway.envs import add_scenario
-from ms_highway.envs.merger import MergerEnv
+from ms_highway.envs import MergerEnv, add_scenario
 from ms_highway.game.reward import add_feature
 
 

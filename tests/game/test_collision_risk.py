@@ -7,9 +7,33 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game.collision_risk import collision_risk, plain_collision_risk
+from ms_highway.game.collision_risk import (
+    CAR_SHARPNESS,
+    OBSTACLE_SHARE,
+    OBSTACLE_SHARPNESS,
+    _body_points,
+    _obstacles,
+    collision_risk,
+)
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.runtime.compilation import jit_quickly
+
+
+def plain_collision_risk(scene, own, others):
+    """The risk by its formula, with the derivatives that JAX finds."""
+    x, y = _body_points(scene)
+    cosine, sine = own.cosine[..., None], own.sine[..., None]
+    point_x, point_y = own.x[..., None] + cosine * x - sine * y, own.y[..., None] + sine * x + cosine * y
+
+    def closeness(bodies, size, sharpness):
+        body_x, body_y, cosine, sine, _ = (field[..., None] for field in bodies)
+        dx, dy = point_x - body_x, point_y - body_y
+        along, across = cosine * dx + sine * dy, cosine * dy - sine * dx
+        distance = (2 * along / size[0]) ** 2 + (2 * across / size[1]) ** 2
+        return jnp.sum(jnp.exp(-sharpness * (distance - 1)), axis=(0, -1))
+
+    obstacles = closeness(_obstacles(scene, own.x.ndim), scene.obstacle_size, OBSTACLE_SHARPNESS)
+    return closeness(others, scene.car_size, CAR_SHARPNESS) + OBSTACLE_SHARE * obstacles
 
 
 def close_together(played, scenario):

@@ -15,18 +15,19 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv
 from jax import numpy as jnp
 
+from ms_highway import plan
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS
 from ms_highway.envs.stage import evaluate
+from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.experiments.simulated import simulated
 from ms_highway.game.game import move, swap_players, total_reward, trajectory_reward
 from ms_highway.game.reward import FEATURES, OWN_FEATURES, PAPER_FEATURES, add_feature, linear_reward, weight_names
 from ms_highway.game.scenario import build_game, driving_game
 from ms_highway.metareasoning.switching import _expand
 from ms_highway.optimization.second_derivatives import response
-from ms_highway.planning.compiled_plans import plan_function
-from ms_highway.planning.human_models import Naive, TheoryOfMind, cold_start
+from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
+from ms_highway.planning.human_models import TheoryOfMind
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.packing import pack
 
@@ -61,35 +62,35 @@ def close(found, expected, tolerance):
     np.testing.assert_allclose(found, expected, atol=tolerance * np.abs(expected).max(), rtol=0)
 
 
-def started(played, horizon):
+def started(played, roomy, horizon):
     """The game of the user's scenario, a start with the cars close to each other, and controls of both."""
-    game, state = played("roomy")
+    game, state = played(roomy.RoomyEnv.scenario)
     controls = np.random.default_rng(0).normal(0, 0.3, (2, horizon, 2)).astype(np.float32)
     return game, state.at[0, 0].add(-3.0), controls
 
 
-def test_the_slope_of_a_plan_is_that_of_differences(played):
-    game, state, controls = started(played, 5)
-    assert game.robot.names == game.human.names == (*PAPER_FEATURES, "room")
+def test_the_slope_of_a_plan_is_that_of_differences(played, roomy):
+    game, state, controls = started(played, roomy, 5)
+    assert game.robot.names == game.humans.names == (*PAPER_FEATURES, "room")
 
     def earned(both):
-        return total_reward(game, state, *both)
+        return total_reward(game, state, both[0], both[1:])
 
     room = replace(game.robot, weights=jnp.zeros(11).at[-1].set(30.0))
     of_room = replace(game, robot=room)
-    alone = jit_quickly(jax.grad(lambda both: total_reward(of_room, state, *both)))(controls)
+    alone = jit_quickly(jax.grad(lambda both: total_reward(of_room, state, both[0], both[1:])))(controls)
     assert np.abs(alone).max() > 0.1, "the feature should matter here"
     close(jit_quickly(jax.grad(earned))(controls), differences(jit_quickly(earned), controls), 5e-3)
 
 
-def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played):
+def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played, roomy):
     """Other cars and cones, which are left out of the package's own, change how the feature depends on the human."""
-    game, state, controls = started(played, 1)
+    game, state, controls = started(played, roomy, 1)
     robot, human = controls[:, 0]
 
     @jit_quickly
     def slopes(both):
-        return jax.grad(lambda both: total_reward(game, state, both[:1], both[1:]))(both)
+        return jax.grad(lambda both: total_reward(game, state, both[:1], both[None, 1:]))(both)
 
     both = controls[:, 0]
     slope, bend = slopes(both), differences(slopes, both)
@@ -101,24 +102,23 @@ def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played):
 
 
 @pytest.mark.slow
-def test_theory_of_mind_steps_along_differences_of_both_slopes(played):
-    game, state, _ = started(played, 5)
+def test_theory_of_mind_steps_along_differences_of_both_slopes(played, roomy):
+    game, state, _ = started(played, roomy, 5)
     still = np.zeros((5, 2), np.float32)
     mirrored, mirrored_state = swap_players(game, state)
-    slope_robot, slope_human = jit_quickly(jax.grad(total_reward, argnums=(2, 3)))(game, state, still, still)
+    slope_robot, slope_human = jit_quickly(jax.grad(total_reward, argnums=(2, 3)))(game, state, still, still[None])
 
     @jit_quickly
     def slope_of_human(robot, human):
-        return jax.grad(total_reward, argnums=2)(mirrored, mirrored_state, human, robot)
+        return jax.grad(total_reward, argnums=2)(mirrored, mirrored_state, human, robot[None])
 
     own = differences(lambda human: slope_of_human(still, human), still).reshape(10, 10)
     mixed = differences(lambda robot: slope_of_human(robot, still), still).reshape(10, 10)
     pushed = response("damped", jnp.asarray((own + own.T) / 2), slope_human.ravel())
     expected = 0.03 * (np.asarray(slope_robot) + (mixed.T @ np.asarray(pushed)).reshape(5, 2))
     once = replace(game, planner=replace(game.planner, iterations=1))
-    numbers, layout = pack(once)
-    step, _ = plan_function(TheoryOfMind(), layout)(numbers, state, np.stack(cold_start(once)))
-    close(step, expected, 2e-2)
+    step, _ = CompiledPlans(once, [TheoryOfMind()]).plan(checked_state(state), [0])
+    close(step.robot, expected, 2e-2)
 
 
 @pytest.mark.slow
@@ -146,7 +146,7 @@ def test_a_robot_that_is_paid_for_it_drives_for_it(roomy, controller):
 
 @pytest.mark.slow
 def test_batches_earn_what_the_environment_does(roomy):
-    comparison = Comparison({"roomy": ["naive"]}, seeds=2, ladder=["naive"])
+    comparison = Comparison({"roomy": ["naive"]}, seeds=2, config={"ladder": ["naive"]})
     found = simulated(comparison)
     env = make_environment("roomy", "naive", ladder=["naive"])
     expected = [record["reward"] for seed in range(2) for record in episode(env, seed)]
@@ -156,8 +156,8 @@ def test_batches_earn_what_the_environment_does(roomy):
 def test_humans_can_drive_for_it(roomy):
     weights = {"speed": 1.0, "lane_alignment": 10.0, "room": 5.0}
     env = gym.make("ms-highway/merger-v0", config={"human_reward": weights}).unwrapped
-    assert env.game.human.names[-1] == "room"
-    assert env.game.human.weights[-1] == 5.0
+    assert env.game.humans.names[-1] == "room"
+    assert env.game.humans.weights[0, -1] == 5.0
     assert env.game.robot.weights[-1] == 0.0
 
 
@@ -169,7 +169,11 @@ def test_what_nobody_weighs_is_not_computed(played):
     def lowered():
         game, state = played("merger")
         paths = (jax.eval_shape(move, game, car, jnp.zeros((5, 2))) for car in state[:2])
-        return jax.jit(trajectory_reward.__wrapped__).lower(game, state, *paths).as_text()
+        return (
+            jax.jit(trajectory_reward.__wrapped__)
+            .lower(game, state, next(paths), jax.ShapeDtypeStruct((1, 5, 5), jnp.float32))
+            .as_text()
+        )
 
     calls, before = [], lowered()
     add_feature("counted", counted)
@@ -187,9 +191,8 @@ def test_a_feature_that_is_added_again_is_computed_anew(played):
         add_feature("haste", lambda scene, own, others, sign=sign: sign * own.speed)
         haste = linear_reward({"haste": 1.0}, 20.0)
         plays = driving_game(game.scene, 20.0, {"haste": 1.0, "lane_alignment": 1.0})
-        numbers, layout = pack(plays)
-        plan, _ = plan_function(Naive(), layout)(numbers, state, np.stack(cold_start(plays)))
-        found.append((float(evaluate(game.scene, haste, state)[1, -1]), plan[0, 1]))
+        planned = plan(plays, np.asarray(state), "naive").robot
+        found.append((float(evaluate(game.scene, haste, state)[1, -1]), planned[0, 1]))
     (one, faster), (other, slower) = found
     assert one == -other > 10
     assert slower < 0 < faster
@@ -267,7 +270,7 @@ def test_a_spawned_worker_finds_it_by_the_module_in_the_id(roomy):
 
 @pytest.mark.slow
 def test_a_command_finds_it_in_a_module_that_it_imports(roomy, tmp_path):
-    controllers = ["--controllers", "naive", "--ladder", "naive", "--seeds", "1", "--costs", "naive=0.1"]
+    controllers = ["--controllers", "naive", "--seeds", "1", "--set", "ladder=naive", "--set", "costs=naive=0.1"]
     command = [sys.executable, "-m", "ms_highway", "--import", "roomy", "compare", "roomy", *controllers]
     subprocess.run([*command, "--out", str(tmp_path)], cwd=Path(__file__).parent, check=True, capture_output=True)
     earned = [record["reward"] for record in episode(make_environment("roomy", "naive"), 0)]

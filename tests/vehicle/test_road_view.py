@@ -119,7 +119,7 @@ def test_where_roads_part_a_driver_follows_its_route():
         driver = HumanVehicle(road, [10.0, 0.0])
         driver.plan_route_to(goal)
         driver.position = np.array([53.0, 0.0])
-        assert followed_lane(driver, driver.route) == ("b", goal, 0)
+        assert followed_lane(driver, driver.route).index == ("b", goal, 0)
 
 
 @pytest.mark.parametrize("shape", AROUND)

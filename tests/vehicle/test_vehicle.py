@@ -8,9 +8,9 @@ from highway_env.road.lane import StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.utils import are_polygons_intersecting
 from highway_env.vehicle.objects import Landmark
-
 from ms_highway.control.fixed import FixedModel
 from ms_highway.control.switching import ModelSwitching
+
 from ms_highway.envs.stage import Cone
 from ms_highway.game.dynamics import step
 from ms_highway.game.planning_settings import PlanningSettings

@@ -5,21 +5,15 @@ A process is left after its episodes, because some scenes change the class of th
 
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from queue import Queue
 from threading import Event
 
 from ms_highway.benchmarks.processes import own_process
-from ms_highway.benchmarks.road.episodes import Block, Episode, run_episode
-from ms_highway.benchmarks.road.films import film
-from ms_highway.runtime.cores import cores
-from ms_highway.runtime.jax_settings import low_latency
-
-__all__ = ["run_blocks"]
-
-Report = tuple[Block, Episode | BaseException | None]
+from ms_highway.benchmarks.road.episodes import Block, Episode, film, run_episode
+from ms_highway.runtime.jax_settings import cores, low_latency
 
 
 def run_blocks(
@@ -42,58 +36,46 @@ def run_blocks(
         Each block with each of its episodes, as soon as it is done; those of a block in the order of the seeds.
 
     Raises:
-        ImportError, ValueError: if a driver cannot be made.
+        ValueError: if a driver cannot be made.
     """
-    reports: Queue[Report] = Queue()
-    jobs = min(jobs or cores(), len(blocks))
-    free: Queue[int] = Queue()
-    for number in range(jobs):
-        free.put(number)
-    stopped = Event()
+    reports: Queue[tuple[Block, Episode] | Future[None]] = Queue()  # episodes, and blocks that are done
+    jobs, free, stopped = min(jobs or cores(), len(blocks)), Queue[int](), Event()
+    for core in range(jobs):
+        free.put(core)
 
-    def drive(block: Block) -> None:
-        number = free.get()
+    def drive_all(block: Block) -> None:
+        core = free.get()
         try:
-            with own_process(partial(_on_one_core, number), modules) as process:
-                episodes: list[Episode] = []
+            with own_process(partial(_on_one_core, core), modules) as process:
+                seen: dict[bool, int] = {}
                 for seed in seeds:
                     if stopped.is_set():
                         return
-                    episodes.append(process.submit(run_episode, block, seed).result())
-                    reports.put((block, episodes[-1]))
-                if films is not None:
-                    for name, seed in _worth_a_film(episodes).items():
-                        path = films / f"{block.scene}_{block.driver.replace(':', '_')}_{name}_{seed}.gif"
-                        process.submit(film, block, seed, path).result()
-            reports.put((block, None))
-        except BaseException as error:
-            reports.put((block, error))
+                    episode = process.submit(run_episode, block, seed).result()
+                    seen.setdefault(episode.success, seed)
+                    reports.put((block, episode))
+                for success, seed in seen.items():
+                    name = f"{block.scene}_{block.driver}_{'success' if success else 'failure'}_{seed}.gif"
+                    if films:
+                        process.submit(film, block, seed, films / name.replace(":", "_")).result()
         finally:
-            free.put(number)
+            free.put(core)
 
     with ThreadPoolExecutor(jobs) as threads:
         try:
             for block in blocks:
-                threads.submit(drive, block)
+                threads.submit(drive_all, block).add_done_callback(reports.put)
             left = len(blocks)
             while left:
-                block, report = reports.get()
-                if isinstance(report, BaseException):
-                    raise report
-                if report is None:
+                report = reports.get()
+                if isinstance(report, Future):
+                    report.result()
                     left -= 1
                 else:
-                    yield block, report
+                    yield report
         finally:
             stopped.set()
             threads.shutdown(wait=False, cancel_futures=True)
-
-
-def _worth_a_film(episodes: Sequence[Episode]) -> dict[str, int]:
-    """Return the seeds of the first success and of the first failure, by these words, as far as there are such."""
-    kinds = {"success": True, "failure": False}
-    firsts = {name: next((e.seed for e in episodes if e.success is kind), None) for name, kind in kinds.items()}
-    return {name: seed for name, seed in firsts.items() if seed is not None}
 
 
 def _on_one_core(number: int) -> None:

@@ -1,61 +1,68 @@
-"""Drive one episode of a stock scene and measure it."""
+"""Drive episodes of a stock scene, measure them, film them and summarise them."""
 
 import warnings
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
+from itertools import count
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import gymnasium as gym
+import numpy as np
+from highway_env.envs import UTurnEnv
 
-from ms_highway.benchmarks.road.goals import LONGEST, is_reached
-from ms_highway.benchmarks.road.measures import Motion, Watch
-from ms_highway.benchmarks.road.names import PEERS
+from ms_highway.benchmarks.road.measures import Watch
+from ms_highway.benchmarks.road.names import TRAFFIC, driver_config
+from ms_highway.benchmarks.road.peers import PEERS
+from ms_highway.envs.road import drive
+from ms_highway.envs.road.goals import success
+from ms_highway.envs.road.settings import DRIVERS, RoadSettings
 
-__all__ = ["TRAFFIC", "Block", "Episode", "make_driver", "run_episode"]
+LONGEST = 60.0
+"""Seconds after which an episode ends in scenes that have no end of their own: a car may stand still."""
 
-TRAFFIC = {
-    "idm": "highway_env.vehicle.behavior.IDMVehicle",
-    "commuter": "ms_highway.vehicle.CommuterVehicle",
-    "unyielding": "ms_highway.benchmarks.road.unyielding.UnyieldingVehicle",
-}
-"""Types of other vehicles, by name."""
+UNPHYSICAL = 10.0
+"""Acceleration [m/s^2] that no tyres hold."""
+
+FRAMES_PER_SECOND = 15  # of films, at most
 
 
-@dataclass(frozen=True)
-class Block:
+class Block(NamedTuple):
     """Episodes that belong together.
 
     Attributes:
         scene: identifier of a stock environment.
         driver: name of what drives the ego.
-        traffic: a name of `TRAFFIC`.
-        dqn_steps: number of steps for which DQN is trained.
-        models: directory of trained agents.
+        traffic: a name of `ms_highway.benchmarks.road.names.TRAFFIC`.
     """
 
     scene: str
     driver: str
     traffic: str = "idm"
-    dqn_steps: int = 20_000
-    models: Path = Path("results") / "dqn"
 
 
 @dataclass(frozen=True)
 class Episode:
-    """What happened in an episode.
+    """What happened in an episode, and how the ego moved until its end, or until it crashed.
 
     Attributes:
         seed: of the start.
-        success: see `ms_highway.benchmarks.road.goals.is_reached`.
+        success: whether it is one, see `run_episode`.
         crashed: whether the ego has crashed.
         at_fault: whether it has, and is at fault.
         off_road: whether it has left the road.
         steps: of the environment.
         reward: the sum over all steps.
-        motion: of the ego in every frame.
+        frames: of the simulation.
+        distance: the sum of speed times time [m].
+        seconds: duration of the frames.
+        max_acceleration: the largest acceleration in any frame [m/s^2].
+        max_acceleration_of_centre: that of the middle of the car, which also goes sideways when the front wheels are
+            turned [m/s^2].
+        squared_jerk: the mean of the squared change of acceleration per second [m^2/s^6].
         decisions: duration of each decision, without compilation [s].
         sources: number of decisions by what drove then, where the driver says so.
         rungs: number of cars that each rung predicted, summed over decisions.
@@ -68,10 +75,29 @@ class Episode:
     off_road: bool
     steps: int
     reward: float
-    motion: Motion
+    frames: int
+    distance: float
+    seconds: float
+    max_acceleration: float
+    max_acceleration_of_centre: float
+    squared_jerk: float
     decisions: tuple[float, ...]
-    sources: Counter[str] = field(default_factory=Counter)
-    rungs: Counter[str] = field(default_factory=Counter)
+    sources: Counter[str]
+    rungs: Counter[str]
+
+
+def check_driver(name: str) -> None:
+    """Refuse a driver that is not known.
+
+    Raises:
+        ValueError: naming those that are.
+    """
+    if name not in PEERS:
+        try:
+            RoadSettings.read(driver_config(name))
+        except ValueError as error:
+            known = ", ".join([*PEERS, *DRIVERS, "DRIVER[+traits][+belief]"])
+            raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
 
 
 def make_driver(block: Block, **options: Any) -> gym.Env:
@@ -80,35 +106,23 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
     Args:
         block: says what drives where.
         options: of ``gym.make``.
-
-    Raises:
-        ImportError: for DQN without stable-baselines3.
     """
-    from ms_highway.benchmarks.road.dqn import Dqn
-    from ms_highway.benchmarks.road.peers import Idle, Idm, Random
-
     config = {"other_vehicles_type": TRAFFIC[block.traffic]}
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
         env = gym.make(block.scene, config=config, disable_env_checker=True, **options)
-    if block.driver not in PEERS:
-        from ms_highway.envs.road.driven import drive
-
-        name = block.driver.removesuffix("+belief")
-        driver = name.removesuffix("+traits")
-        return drive(env, {"driver": driver, "traits": driver != name, "belief": name != block.driver})
-    if block.driver == "dqn":
-        return Dqn(env, block.dqn_steps, block.models)
-    return {"idm": Idm, "idle": Idle, "random": Random}[block.driver](env)
+    return PEERS[block.driver](env) if block.driver in PEERS else drive(env, driver_config(block.driver))
 
 
-@cache
-def _driver(block: Block) -> gym.Env:
-    return make_driver(block)
+_kept_driver = cache(make_driver)
 
 
 def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None) -> Episode:
     """Drive one episode.
+
+    It is no success after a crash. Where the scene has a goal, `ms_highway.envs.road.goals.success` decides at its end;
+    elsewhere, and in ``u-turn``, whose 191 m to the road back are more than its 10 s allow, the ego has stayed on the
+    road in all frames.
 
     Args:
         block: says what drives where.
@@ -116,30 +130,104 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         env: what `make_driver` returned for the block; by default, one that this process keeps.
         then: is called after every frame.
     """
-    env = _driver(block) if env is None else env
+    env = env or _kept_driver(block)
     env.reset(seed=seed)
     inner: Any = env.unwrapped
-    watch = Watch(inner, then)
-    rewards, decisions, done = [], [], False
-    sources, rungs = Counter[str](), Counter[str]()
+    watch, done = Watch(inner, then), False
+    rewards, roads = [], []
     while not done:
         _, reward, terminated, truncated, info = env.step(None)
         rewards.append(float(reward))
-        decisions += info["road"]["decisions"]
-        sources.update(info["road"].get("sources", ()))
-        rungs.update(info["road"].get("rung_counts", ()))
+        roads.append(info["road"])
         done = terminated or truncated or inner.time >= max(LONGEST, inner.config.get("duration", 0.0))
-    off_road = watch.off_road or (terminated and not watch.crashed and not inner.vehicle.on_road)
+    off_road = bool(watch.off_road or (terminated and not watch.crashed and not inner.vehicle.on_road))
+    reached = None if isinstance(inner, UTurnEnv) else success(inner)
     return Episode(
         seed=seed,
-        success=is_reached(inner, watch.crashed, off_road),
+        success=not watch.crashed and bool(not off_road if reached is None else reached),
         crashed=watch.crashed,
         at_fault=watch.at_fault,
-        off_road=bool(off_road),
+        off_road=off_road,
         steps=len(rewards),
         reward=sum(rewards),
-        motion=watch.motion(),
-        decisions=tuple(decisions),
-        sources=sources,
-        rungs=rungs,
+        **watch.motion(),
+        decisions=tuple(seconds for road in roads for seconds in road["decisions"]),
+        sources=Counter(source for road in roads for source in road.get("sources", ())),
+        rungs=sum((road.get("rung_counts", Counter()) for road in roads), Counter[str]()),
     )
+
+
+def film(block: Block, seed: int, path: Path) -> None:
+    """Drive an episode again and write it to a video file, ``.gif`` or ``.mp4``, that plays at true speed.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    from ms_highway.visualization.video import write
+
+    env: Any = make_driver(block, render_mode="rgb_array")
+    frequency, pictures, frames = env.unwrapped.config["simulation_frequency"], [], count()
+    every = max(1, round(frequency / FRAMES_PER_SECOND))
+
+    def picture() -> None:
+        if next(frames) % every == 0:
+            pictures.append(env.render())
+
+    run_episode(block, seed, env, picture)
+    env.close()
+    write(pictures, path, frequency / every)
+
+
+def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
+    """Return the figures of a driver in a scene, for JSON.
+
+    * ``success``, ``off_road``: shares of the episodes in which the goal was reached, and the road was left;
+    * ``collisions``, ``at_fault``: numbers of episodes in which the ego crashed, and was at fault;
+    * ``reward_per_step``, ``return``: mean reward over all steps of all episodes, and its sum per episode;
+    * ``mean_speed``: over all frames [m/s];
+    * ``max_acceleration``, ``max_acceleration_of_centre``: largest in any frame [m/s^2];
+    * ``jerk``: root mean square over all frames [m/s^3];
+    * ``p50_ms``, ``p99_ms``: quantiles over all decisions of all episodes [ms];
+    * ``steps``: mean number per episode;
+    * ``sources``: shares of the decisions by what drove, where the driver says so;
+    * ``rungs``: shares of the cars that each rung predicted;
+    * ``episodes``, ``seeds``, ``traffic``, ``label``: their number, the first seed and how many, the type of the other
+      vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL`.
+    """
+    of = SimpleNamespace(**{name: [getattr(each, name) for each in episodes] for name in vars(episodes[0])})
+    p50, p99 = np.quantile(1e3 * np.concatenate(of.decisions), [0.5, 0.99])
+    figures = {
+        "success": np.mean(of.success),
+        "collisions": sum(of.crashed),
+        "at_fault": sum(of.at_fault),
+        "off_road": np.mean(of.off_road),
+        "reward_per_step": sum(of.reward) / sum(of.steps),
+        "return": np.mean(of.reward),
+        "mean_speed": sum(of.distance) / sum(of.seconds),
+        "max_acceleration": max(of.max_acceleration),
+        "max_acceleration_of_centre": max(of.max_acceleration_of_centre),
+        "jerk": np.sqrt(np.average(of.squared_jerk, weights=of.frames)),
+        "p50_ms": p50,
+        "p99_ms": p99,
+        "steps": np.mean(of.steps),
+        "sources": _shares(of.sources),
+        "rungs": _shares(of.rungs),
+        "episodes": len(episodes),
+        "seeds": [of.seed[0], len(episodes)],
+        "traffic": block.traffic,
+        "label": "unphysical" if max(of.max_acceleration) > UNPHYSICAL else "",
+    }
+    return {name: figure.item() if isinstance(figure, np.generic) else figure for name, figure in figures.items()}
+
+
+def _shares(counters: Sequence[Counter[str]]) -> dict[str, float]:
+    counts = sum(counters, Counter[str]())
+    return {name: number / counts.total() for name, number in counts.items()}
+
+
+def row(block: Block, episode: Episode) -> dict[str, Any]:
+    """Return an episode as a row of a table."""
+    milliseconds = 1e3 * np.array(episode.decisions)
+    numbers = {name: value for name, value in vars(episode).items() if name not in ("decisions", "sources", "rungs")}
+    times = {"p50_ms": float(np.median(milliseconds)), "max_ms": float(np.max(milliseconds))}
+    return block._asdict() | numbers | times

@@ -1,46 +1,23 @@
-"""Measure how the ego moves in every frame of the simulation, not only after every step of the environment."""
+"""Measure how the ego moves in every frame of the simulation, and whose fault a collision is."""
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import cos
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-
-from ms_highway.benchmarks.road.fault import Place, is_at_fault
-
-__all__ = ["Motion", "Watch", "measured"]
 
 LOOK_BACK = 1.0  # s before a collision
 GAP = 0.5  # m between lanes where roads meet, at most
 REACH = 2.0  # m between cars that have just collided, at most: highway-env pushes them apart
+OFFSET = 1.0  # m
+STANDING = 1.0  # m/s
+SAME_WAY = 0.7  # cosine of the angle between two headings, at least
 
 
-@dataclass(frozen=True)
-class Motion:
-    """How a car moved, until it crashed.
-
-    Attributes:
-        frames: their number.
-        distance: the sum of speed times time [m].
-        seconds: their duration.
-        max_acceleration: the largest acceleration in any frame [m/s^2].
-        max_acceleration_of_centre: that of the middle of the car, which also goes sideways when the front wheels are
-            turned [m/s^2].
-        squared_jerk: the mean of the squared change of acceleration per second [m^2/s^6].
-    """
-
-    frames: int
-    distance: float
-    seconds: float
-    max_acceleration: float
-    max_acceleration_of_centre: float
-    squared_jerk: float
-
-
-def measured(states: Float[np.ndarray, "frames 4"], time_step: float, crashed: bool = False) -> Motion:
-    """Return how a car moved.
+def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dict[str, Any]:
+    """Return how a car moved: numbers of an `ms_highway.benchmarks.road.episodes.Episode`, by name.
 
     The acceleration of a frame is the larger of two: the change of ``speed * (cos(heading), sin(heading))``, and
     ``hypot(change of speed, speed * change of heading)``, both per second. That of the centre is the change of the
@@ -53,24 +30,34 @@ def measured(states: Float[np.ndarray, "frames 4"], time_step: float, crashed: b
     """
     x, y, heading, speed = np.asarray(states, dtype=float).T
     heading = np.unwrap(heading)
-    along = speed * np.stack([np.cos(heading), np.sin(heading)])
-    acceleration = np.diff(along) / time_step
+    acceleration = np.diff(speed * np.stack([np.cos(heading), np.sin(heading)])) / time_step
     turning = np.hypot(np.diff(speed), speed[:-1] * np.diff(heading)) / time_step
-    moved = np.diff(np.stack([x, y])[:, : -1 if crashed else None]) / time_step
-    return Motion(
-        frames=len(states) - 1,
-        distance=float(np.sum(np.abs(speed[1:])) * time_step),
-        seconds=(len(states) - 1) * time_step,
-        max_acceleration=float(max(np.max(turning, initial=0.0), _largest(acceleration))),
-        max_acceleration_of_centre=_largest(np.diff(moved) / time_step),
-        squared_jerk=float(np.mean(np.sum((np.diff(acceleration) / time_step) ** 2, axis=0)))
-        if len(states) > 2
-        else 0.0,
-    )
+    centre = np.diff(np.diff(np.stack([x, y])[:, : -1 if crashed else None]) / time_step) / time_step
+    jerk = np.diff(acceleration) / time_step
+    return {
+        "frames": len(turning),
+        "distance": float(np.sum(np.abs(speed[1:])) * time_step),
+        "seconds": len(turning) * time_step,
+        "max_acceleration": float(max(np.max(turning, initial=0.0), np.max(np.hypot(*acceleration), initial=0.0))),
+        "max_acceleration_of_centre": float(np.max(np.hypot(*centre), initial=0.0)),
+        "squared_jerk": float(np.mean(np.sum(jerk**2, axis=0))) if jerk.size else 0.0,
+    }
 
 
-def _largest(vectors: Float[np.ndarray, "2 frames"]) -> float:
-    return float(np.max(np.hypot(*vectors), initial=0.0))
+class Place(NamedTuple):
+    """Where a car is on the road in one frame.
+
+    Attributes:
+        lane_index: of the closest lane.
+        offset: from the centre of that lane [m].
+        speed: [m/s].
+        on_road: whether its centre is in that lane, or so close that it may be where two roads meet.
+    """
+
+    lane_index: tuple[str, str, int]
+    offset: float
+    speed: float
+    on_road: bool
 
 
 class Watch:
@@ -82,15 +69,17 @@ class Watch:
 
     Attributes:
         crashed: whether the ego has crashed.
-        at_fault: whether it has, and is at fault, see `ms_highway.benchmarks.road.fault.is_at_fault`.
+        at_fault: whether it has, and is at fault, see `is_at_fault`.
         off_road: whether it has left the road in any frame before.
     """
 
     def __init__(self, env: Any, then: Callable[[], None] | None = None) -> None:
         self.crashed = self.at_fault = self.off_road = False
         self._env, self._time_step = env, 1 / env.config["simulation_frequency"]
-        self._states = [self._state()]
-        self._places = deque([_place(env.vehicle)], maxlen=max(1, round(LOOK_BACK / self._time_step)))
+        self._states: list[Any] = []
+        self._places = deque[Place](maxlen=max(1, round(LOOK_BACK / self._time_step)))
+        self._see()
+        self.off_road = False
         step = env.road.step
 
         def watched(dt: float) -> None:
@@ -102,33 +91,57 @@ class Watch:
 
         env.road.step = watched  # of this road only: a reset makes another
 
-    def motion(self) -> Motion:
-        """Return how the ego moved until now, or until it crashed."""
+    def motion(self) -> dict[str, Any]:
+        """Return how the ego moved until now, or until it crashed, see `measured`."""
         return measured(np.array(self._states), self._time_step, self.crashed)
-
-    def _state(self) -> tuple[float, float, float, float]:
-        ego = self._env.vehicle
-        return (*ego.position, ego.heading, ego.speed)
 
     def _see(self) -> None:
         ego, road = self._env.vehicle, self._env.road
-        self._states.append(self._state())
+        self._states.append((*ego.position, ego.heading, ego.speed))
         if ego.crashed:
             self.crashed = True
             others = [one for one in (*road.vehicles, *road.objects) if one is not ego and one.crashed]
-            distances = [_gap(ego, one) for one in others]
-            touched = others[int(np.argmin(distances))] if min(distances, default=np.inf) < REACH else None
-            self.at_fault = is_at_fault(ego, touched, tuple(self._places))
+            touched = min(others, key=lambda one: _gap(ego, one), default=None)
+            is_near = touched is not None and _gap(ego, touched) < REACH
+            self.at_fault = is_at_fault(ego, touched if is_near else None, tuple(self._places))
             return
-        self._places.append(_place(ego))
-        self.off_road |= not self._places[-1].on_road
-
-
-def _place(ego: Any) -> Place:
-    _, offset = ego.lane.local_coordinates(ego.position)
-    return Place(ego.lane_index, float(offset), float(ego.speed), bool(ego.lane.on_lane(ego.position, margin=GAP)))
+        _, offset = ego.lane.local_coordinates(ego.position)
+        on_road = bool(ego.lane.on_lane(ego.position, margin=GAP))
+        self._places.append(Place(ego.lane_index, float(offset), float(ego.speed), on_road))
+        self.off_road |= not on_road
 
 
 def _gap(one: Any, other: Any) -> float:
     """Return the distance of the circles around two cars [m], negative where they overlap."""
     return float(np.linalg.norm(one.position - other.position) - (one.diagonal + other.diagonal) / 2)
+
+
+def is_at_fault(ego: Any, other: Any | None, places: Sequence[Place]) -> bool:
+    """Return whether the ego is at fault in a collision; it is, unless it was rear-ended while keeping its lane.
+
+    It was rear-ended if all of this holds:
+
+    * the other goes the same way, within about 45 degrees;
+    * the ego's centre is ahead of the other's front, along the other's heading;
+    * the point of the other that is closest to the ego's centre is behind that centre, along the ego's heading.
+
+    It kept its lane if, in all of ``places``, it was within 1 m of its lane's centre and faster than 1 m/s, and its
+    number of the lane did not change while the road was the same. A car that stands on the road when it is hit is thus
+    at fault, as is one that was pushed out of the way by a crash in its side.
+
+    Args:
+        ego: a vehicle of highway-env.
+        other: the vehicle or object that it touches, None if that is not known.
+        places: of the ego in the last second before the collision.
+    """
+    if other is None or cos(ego.heading - other.heading) < SAME_WAY:
+        return True
+    across = np.array([-other.direction[1], other.direction[0]])
+    away = ego.position - other.position
+    half_length, half_width = other.LENGTH / 2, other.WIDTH / 2
+    closest = half_length * other.direction + np.clip(away @ across, -half_width, half_width) * across
+    rear_ended = away @ other.direction > half_length and (closest - away) @ ego.direction < 0
+    lanes = [place.lane_index for place in places]
+    changed = any(before[:2] == after[:2] and before != after for before, after in pairwise(lanes))
+    in_lane = all(abs(place.offset) < OFFSET and place.speed > STANDING for place in places)
+    return bool(not rear_ended or changed or not in_lane)

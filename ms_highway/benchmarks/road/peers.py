@@ -1,20 +1,20 @@
 """Drivers that are not this package's: highway-env's IDM and MOBIL, doing nothing, and chance."""
 
+from itertools import pairwise
 from time import perf_counter
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from highway_env.envs.common.action import DiscreteMetaAction
+from highway_env.envs import ExitEnv
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.controller import MDPVehicle
+from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.benchmarks.road.goals import route_to_goal
+from ms_highway.envs.road.driven import unheeded
 from ms_highway.envs.road.ego import replace_ego
-from ms_highway.envs.road.goals import desired_speed_of
-
-__all__ = ["Idle", "Idm", "IdmEgo", "Peer", "Random"]
+from ms_highway.envs.road.goals import desired_speed_of, destination_of
+from ms_highway.vehicle.road_robot import OfferedSpeeds
 
 
 class Peer(gym.Wrapper):
@@ -26,16 +26,18 @@ class Peer(gym.Wrapper):
         env: the environment.
     """
 
+    counted = slice(None)  # of the decisions of a step
+
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
+        self.inner: Any = env.unwrapped
         self.decisions: list[float] = []
-        self.observation: Any = None
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
-        self.observation, info = super().reset(seed=seed, options=options)
-        self.begin(seed)
-        return self.observation, info
+        result = super().reset(**options)
+        self.begin(options.get("seed"))
+        return result
 
     def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Decide, and take a step of the environment."""
@@ -43,35 +45,20 @@ class Peer(gym.Wrapper):
         start = perf_counter()
         chosen = self.choose()
         self.decisions.append(perf_counter() - start)
-        self.observation, reward, terminated, truncated, info = super().step(chosen)
-        return self.observation, reward, terminated, truncated, info | {"road": self._told()}
+        *outcome, info = super().step(chosen)
+        return *outcome, info | {"road": {"decisions": self.decisions[self.counted]}}
 
     def begin(self, seed: int | None) -> None:
         """Prepare for an episode that has just been reset."""
 
     def choose(self) -> Any:
-        """Return the action of the coming step."""
-        raise NotImplementedError
+        """Return the action of the coming step: by default, one for an ego that steers by itself."""
+        return unheeded(self.inner.action_type)
 
     @property
-    def inner(self) -> Any:
-        """The environment without wrappers."""
-        return self.unwrapped
-
-    @property
-    def target_speeds(self) -> np.ndarray:
+    def target_speeds(self) -> Any:
         """Those of the environment's actions [m/s]."""
         return np.array(self.inner.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS))
-
-    def _told(self) -> dict[str, Any]:
-        return {"decisions": list(self.decisions)}
-
-    def _unheeded(self) -> Any:
-        """Return an action for an ego that steers by itself, which rewards take for what it does."""
-        action_type = self.inner.action_type
-        if isinstance(action_type, DiscreteMetaAction):
-            return action_type.actions_indexes["IDLE"]
-        return np.interp([self.inner.vehicle.action["steering"]], action_type.steering_range, [-1.0, 1.0])
 
 
 class Idle(Peer):
@@ -86,42 +73,27 @@ class Idle(Peer):
                 lambda old: MDPVehicle(old.road, old.position, old.heading, old.speed, target_speeds=speeds),
             )
 
-    def choose(self) -> Any:
-        """Return the action that changes nothing."""
-        return self._unheeded()
-
 
 class Random(Peer):
     """Choose among the environment's own actions by chance, the same ones for the same seed."""
 
     def begin(self, seed: int | None) -> None:
         """Seed the actions."""
-        self.unwrapped.action_space.seed(seed)
+        self.inner.action_space.seed(seed)
 
     def choose(self) -> Any:
         """Draw an action."""
-        return self.unwrapped.action_space.sample()
+        return self.inner.action_space.sample()
 
 
-class IdmEgo(IDMVehicle):
+class IdmEgo(OfferedSpeeds, IDMVehicle):
     """highway-env's IDM and MOBIL in the place of the ego, with what rewards look for in an `MDPVehicle`.
 
     Attributes:
-        target_speeds: of the environment's actions [m/s].
         decisions: where it notes the duration of each of its decisions [s].
     """
 
-    target_speeds = MDPVehicle.DEFAULT_TARGET_SPEEDS
     decisions: list[float] | None = None
-
-    @property
-    def speed_index(self) -> int:
-        """Number of the target speed that is closest to the own speed."""
-        return int(MDPVehicle.speed_to_index(self, self.speed))
-
-    def index_to_speed(self, index: int) -> float:
-        """Return the target speed with a number [m/s]."""
-        return float(self.target_speeds[index])
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Follow and change lanes; the action is ignored."""
@@ -138,21 +110,44 @@ class Idm(Peer):
     package's drivers; IDM keeps the speed limits of lanes by itself.
     """
 
+    counted = slice(1, None)  # the first one is not the ego's
+
     def begin(self, seed: int | None) -> None:
         """Put an `IdmEgo` in the place of the ego."""
+        speed = desired_speed_of(self.env)
+        ego = replace_ego(
+            self.env, lambda old: IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=speed)
+        )
+        ego.target_speeds, ego.route, ego.decisions = self.target_speeds, route_to_goal(self.inner), self.decisions
 
-        def make(old: Vehicle) -> Vehicle:
-            ego = IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=desired_speed_of(self.env))
-            ego.target_speeds = self.target_speeds
-            return ego
 
-        ego = replace_ego(self.env, make)
-        ego.route = route_to_goal(self.inner)
-        ego.decisions = self.decisions
+def route_to_goal(env: Any) -> list[tuple[str, str, int | None]] | None:
+    """Return the roads of the ego's way to the goal, without a lane where each will do; None without a destination.
 
-    def choose(self) -> Any:
-        """Return an action that the ego ignores."""
-        return self._unheeded()
+    Args:
+        env: the environment, unwrapped, after a reset.
+    """
+    if isinstance(env, ExitEnv):
+        last = env.config["lanes_count"]
+        return [("0", "1", last - 1), ("1", "2", last), ("2", "exit", 0)]
+    destination = destination_of(env)
+    if destination is None:
+        return None
+    start, onward, _ = env.vehicle.lane_index
+    nodes = [start, *env.road.network.shortest_path(onward, destination)]
+    return [(one, other, None) for one, other in pairwise(nodes)]
 
-    def _told(self) -> dict[str, Any]:
-        return super()._told() | {"decisions": self.decisions[1:]}  # the first is that of `choose`
+
+class UnyieldingVehicle(IDMVehicle):
+    """Follow cars of this class by highway-env's IDM, and no others: it runs into an ego that cuts in."""
+
+    def acceleration(
+        self, ego_vehicle: ControlledVehicle, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
+    ) -> float:
+        """Return the acceleration of a vehicle behind another one [m/s^2]."""
+        stranger = isinstance(front_vehicle, Vehicle) and not isinstance(front_vehicle, UnyieldingVehicle)
+        return float(super().acceleration(ego_vehicle, None if stranger else front_vehicle, rear_vehicle))
+
+
+PEERS = {"idm": Idm, "idle": Idle, "random": Random}
+"""Their wrappers, by name."""
