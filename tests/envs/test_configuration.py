@@ -48,7 +48,7 @@ WRONG = [
     ({"controller": {"type": "learned", "lambda": 1, "values": "none.npz"}}, "none.npz cannot be read"),
     ({"ladder": ["tom", "naive"]}, "cheapest first"),
     ({"ladder": []}, "impossible ladder"),
-    ({"ladder": "tom"}, "'tom' is one name"),
+    ({"ladder": "tom"}, "config['ladder'] is 'tom'; give a list of human models"),
     ({"costs": "free"}, "config['costs'] is 'free'; say 'published', 'measured', or give seconds"),
     ({"costs": {"naive": 0.1}}, "config['costs'] has no seconds for 'turn'"),
     ({"costs": {"naive": -0.1, "turn": 1, "tom": 1}}, "config['costs']['naive'] is -0.1; say 'published'"),
@@ -114,7 +114,7 @@ def test_numpys_numbers_count_as_numbers():
 def test_the_demonstration_refuses_what_it_has_not():
     for config, message in (
         ({"density": "empty"}, "choose one of 'sparse', 'medium', 'dense'"),
-        ({"action": {"type": "Autopilot"}}, "'action'.* here it must be 'ContinuousAction'"),
+        ({"action": {"type": "Autopilot"}}, "'action'.*its 'type' must be one of ContinuousAction"),
     ):
         with pytest.raises(ValueError, match=message):
             DemonstrationEnv.checked_config(config)

@@ -198,7 +198,7 @@ class _HeldOut:
         """Return how far the learned rule stays behind the best of the orders, per step."""
         prices = np.array(HELD_OUT_PRICES)[:, None]
         reward, seconds = self._outcomes(values, np.full((len(prices), self.course.steps), DECIDES), prices[:, 0])
-        best = np.max([found - prices * spent for found, spent in zip(*self.orders, strict=True)], axis=0)
+        best = np.max([earned - prices * planned for earned, planned in zip(*self.orders, strict=True)], axis=0)
         return float(np.mean(np.maximum(best - (reward - prices * seconds), 0)))
 
     def _outcomes(self, values: Values | None, orders: Array, prices: Array) -> list[Array]:
