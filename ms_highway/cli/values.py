@@ -45,7 +45,7 @@ SEVERAL: dict[str, Any] = {
     "states": (100, 100),
     "horizon": 25,
 }
-"""How values are learned among several humans, where that differs from the defaults of `Learning`."""
+"""How values are learned among several humans, where that differs from the defaults of ``Learning``."""
 
 
 def add_values(commands: Any) -> None:
