@@ -53,17 +53,13 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the
 
     base.road.step = watched
     observation, reward, terminated, _, info = env.step(env.action_space.sample())
-    assert env.observation_space.contains(observation)
-    assert np.isfinite(reward).all()
-    assert not np.any(terminated)
     road = info["road"]
+    assert env.observation_space.contains(observation)
+    assert np.isfinite([road["planning_seconds"], road["decision_seconds"], road["jerk"], *np.atleast_1d(reward)]).all()
+    assert not np.any(terminated)
     assert road["source"] in ("refined", "proposal", "last plan", "braking")
-    assert all(np.isfinite(road[key]) for key in ("planning_seconds", "decision_seconds", "acceleration", "jerk"))
-    assert set(road["rungs"]) <= {"", "naive", "idm", "turn", "tom"}
-    assert road["belief"] is road["traits"] is None
     assert len(accelerations) == int(base.config["simulation_frequency"] // base.config["policy_frequency"])
     assert max(accelerations) <= min(road["acceleration"] + 1e-9, 5.0)
-    assert base.time * base.config["policy_frequency"] == pytest.approx(1)
 
 
 @pytest.mark.parametrize("frequency", [1, 5])
@@ -229,24 +225,21 @@ def test_a_policy_drives_an_environment_that_stays_stock():
     for seed in (0, 1):
         observation, _ = env.reset(seed=seed)
         vehicle = env.unwrapped.vehicle
-        for _ in range(20):
+        for _ in range(10):
             action, state = policy.predict(observation, deterministic=True)
             assert env.action_space.contains(action)
-            observation, _, terminated, _, _ = env.step(action)
-            assert not terminated
+            observation, *_ = env.step(action)
             assert vehicle.action["acceleration"] == pytest.approx(policy.steps[0].control[1], abs=0.2)
-        assert (type(vehicle), state, vehicle.on_road) == (Vehicle, None, True)
-    actions, _ = policy.predict(observation[None], episode_start=np.ones(1, dtype=bool))
-    assert actions.shape == (1, 2)
+        assert (type(vehicle), state, vehicle.on_road, vehicle.crashed) == (Vehicle, None, True, False)
+    assert policy.predict(observation[None], episode_start=np.ones(1, dtype=bool))[0].shape == (1, 2)
 
 
 def test_a_policy_of_several_environments_answers_with_one_action_each():
     envs = gym.vector.SyncVectorEnv([lambda: gym.make("highway-fast-v0", config=CONTINUOUS)] * 2)
     policy = ms_highway.RoadPolicy(envs, {"driver": "fixed:naive"})
     observations, _ = envs.reset(seed=[5, 5])
-    for _ in range(3):
+    for _ in range(2):
         actions, _ = policy.predict(observations, episode_start=np.zeros(2, dtype=bool))
-        assert actions.shape == (2, 2)
         np.testing.assert_array_equal(*actions)
         observations, *_ = envs.step(actions)
 

@@ -2,10 +2,11 @@
 
 from types import SimpleNamespace
 
+import gymnasium as gym
+import highway_env  # noqa: F401, registers the environments
 import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
-from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.vehicle.road_robot import GRIP, RoadRobot
@@ -77,14 +78,14 @@ def test_a_crashed_robot_brakes_as_highway_envs_vehicles_do():
     assert (robot.speed, robot.accelerations) == (other.speed, [])
 
 
+@pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
 def test_environments_find_what_they_ask_of_their_own_car():
-    network = RoadNetwork.straight_road_network(2, length=200, nodes_str=("a", "b"))
-    road = Road(RoadNetwork.straight_road_network(2, start=200, length=200, nodes_str=("b", "c"), net=network))
-    own = MDPVehicle(road, [10.0, 4.0], 0.0, 24.0, target_speeds=[0, 8, 16, 24])
+    env = gym.make("merge-v0").unwrapped
+    env.reset(seed=0)
+    own, times = env.vehicle, np.array([1.0, 5.0, 10.0])
     robot = RoadRobot.create_from(own)
-    robot.target_speeds = own.target_speeds
     assert (robot.speed_index, robot.target_lane_index) == (own.speed_index, own.lane_index)
-    assert robot.plan_route_to("c").route == own.plan_route_to("c").route
-    times = np.array([1.0, 5.0, 10.0])
-    for mine, theirs in zip(*(car.predict_trajectory_constant_speed(times) for car in (robot, own)), strict=True):
+    assert robot.plan_route_to("d").route == own.plan_route_to("d").route
+    paths = (car.predict_trajectory_constant_speed(times) for car in (robot, own))
+    for mine, theirs in zip(*paths, strict=True):
         np.testing.assert_allclose(mine, theirs)
