@@ -13,8 +13,9 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax import numpy as jnp
 
-from ms_highway.game.game import Game, constant_velocity, discomfort, swap_players, total_reward
+from ms_highway.game.game import Game, constant_velocity, discomfort, swap_roles, total_reward
 
 SWEEPS = 6  # of Jacobi's eigenvalue method; more change nothing in float64
 COMPILER = {"compiler": "gcc", "flags": ["-O3", "-march=native"], "cleanup": False}
@@ -82,9 +83,9 @@ def _plan(ca: Any, game: Game, model: str, now: Any) -> Any:
         """Return the reward of a car for its controls, and for its partner's; without these, it keeps its velocity."""
 
         def earned(state: jax.Array, own: jax.Array, partner: jax.Array | None = None) -> jax.Array:
-            played, seen = swap_players(game, state) if car else (game, state)
-            partner = constant_velocity(game, seen[1]) if partner is None else partner
-            return total_reward(played, seen, own, partner[None]) - discomfort(played, seen[0], own)
+            played, state = (swap_roles(game), jnp.concatenate([state[1::-1], state[2:]])) if car else (game, state)
+            partner = constant_velocity(game, state[1]) if partner is None else partner
+            return total_reward(played, state, own, partner) - discomfort(played, state[0], own)
 
         return _translated(ca, earned, state, *controls)
 

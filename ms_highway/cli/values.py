@@ -1,4 +1,4 @@
-"""The command ``ms-highway values``: learn values of computation."""
+"""The command ``ms-highway values learn``."""
 
 import argparse
 from pathlib import Path
@@ -11,11 +11,7 @@ if TYPE_CHECKING:
     from ms_highway.experiments.values.learning import Learning
     from ms_highway.experiments.values.rollouts import Course
 
-HELP = (
-    "Learn when it pays to think: the value of planning with a more expensive model, for the controller learned:LAMBDA."
-)
-
-LEARN = """\
+HELP = """\
 Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. From states that episodes
 come through, every model of the ladder plans a step, and the rule that was learned so far chooses from there on;
 networks are fitted to what was earned and planned, and so on for some rounds. One file serves all lambdas from 0.001
@@ -29,7 +25,7 @@ starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts a
 of environments: all of those are held out. The same --seed gives the same values. Rollouts are kept beside the file
 until it is written: a run that was stopped or killed goes on when it is started again."""
 
-LEARN_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   ms-highway values learn merger give_way --out values.npz
   ms-highway compare merger --controllers tom learned:1:values.npz
@@ -45,14 +41,12 @@ SEVERAL: dict[str, Any] = {
     "states": (100, 100),
     "horizon": 25,
 }
-"""How values are learned among several humans, where that differs from the defaults of `Learning`."""
+"""How values are learned among several humans, where that differs from the defaults of ``Learning``."""
 
 
 def add_values(commands: Any) -> None:
-    """Add the command ``values`` with its subcommand to a parser's subparsers."""
-    values = commands.add_parser("values", help="learn when it pays to think", description=HELP)
-    subcommands = values.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    parser = add_command(subcommands, "learn", "learn values of computation", LEARN, LEARN_EXAMPLES)
+    """Add the command ``values learn`` to a parser's subparsers."""
+    parser = add_command(commands, "values learn", "learn values of computation: when it pays to think", HELP, EXAMPLES)
     names = ", ".join(SCENARIO_NAMES)
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: the paper's)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the values, such as values.npz")

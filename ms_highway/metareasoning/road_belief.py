@@ -35,7 +35,7 @@ Belief = Float[Any, "traffic models"]
 def first_belief(scene: RoadScene) -> Belief:
     """Return the same probability of all models."""
     models = len(ROAD_MODELS)
-    return jnp.full((len(scene.names), models), 1 / models)
+    return jnp.full((len(scene.names), models), 1 / models, jnp.float32)
 
 
 def updated_road_belief(

@@ -183,7 +183,8 @@ def check_rule(rule: "Rule | Order") -> None:
         return
     each = np.asarray(rule.costs.each)
     check_costs(rule)
-    if (np.asarray(rule.price) < 0).any() or (each < 0).any():
+    decides = any(part.name == "price" for part in fields(rule))
+    if (decides and not (np.asarray(rule.price) >= 0).all()) or (each < 0).any():
         message = f"the price is {rule.price} and the costs are {each.tolist()}"
         raise ValueError(f"{message}; neither may be negative")
 

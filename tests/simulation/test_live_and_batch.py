@@ -1,4 +1,4 @@
-"""With one human and with two, the driver does live what simulations do in batches: models, rules, beliefs, ways out."""
+"""With one human and with two, live drives do what batches do: models, rules, beliefs, ways out."""
 
 from dataclasses import dataclass, field
 from functools import partial

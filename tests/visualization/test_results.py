@@ -59,7 +59,10 @@ def renamed(old, new):
         (lambda directory: (directory / "settings.json").write_text("{}"), "holds no settings"),
         (lambda directory: (directory / "steps.csv").write_text(""), "steps.csv cannot be read"),
         (lambda directory: (directory / "steps.csv").write_bytes(bytes(range(256))), "steps.csv cannot be read"),
-        (lambda directory: (directory / "provenance.json").write_text("{}"), "provenance.json cannot be read as a list of runs"),
+        (
+            lambda directory: (directory / "provenance.json").write_text("{}"),
+            "provenance.json cannot be read as a list of runs",
+        ),
         (without_column, "has no column model"),
         (with_a_broken_line, "holds an unfinished episode"),
         (renamed("naive", "brief"), "holds model 'brief', not one of naive"),

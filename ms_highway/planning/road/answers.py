@@ -47,8 +47,8 @@ class Expansion(NamedTuple):
 class Driver:
     """A human on its path, and the motion of others in the path's coordinates.
 
-    Its reward is that of `ms_highway.game.crowd.along_others` on a straight road of one lane, less what does not depend
-    on its accelerations. Accelerations are scaled, in units of `UNIT`, but where they are stated in m/s^2.
+    Its reward is that of `ms_highway.game.game.trajectory_reward` on a straight road of one lane, less what does not
+    depend on its accelerations. Accelerations are scaled, in units of `UNIT`, but where they are stated in m/s^2.
 
     Attributes:
         planning: time step and number of steps.
@@ -84,7 +84,7 @@ class Driver:
         return Expansion(gradient, hessian - self._comfort * jnp.eye(len(scaled)))
 
     def influence(self, scaled: Steps, robot: Trajectory) -> Steps:
-        """Return how the robot's trajectory changes the slopes of the reward in s and speed, field by field and step."""
+        """Return how the robot's trajectory changes the slopes of the reward in s and speed, by field and step."""
         moved = self.move(scaled)
         return by_fields(lambda robot: replace(self, others=self.see(robot[:, None]))._slopes(moved), robot)
 
@@ -136,7 +136,7 @@ class Driver:
         return jnp.stack([*place(self.path, motion[0], self.aside), motion[1]])
 
     def see(self, trajectories: Trajectories) -> Steps:
-        """Convert trajectories [4, cars, steps] to motions in the coordinates of the path; speeds are those along it."""
+        """Convert trajectories [4, cars, steps] to motions in the path's coordinates; speeds are along it."""
         x, y, heading, speed = trajectories
         s, d, relative = project(self.path, x, y, heading)
         cosine, sine = jnp.cos(relative), jnp.sin(relative)

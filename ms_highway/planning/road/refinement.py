@@ -125,7 +125,7 @@ class Climb(NamedTuple):
         return Expansion(gradient, self._hessian(motion, plan.others, along), world, answers)
 
     def _hessian(self, motion: Motion, others: Trajectories, along: Number) -> Matrix:
-        """Return the Hessian of Gauss-Newton: motion and `residuals` count as linear, so that it has no positive eigenvalue."""
+        """Return the Hessian of Gauss-Newton: motion and `residuals` count as linear: no eigenvalue is positive."""
 
         def roots(states: Trajectory) -> Steps:
             return residuals(self.aim, jnp.concatenate([states, motion[4:]]), others)[:-3]

@@ -35,7 +35,7 @@ class Aim(NamedTuple):
 
 
 def motion_of(aim: Aim, states: States, controls: Controls) -> Motion:
-    """Return the robot's states after each control, and its efforts: acceleration [m/s^2], jerk along and across [m/s^3].
+    """Return the robot's states after each control, and its acceleration [m/s^2] and jerks [m/s^3].
 
     The first jerk is against the applied control.
     """
