@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.bench_road import add_bench_road
 from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.options import SCENARIO_NAMES, add_devices, add_keys, add_number, configuration
 
@@ -24,7 +23,7 @@ switching. MiB is the most memory that the batches have taken until then.
 
 For scenarios with several humans, measure plans by number of humans (--crowd), a process each.
 
-`ms-highway bench road` measures how drivers fare in stock scenes of highway-env; it has its own --help."""
+`ms-highway bench road` measures how drivers fare in stock scenes of highway-env."""
 
 EXAMPLES = """\
 examples:
@@ -68,7 +67,6 @@ def add_bench(commands: Any) -> None:
     add_keys(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
     parser.set_defaults(run=_bench)
-    add_bench_road(parser)
 
 
 def _bench(options: argparse.Namespace) -> None:

@@ -30,7 +30,7 @@ def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, 
     assert "nested too deeply" in failure(capsys, "sweep", *arguments[1:4], "--out", str(tmp_path))
     reward = f"human_reward={learned}"
     assert "nested too deeply" in failure(capsys, *arguments, "--set", reward, "--out", str(tmp_path / "out"))
-    report = ["report", "--evaluation", learned, "--theta", "us101", "--data", str(tmp_path)]
+    report = ["report", "--drivers", learned, "us101", str(tmp_path)]
     assert "nested too deeply" in failure(capsys, *report, "--out", str(tmp_path / "page.html"))
 
 
@@ -56,7 +56,9 @@ def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, 
         (["compare", "merger", "--set", "horizn=10"], "did you mean 'horizon'?"),
         (["compare", "merger", "--set", "horizon=ten"], "config['horizon'] is 'ten'"),
         (["compare", "merger", "--seed", "1000"], "unrecognized arguments: --seed 1000"),
-        (["compare", "merger", "--lambdas", "1:0.1:5"], "lambdas are '1:0.1:5'; give LOW:HIGH:COUNT"),
+        (["compare", "merger", "--lambdas", "1:1.01:25"], "lambdas are '1:1.01:25'; give a number like 0.1, or LOW:"),
+        (["compare", "merger", "--lambdas", "0.1:10:1000000000000"], "lambdas are '0.1:10:1000000000000'"),
+        (["compare", "merger", "--lambdas", "-1"], "lambdas are '-1'"),
         (["--import", "no_such_module", "compare"], "--import no_such_module: ModuleNotFoundError: No module named"),
         (["compare", "merger", "--seeds", "0"], "--seeds: '0' is no whole number from 1 to"),
         (["compare", "merger", "--out", "caf\udce9"], "'caf\\udce9' is not UTF-8"),
@@ -96,7 +98,6 @@ def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, 
         (["bench", "roundabout"], "'roundabout'; the scenarios are"),
         (["sweep", "merger", "give_way", "--out", "sweep"], "there are 2 scenarios; a sweep is of one"),
         (["report"], "name a directory of results, or a page to write"),
-        (["report", "--theta", "us101", "--out", "page.html"], "--evaluation, --theta and --data go together"),
     ],
 )
 def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):

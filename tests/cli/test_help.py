@@ -16,7 +16,7 @@ from ms_highway.irl.driving import Others
 from ms_highway.irl.learning import REAL, SIMULATED
 from ms_highway.planning.human_models import PAPER_MODELS
 
-COMMANDS = ["compare", "sweep", "frontier", "video", "report", "bench", "validate", "irl"]
+COMMANDS = ["compare", "sweep", "frontier", "video", "report", "bench", "validate"]
 SUBCOMMANDS = [["bench", "road"], ["values", "learn"], *(["irl", name] for name in ("record", "fit", "evaluate"))]
 
 
