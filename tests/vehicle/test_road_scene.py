@@ -162,20 +162,8 @@ def test_cars_before_an_intersection_may_go_several_ways():
     seen = observe_road(ego, "o1")
     assert seen.present.sum() == 3
     assert seen.owners[:3].tolist() == [0, 0, 0]
-<<<<<<< HEAD
-    assert (
-        len(
-            {
-                (round(x, -1), round(y, -1))
-                for x, y in zip(*seen.paths.x[:3, -1:].T, *seen.paths.y[:3, -1:].T, strict=True)
-            }
-        )
-        == 3
-    )
-=======
     ends = np.stack([seen.paths.x[:3, -1], seen.paths.y[:3, -1]], axis=-1)
     assert len(np.unique(ends.round(-1), axis=0)) == 3
->>>>>>> drive
     among(ego, (("ir2", "il3", 0), 10.0))
     assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
 
