@@ -112,5 +112,5 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
 def _points(axes: Axes, rows: pd.DataFrame, measure: str, form: str, color: str, label: str) -> None:
     """Draw controllers, with the intervals of their rewards where they have any."""
     reward = rows["reward"]
-    errors = [(rows.get(end, reward) - reward).abs().fillna(0).to_numpy() for end in ("reward_low", "reward_high")]
+    errors = [(rows.get(end, reward) - reward).abs().fillna(0).to_list() for end in ("reward_low", "reward_high")]
     axes.errorbar(rows[measure], reward, errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2)
