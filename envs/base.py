@@ -1,6 +1,6 @@
 """The environment that all scenarios share: a road, humans, a robot, and who drives it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import nan
 from typing import Any, ClassVar
@@ -11,7 +11,7 @@ from highway_env.road.road import Road
 
 from ms_highway.control.driver import Driver, fixed
 from ms_highway.control.yielding import Unmoved
-from ms_highway.envs.configuration import read_own
+from ms_highway.envs.configuration import Changes, Config, read_own
 from ms_highway.envs.controllers import Start, controller_settings
 from ms_highway.envs.graphics import InteractionViewer, Shown
 from ms_highway.envs.settings import Settings
@@ -46,7 +46,7 @@ class InteractionEnv(StageEnv):
       nearest humans; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom",
       "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
       repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the episode starts. All of
-      them and their short names: `ms_highway.envs.controllers.controller_config`. Any of them with ``"belief": True``
+      them and their short names: `ms_highway.envs.short_names.controller_config`. Any of them with ``"belief": True``
       infers from what a human does which model predicts it (`ms_highway.planning.hypotheses`), and counts on no
       response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
@@ -80,16 +80,19 @@ class InteractionEnv(StageEnv):
       `ms_highway.game.planning_settings.longest_step` are warned of.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
+    ``reset`` takes ``options={"initial_states": ...}``, an array [cars, 4] of x, y, heading, speed in SI units, robot
+    first, then the humans, then the scripted cars, instead of drawn starts.
+
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push
     each other nor stop, and ``info["collision_effect"]`` says so.
 
     ``info`` holds after every step: ``models``, the name of every human's model; ``model``, the most expensive of them;
-    ``gains``, the highest estimated gain of each model over all humans; ``human_gains``, an array [humans, rungs];
-    ``status``, ``human_status``, a status for each human; ``timing``, ``counted_seconds``, T of the plan; with a
-    controller's ``belief``, ``belief``, the probability of every model for every human, [humans, 4] in the order
-    naive, idm, turn, tom. In scenarios with streams it also holds ``humans_MODEL``, how many humans each model above
-    the first predicts; ``success``, whether the robot is in the target lane and has not collided so far; and
-    ``distance_to_cones``, from the robot's front to the first cone ahead in its lane, infinite without one [m].
+    ``gains``, the highest estimated gain of each model over all humans; ``status``, ``human_status``, a status for each
+    human; ``timing``, ``counted_seconds``, T of the plan; with a controller's ``belief``, ``belief``, the probability
+    of every model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also
+    holds ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in
+    the target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the first cone
+    ahead in its lane, infinite without one [m].
 
     Attributes:
         settings: of the configuration.
@@ -102,9 +105,10 @@ class InteractionEnv(StageEnv):
     settings_type, viewer_type = Settings, InteractionViewer
     reset_options = ("initial_states", "config")
     settings: Settings
+    history: list[Shown]
 
     @classmethod
-    def default_config(cls) -> dict[str, Any]:
+    def default_config(cls) -> Config:
         """highway-env's configuration with the scenario's own."""
         scenario, several = cls.scenario, bool(cls.scenario.streams)
         return {
@@ -126,23 +130,14 @@ class InteractionEnv(StageEnv):
             **asdict(scenario.planning),
             "duration": scenario.steps * TIME_STEP,
             "terminate_on_collision": False,
-            "simulation_frequency": 10,
-            "policy_frequency": 10,
             "screen_width": 1280 if several else 960,
-            "screen_height": 420 if several else 352,
+            "screen_height": 380 if several else 352,
             "scaling": 13.0,
             "centering_position": [0.4, 0.29],
         }
 
-    def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
-        self._initial_states: State | None = None
-        self.history: list[Shown] = []
-        super().__init__(config, render_mode)
-
     @classmethod
-    def checked_config(
-        cls, changes: Mapping[str, Any] | None, config: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
+    def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
         """See `StageEnv.checked_config`; the ladder is spelt out."""
         config = super().checked_config(changes, config)
         settings = read_own(Settings, config)
@@ -153,35 +148,15 @@ class InteractionEnv(StageEnv):
         super()._read()
         self.game, self._seconds = self.settings.game(self.scenario), self.settings.seconds
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode.
-
-        Args:
-            seed: seeds all that is drawn: starts, rewards of humans, who yields, and the models of a random controller.
-            options: ``"initial_states"``: array [cars, 4] of x, y, heading, speed in SI units, robot first, then the
-                humans, then the scripted cars, instead of drawn starts; ``"config"``: changes of the configuration.
-
-        Raises:
-            ValueError: for unknown options, or initial states that are not a finite array of that shape.
-        """
-        self._initial_states = (options or {}).get("initial_states")
-        return super().reset(seed=seed, options=options)
-
-    def _checked_states(self, states: Any) -> State:
-        states, shape = np.array(states, dtype=float), (self.cars, 4)
-        if states.shape != shape:
-            raise ValueError(f"options['initial_states'] has shape {states.shape}; {self.scenario.name} needs {shape}")
-        if not np.isfinite(states).all():
-            raise ValueError(f"options['initial_states'] is not finite: {states.tolist()}")
-        return states
-
     def _reset(self) -> None:
         """Build the road, place the cars, and say who drives them."""
         states, self.weights = self.draw_episode(self.np_random)
-        if self._initial_states is not None:  # and by now, the configuration is the new one
-            states = self._checked_states(self._initial_states)
+        given = self.options.get("initial_states")
+        if given is not None:
+            states, shape = np.array(given, dtype=float), (self.cars, 4)
+            if states.shape != shape or not np.isfinite(states).all():
+                message = f"{self.scenario.name} needs an array {shape} of finite numbers"
+                raise ValueError(f"options['initial_states'] is {states.tolist()}; {message}")
         humans = self.settings.humans
         kinds = [RobotVehicle, *[HumanVehicle] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]
         self.road = Road(straight_road(self.game), np_random=self.np_random)
@@ -204,7 +179,7 @@ class InteractionEnv(StageEnv):
 
     def draw_yielding(self, random: np.random.Generator) -> Sequence[bool | None]:
         """Say of every human whether it always yields, or never; None for those who plan for their reward."""
-        kind, humans = self.config["yielding"], self.settings.humans
+        kind, humans = self.settings.yielding, self.settings.humans
         if kind == "mixed":
             return [bool(each) for each in random.uniform(size=humans) < 0.5]
         return [{"never": False, "always": True}.get(kind)] * humans
@@ -282,30 +257,24 @@ class InteractionEnv(StageEnv):
         self._collided |= self.collision
         step = self.robot.last_step
         if isinstance(self.action_type, HumanModelAction) and step:
-            self._terms[COMPUTATION] = -float(self.action_type.price * self.counted_seconds(step.models))
+            self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * self.counted_seconds(step.models))
         self.history.append(Shown(step, sum(self._terms.values())))
 
-    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
+    def _info(self, obs: Any, action: Any = None) -> Config:
         """Describe the last step, see `InteractionEnv`."""
-        info, streams = super()._info(obs, action), self.scenario.streams
+        info, step, streams = super()._info(obs, action), self.robot.last_step, bool(self.scenario.streams)
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
-        if self.steps == 0:
-            return info
-        info["human_status"] = tuple(human.last_step and human.last_step.status for human in self.humans)
-        if streams:
-            info["success"] = self.success
-        step = self.robot.last_step
+        if self.steps:
+            info["human_status"] = tuple(human.last_step and human.last_step.status for human in self.humans)
+            info |= {"success": self.success} if streams else {}
         if step is None:
             return info
-        info |= {"model": step.model, "models": step.models, "status": step.status, "choice_failed": step.choice_failed}
-        info |= {"gains": step.highest_gains(), "human_gains": step.gains}
+        info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
         info["timing"] = Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds)
+        info["gains"], counted = step.highest_gains(), self.counted_seconds(step.models)
+        known = {"belief": step.belief, "counted_seconds": counted}
+        info |= {name: value for name, value in known.items() if value is not None}
         if streams:
             info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}
-        if step.belief is not None:
-            info["belief"] = step.belief
-        counted = self.counted_seconds(step.models)
-        if counted is not None:
-            info["counted_seconds"] = counted
         return info

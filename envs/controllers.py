@@ -75,7 +75,7 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
         return None
 
     def rule(self, start: Start) -> Any:
-        """Return the `Rule` of an episode, or its `Order`."""
+        """Return the `ms_highway.metareasoning.rule.Rule` of an episode, or its `Order`."""
         raise NotImplementedError
 
 
@@ -115,13 +115,25 @@ class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
 
 
 class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
-    """A model per step, the last one is kept."""
+    """A model per step, the last one is kept; ``tom/naive`` stands for a model of each human."""
 
     models: Models
 
     def names(self) -> tuple[str, ...]:
         """See `OrderSettings.names`."""
-        return self.models
+        return tuple(name for step in self.models for name in step.split("/"))
+
+    def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
+        """See `OrderSettings.table`.
+
+        Raises:
+            ValueError: where a step names several models, but not as many as there are humans.
+        """
+        rows = [step.split("/") for step in self.models]
+        if wrong := {len(row) for row in rows} - {1, humans}:
+            remedy = "name one for all of them in a step, or one for each"
+            raise ValueError(f"{PLACE}['models'] has {min(wrong)} models for {humans} humans; {remedy}")
+        return np.array([row * (humans // len(row)) for row in rows])
 
 
 class PeriodSettings(ScheduleSettings, frozen=True, tag="period"):
@@ -129,7 +141,7 @@ class PeriodSettings(ScheduleSettings, frozen=True, tag="period"):
 
     def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
         """See `OrderSettings.table`."""
-        return np.resize(self.names(), (steps, 1))
+        return np.resize(super().table(steps, humans, random), (steps, humans))
 
 
 class RandomSettings(OrderSettings, frozen=True, tag="random"):

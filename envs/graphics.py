@@ -3,7 +3,9 @@
 import os
 import sys
 from collections.abc import Sequence
-from functools import cache
+from contextlib import suppress
+from functools import cache, partial
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +19,6 @@ from highway_env.road.graphics import LaneGraphics
 from highway_env.vehicle.graphics import VehicleGraphics
 
 from ms_highway.control.controller import ControlStep
-from ms_highway.control.fallback import PLANNED, STATUSES
 from ms_highway.game.arrays import Belief, Car
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import title
@@ -49,10 +50,8 @@ GRID, GROUND, ASPHALT = (215, 218, 224), (205, 218, 195), (96, 100, 106)
 MARGIN = 16  # px
 TEXT_WIDTH = 440  # px, left part of the panel
 LARGE, MEDIUM, SMALL = 24, 15, 13  # px, sizes of texts
-NAMED = 45  # px, width from which on a part of a bar is named
+NAMED = 60  # px, width from which on a part of a bar is named
 WORST = -10.0  # reward below which the curve is cut: a collision would dwarf everything
-LONGEST = 3.0  # times the median, from which on bars of planning times are cut
-SPARSE = 10  # steps of a plan, from which on every second one is drawn, smaller
 
 
 def words(text: str, size: int, color: Color, ground: Color | None = None) -> pygame.Surface:
@@ -135,172 +134,154 @@ class InteractionViewer(Viewer):
 
     panel_height = 150  # px
 
-    def window_position(self) -> np.ndarray:
-        """Return the centre of the view: it follows the robot along the road and keeps the road in place."""
-        return np.array([self.env.robot.position[0], np.mean(self._edges)])
-
-    @property
-    def _edges(self) -> tuple[float, float]:
-        """The y of the road's edges."""
-        lanes, half = self.env.game.scene.lanes, self.env.game.scene.lane_width / 2
-        return float(np.min(lanes) - half), float(np.max(lanes) + half)
-
     def display(self) -> None:
-        """Draw everything."""
+        """Draw everything; the view follows the robot along the road and keeps the road in place."""
         surface, env, step = self.sim_surface, self.env, self.env.robot.last_step
-        surface.move_display_window_to(self.window_position())
+        lanes, half = np.asarray(env.game.scene.lanes, float), float(env.game.scene.lane_width) / 2
+        ends = lanes.min() - half, lanes.max() + half
+        surface.move_display_window_to(np.array([env.robot.position[0], np.mean(ends)]))
+        above, below = (surface.pos2pix(0, end)[1] for end in ends)
         surface.fill(GROUND)
-        top, bottom = (surface.pos2pix(0, edge)[1] for edge in self._edges)
-        pygame.draw.rect(surface, ASPHALT, (0, top, surface.get_width(), bottom - top))
+        surface.fill(ASPHALT, (0, above, surface.get_width(), below - above))
         for lane in env.road.network.lanes_list():
             LaneGraphics.display(lane, surface)
         for cone in env.road.objects:
             pygame.draw.polygon(surface, CONE, [surface.vec2pix(corner) for corner in cone.polygon()])
             pygame.draw.circle(surface, PAPER, surface.vec2pix(cone.position), surface.pix(cone.WIDTH / 4))
-        if len(env.humans) > 1:
-            models = step.models if step else [env.settings.models[0].name] * len(env.humans)
-            for human, model in zip(env.humans, models, strict=True):
-                human.color = model_color(model)
+        for place, human in enumerate(env.humans if len(env.humans) > 1 else ()):
+            human.color = model_color(step.models[place] if step else env.settings.models[0].name)
         for car in env.road.vehicles:
             VehicleGraphics.display(car, surface, offscreen=self.offscreen)
         if step:
             self._draw_plan(step)
-        self._draw_names(top - 14, bottom + 14)
+        self._draw_names(above - 14, below + 14)
         self._draw_panel(step)
         self.show(surface)
-
-    def _draw_names(self, above: int, below: int) -> None:
-        """Draw the names of robot and human at the roadside; of several humans, a number on each roof."""
-        env, place = self.env, self.sim_surface.vec2pix
-        if len(env.humans) > 1:
-            for number, human in enumerate(env.humans, start=1):
-                self._write(str(number), MEDIUM, center=place(human.position))
-        elif env.scenario.cars[0][1] < env.scenario.cars[1][1]:
-            above, below = below, above
-        self._write("robot", MEDIUM, center=(place(env.robot.position)[0], below))
-        if len(env.humans) == 1:
-            self._write("human", MEDIUM, center=(place(env.humans[0].position)[0], above))
 
     def _draw_plan(self, step: ControlStep) -> None:
         """Draw the predicted paths as dots in the colours of their models, and the robot's plan as a line."""
         surface, (own, *others) = self.sim_surface, self.env.robot.last_state
-        every, radius = (1, 4) if len(step.plan) <= SPARSE else (2, 2)
+        every, radius = (1, 4) if len(step.models) == 1 else (2, 2)
         for state, controls, model in zip(others, step.humans, step.models, strict=False):
             for point in self._path(state, controls)[every::every]:
                 pygame.draw.circle(surface, PAPER, point, radius + 2)
                 pygame.draw.circle(surface, model_color(model), point, radius)
-        line = self._path(own, step.plan)
-        pygame.draw.lines(surface, PAPER, False, line, 8)
-        pygame.draw.lines(surface, model_color(step.model), False, line, 4)
+        for color, width in ((PAPER, 8), (model_color(step.model), 4)):
+            pygame.draw.lines(surface, color, False, self._path(own, step.plan), width)
 
     def _path(self, state: Car, controls: Controls) -> list[tuple[int, int]]:
-        points, dynamics = [state], jax.tree.map(float, self.env.game.dynamics)
-        for control in controls:
-            points.append(move(dynamics, points[-1], control))
-        return [self.sim_surface.vec2pix(point[:2]) for point in points]
+        dynamics = jax.tree.map(float, self.env.game.dynamics)
+        states = accumulate(controls, partial(move, dynamics), initial=state)
+        return [self.sim_surface.vec2pix(each) for each in states]
+
+    def _draw_names(self, above: int, below: int) -> None:
+        """Draw the names of robot and human at the roadside; of several humans, a number on each roof."""
+        humans, (robot, *first) = self.env.humans, self.env.scenario.cars
+        if first and robot[1] < first[0][1]:
+            above, below = below, above
+        labels = [(str(1 + place), human, 0) for place, human in enumerate(humans)]
+        if len(humans) == 1:
+            labels = [("human", humans[0], above)]
+        for name, car, roadside in (("robot", self.env.robot, below), *labels):
+            x, y = self.sim_surface.vec2pix(car.position)
+            self._write(name, MEDIUM, center=(x, roadside or y))
 
     def _draw_panel(self, step: ControlStep | None) -> None:
-        surface, env, history = self.sim_surface, self.env, self.env.history
-        width, height = surface.get_size()
-        left, top = MARGIN, height - self.panel_height
-        pygame.draw.rect(surface, PAPER, (0, top, width, self.panel_height))
+        env, history, (width, height) = self.env, self.env.history, self.sim_surface.get_size()
+        top = height - self.panel_height
+        self.sim_surface.fill(PAPER, (0, top, width, self.panel_height))
         if not history:
-            self._write(f"{title(env.scenario.name)}: the episode starts", MEDIUM, topleft=(left, top + MARGIN))
+            self._write(f"{title(env.scenario.name)}: the episode starts", MEDIUM, topleft=(MARGIN, top + MARGIN))
             return
-        happened = "    COLLISION" if env.collision else "    in the target lane" if env.success else ""
-        lines = [f"step {len(history)}    reward {history[-1].reward:+.2f}{happened}"]
+        arrived = env.scenario.streams and env.success
+        happened = "COLLISION" if env.collision else "in the target lane" if arrived else ""
+        lines = [f"step {len(history)}    reward {history[-1].reward:+.2f}    {happened}"]
         chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, (self.panel_height - 66) // 2)
-        if step:
-            self._draw_models(step, left, top + 10)
-            lines += [self._times(step), self._remarks(step)]
-            self._draw_bars(chart, [shown.step for shown in history])
-        else:
-            self._write("the agent drives", LARGE, topleft=(left, top + 10))
-        for place, line in enumerate(lines):
-            self._write(line, MEDIUM, topleft=(left, top + 46 + 24 * place))
-        if step and step.belief is not None:
-            self._draw_beliefs(step.belief, left, top + 122)
         self._draw_curve(chart.move(0, chart.height + 28), [shown.reward for shown in history])
+        if step:
+            lines += [self._times(step), self._remarks(step)]
+            self._draw_models(step, MARGIN, top + 10)
+            self._draw_bars(chart, [shown.step for shown in history])
+            if step.belief is not None:
+                self._draw_beliefs(step.belief, top + 122)
+        else:
+            self._write("the agent drives", LARGE, topleft=(MARGIN, top + 10))
+        for place, line in enumerate(lines):
+            self._write(line, MEDIUM, topleft=(MARGIN, top + 46 + 24 * place))
 
     def _draw_models(self, step: ControlStep, left: int, top: int) -> None:
         """Draw the model with what it means; of several humans, how many each model predicts."""
-        if len(step.models) == 1:
-            name = self._write(f" {step.model} ", LARGE, PAPER, model_color(step.model), topleft=(left, top))
-            self._write(model_meaning(step.model), SMALL, midleft=(name.right + 10, name.centery))
-            return
-        for model in dict.fromkeys([*step.ladder, *step.models]):
-            text = f" {model} {step.models.count(model)} "
-            left = 8 + self._write(text, LARGE, PAPER, model_color(model), topleft=(left, top)).right
+        alone = len(step.models) == 1
+        for name in step.models if alone else dict.fromkeys((*step.ladder, *step.models)):
+            text = f" {name} " if alone else f" {name} {step.models.count(name)} "
+            left = 8 + self._write(text, LARGE, PAPER, model_color(name), topleft=(left, top)).right
+        if alone:
+            self._write(model_meaning(step.model), SMALL, topleft=(left, top + 8))
 
     def _times(self, step: ControlStep) -> str:
         budget = self.env.robot.controller.budget
-        text = f"planning {1e3 * step.planning_seconds:.1f} ms, deciding {1e3 * step.decision_seconds:.1f} ms"
-        return text if budget is None else f"{text}, budget {1e3 * budget:g} ms"
+        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": budget}
+        return ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in times.items() if seconds)
 
     def _remarks(self, step: ControlStep) -> str:
         """Say why the only human's model plans, where the cones are, and what became of the plan."""
         rule, cones = self.env.robot.controller.rule, self.env.distance_to_cones
-        chosen = len(step.models) == 1 and not isinstance(rule, Order)
-        remarks = [_reason(step, isinstance(rule, LearnedValue))] if chosen else []
-        remarks += [f"cones in {cones:.0f} m"] if self.env.scenario.streams and cones < np.inf else []
-        remarks += [step.status] if step.status != STATUSES[PLANNED] else []
-        return "    ".join(remarks)
+        remarks = {
+            _reason(step, isinstance(rule, LearnedValue)): len(step.models) == 1 and not isinstance(rule, Order),
+            f"cones in {cones:.0f} m": self.env.scenario.streams and cones < np.inf,
+            step.status: step.status != "planned",
+        }
+        return "    ".join(remark for remark, holds in remarks.items() if holds)
 
-    def _draw_beliefs(self, belief: Belief, left: int, top: int) -> None:
+    def _draw_beliefs(self, belief: Belief, top: int) -> None:
         """Draw the probabilities of the models of every human, side by side, behind its number."""
-        width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
         for place, shares in enumerate(belief):
-            start = left + place * width
+            width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
+            left = start = MARGIN + place * width
             if len(belief) > 1:
-                start = self._write(str(place + 1), SMALL, topleft=(start, top)).right
-            ends = np.interp(np.cumsum([0.0, *shares]), [0, 1], [start, left + (place + 1) * width - 4]).round()
-            for name, low, high in zip(PACKAGE_MODELS, ends, ends[1:], strict=True):
-                part = pygame.draw.rect(self.sim_surface, model_color(name), (low, top, high - low + 1, 17))
+                start = self._write(str(place + 1), SMALL, topleft=(left, top)).right + 3
+            ends = start + (left + width - 4 - start) * np.cumsum([0.0, *shares])
+            for name, low, high in zip(PACKAGE_MODELS, ends, ends[1:], strict=False):
+                part = self.sim_surface.fill(model_color(name), (low, top, high - low + 1, 17))
                 if part.width > NAMED:
                     self._write(name, SMALL, PAPER, center=part.center)
 
-    def _draw_chart(self, box: pygame.Rect, heading: str, low: str, high: str) -> None:
-        """Draw the frame of a chart: a heading above, a line below, and the values of its ends on the left."""
+    def _draw_chart(
+        self, box: pygame.Rect, heading: str, values: Sequence[float], low: float, high: float
+    ) -> list[pygame.Rect]:
+        """Draw a heading above, a line below, and both ends on the left; return the bar of every step's value."""
         self._write(heading, SMALL, FAINT, topleft=(box.left, box.top - 20))
+        self._write(f"{high:.3g}", SMALL, FAINT, midright=(box.left - 8, box.top))
+        self._write(f"{low:.3g}", SMALL, FAINT, midright=(box.left - 8, box.bottom))
         pygame.draw.line(self.sim_surface, FAINT, box.bottomleft, box.bottomright)
-        for text, y in ((high, box.top), (low, box.bottom)):
-            self._write(text, SMALL, FAINT, midright=(box.left - 8, y))
-
-    def _lefts(self, box: pygame.Rect) -> np.ndarray:
-        """Return where every step of an episode begins, and where the last one ends."""
-        return np.linspace(box.left, box.right, 1 + max(self.env.episode_steps, len(self.env.history)))
+        width, bars = box.width / max(self.env.episode_steps, len(values)), []
+        for place, height in enumerate(np.interp(values, [low, high], [3, box.height])):
+            bars.append(pygame.Rect(box.left + place * width, box.bottom - height, max(1, width - 2), height))
+        return bars
 
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
-        """Draw a bar per step in the colours of the humans' models: its height is one human's planning time."""
-        humans, lefts = len(self.env.humans), self._lefts(box)
-        values, heading = np.full(len(steps), humans), "humans that each model predicts"
+        """Draw a bar per step in the colours of the humans' models: its height is the time of planning for one."""
+        humans = len(steps[0].models)
+        values, heading = [float(humans)] * len(steps), "humans that each model predicts"
         if humans == 1:
-            values = np.array([1e3 * step.planning_seconds for step in steps])
+            values = [1e3 * step.planning_seconds for step in steps]
             heading = "planning time of each step [ms], in the colour of its model"
-        most = min(values.max(), LONGEST * np.median(values))
-        heights = np.clip(np.rint(box.height * values / most), 3, box.height)
-        order = known_models({name for step in steps for name in step.models})
-        for step, height, left, right in zip(steps, heights, lefts, lefts[1:], strict=False):
-            part = height / len(step.models)
-            for place, model in enumerate(sorted(step.models, key=order.index, reverse=True), start=1):
-                bar = (left, box.bottom - place * part, max(1, right - left - 2), part + 1)
-                pygame.draw.rect(self.sim_surface, model_color(model), bar)
-        self._draw_chart(box, heading, "0", f"{most:.3g}")
+        for step, bar in zip(steps, self._draw_chart(box, heading, values, 0.0, max(values)), strict=True):
+            for place, model in enumerate(sorted(step.models, key=known_models(step.models).index)):
+                top = bar.top + bar.height * place / humans
+                self.sim_surface.fill(model_color(model), (bar.left, top, bar.width, bar.bottom - top))
 
     def _draw_curve(self, box: pygame.Rect, rewards: Sequence[float]) -> None:
         """Draw the reward of each step, cut at its `WORST`; the line at 0 is drawn where it lies within."""
-        low, high = max(min(rewards), WORST), max(*rewards, WORST + 1.0, min(rewards) + 1.0)
-        heights = np.interp([0.0, *rewards], [low, high], [box.bottom, box.top])
-        if low < 0 < high:
-            pygame.draw.line(self.sim_surface, GRID, (box.left, heights[0]), (box.right, heights[0]))
-        lefts = self._lefts(box)
-        points = list(zip((lefts[1:] + lefts[:-1]) / 2, heights[1:], strict=False))
-        if len(points) > 1:
-            pygame.draw.lines(self.sim_surface, INK, False, points, 2)
-        pygame.draw.circle(self.sim_surface, INK, points[-1], 3)
-        least = f"{low:.1f}" if min(rewards) >= WORST else f"below {WORST:.0f}"
+        low = max(min(rewards), WORST)
+        high = max(*rewards, low + 1.0)
         heading = f"reward of each step, {np.mean(rewards):+.2f} on average"
-        self._draw_chart(box, heading, least, f"{high:.1f}")
+        points = [bar.midtop for bar in self._draw_chart(box, heading, rewards, low, high)]
+        if low < 0 < high:
+            zero = np.interp(0.0, [low, high], [box.bottom, box.top])
+            pygame.draw.line(self.sim_surface, GRID, (box.left, zero), (box.right, zero))
+        pygame.draw.lines(self.sim_surface, INK, False, [points[0], *points], 2)
+        pygame.draw.circle(self.sim_surface, INK, points[-1], 3)
 
     def _write(
         self, text: str, size: int, color: Color = INK, ground: Color | None = None, **place: Any
@@ -330,11 +311,9 @@ def check_display() -> None:
     Raises:
         OSError: without a display.
     """
-    unseen = False
-    try:
+    driver = "dummy"
+    with suppress(pygame.error):
         pygame.display.init()
-        unseen = pygame.display.get_driver() in ("dummy", "offscreen") and "SDL_VIDEODRIVER" not in os.environ
-    except pygame.error:
-        unseen = True
-    if unseen:
+        driver = pygame.display.get_driver()
+    if driver in ("dummy", "offscreen") and "SDL_VIDEODRIVER" not in os.environ:
         raise OSError("there is no display for a person to drive at; use a desktop, or let a program drive")

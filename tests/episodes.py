@@ -1,5 +1,6 @@
 """Episodes of the environments: how tests make and drive them."""
 
+from copy import copy
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -29,7 +30,7 @@ def drive(env: gym.Env, seed: int = 0, starts: Any = None, steps: int | None = N
     env.reset(seed=seed, options=None if starts is None else {"initial_states": starts})
     states, rewards, infos, done = [env.unwrapped.car_states], [], [], False
     while not done and len(infos) != steps:
-        _, reward, terminated, truncated, info = env.step(action)
+        _, reward, terminated, truncated, info = env.step(copy(action))
         done = terminated or truncated
         states.append(env.unwrapped.car_states)
         rewards.append(reward)

@@ -6,6 +6,7 @@ here once more, so that equal plans check ours.
 """
 
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.game import Game, constant_velocity, swap_roles, total_reward
+from ms_highway.game.game import Game, constant_velocity, discomfort, swap_roles, total_reward
 
 SWEEPS = 6  # of Jacobi's eigenvalue method; more change nothing in float64
 COMPILER = {"compiler": "gcc", "flags": ["-O3", "-march=native"], "cleanup": False}
@@ -45,7 +46,7 @@ def compiled_peer(
         RuntimeError: without gcc.
     """
     try:
-        import casadi
+        casadi: Any = import_module("casadi")  # whose declared types are not those of its functions
     except ImportError:
         raise ImportError('the peer needs CasADi: pip install "ms-highway[bench]"') from None
     if game.planner.grip is not None:
@@ -58,8 +59,8 @@ def compiled_peer(
     function = casadi.Function("plan", [now], [_plan(casadi, game, model, now)], compiler)
     given, planned = np.zeros(4 * cars), np.zeros(2 * game.planner.horizon)
     buffer, evaluate = function.buffer()
-    buffer.set_arg(0, memoryview(given))
-    buffer.set_res(0, memoryview(planned))
+    buffer.set_arg(0, given.data)
+    buffer.set_res(0, planned.data)
 
     def repeat(kept: Any = (function, buffer, given, planned)) -> None:  # C sees only their addresses
         evaluate()
@@ -83,7 +84,8 @@ def _plan(ca: Any, game: Game, model: str, now: Any) -> Any:
 
         def earned(state: jax.Array, own: jax.Array, partner: jax.Array | None = None) -> jax.Array:
             played, state = (swap_roles(game), jnp.concatenate([state[1::-1], state[2:]])) if car else (game, state)
-            return total_reward(played, state, own, constant_velocity(game, state[1]) if partner is None else partner)
+            partner = constant_velocity(game, state[1]) if partner is None else partner
+            return total_reward(played, state, own, partner) - discomfort(played, state[0], own)
 
         return _translated(ca, earned, state, *controls)
 

@@ -1,44 +1,47 @@
 """How long plans, decisions and environment steps take, and how long they take to compile."""
 
 import os
+import resource
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium as gym
 import jax
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
-from jaxtyping import Float
 
 from ms_highway.benchmarks.casadi_peer import compiled_peer
+from ms_highway.benchmarks.processes import own_process
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiments.runner import make_environment
+from ms_highway.game.arrays import State
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.compiled_decision import CompiledDecision
 from ms_highway.metareasoning.rule import PUBLISHED_COSTS, first_memory
 from ms_highway.metareasoning.switching import Switching
-from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
+from ms_highway.optimization.arrays import Controls
+from ms_highway.planning.compiled_plans import CompiledPlans, Costs, checked_state
 from ms_highway.planning.human_models import HumanModel
+from ms_highway.planning.several import plan_for
 from ms_highway.runtime.files import temporary_directory
+from ms_highway.runtime.jax_settings import low_latency
 from ms_highway.runtime.timing import forget, timed
-
-__all__ = ["BATCHES", "bench", "one_core"]
-
-State = Float[np.ndarray, "cars 4"]
 
 REPEATS = 600
 TURN = 20  # runs of one thing before the next
 BATCHES = (1, 32, 1024)  # of vmapped plans
 CACHE, CACHED_FROM = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
 AGREEMENT = 1e-3  # between ours and the peer's scaled controls
+SEVERAL_REPEATS = 60
+KIBIBYTE = 1024
 
 
-def bench(scenario: str, peer: bool = False, **planning: Any) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Measure each rung of a scenario's ladder, in microseconds, from its first start.
+def bench(scenario: str, peer: bool = False, **config: Any) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Measure each rung of the ladder of a scenario with one human, in microseconds, from its first start.
 
     Compilation is measured on all cores, everything else warm, on one core. Yields for every rung its name and:
 
@@ -55,43 +58,49 @@ def bench(scenario: str, peer: bool = False, **planning: Any) -> Iterator[tuple[
     Args:
         scenario: its name.
         peer: whether to measure the peer.
-        planning: how robot and human plan, by key of the environment's configuration.
+        config: of the environment.
 
     Raises:
         ImportError: if the peer is wanted and CasADi is not there.
         RuntimeError: if the peer plans something else.
     """
-    env = make_environment(scenario, "naive", human_reward="published", **planning)  # which is what the peer knows
-    env.reset(seed=0)
-    inner = env.unwrapped
-    assert isinstance(inner, InteractionEnv)
-    game, models, state = inner.game, inner.models, checked_state(inner.car_states)
+    env, inner = _environment(scenario, human_reward="published", **config)  # which is what the peer knows
+    game, models, state = inner.game, inner.settings.models, checked_state(inner.car_states)
     with one_core():
         step = _step_without_planning(env, inner)
     env.close()
-    compiling = {kind: _compile_seconds(game, models, state, kind) for kind in ("cold", "cached")}
+    compiling = {kind: _compile_seconds(game, models, state, kind == "cached") for kind in ("cold", "cached")}
     for rung, model in enumerate(models):
         seconds = {kind: times[rung] for kind, times in compiling.items()}
         with one_core():
             yield model.name, _measured(game, models, rung, state, peer) | {"step_us": step, "compile_s": seconds}
 
 
+def _environment(scenario: str, **config: Any) -> tuple[gym.Env, InteractionEnv]:
+    """Return the environment of a scenario at its first start, and without its wrappers."""
+    env = make_environment(scenario, "naive", **config)
+    env.reset(seed=0)
+    inner = env.unwrapped
+    assert isinstance(inner, InteractionEnv)
+    return env, inner
+
+
 def _measured(game: Game, models: tuple[HumanModel, ...], rung: int, state: State, peer: bool) -> dict[str, Any]:
     """Measure one rung, warm."""
-    compiled, model = CompiledPlans(game), models[rung]
-    plans: dict[str, Callable[[], None]] = {
-        "plan_us": partial(_run, compiled.function(model), *compiled.arguments(state))
-    }
+    compiled, model = CompiledPlans(game, models), models[rung]
+    function, *arguments = compiled.call(state, [rung])
+    plans: dict[str, Callable[[], None]] = {"plan_us": partial(_run, function, *arguments)}
     with temporary_directory() as directory:
         if peer:
-            plans["peer_us"] = _peer(game, model, state, np.asarray(compiled.plan(model, state)[0].robot), directory)
+            plans["peer_us"] = _peer(game, model, state, np.asarray(compiled.plan(state, [rung])[0].robot), directory)
         times = _times(plans)
+    flops = float((function.lower(*arguments).compile().cost_analysis() or {})["flops"])
     return {
         "plan_us": {"p50": _median(times["plan_us"]), "p99": float(np.quantile(times["plan_us"], 0.99))},
         **({"peer_us": {"p50": _median(times["peer_us"])}} if peer else {}),
         "decision_us": _decision(game, models, rung, state),
-        "flop": _operations(game, models[rung], state),
-        "plans_per_s": {str(size): _throughput(game, models[rung], state, size) for size in BATCHES},
+        "flop": game.planner.iterations * flops,  # XLA counts the body of the loop once, and little is outside of it
+        "plans_per_s": {str(size): _throughput(game, model, state, size) for size in BATCHES},
     }
 
 
@@ -129,24 +138,22 @@ def one_core() -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-def _compile_seconds(
-    game: Game, models: Sequence[HumanModel], state: State, kind: Literal["cold", "cached"]
-) -> list[float]:
+def _compile_seconds(game: Game, models: Sequence[HumanModel], state: State, cached: bool) -> list[float]:
     """Seconds to trace and compile the plan of each rung, one after the other; leaves the user's cache alone."""
     kept = {name: jax.config.values[name] for name in (CACHE, CACHED_FROM)}
-    plans = CompiledPlans(game)
-    seconds: list[float] = []
+    plans, seconds = CompiledPlans(game, models), list[float]()
     with temporary_directory() as directory:
         try:
-            jax.config.update(CACHE, str(directory) if kind == "cached" else None)
+            jax.config.update(CACHE, str(directory) if cached else None)
             jax.config.update(CACHED_FROM, 0.0)
-            for _ in range(2 if kind == "cached" else 1):  # the first time fills the cache
+            for _ in range(2 if cached else 1):  # the first time fills the cache
                 compilation_cache.reset_cache()
                 forget()
                 seconds = []
-                for model in models:
+                for rung in range(len(models)):
                     start = perf_counter()
-                    plans.function(model).lower(*plans.arguments(state)).compile()
+                    function, *arguments = plans.call(state, [rung])
+                    function.lower(*arguments).compile()
                     seconds.append(perf_counter() - start)
         finally:
             for name, value in kept.items():
@@ -155,9 +162,7 @@ def _compile_seconds(
     return seconds
 
 
-def _peer(
-    game: Game, model: HumanModel, state: State, ours: Float[np.ndarray, "steps 2"], directory: Path
-) -> Callable[[], None]:
+def _peer(game: Game, model: HumanModel, state: State, ours: Controls, directory: Path) -> Callable[[], None]:
     """Return what repeats the peer's plan, after checking that its first result agrees with ours."""
     call, repeat = compiled_peer(game, model.name, len(state), directory)
     apart = float(abs(call(np.asarray(state)) - ours).max())
@@ -168,18 +173,15 @@ def _peer(
 
 def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: State) -> float:
     """Time a decision that never goes up, so that it checks the rung below whenever the cooldown allows."""
-    switching = Switching(np.array([PUBLISHED_COSTS[model.name] for model in models]), 1e9, models)
-    compiled, checking = CompiledDecision(switching, game), first_memory(switching, rung)
+    costs = Costs(0.0, np.array([PUBLISHED_COSTS.get(model.name, 0.0) for model in models]))
+    compiled = CompiledDecision(Switching(costs, 1e9, models), game)
+    checking = first_memory(compiled.rule, 1)._replace(rungs=np.array([rung]), step=np.ones((), int))
     waiting = checking._replace(last_check=np.zeros_like(checking.last_check))
-    observed = compiled.nothing_happened(state)
-    memories = {"checking": checking, "waiting": waiting}
-    times = _times(
-        {
-            name: partial(_run, compiled.function, *compiled.arguments(memory, observed))
-            for name, memory in memories.items()
-        }
-    )
-    cooldown = int(switching.cooldown)
+    runs = {
+        name: partial(_run, compiled.function, *compiled.arguments(memory, compiled.still(state)))
+        for name, memory in (("checking", checking), ("waiting", waiting))
+    }
+    times, cooldown = _times(runs), Switching.cooldown
     return (_median(times["checking"]) + (cooldown - 1) * _median(times["waiting"])) / cooldown
 
 
@@ -193,19 +195,55 @@ def _step_without_planning(env: gym.Env, inner: InteractionEnv) -> float:
             *_, terminated, truncated, _ = env.step(0)
             seconds = perf_counter() - start
             done = terminated or truncated
-            cars = inner.robot, inner.human
-            times.append(1e6 * (seconds - sum(car.last_step.planning_seconds for car in cars if car.last_step)))
+            steps = [car.last_step for car in (inner.robot, *inner.humans)]
+            times.append(1e6 * (seconds - sum(step.planning_seconds for step in steps if step)))
     return _median(times)
-
-
-def _operations(game: Game, model: HumanModel, state: State) -> float:
-    """XLA counts the body of a loop once, however often it runs; the little outside of the loop is counted as often."""
-    plans = CompiledPlans(game)
-    analysis = plans.function(model).lower(*plans.arguments(state)).compile().cost_analysis() or {}
-    return game.planner.iterations * float(analysis["flops"])
 
 
 def _throughput(game: Game, model: HumanModel, state: State, size: int) -> float:
     states = np.broadcast_to(state, (size, *state.shape))
-    plans = jax.jit(jax.vmap(lambda state: model.plan(game, state)))
+    plans = jax.jit(jax.vmap(lambda state: plan_for((model,), game, state)))
     return size / _median(_times({"plans": partial(_run, plans, states)}, TURN)["plans"]) * 1e6
+
+
+def bench_several(
+    scenario: str, humans: Sequence[int], config: Mapping[str, Any]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Measure plans from a scenario's first start, warm, on one core; each number of humans in a process of its own.
+
+    Args:
+        scenario: its name.
+        humans: their numbers.
+        config: of the environment.
+
+    Yields:
+        For every number of humans the name of the row, and:
+
+        * ``plan_ms``: median and p99 of plans, by assignment: ``naive``, ``turn`` and ``tom`` for all humans,
+          ``tom_one`` for one, naive for the others;
+        * ``compile_s``: seconds to compile the plan, which serves all assignments;
+        * ``memory_mib``: the most memory that the process has had.
+    """
+    for number in humans:
+        with own_process(low_latency) as process:
+            yield f"{number} humans", process.submit(_measured_several, scenario, number, dict(config)).result()
+
+
+def _measured_several(scenario: str, humans: int, config: dict[str, Any]) -> dict[str, Any]:
+    """Measure plans among so many humans; a single one is the first of two."""
+    jax.config.update(CACHE, None)
+    _, env = _environment(scenario, **config, humans=max(humans, 2), ladder=["naive", "turn", "tom"])
+    game = env.settings.game(env.scenario, env.weights[:humans])
+    plans, state = CompiledPlans(game, env.settings.models), checked_state(env.car_states[: 1 + humans])
+    start = perf_counter()
+    plans.warm_up(state)
+    compiling = perf_counter() - start
+    naive, turn, tom = ([rung] * humans for rung in range(3))
+    assignments = {"naive": naive, "turn": turn, "tom_one": [*tom[:1], *naive[1:]], "tom": tom}
+    with one_core():
+        seconds = {
+            name: [plans.plan(state, rungs)[1] for _ in range(SEVERAL_REPEATS)] for name, rungs in assignments.items()
+        }
+    quantiles = {name: (1e3 * np.quantile(times, [0.5, 0.99])).tolist() for name, times in seconds.items()}
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIBIBYTE
+    return {"plan_ms": quantiles, "compile_s": compiling, "memory_mib": memory}

@@ -12,13 +12,11 @@ from jax.sharding import Mesh
 
 from ms_highway.benchmarks.latency import one_core
 from ms_highway.benchmarks.processes import own_process
+from ms_highway.experiments.batch import Batch, Key, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.experiments.simulated import Batch, Key, make_batch, run_episodes
 from ms_highway.runtime.jax_settings import high_throughput
 from ms_highway.simulation.devices import use_devices
-
-__all__ = ["throughput"]
 
 EPISODES = 5  # of the environment
 SECONDS, RUNS = 2.0, 5  # of one batch, at most
@@ -31,7 +29,7 @@ def throughput(
     sizes: Sequence[int],
     devices: int | None = None,
     modules: Sequence[str] = (),
-    planning: Mapping[str, Any] | None = None,
+    config: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Measure the closed loop, warm: in the environment in this process, and in batches in another that it starts.
 
@@ -41,7 +39,7 @@ def throughput(
         sizes: numbers of episodes in a batch.
         devices: how many to use, see `ms_highway.simulation.devices.use_devices`.
         modules: to import in the other process, for scenarios and models that they add.
-        planning: how robot and human plan, see `ms_highway.experiments.comparison.Comparison`.
+        config: of the environments.
 
     Yields:
         For every controller its name and:
@@ -55,10 +53,7 @@ def throughput(
     Raises:
         ValueError: for anything unknown or impossible.
     """
-    for size in sizes:
-        if size < 1:
-            raise ValueError(f"a batch has size {size}; it must be 1 or more")
-    every = [Comparison({scenario: [controller]}, planning=planning or {}) for controller in controllers]
+    every = [Comparison({scenario: [controller]}, config=config or {}) for controller in controllers]
     for comparison in every:
         comparison.check()
     with own_process(high_throughput, modules) as process:
@@ -96,7 +91,7 @@ def _batch(scenario: str, comparison: Comparison, devices: int | None) -> dict[s
     """Time one batch, after one of a chunk on every device that it needs, which may compile."""
     batch = make_batch(comparison, scenario)
     keys, mesh = batch.keys(), use_devices(devices)
-    times = [_seconds(batch, keys[: batch.loop.chunk * mesh.size], mesh)]
+    times = [_seconds(batch, keys[: batch.loop.together * mesh.size], mesh)]
     while len(times) < 2 or (len(times) <= RUNS and sum(times[1:]) < SECONDS):
         times.append(_seconds(batch, keys, mesh))
     steps = len(keys) * batch.steps
@@ -113,5 +108,5 @@ def _most_memory() -> float:
 
 def _seconds(batch: Batch, keys: Sequence[Key], mesh: Mesh) -> float:
     start = perf_counter()
-    run_episodes(batch, keys, mesh)
+    batch.simulate(keys, mesh)
     return perf_counter() - start

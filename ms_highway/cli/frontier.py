@@ -63,8 +63,8 @@ def add_frontier(commands: Any) -> None:
 
 def _frontier(options: argparse.Namespace) -> None:
     from ms_highway.cli.results_directory import own_results
+    from ms_highway.experiments.batch import make_batch
     from ms_highway.experiments.frontier import Outcomes
-    from ms_highway.experiments.simulated import make_batch
     from ms_highway.simulation.devices import use_devices
     from ms_highway.visualization.tables import regret_tables
 
@@ -74,7 +74,7 @@ def _frontier(options: argparse.Namespace) -> None:
         raise ValueError(f"{product} is {orders} orders in a round; it must be {MOST} or less")
     asked, mesh = comparison(options, ["switching"], options.prices), use_devices(options.devices)
     batches = {name: make_batch(asked, name) for name in asked.controllers}
-    with own_results(options, {**asked.common_config(), "costs": asked.costs}) as record:
+    with own_results(options, asked.common_config()) as record:
         every = [Outcomes(batch, options.out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()]
         record()
         with telling() as tell:
@@ -97,7 +97,7 @@ def _search(every: Sequence["Outcomes"], options: argparse.Namespace, tell: Call
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     for outcomes in every:
         batch = outcomes.batch
-        scenario = batch.scenario.name
+        scenario = batch.scenario
         tell(f"{scenario}: compiling, and driving fixed models and controllers")
         outcomes.of(batch.keys())
         for count in search(outcomes, seeds, options.prices, options.population, options.rounds):

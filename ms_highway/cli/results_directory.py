@@ -7,9 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.experiments.provenance import add_run, differing_versions, read_runs, this_run
-from ms_highway.experiments.resuming import check_settings
-from ms_highway.experiments.settings import write_settings
+from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.runtime.files import held, replacing, tidy
 
 if TYPE_CHECKING:
@@ -36,19 +34,18 @@ def own_results(
     Raises:
         ValueError: if another command is writing there, or what is there has other settings or cannot be read.
     """
+    results = ResultsDirectory(options.out)
     with held(options.out):
         if settings is not None:
-            check_settings(options.out, settings)
-        read_runs(options.out)
+            results.take_up(settings)
+        results.runs()
         tidy(options.out, *parts)
 
         def record() -> None:
             if settings is not None:
-                write_settings(options.out, settings)
-            run = this_run(options.command_line)
-            if differing := differing_versions(options.out, run):
+                results.write_settings(settings)
+            if differing := results.record(options.command_line):
                 print(f"ms-highway: {options.out} continues with {differing}; results may not agree", file=sys.stderr)
-            add_run(options.out, run)
 
         yield record
 

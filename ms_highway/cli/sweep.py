@@ -62,35 +62,37 @@ def _sweep(options: argparse.Namespace) -> None:
     except ModuleNotFoundError as error:
         raise ImportError(f"{error}; install the extra with: pip install 'ms-highway[sweep]'") from error
     from ms_highway.cli.results_directory import own_results, save_figures, write_table
+    from ms_highway.experiments.analysis.summary import summary
     from ms_highway.runtime.peers import together
     from ms_highway.simulation.devices import use_devices
     from ms_highway.visualization.comparison import table
     from ms_highway.visualization.tradeoff import curve
 
-    worker = module.Worker(options.process, options.processes)
-    if worker.place >= worker.of or (worker.of > 1) != (options.coordinator is not None):
-        given = f"--process {worker.place} of --processes {worker.of}, --coordinator {options.coordinator}"
+    place, processes = options.process, options.processes
+    if place >= processes or (processes > 1) != (options.coordinator is not None):
+        given = f"--process {place} of --processes {processes}, --coordinator {options.coordinator}"
         remedy = "processes are numbered from 0, and several need a coordinator, such as localhost:4000"
         raise ValueError(f"{given}; {remedy}")
     if len(options.scenarios) != 1:
         raise ValueError(f"there are {len(options.scenarios)} scenarios; a sweep is of one")
-    job = module.Sweep(comparison(options), options.part, options.steps)
-    if job.parts > MOST:
-        raise ValueError(f"{job.episodes} episodes are {job.parts} parts; there may be {MOST}, of --part episodes each")
+    job = module.Sweep(comparison(options), options.out, options.part, options.steps, place, processes)
+    if len(job.parts) > MOST:
+        parts = f"{job.episodes} episodes are {len(job.parts)} parts"
+        raise ValueError(f"{parts}; there may be {MOST}, of --part episodes each")
     with ExitStack() as stack:
-        if worker.place == 0:
-            parts = [options.out / kind for kind in (module.EPISODES, module.STEPS)]
-            record = stack.enter_context(own_results(options, job.settings(), *parts))
-        if worker.of > 1:
-            stack.enter_context(together(options.coordinator, worker.of, worker.place))
-        counts = module.run_sweep(job, options.out, use_devices(options.devices), worker)
-        already, wanted = next(counts), sum(job.size(part) for part in worker.parts(job))
-        if worker.place == 0 and module.missing_parts(job, options.out):
+        if place == 0:
+            kinds = [options.out / kind for kind in (module.EPISODES, module.STEPS)]
+            record = stack.enter_context(own_results(options, job.settings(), *kinds))
+        if processes > 1:
+            stack.enter_context(together(options.coordinator, processes, place))
+        counts = module.run_sweep(job, use_devices(options.devices))
+        already = next(counts)
+        if place == 0 and job.missing():
             record()
-        count_episodes(counts, already, wanted)
-        module.wait_for_all(job, options.out)
-        if worker.place == 0:
-            summaries = module.sweep_summary(module.read_sweep(job, options.out))
+        count_episodes(counts, already, job.size(*job.own))
+        episodes = module.read_sweep(job)
+        if place == 0:
+            summaries = summary(episodes)
             write_table(summaries, options.out / "summary.csv")
             save_figures({f"{job.scenario}_curve": curve(summaries, job.scenario)}, options.out)
             print_tables(table(summaries, job.scenario))

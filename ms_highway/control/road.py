@@ -14,9 +14,7 @@ from ms_highway.game.road import TRAFFIC, RoadScene, Traits
 from ms_highway.metareasoning.road import RoadCosts, RungChoice
 from ms_highway.metareasoning.road_belief import counted_on
 from ms_highway.planning.road.plan import (
-    LAST_PLAN,
     REFINED,
-    TOM,
     Memory,
     RoadPlan,
     first_memory,
@@ -24,10 +22,10 @@ from ms_highway.planning.road.plan import (
     plan_road,
     propose,
 )
-from ms_highway.planning.road.proposals import FULL_BRAKING
-from ms_highway.planning.road.scoring import RoadWeights
-from ms_highway.planning.road.settings import RUNGS, RoadPlanning
-from ms_highway.runtime.compilation import QUICKLY, known_options
+from ms_highway.planning.road.proposals import FULL_BRAKING, LAST_PLAN
+from ms_highway.planning.road.settings import RUNGS, TOM, RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import situation_of
+from ms_highway.runtime.compilation import quick_options
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
@@ -81,15 +79,15 @@ def _look_function() -> jax.stages.Wrapped:
 
     def look(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, memory: Memory) -> jax.Array:
         nobody = jnp.zeros(TRAFFIC, int)
-        return highest_gains(propose(scene, planning, weights, nobody, memory).scores)
+        return highest_gains(propose(situation_of(scene, planning, weights), nobody, memory).scores)
 
-    return jax.jit(look, compiler_options=known_options(QUICKLY))
+    return jax.jit(look, compiler_options=quick_options())
 
 
 @cache
 def _plan_function(refines: bool) -> jax.stages.Wrapped:
     """Compile `plan_road` once for all scenes, rungs, limits and weights."""
-    return jax.jit(partial(plan_road, refines=refines), compiler_options=known_options(QUICKLY))
+    return jax.jit(partial(plan_road, refines=refines), compiler_options=quick_options())
 
 
 class RoadDriver:

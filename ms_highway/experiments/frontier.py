@@ -5,24 +5,18 @@ more than the best order of models for that very start. What a search finds is a
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import groupby
+from itertools import groupby, product
 from math import ceil
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
 from jax.sharding import Mesh
-from jaxtyping import Float
 
-from ms_highway.experiments.resuming import cannot_resume, missing
-from ms_highway.experiments.simulated import Batch, Key, run_episodes, summarised
+from ms_highway.experiments.batch import Batch, Key
+from ms_highway.experiments.directory import cannot_resume
+from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.files import replacing
-
-__all__ = ["Order", "Outcomes", "controller_name", "search"]
-
-Order: TypeAlias = tuple[int, ...]
-"""The rung that plans each step of an episode."""
 
 ELITE = 0.15  # of the population: how many of the best orders the next ones are drawn like
 SMOOTHING = 0.3  # of the old frequencies that is kept
@@ -30,6 +24,7 @@ FLOOR = 0.02  # probability of every rung at every step at least, so that none i
 MUTANTS = 0.5  # of the population: the best order so far but for a stretch of steps
 STRETCH = 4  # steps, mean of their number in such a stretch
 SWITCHES = 12  # steps at which the first orders go over from one rung to another
+ALONE = 0.5  # of the mutants among several humans: another rung for a single human
 PRICES_AT_ONCE = 3  # that a round searches; of more, they take turns
 INDEX = ["controller", "seed"]
 KEPT_COLUMNS = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
@@ -39,9 +34,9 @@ class Outcomes:
     """Episodes of one scenario, each of which is simulated once.
 
     Attributes:
-        batch: the scenario, see `ms_highway.experiments.simulated.make_batch`.
+        batch: the scenario.
         table: what is known, by controller and seed: ``scenario``, ``reward``, ``counted_seconds``, ``collisions`` and
-            ``fallbacks`` as in `ms_highway.experiments.simulated.summarised`.
+            ``fallbacks`` as in `ms_highway.experiments.batch.Batch.episodes_table`.
     """
 
     def __init__(self, batch: Batch, file: Path | None = None, mesh: Mesh | None = None) -> None:
@@ -56,35 +51,42 @@ class Outcomes:
             ValueError: if the file is there and holds something else.
         """
         self.batch, self._file, self._mesh = batch, file, mesh
-        self.table = pd.DataFrame() if file is None or not file.exists() else _read(file)
+        self.table = pd.DataFrame(index=pd.MultiIndex.from_tuples([], names=INDEX))
+        if file is not None and file.exists():
+            try:  # Python's float gives back the very numbers that were written
+                self.table = pd.read_csv(file, converters=KEPT_COLUMNS).set_index(INDEX)[list(KEPT_COLUMNS)]
+            except (ValueError, KeyError) as error:
+                raise cannot_resume(file, error, "remove it or choose another directory") from error
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
         """Return the rows of some episodes, in their order; simulate and keep those that are not known."""
-        lacking = missing(keys, self.table.index)
+        lacking = [key for key in dict.fromkeys(keys) if key not in self.table.index]
         if lacking:
-            records = run_episodes(self.batch, lacking, self._mesh)
-            fresh = summarised(self.batch, lacking, records).set_index(INDEX)[list(KEPT_COLUMNS)]
-            self.table = fresh if self.table.empty else pd.concat([self.table, fresh])
+            records = self.batch.simulate(lacking, self._mesh)
+            fresh = self.batch.episodes_table(lacking, records).set_index(INDEX)[list(KEPT_COLUMNS)]
+            self.table = pd.concat([self.table, fresh]) if len(self.table) else fresh
             if self._file is not None:
                 with replacing(self._file) as path:
                     self.table.to_csv(path)
         return self.table.loc[list(keys)]
 
 
-def _read(file: Path) -> pd.DataFrame:
-    try:
-        table = pd.read_csv(
-            file, converters=KEPT_COLUMNS
-        )  # Python's float gives back the very numbers that were written
-        return table.set_index(INDEX)[list(KEPT_COLUMNS)]
-    except (ValueError, KeyError) as error:
-        raise cannot_resume(file, error, "remove it or choose another directory") from error
+def controller_name(models: Sequence[str], order: Array) -> str:
+    """Return the short name of the controller that plans with these models: ``schedule:tom=6,naive``, ``tom``.
 
+    Models that differ between humans are named one by one: ``schedule:tom/naive=6,naive``.
 
-def controller_name(models: Sequence[str], order: Order) -> str:
-    """Return the short name of the controller that plans with these models: ``schedule:tom=6,naive``, ``tom``."""
-    *stretches, (last, _) = [(models[rung], len(list(steps))) for rung, steps in groupby(order)]
-    return "schedule:" + ",".join([*(f"{name}={steps}" for name, steps in stretches), last]) if stretches else last
+    Args:
+        models: names of the rungs.
+        order: the rung of every human in each step, [steps, humans].
+    """
+    names = (
+        "/".join(models[rung] for rung in (rungs if len(set(rungs)) > 1 else rungs[:1])) for rungs in order.tolist()
+    )
+    *stretches, (last, _) = [(name, len(list(steps))) for name, steps in groupby(names)]
+    if not stretches and "/" not in last:
+        return last
+    return "schedule:" + ",".join([*(f"{name}={steps}" for name, steps in stretches), last])
 
 
 def search(
@@ -100,6 +102,9 @@ def search(
     counts for all. Later rounds search for three prices at most: more take turns, every third price or so in one round,
     so that they cost little more. After the last round, every start tries what is best for the others.
 
+    Among several humans, orders of all rungs of all humans are too many: what is drawn and tried first has the same
+    rung for all humans in a step, and half of the refinements change the rung of a single human.
+
     The same arguments give the same orders, on any number of devices, and when an interrupted search is resumed.
 
     Args:
@@ -112,58 +117,63 @@ def search(
     Yields:
         The number of each round that is done, from 1; and one more, when starts have tried each other's best orders.
     """
-    random, models = np.random.default_rng(0), [model.name for model in outcomes.batch.loop.rule.ladder]
-    even = np.full((outcomes.batch.steps, len(models)), 1 / len(models))
+    random, models, shape = (
+        np.random.default_rng(0),
+        outcomes.batch.rungs,
+        (outcomes.batch.steps, outcomes.batch.humans),
+    )
+    even = np.full((shape[0], len(models)), 1 / len(models))
     tables = {(seed, price): even for seed in seeds for price in prices}
-    tried: dict[int, dict[Order, tuple[float, float]]] = {seed: {} for seed in seeds}  # reward, seconds per step
-    leaders: dict[tuple[int, float], list[Order]] = {}
+    orders = dict[str, Array]()
+    tried: dict[int, dict[str, tuple[float, float]]] = {seed: {} for seed in seeds}  # reward, seconds per step
+    leaders: dict[tuple[int, float], list[str]] = {}
     ascending = sorted(set(prices))
     turns = max(1, ceil(len(ascending) / PRICES_AT_ONCE))
     for number in range(1, rounds + 1):
-        searched = ascending[number % turns :: turns]
-        drawn = [
-            (order, seed)
-            for seed, price in tables
-            if price in searched
-            for order in (
-                _candidates(random, tables[seed, price], leaders[seed, price][0], population)
-                if leaders
-                else _first(*even.shape)
-            )
-        ]
-        rows = outcomes.of([(controller_name(models, order), seed) for order, seed in drawn])
-        earned = rows[["reward", "counted_seconds"]].itertuples(index=False, name=None)
-        for (order, seed), outcome in zip(drawn, earned, strict=True):
-            tried[seed][order] = outcome
+        keys: list[Key] = []
         for seed, price in tables:
-            own = {order: reward - price * seconds for order, (reward, seconds) in tried[seed].items()}
-            leaders[seed, price] = sorted(own, key=lambda order: own[order], reverse=True)
-            elite = leaders[seed, price][: max(2, round(ELITE * population))]
-            frequencies = np.eye(len(models))[np.array(elite)].mean(axis=0)
-            mixed = np.maximum(SMOOTHING * tables[seed, price] + (1 - SMOOTHING) * frequencies, FLOOR)
+            if price in ascending[number % turns :: turns]:
+                best = orders[leaders[seed, price][0]] if leaders else None
+                drawn = (
+                    _first(shape, len(models)) if best is None else _next(random, tables[seed, price], best, population)
+                )
+                named = {controller_name(models, order): order for order in drawn}
+                orders |= named
+                keys += [(name, seed) for name in named]
+        rows = outcomes.of(keys)[["reward", "counted_seconds"]]
+        for (name, seed), outcome in zip(keys, rows.itertuples(index=False, name=None), strict=True):
+            tried[seed][name] = outcome
+        for (seed, price), table in tables.items():
+            own = {name: reward - price * seconds for name, (reward, seconds) in tried[seed].items()}
+            leaders[seed, price] = sorted(own, key=lambda name: own[name], reverse=True)
+            elite = [orders[name] for name in leaders[seed, price][: max(2, round(ELITE * population))]]
+            frequencies = np.eye(len(models))[np.array(elite)].mean(axis=(0, 2))
+            mixed = np.maximum(SMOOTHING * table + (1 - SMOOTHING) * frequencies, FLOOR)
             tables[seed, price] = mixed / mixed.sum(axis=-1, keepdims=True)
         yield number
-    exchanged = dict.fromkeys(controller_name(models, orders[0]) for orders in leaders.values())
+    exchanged = dict.fromkeys(names[0] for names in leaders.values())
     outcomes.of([(name, seed) for seed in seeds for name in exchanged])
     yield rounds + 1
 
 
-def _first(steps: int, rungs: int) -> list[Order]:
+def _first(shape: tuple[int, int], rungs: int) -> list[Array]:
     """Return the orders of one rung up to some step and another one from there on."""
-    ends = np.unique(np.round(np.geomspace(1, steps, SWITCHES)).astype(int)).tolist()
-    return [(one,) * end + (other,) * (steps - end) for end in ends for one in range(rungs) for other in range(rungs)]
+    ends = np.unique(np.round(np.geomspace(1, shape[0], SWITCHES)).astype(int))
+    orders = []
+    for end, one, other in product(ends, range(rungs), range(rungs)):
+        orders.append(np.full(shape, other))
+        orders[-1][:end] = one
+    return orders
 
 
-def _candidates(
-    random: np.random.Generator, table: Float[np.ndarray, "steps rungs"], leader: Order, population: int
-) -> list[Order]:
-    """Orders that are drawn from a table of probabilities, and mutants of the best one so far."""
-    steps, rungs = table.shape
+def _next(random: np.random.Generator, table: Array, leader: Array, population: int) -> Iterator[Array]:
+    """Yield orders that are drawn from a table of probabilities, and mutants of the best one so far."""
+    steps, humans = leader.shape
     mutants, bounds = round(MUTANTS * population), table.cumsum(axis=-1)[:, :-1]
-    candidates = [
-        tuple((random.random((steps, 1)) > bounds).sum(axis=-1).tolist()) for _ in range(population - mutants)
-    ]
+    for _ in range(population - mutants):
+        yield np.tile((random.random((steps, 1)) > bounds).sum(axis=-1)[:, None], humans)
     for _ in range(mutants):
-        start, length, rung = random.integers(steps), random.geometric(1 / STRETCH), int(random.integers(rungs))
-        candidates.append(tuple(rung if start <= step < start + length else now for step, now in enumerate(leader)))
-    return candidates
+        start, length, rung = random.integers(steps), random.geometric(1 / STRETCH), random.integers(table.shape[1])
+        alone, mutant = humans > 1 and random.random() < ALONE, leader.copy()
+        mutant[start : start + length, random.integers(humans) if alone else slice(None)] = rung
+        yield mutant

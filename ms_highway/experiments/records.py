@@ -2,28 +2,10 @@
 
 from collections.abc import Callable, Iterable, Sequence
 
-import numpy as np
 import pandas as pd
 
-from ms_highway.planning.human_models import known_models
-
-__all__ = [
-    "CARS",
-    "CROWD_COLUMNS",
-    "KEYS",
-    "MEASURED",
-    "STATE",
-    "check_columns",
-    "columns",
-    "common_seeds",
-    "gain_column",
-    "models_of",
-    "one_episode",
-    "share_column",
-    "state_columns",
-    "switches",
-    "whole_steps",
-]
+from ms_highway.envs import ENVIRONMENTS
+from ms_highway.planning.human_models import is_model, known_models, model_names
 
 KEYS = ["scenario", "controller", "seed"]
 """Columns that say which episode a step is of."""
@@ -31,31 +13,31 @@ KEYS = ["scenario", "controller", "seed"]
 MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
 """Columns of times as they were measured, which a simulation does not have."""
 
-COUNTED = "counted_seconds"
-CROWD_COLUMNS = ("humans_turn", "humans_tom", "success")
-"""Columns of records with several humans: how many of them were predicted by the dearer models, and success so far."""
-
 CARS, STATE = ("robot", "human"), ("x", "y", "heading", "speed")
 NEVER_EMPTY = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
+COUNTED = "counted_seconds"
 NUMBERS = ("seed", "step", "reward", COUNTED, *MEASURED[:2])
 
 
-def columns(rungs: Iterable[str] = (), crowd: bool = False) -> list[str]:
+def columns(rungs: Iterable[str] = (), above: Iterable[str] = ()) -> list[str]:
     """Return the columns of a record of steps.
 
-    ``counted_seconds`` is T(M), what decisions count for the step's plan; a gain, of which every known human model and
-    every rung has one, is empty where none was estimated; states are in SI units after the step, with several humans
-    that of the first.
+    ``counted_seconds`` is T of the step's plan as decisions count it; a gain, of which every known human model and
+    every rung has one, is the highest over all humans, empty where none was estimated; states are in SI units after the
+    step, that of the first human. Where there are several humans, ``model`` is the most expensive one in use,
+    ``humans_MODEL`` the number of humans that each rung above the first predicts, and ``success`` whether the robot has
+    succeeded so far.
 
     Args:
         rungs: names of the models on ladders, which may have efforts.
-        crowd: whether there are several humans; ``model`` is then the dearest one in use, `CROWD_COLUMNS` are added.
+        above: of those above the first, where there are several humans.
     """
     planning, decision, compiling = MEASURED
     gains = [gain_column(name) for name in known_models(rungs)]
     states = [name for car in CARS for name in state_columns(car)]
     steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
-    return [*KEYS, *steps, *gains, *states, *(CROWD_COLUMNS if crowd else ())]
+    counts = list(dict.fromkeys(map(count_column, above)))
+    return [*KEYS, *steps, *gains, *states, *counts, *(["success"] if counts else [])]
 
 
 def gain_column(model: str) -> str:
@@ -73,25 +55,37 @@ def share_column(model: str) -> str:
     return f"share_{model}"
 
 
+def count_column(model: str) -> str:
+    """Return the column of the number of humans that a model predicts, in records and in tables that summarise them."""
+    return f"humans_{model}"
+
+
 def models_of(table: pd.DataFrame, column: Callable[[str], str]) -> list[str]:
-    """Return the known models that have such a column, `gain_column` or `share_column`, in a table, cheapest first."""
+    """Return the known models that have such a column, such as `gain_column`, in a table, cheapest first."""
     names = {str(name).removeprefix(column("")) for name in table if str(name).startswith(column(""))}
     return [name for name in known_models(names) if name in names]
 
 
-def check_columns(records: pd.DataFrame) -> None:
-    """Check that records have the columns that results are made from, and numbers where numbers belong.
+def check_records(records: pd.DataFrame) -> None:
+    """Check that records have the columns that results are made from, numbers where they belong, and known names.
 
     Raises:
-        ValueError: naming the columns that are missing, or one that has texts.
+        ValueError: naming what is wrong.
     """
     absent = sorted({*NEVER_EMPTY, COUNTED} - set(records))
     if absent:
-        raise ValueError(f"has no column {', '.join(absent)}")
-    gains = [name for name in records if name.startswith(gain_column(""))]
-    for name in (*NUMBERS, *gains):
+        raise ValueError(f"it has no column {', '.join(absent)}")
+    for name in (*NUMBERS, *(name for name in records if name.startswith(gain_column("")))):
         if len(records) and not pd.api.types.is_numeric_dtype(records[name]):
-            raise ValueError(f"has texts where numbers belong, in column {name}")
+            raise ValueError(f"it has texts where numbers belong, in column {name}")
+    for column, known, names in (
+        ("scenario", ENVIRONMENTS.__contains__, ", ".join(ENVIRONMENTS)),
+        ("model", is_model, model_names()),
+    ):
+        for name in records[column].dropna().unique():
+            if not known(name):
+                remedy = "if it is your own, --import the module that adds it"
+                raise ValueError(f"it holds {column} {name!r}, not one of {names}; {remedy}")
 
 
 def whole_steps(records: pd.DataFrame) -> pd.Series:
@@ -116,9 +110,3 @@ def common_seeds(records: pd.DataFrame, scenario: str, controllers: Sequence[str
     rows = records[records["scenario"] == scenario]
     driven = (set(rows.loc[rows["controller"] == name, "seed"].tolist()) for name in controllers)
     return sorted(set.intersection(*driven))
-
-
-def switches(episode: pd.DataFrame) -> list[int]:
-    """Return the first step of an episode, and those that were planned with another model than the step before."""
-    models = episode["model"].to_numpy()
-    return [0, *(np.flatnonzero(models[1:] != models[:-1]) + 1).tolist()]

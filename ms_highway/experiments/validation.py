@@ -15,25 +15,26 @@ from typing import Any
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float, Int
 
-from ms_highway.envs import SCENARIOS
+from ms_highway.game.arrays import State
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.scenario import build_game
-from ms_highway.metareasoning.rule import PUBLISHED_COSTS, Memory, first_memory
-from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching, decide
-from ms_highway.planning.compiled_plans import CompiledPlans
+from ms_highway.game.scenarios import GIVE_WAY, MERGER, STAY_BACK
+from ms_highway.metareasoning.rule import PUBLISHED_COSTS, Memory, Outcome, decide, first_memory
+from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
+from ms_highway.planning.compiled_plans import CompiledPlans, Costs
 from ms_highway.planning.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, ladder
+from ms_highway.planning.plans import Plan
+from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import jit_quickly
 
-__all__ = ["read_episodes", "validate", "validate_file"]
-
+SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY)}
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
 SWITCHING = "switching_lambda_"
-KINDS = {"models": "iu", "ladder": "iu"}  # of numbers, where they have to be integers
+INTEGERS = ("models", "ladder")
 MOST_BYTES = 2**27  # of a file, unpacked
-ARRAYS = ("states", "robot_controls", "human_controls", "rewards", "models", "ladder")
+ARRAYS = ("states", "robot_controls", "human_controls", "rewards", *INTEGERS)
 
 
 def validate(directory: Path) -> dict[str, Any]:
@@ -52,7 +53,7 @@ def validate(directory: Path) -> dict[str, Any]:
 
 
 def validate_file(file: Path) -> dict[str, Any]:
-    """Errors of one file, in the units of the logs, each as quantiles over all steps of all episodes.
+    """Return the errors of one file, in the units of the logs, each as quantiles over all steps of all episodes.
 
     ``action_error``: largest component of planned minus logged robot control, planning from each logged state with the
     logged model; ``human_error``: the same of the human; ``reward_error``; and where the run was switching,
@@ -62,21 +63,19 @@ def validate_file(file: Path) -> dict[str, Any]:
         ValueError: if the file is no reference file.
     """
     scenario, episodes = read_episodes(file)
-    game = build_game(SCENARIOS[scenario], "released", "exact", unit=1.0)
-    states = episodes["states"].astype(np.float32)
+    game = build_game(SCENARIOS[scenario], "released", unit=1.0)
+    states, models = episodes["states"].astype(np.float32), episodes["models"]
     planned = np.full(episodes["robot_controls"].shape, np.nan)
-    for index in np.unique(episodes["models"]):
-        chosen = episodes["models"] == index
-        planned[chosen] = _first_controls(MODELS[PAPER_MODELS[index]], game, states[chosen])
-    swapped = np.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2)
-    human = _first_controls(Naive(), swap_roles(game), swapped.reshape(-1, *states.shape[2:])).reshape(
-        *swapped.shape[:2], 2
-    )
+    for index in np.unique(models):
+        planned[models == index] = _first_controls(MODELS[PAPER_MODELS[index]], game, states[models == index])
+    swapped = np.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2).reshape(-1, *states.shape[2:])
+    logged = episodes["human_controls"]
+    human = _first_controls(Naive(), swap_roles(game), swapped).reshape(logged.shape)
     rewards = _rewards(game.scene, game.robot, states[:, 1:])
     report: dict[str, Any] = {
         "action_error": _quantiles(np.abs(planned - episodes["robot_controls"]).max(axis=-1)),
         "reward_error": _quantiles(np.abs(np.asarray(rewards) - episodes["rewards"][:, :-1])),
-        "human_error": _quantiles(np.abs(human - episodes["human_controls"]).max(axis=-1)),
+        "human_error": _quantiles(np.abs(human - logged).max(axis=-1)),
     }
     kind = file.stem.partition("__")[2]
     if kind.startswith(SWITCHING):
@@ -84,8 +83,8 @@ def validate_file(file: Path) -> dict[str, Any]:
     return report
 
 
-def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
-    """Scenario and arrays of a reference file, checked.
+def read_episodes(file: Path) -> tuple[str, dict[str, Array]]:
+    """Return scenario and arrays of a reference file, checked.
 
     Raises:
         ValueError: if the name, the arrays or their shapes are not those of a reference file.
@@ -100,41 +99,33 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
         episodes = _arrays(file)
     except Exception as error:  # of many kinds: whatever unpacking and NumPy stumble over
         raise ValueError(f"{file} is no reference file: {type(error).__name__}: {error}") from error
-    for name, array in episodes.items():
-        if array.dtype.kind not in KINDS.get(name, "fiu"):
-            raise ValueError(
-                f"{file}: {name} holds {array.dtype}; it must hold {'integers' if name in KINDS else 'numbers'}"
-            )
-    if episodes["states"].ndim != 4 or min(episodes["states"].shape[:2]) < 1 or episodes["states"].shape[1] < 2:
-        shape = episodes["states"].shape
-        raise ValueError(f"{file}: states has shape {shape} instead of [episode, step, car, 4] with two steps or more")
-    count, steps = episodes["states"].shape[:2]
-    wanted = {
-        "states": (count, steps, len(SCENARIOS[scenario].cars), 4),
+    count, steps = (*episodes["states"].shape, 0, 0)[:2]
+    shapes = {
+        "states": (max(count, 1), max(steps, 2), len(SCENARIOS[scenario].cars), 4),
         "robot_controls": (count, steps, 2),
         "human_controls": (count, steps - 1, 2),
         "rewards": (count, steps),
         "models": (count, steps),
+        "ladder": (episodes["ladder"].size,),
     }
-    for name, shape in wanted.items():
-        if episodes[name].shape != shape:
-            raise ValueError(f"{file}: {name} has shape {episodes[name].shape} instead of {shape}")
+    for name, shape in shapes.items():
+        array, kinds = episodes[name], "iu" if name in INTEGERS else "fiu"
+        if array.dtype.kind not in kinds:
+            wanted = "integers" if name in INTEGERS else "numbers"
+            raise ValueError(f"{file}: {name} holds {array.dtype}; it must hold {wanted}")
+        if array.shape != shape:
+            raise ValueError(f"{file}: {name} has shape {array.shape}; {shape} belongs to it, of two steps or more")
         with np.errstate(over="ignore"):
-            finite = np.isfinite(episodes[name].astype(np.float32)).all()
-        if not finite:
-            raise ValueError(f"{file}: {name} is not finite, in single precision")
-    rungs = episodes["ladder"]
-    if (
-        rungs.ndim != 1
-        or len(set(rungs.tolist())) < len(rungs)
-        or not np.isin(rungs, range(len(PAPER_MODELS))).all()
-        or not np.isin(episodes["models"], rungs).all()
-    ):
-        raise ValueError(f"{file}: ladder {rungs.tolist()} or models are no places in {', '.join(PAPER_MODELS)}")
+            if not np.isfinite(array.astype(np.float32)).all():
+                raise ValueError(f"{file}: {name} is not finite, in single precision")
+    rungs = episodes["ladder"].tolist()
+    known = set(rungs) <= set(range(len(PAPER_MODELS))) and np.isin(episodes["models"], rungs).all()
+    if not known or len(set(rungs)) < len(rungs):
+        raise ValueError(f"{file}: ladder {rungs} or models are no places in {', '.join(PAPER_MODELS)}")
     return scenario, episodes
 
 
-def _arrays(file: Path) -> dict[str, np.ndarray]:
+def _arrays(file: Path) -> dict[str, Array]:
     """Return the arrays of a reference file, as far as they can be read safely."""
     if not file.is_file():
         raise ValueError("it is a directory or a device")
@@ -149,46 +140,39 @@ def _arrays(file: Path) -> dict[str, np.ndarray]:
 _rewards = jit_quickly(reward)
 
 
-def _first_controls(model: HumanModel, game: Game, states: Float[np.ndarray, "n cars 4"]) -> Float[np.ndarray, "n 2"]:
-    plans = CompiledPlans(game)
-    return np.array([plans.plan(model, state)[0].robot[0] for state in states])
+def _first_controls(model: HumanModel, game: Game, states: State) -> Array:
+    plans = CompiledPlans(game, (model,))
+    return np.array([plans.plan(state, [0])[0].robot[0] for state in states])
 
 
-def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> dict[str, int]:
-    """Choices that agree with the logged ones, each taken from the logged step before it."""
-    names = PAPER_MODELS
-    rungs = ladder([names[index] for index in episodes["ladder"]])
-    costs = np.array([PUBLISHED_COSTS[model.name] for model in rungs])
-    switching = jax.tree.map(jnp.asarray, Switching(costs, price, rungs, trust_tolerance=RELEASED_TRUST_TOLERANCE))
-    place = {index: rung for rung, index in enumerate(episodes["ladder"].tolist())}
-    logged = np.vectorize(place.__getitem__)(episodes["models"])
+def _decisions(game: Game, episodes: Mapping[str, Array], price: float) -> dict[str, int]:
+    """Count the choices that agree with the logged ones, each taken from the logged step before it."""
+    names = [PAPER_MODELS[index] for index in episodes["ladder"]]
+    costs = Costs.of([PUBLISHED_COSTS[name] for name in names], 1)
+    switching = Switching(costs, price, ladder(names), trust_tolerance=RELEASED_TRUST_TOLERANCE)
+    logged = np.argmax(episodes["models"][..., None] == episodes["ladder"], axis=-1).astype(np.int32)
     arrays = [episodes[name].astype(np.float32) for name in ("states", "robot_controls", "human_controls", "rewards")]
     agree = 0
     for run, *happened in zip(logged, *arrays, strict=True):
-        before = [numbers[: len(run) - 1] for numbers in (run.astype(np.int32), *happened)]
-        agree += int(np.sum(np.asarray(_choices(switching, game, *before)) == run[1:]))
+        chosen = _choices(switching, game, *(numbers[: len(run) - 1] for numbers in (run, *happened)))
+        agree += int(np.sum(np.asarray(chosen) == run[1:]))
     return {"agree": agree, "all": int(logged[:, 1:].size)}
 
 
 @jit_quickly
-def _choices(
-    switching: Switching,
-    game: Game,
-    rungs: Int[jax.Array, "steps"],
-    states: Float[jax.Array, "steps cars 4"],
-    robot: Float[jax.Array, "steps 2"],
-    human: Float[jax.Array, "steps 2"],
-    rewards: Float[jax.Array, "steps"],
-) -> Int[jax.Array, "steps"]:
+def _choices(switching: Switching, game: Game, rungs: Any, *happened: Any) -> Array:
     """Return the rung that is chosen after each step, each of which was driven with the logged one."""
 
-    def choose(memory: Memory, step: tuple[jax.Array, ...]) -> tuple[Memory, Any]:
-        rung, *happened = step
-        memory = decide(switching, game, memory._replace(rung=rung), *happened).memory
-        return memory, memory.rung
+    def choose(memory: Memory, step: tuple[Array, ...]) -> tuple[Memory, Array]:
+        rung, state, robot, human, earned = step
+        plan = Plan(robot[None], human[None, None])  # not looked at
+        outcome = Outcome(state, state, robot, human[None], earned, plan)
+        memory = decide(switching, game, memory._replace(rungs=rung[None]), outcome).memory
+        return memory, memory.rungs[0]
 
-    return jax.lax.scan(choose, first_memory(switching), (rungs, states, robot, human, rewards))[1]
+    first = first_memory(switching, 1)._replace(step=jnp.int32(1))
+    return jax.lax.scan(choose, first, (rungs, *happened))[1]
 
 
-def _quantiles(errors: Float[np.ndarray, "*shape"]) -> dict[str, float]:
+def _quantiles(errors: Array) -> dict[str, float]:
     return {name: float(np.quantile(errors, share)) for name, share in QUANTILES.items()}

@@ -22,8 +22,7 @@ from ms_highway.game.scene import Scene
 from ms_highway.optimization.arrays import Controls, ManyControls, Trajectory
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, project
-from ms_highway.runtime.arrays import Index, Scalar
-from ms_highway.runtime.reductions import unrolled_sum
+from ms_highway.runtime.arrays import Index, Scalar, unrolled_sum
 
 
 @jax.tree_util.register_dataclass

@@ -1,12 +1,12 @@
 """A learned reward and its file: weights, their covariance, and provenance."""
 
 import json
-from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from jaxtyping import Float
 
@@ -15,11 +15,10 @@ from ms_highway.game.reward import linear_reward
 from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.runtime.files import read_json, replacing
-
-__all__ = ["SHIPPED", "VERSION", "LearnedReward", "commuter_traits", "commuter_weights", "load", "save", "shipped"]
+from ms_highway.runtime.structures import Positive, Structure, read
 
 VERSION = 3
-"""Version of the file format; files of versions 1 and 2 can be read, others are refused."""
+"""Version of the file format; files of others are refused."""
 
 REMEDY = "learn it again with `ms-highway irl fit`"
 
@@ -27,8 +26,7 @@ SHIPPED = {"demonstrations": "learned from simulated demonstrations", "us101": "
 """Name and description of the learned rewards in the package."""
 
 
-@dataclass(frozen=True)
-class LearnedReward:
+class LearnedReward(Structure):
     """Result of `ms-highway irl fit`.
 
     Attributes:
@@ -50,7 +48,7 @@ class LearnedReward:
     """
 
     weights: dict[str, float]
-    temperature: float
+    temperature: Positive
     learned: tuple[str, ...]
     covariance: list[list[float]]
     horizon: int
@@ -60,7 +58,7 @@ class LearnedReward:
     log_likelihood: dict[str, float | None]
     feature_counts: dict[str, dict[str, float]]
     provenance: dict[str, Any]
-    tails: float | None = None
+    tails: Positive | None = None
     drivers: LearnedDrivers | None = None
 
     def __post_init__(self) -> None:
@@ -69,33 +67,14 @@ class LearnedReward:
         Raises:
             ValueError: naming the problem.
         """
-        if not isinstance(self.weights, dict):
-            raise ValueError(f"the weights are {self.weights}; they must be given by name")
         linear_reward(self.weights, 1.0)
-        if missing := sorted(set(self.learned) - set(self.weights)):
-            raise ValueError(f"there is no weight for {missing}")
-        if set(self.model.names) != set(self.weights):
-            raise ValueError(f"what was learned and given, {self.model.names}, are not the weights")
-        covariance, parameters = (
-            np.array(self.covariance, dtype=float),
-            len(self.learned) + 1 + (self.tails is not None),
-        )
-        finite = covariance.shape == (parameters, parameters) and np.isfinite(covariance).all()
-        if not finite or (np.diag(covariance) < 0).any():
-            raise ValueError(f"the covariance is no finite array of shape {(parameters, parameters)} with variances")
-        if isinstance(self.temperature, bool) or not (np.isfinite(self.temperature) and self.temperature > 0):
-            raise ValueError(f"the temperature is {self.temperature}; it must be positive")
-        if self.tails is not None and not (np.isfinite(self.tails) and self.tails > 0):
-            raise ValueError(f"the tails are {self.tails}; they must be positive, or null for none")
-        if type(self.horizon) is not int or self.horizon < 1:
-            raise ValueError(f"the horizon is {self.horizon!r}; it must be a number of steps")
-        if set(self.feature_counts) != {"human", "model"}:
-            raise ValueError("the feature counts are not those of human and model")
-
-    @property
-    def sharp_weights(self) -> dict[str, float]:
-        """Weights divided by the temperature: the reward in units of log-probability."""
-        return {name: weight / self.temperature for name, weight in self.weights.items()}
+        if set(self.learned) - set(self.weights) or set(self.model.names) != set(self.weights):
+            raise ValueError(f"what was learned, {self.learned}, are not among the weights")
+        covariance, size = np.array(self.covariance, dtype=float), len(self.learned) + 1 + (self.tails is not None)
+        if covariance.shape != (size, size) or not np.isfinite(covariance).all() or (np.diag(covariance) < 0).any():
+            raise ValueError(f"the covariance is no finite array of shape {(size, size)} with variances")
+        if self.horizon < 1 or set(self.feature_counts) != {"human", "model"}:
+            raise ValueError(f"the horizon is {self.horizon}, or the feature counts are not those of human and model")
 
     @property
     def model(self) -> RewardModel:
@@ -112,9 +91,9 @@ class LearnedReward:
 
 def save(learned: LearnedReward, path: Path) -> None:
     """Write a learned reward as JSON, atomically."""
+    content = {"version": VERSION} | msgspec.to_builtins(learned)
     with replacing(path) as temporary:
-        content = asdict(learned) | {"drivers": learned.drivers and learned.drivers.written()}
-        temporary.write_text(json.dumps({"version": VERSION, **content}, indent=2) + "\n")
+        temporary.write_text(json.dumps(content, indent=2) + "\n")
 
 
 def load(path: Path) -> LearnedReward:
@@ -142,11 +121,16 @@ def shipped(name: str) -> LearnedReward:
     return _checked(json.loads((resources.files("ms_highway") / "data" / f"{name}.json").read_text()), name)
 
 
+def named(name: str) -> LearnedReward:
+    """Return the learned reward of the package, or else of the file, with this name."""
+    return shipped(name) if name in SHIPPED else load(Path(name))
+
+
 def commuter_weights() -> dict[str, float]:
     """Return weights, by name, of who drives with the traffic: learned on US-101, in units of log-probability.
 
     Those that matter in a lane are learned seconds ahead, see `ms_highway.irl.seconds_ahead`. Those of leaving the
-    lane, the road, and of collisions are the paper's: the recordings tell little about them.
+    lane, the road, and of collisions are the paper's: the recordings say little about them.
     """
     learned = shipped("us101")
     kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}
@@ -162,18 +146,10 @@ def commuter_traits() -> TraitPrior:
 
 
 def _checked(content: Any, place: str) -> LearnedReward:
-    version = content.get("version") if isinstance(content, dict) else None
-    if version == 1:  # differs in the name of a key only
-        content, version = {"learned" if key == "learnt" else key: value for key, value in content.items()}, 2
-    if version == 2:  # had neither tails nor drivers
-        version = VERSION
+    version = content.pop("version", None) if isinstance(content, dict) else None
     if version != VERSION:
         raise ValueError(f"{place} holds a learned reward of version {version}, not {VERSION}; {REMEDY}")
-    fields = {name: value for name, value in content.items() if name != "version"}
     try:
-        drivers = fields.pop("drivers", None)
-        read = None if drivers is None else LearnedDrivers.read(drivers)
-        return LearnedReward(**{**fields, "learned": tuple(content["learned"]), "drivers": read})
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        problem = f"it lacks {error}" if isinstance(error, KeyError) else error
-        raise ValueError(f"{place} is damaged: {problem}; {REMEDY}") from error
+        return read(content, LearnedReward)
+    except ValueError as error:
+        raise ValueError(f"{place} is damaged: {error}; {REMEDY}") from error

@@ -6,32 +6,12 @@ relative to the path. World coordinates are highway-env's: y points to the right
 
 from dataclasses import dataclass
 from math import pi
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
-
-from ms_highway.runtime.arrays import Array
-
-__all__ = [
-    "BEHIND",
-    "KNOTS",
-    "LANES",
-    "SPACING",
-    "TRAFFIC",
-    "TRAFFIC_KNOTS",
-    "Path",
-    "RoadScene",
-    "Traits",
-    "interpolate",
-    "place",
-    "project",
-    "wrapped",
-]
-
-Angle = TypeVar("Angle", float, np.ndarray, jax.Array)
 
 SPACING = 2.0
 """Distance between knots of a path [m]."""
@@ -48,6 +28,18 @@ LANES = 3
 TRAFFIC = 20
 """Scalar of paths of others that plans look at."""
 
+Car = Float[Any, "4"]
+Cars = Float[Any, "traffic 4"]
+Pair = Float[Any, "2"]
+Pairs = Float[Any, "traffic 2"]
+Knots = Float[Any, "*paths knots"]
+Traffic = Float[Any, "traffic"]
+Flags = Bool[Any, "traffic"]
+Numbers = Int[Any, "traffic"]
+Number = Float[Any, "*shape"]
+Pose = tuple[Number, Number, Number]
+"""x, y and heading in world coordinates, or s, d and heading in those of a path."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -60,10 +52,10 @@ class Path:
         curvature: of the curve, positive to the right [1/m].
     """
 
-    x: Float[Array, "*paths knots"]
-    y: Float[Array, "*paths knots"]
-    heading: Float[Array, "*paths knots"]
-    curvature: Float[Array, "*paths knots"]
+    x: Knots
+    y: Knots
+    heading: Knots
+    curvature: Knots
 
 
 class Traits(NamedTuple):
@@ -74,8 +66,8 @@ class Traits(NamedTuple):
         headway: time gap that they desire [s].
     """
 
-    speed: Float[Array, "traffic"]
-    headway: Float[Array, "traffic"]
+    speed: Traffic
+    headway: Traffic
 
 
 @jax.tree_util.register_dataclass
@@ -109,60 +101,60 @@ class RoadScene:
     """
 
     route: Path
-    lanes: Float[Array, "lanes knots"]
-    open: Bool[Array, "lanes knots"]
-    edges: Float[Array, "2 knots"]
-    speed_limit: Float[Array, "knots"]
-    changes: Float[Array, "lanes"]
-    room: Float[Array, ""] | float
-    robot: Float[Array, "4"]
-    size: Float[Array, "2"]
-    applied: Float[Array, "2"]
+    lanes: Knots
+    open: Knots
+    edges: Knots
+    speed_limit: Knots
+    changes: Number
+    room: Number
+    robot: Car
+    size: Pair
+    applied: Pair
     paths: Path
-    states: Float[Array, "traffic 4"]
-    sizes: Float[Array, "traffic 2"]
-    present: Bool[Array, "traffic"]
-    limits: Float[Array, "traffic"]
-    leaders: Int[Array, "traffic"]
-    gaps: Float[Array, "traffic"]
-    owners: Int[Array, "traffic"]
-    names: Int[Array, "traffic"]
-    moving: Bool[Array, "traffic"]
-    priority: Bool[Array, "traffic"]
+    states: Cars
+    sizes: Pairs
+    present: Flags
+    limits: Traffic
+    leaders: Numbers
+    gaps: Traffic
+    owners: Numbers
+    names: Numbers
+    moving: Flags
+    priority: Flags
     traits: Traits | None = None
 
+    @property
+    def reach(self) -> Pairs:
+        """Distance of centres at which the robot and each other car touch, along and across [m]."""
+        return (self.size + self.sizes) / 2
 
-def wrapped(angle: Angle) -> Angle:
+
+def wrapped(angle: Any) -> Any:
     """Return an angle in [-pi, pi)."""
     return (angle + pi) % (2 * pi) - pi
 
 
-def interpolate(values: Float[Array, "knots"], s: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
+def interpolate(values: Knots, s: Number) -> Number:
     """Interpolate values at the knots of a path linearly; beyond its ends, the outermost are kept."""
     knots = np.shape(values)[-1]
     position = jnp.clip((s + BEHIND) / SPACING, 0.0, knots - 1.0)
     low = jnp.minimum(position.astype(int), knots - 2)
     share = position - low
     values = jnp.asarray(values)
-    return values[low] * (1 - share) + values[low + 1] * share
+    return values[..., low] * (1 - share) + values[..., low + 1] * share
 
 
-def place(
-    path: Path, s: Float[jax.Array, "*shape"], d: Float[jax.Array, "*shape"]
-) -> tuple[Float[jax.Array, "*shape"], Float[jax.Array, "*shape"], Float[jax.Array, "*shape"]]:
+def place(path: Path, s: Number, d: Number) -> Pose:
     """Return x, y and the path's heading at road coordinates; beyond its ends, the path goes straight on."""
-    knots = np.shape(path.x)[-1]
     heading = interpolate(path.heading, s)
-    beyond = s - jnp.clip(s, -BEHIND, (knots - 1) * SPACING - BEHIND)
+    beyond = s - jnp.clip(s, -BEHIND, _end(path))
     cosine, sine = jnp.cos(heading), jnp.sin(heading)
     x = interpolate(path.x, s) + beyond * cosine - d * sine
     y = interpolate(path.y, s) + beyond * sine + d * cosine
     return x, y, heading
 
 
-def project(
-    path: Path, x: Float[jax.Array, "*shape"], y: Float[jax.Array, "*shape"], heading: Float[jax.Array, "*shape"]
-) -> tuple[Float[jax.Array, "*shape"], Float[jax.Array, "*shape"], Float[jax.Array, "*shape"]]:
+def project(path: Path, x: Number, y: Number, heading: Number) -> Pose:
     """Return s, d and the heading relative to the path of poses in world coordinates: the inverse of `place`.
 
     From the nearest knot, two Newton steps find where the normal of the path passes through the position. The heading
@@ -171,19 +163,25 @@ def project(
     x, y = jnp.asarray(x), jnp.asarray(y)
     nearest = jnp.argmin((x[..., None] - path.x) ** 2 + (y[..., None] - path.y) ** 2, axis=-1)
     s = nearest * SPACING - BEHIND
-    last = (np.shape(path.x)[-1] - 1) * SPACING - BEHIND
     for _ in range(2):
         ahead, aside, _ = _offset(path, s, x, y)
-        bend = jnp.where((s > -BEHIND) & (s < last), interpolate(path.curvature, s), 0.0)
+        bend = jnp.where((s > -BEHIND) & (s < _end(path)), interpolate(path.curvature, s), 0.0)
         s = s + ahead / jnp.maximum(1 - aside * bend, 0.2)
     _, d, along = _offset(path, s, x, y)
     return s, d, wrapped(heading - along)
 
 
-def _offset(
-    path: Path, s: Float[jax.Array, "*shape"], x: Float[jax.Array, "*shape"], y: Float[jax.Array, "*shape"]
-) -> tuple[Float[jax.Array, "*shape"], Float[jax.Array, "*shape"], Float[jax.Array, "*shape"]]:
+def _end(path: Path) -> float:
+    return (np.shape(path.x)[-1] - 1) * SPACING - BEHIND
+
+
+def _offset(path: Path, s: Number, x: Number, y: Number) -> Pose:
     """Return how far positions are ahead and to the right of the path at s [m], and the path's heading there."""
     from_x, from_y, along = place(path, s, jnp.zeros_like(s))
-    dx, dy, cosine, sine = x - from_x, y - from_y, jnp.cos(along), jnp.sin(along)
-    return dx * cosine + dy * sine, dy * cosine - dx * sine, along
+    return *rotated(x - from_x, y - from_y, along), along
+
+
+def rotated(x: Number, y: Number, heading: Number) -> tuple[Number, Number]:
+    """Return a vector's parts along a heading and to the right of it."""
+    cosine, sine = jnp.cos(heading), jnp.sin(heading)
+    return x * cosine + y * sine, y * cosine - x * sine

@@ -6,21 +6,21 @@ among the others that this gives.
 """
 
 from functools import partial
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.learned_drivers import Intention, RewardTraits, TraitPrior
+from ms_highway.game.leaders import Leader, leaders
+from ms_highway.game.learned_drivers import Drivers, RewardTraits
 from ms_highway.game.scenario import TIME_STEP
+from ms_highway.irl.arrays import CarFlags, CarNumbers, Cars, CarStates, Scalar, Traits
 from ms_highway.irl.moments import PAST, STEPS, Moments, lanes_of
 from ms_highway.irl.outlook import SIDES, Modes
-from ms_highway.planning.held_control import DrivingWeights, Leader, held_acceleration, held_curvature
+from ms_highway.optimization.kalman import Gaussian, updated
+from ms_highway.planning.held_control import held_acceleration, held_curvature
 from ms_highway.runtime.batches import in_batches
-
-__all__ = ["Changing", "Drivers", "Others", "advantages", "drive_on", "drive_together", "expected_traits", "predict"]
 
 Others: TypeAlias = Literal["predicted", "recorded", "coasting"]
 """Motion of the other cars: predicted together with the driver; as recorded, which leaks the future; at constant
@@ -32,41 +32,7 @@ CLIPPED = 3.0  # standard deviations, of surprises by which traits are updated
 FARTHEST = 1.5  # of the logarithm of a trait from the median's
 NOBODY = 60.0  # m, to a leader that is not seen, when lanes are compared
 NEARNESS = 30.0  # m, by which a leader's speed counts less when lanes are compared
-FAR = 1e4  # m
-
-
-class Changing(NamedTuple):
-    """Factors of the weights and traits of a driver who changes lanes."""
-
-    weights: DrivingWeights
-    desired_speed: float | Float[jax.Array, ""]
-    headway: float | Float[jax.Array, ""]
-
-
-class Drivers(NamedTuple):
-    """What predictions need of `ms_highway.game.learned_drivers.LearnedDrivers` and of the learned weights.
-
-    Attributes:
-        weights: of the reward, at any common scale.
-        prior: of the traits.
-        changing: factors while changing lanes.
-        intention: to change lanes.
-    """
-
-    weights: DrivingWeights
-    prior: TraitPrior
-    changing: Changing
-    intention: Intention
-
-
-class _Cars(NamedTuple):
-    """All cars of one moment, absent ones far away."""
-
-    x: Float[jax.Array, "cars"]
-    y: Float[jax.Array, "cars"]
-    heading: Float[jax.Array, "cars"]
-    speed: Float[jax.Array, "cars"]
-    present: Bool[jax.Array, "cars"]
+FAR = 1e4  # m behind, where cars are that are not seen
 
 
 def predict(moments: Moments, drivers: Drivers, others: Others = "predicted") -> Modes:
@@ -82,223 +48,144 @@ def predict(moments: Moments, drivers: Drivers, others: Others = "predicted") ->
     """
     if others not in get_args(Others):
         raise ValueError(f"others are {others!r}; give one of {', '.join(get_args(Others))}")
-    probability, path = in_batches(lambda some: _predict(drivers, some, others), moments)
-    return Modes(moments.drivers(probability), moments.drivers(path))
+    modes = in_batches(lambda some: _all_modes(drivers, some, others), moments)
+    return Modes(*map(moments.drivers, modes))
 
 
 @partial(jax.jit, static_argnums=2)
 @partial(jax.vmap, in_axes=(None, 0, None))
-def _predict(drivers: Drivers, moment: Moments, others: Others) -> tuple[jax.Array, jax.Array]:
-    """Return the probability [cars, modes] and the path [cars, modes, steps, 2] of all modes of all cars."""
-    cars, logarithms = _cars(moment.past[-1]), expected_traits(drivers, moment)[0]
-    chance = _chances(drivers.intention, moment)
-    wanted = moment.lanes[_lane(moment) + jnp.asarray(SIDES)[chance.argmax(axis=-1)]]
-    around = _around(drivers, moment, cars, logarithms, wanted, others)
+def _all_modes(drivers: Drivers, moment: Moments, others: Others) -> Modes:
+    """Return all modes of all cars."""
+    logarithms, (drawn, exist) = shown_traits(drivers, moment), lane_advantages(moment)
+    odds = jnp.asarray(drivers.intention.biases) + drawn @ jnp.asarray(drivers.intention.weights)
+    odds = jnp.where(exist, odds, -jnp.inf)
+    chance = jax.nn.softmax(jnp.concatenate([jnp.zeros((len(odds), 1)), odds], axis=1), axis=1)
+    sides = jnp.asarray(SIDES)
+    around = _around(drivers, moment, logarithms, sides[chance.argmax(axis=-1)], others)
+    paths = jax.vmap(lambda side: drive_on(drivers, moment, logarithms, jnp.full(len(chance), side), around))(sides)
+    return Modes(chance, jnp.moveaxis(paths, 2, 0)[..., :2])
 
-    def drive(side: Int[jax.Array, ""]) -> Float[jax.Array, "steps cars 4"]:
-        lane = jnp.clip(_lane(moment) + side, 0, len(moment.lanes) - 1)
-        changes = jnp.full(len(cars.x), side != 0)
-        return drive_on(drivers, moment, cars, logarithms, moment.lanes[lane], changes, around)
 
-    paths = jax.vmap(drive)(jnp.asarray(SIDES))
-    return chance, jnp.moveaxis(paths, 2, 0)[..., :2]
+def _around(drivers: Drivers, moment: Moments, logarithms: Traits, side: CarNumbers, others: Others) -> CarStates:
+    """Return the states of all cars before each step [50, cars, 4], as the others are expected to move."""
+    now = _seen(moment.past[-1])
+    if others == "recorded":
+        return _seen(jnp.concatenate([moment.past[-1:], moment.future[:-1]]))
+    if others == "coasting":
+        _, _, heading, speed = now.T
+        still = jnp.zeros_like(speed)
+        velocity = jnp.stack([speed * jnp.cos(heading), speed * jnp.sin(heading), still, still], axis=-1)
+        return now + TIME_STEP * jnp.arange(STEPS)[:, None, None] * velocity
+    after = drive_on(drivers, moment, logarithms, side)
+    return jnp.concatenate([now[None], after[:-1]])
 
 
 def drive_on(
-    drivers: Drivers,
-    moment: Moments,
-    cars: _Cars,
-    logarithms: Float[jax.Array, "cars 3"],
-    wanted: Float[jax.Array, "cars"],
-    changes: Bool[jax.Array, "cars"],
-    around: _Cars | None = None,
-) -> Float[jax.Array, "50 cars 4"]:
-    """Let all cars of one moment drive for 5 s; return their states after each step.
-
-    Args:
-        drivers: what was learned.
-        moment: the road and the sizes of the cars.
-        cars: where they are.
-        logarithms: of their traits, as deviations from the medians'.
-        wanted: lateral position of the lane that each wants [m].
-        changes: who changes lanes, to follow the leader there.
-        around: the others before each step, arrays [50, cars]; by default, all drive together.
-    """
-    weights, traits = _personal(drivers, logarithms, changes, moment.speed_limit)
-    lengths = jnp.asarray(moment.sizes)[:, 0]
-
-    @jax.checkpoint  # whose memory gradients of 5 s would exhaust
-    def go(now: _Cars, others: _Cars | None) -> tuple[_Cars, Float[jax.Array, "cars 4"]]:
-        middle = jnp.where(changes, wanted, now.y)
-        leader = _leaders(now, now if others is None else others, middle, lengths, moment.lane_width)
-        acceleration = held_acceleration(weights, traits, now.speed, leader)
-        curvature = held_curvature(weights, now.y - wanted, now.heading, now.speed)
-        speed = jnp.maximum(now.speed + acceleration * TIME_STEP, 0.0)
-        distance = (now.speed + speed) / 2 * TIME_STEP
-        x, y = now.x + distance * jnp.cos(now.heading), now.y + distance * jnp.sin(now.heading)
-        after = _Cars(x, y, now.heading + curvature * distance, speed, now.present)
-        return after, jnp.stack(after[:4], axis=-1)
-
-    return jax.lax.scan(go, cars, around, length=STEPS)[1]
-
-
-def drive_together(
-    drivers: Drivers, moment: Moments, lane: Int[jax.Array, "cars"], changes: Bool[jax.Array, "cars"]
-) -> Float[jax.Array, "50 cars 4"]:
-    """Let all cars of one moment drive for 5 s with the traits that their past shows; return their states.
+    drivers: Drivers, moment: Moments, logarithms: Traits, side: CarNumbers, around: CarStates | None = None
+) -> CarStates:
+    """Let all cars of one moment drive for 5 s; return their states after each step [50, cars, 4].
 
     Args:
         drivers: what was learned.
         moment: the start.
-        lane: number of the lane that each goes to if it changes lanes; the others keep theirs.
-        changes: who changes.
+        logarithms: of their traits, see `shown_traits`.
+        side: lanes to the right by which each changes lanes, -1, 0 or 1; who changes follows the leader there.
+        around: all cars before each step [50, cars, 4], of which each meets the others; by default, all drive together.
     """
-    cars, logarithms = _cars(moment.past[-1]), expected_traits(drivers, moment)[0]
-    wanted = jnp.asarray(moment.lanes)[jnp.where(changes, lane, _lane(moment))]
-    return drive_on(drivers, moment, cars, logarithms, wanted, changes)
+
+    def factor(name: str) -> Cars:
+        return jnp.where(side != 0, drivers.changing.get(name, 1.0), 1.0)
+
+    weights = {name: weight * factor(name) for name, weight in drivers.weights.items()}
+    usual, wanted = drivers.prior.traits(logarithms, moment.speed_limit), _centre(moment, side)
+    speeds, headways = usual.desired_speed * factor("desired speed"), usual.headway * factor("typical headway")
+    traits = RewardTraits(speeds, headways, usual.patience)
+
+    @jax.checkpoint  # whose memory gradients of 5 s would exhaust
+    def go(now: CarStates, others: CarStates | None) -> tuple[CarStates, CarStates]:
+        x, y, heading, speed = now.T
+        leader = _leader(moment, now, now if others is None else others, jnp.where(side != 0, wanted, y))
+        acceleration = held_acceleration(weights, traits, speed, leader)
+        curvature = held_curvature(weights, y - wanted, heading, speed)
+        faster = jnp.maximum(speed + acceleration * TIME_STEP, 0.0)
+        distance = (speed + faster) / 2 * TIME_STEP
+        ahead, aside = x + distance * jnp.cos(heading), y + distance * jnp.sin(heading)
+        after = jnp.stack([ahead, aside, heading + curvature * distance, faster], axis=-1)
+        return after, after
+
+    return jax.lax.scan(go, _seen(moment.past[-1]), around, length=STEPS)[1]
 
 
-def expected_traits(
-    drivers: Drivers, moment: Moments
-) -> tuple[Float[jax.Array, "cars 3"], Float[jax.Array, "cars 3 3"]]:
-    """Return mean and covariance of the logarithms of traits, as deviations from the medians', given the past 3 s.
+def shown_traits(drivers: Drivers, moment: Moments) -> Traits:
+    """Return the means of the logarithms of traits, as deviations from the medians', given the past 3 s.
 
     For each full second of a car's past, an extended Kalman update with its mean acceleration, which the plan of the
     traits predicts at the recorded states with the prior's noise. Surprises are clipped to 3 standard deviations.
     """
-    prior, lengths = drivers.prior, jnp.asarray(moment.sizes)[:, 0]
-    before = _Cars(*jax.vmap(_cars)(moment.past))
-    leaders = jax.vmap(lambda cars: _leaders(cars, cars, cars.y, lengths, moment.lane_width))(before)
-    mean = jnp.zeros((len(lengths), 3))
-    covariance = jnp.broadcast_to(jnp.diag(jnp.asarray(prior.deviations) ** 2), (len(lengths), 3, 3))
+    prior, past, seen = drivers.prior, _seen(moment.past), jnp.isfinite(moment.past).all(axis=-1)
+    speeds = past[..., 3]
+    leader = jax.vmap(lambda states: _leader(moment, states, states, states[:, 1]))(past)
+    cars = past.shape[1]
+    traits = Gaussian(jnp.zeros((cars, 3)), jnp.tile(jnp.diag(jnp.asarray(prior.deviations) ** 2), (cars, 1, 1)))
 
-    def expected(logarithms: jax.Array, speed: jax.Array, leader: Leader) -> jax.Array:
-        traits = prior.traits(logarithms, moment.speed_limit)
-        return held_acceleration(drivers.weights, traits, speed, leader).mean()
+    def expected(logarithms: Traits, speed: Cars, leader: Leader) -> Scalar:
+        usual = prior.traits(logarithms, moment.speed_limit)
+        return held_acceleration(drivers.weights, usual, speed, leader).mean()
 
-    def update(
-        mean: jax.Array, covariance: jax.Array, speed: jax.Array, leader: Leader, gained: jax.Array, seen: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        predicted, slope = jax.value_and_grad(expected)(mean, speed, leader)
-        variance = slope @ covariance @ slope + prior.noise**2
-        most = CLIPPED * jnp.sqrt(variance)
-        gain = covariance @ slope / variance
-        moved = jnp.clip(mean + gain * jnp.clip(gained - predicted, -most, most), -FARTHEST, FARTHEST)
-        narrowed = covariance - jnp.outer(gain, slope @ covariance)
-        return jnp.where(seen, moved, mean), jnp.where(seen, narrowed, covariance)
+    def update(traits: Gaussian, speed: Cars, leader: Leader, gained: Scalar, seen: jax.Array) -> Gaussian:
+        predicted, slope = jax.value_and_grad(expected)(traits.mean, speed, leader)
+        after, _ = updated(traits, slope, gained - predicted, prior.noise**2, CLIPPED)
+        after = after._replace(mean=jnp.clip(after.mean, -FARTHEST, FARTHEST))
+        return jax.tree.map(partial(jnp.where, seen), after, traits)
 
     for first in range(0, PAST, SECOND):
-        then = slice(first, first + SECOND, EVERY)
-        seen = before.present[first : first + SECOND + 1].all(axis=0)
-        gained = (before.speed[first + SECOND] - before.speed[first]) / (SECOND * TIME_STEP)
-        leader = Leader(*(part[then].T for part in leaders))
-        mean, covariance = jax.vmap(update)(mean, covariance, before.speed[then].T, leader, gained, seen)
-    return mean, covariance
+        then, last = slice(first, first + SECOND, EVERY), first + SECOND
+        gained = (speeds[last] - speeds[first]) / (SECOND * TIME_STEP)
+        led = Leader(*(part[then].T for part in leader))
+        traits = jax.vmap(update)(traits, speeds[then].T, led, gained, seen[first : last + 1].all(axis=0))
+    return traits.mean
 
 
-def advantages(moment: Moments) -> tuple[Float[jax.Array, "cars 2 6"], Bool[jax.Array, "cars 2"]]:
-    """Return `Intention`'s advantages of the lanes to the left and to the right, and whether these exist."""
-    cars, lane, lengths = _cars(moment.past[-1]), _lane(moment), jnp.asarray(moment.sizes)[:, 0]
-    offset, drift = cars.y - moment.lanes[lane], cars.speed * jnp.sin(cars.heading)
-    before = moment.past[-SECOND - 1 :, :, 1]
+def lane_advantages(moment: Moments) -> tuple[CarStates, CarFlags]:
+    """Return the ``lane_advantages`` of the lanes to the left and right [cars, 2, 6], and whether these exist."""
+    states, centre = _seen(moment.past[-1]), _centre(moment, 0)
+    _, y, heading, speed = states.T
+    drift = speed * jnp.sin(heading)
     times = TIME_STEP * (np.arange(SECOND + 1) - SECOND / 2)
-    drifted = times @ before / (times @ times)
+    drifted = times @ moment.past[-SECOND - 1 :, :, 1] / (times @ times)
     drifted = jnp.where(jnp.isfinite(drifted), drifted, drift)
-    own = _leaders(cars, cars, moment.lanes[lane], lengths, moment.lane_width)
+    own = _leader(moment, states, states, centre)
 
-    def side(right: int) -> tuple[jax.Array, jax.Array]:
-        exists = (lane + right >= 0) & (lane + right <= _lane_of(moment, moment.lanes[-1]))
-        there = moment.lanes[jnp.clip(lane + right, 0, len(moment.lanes) - 1)]
-        other = _leaders(cars, cars, there, lengths, moment.lane_width)
-        quicker = _hurry(other, cars.speed) - _hurry(own, cars.speed)
+    def hurry(leader: Leader) -> Cars:
+        """Return the speed of leaders relative to the followers, weighed by their nearness [m/s]."""
+        near = jnp.where(leader.there, jnp.exp(-jnp.maximum(leader.gap, 0.0) / NEARNESS), 0.0)
+        return near * (leader.speed - speed)
+
+    def side(right: int) -> tuple[jax.Array, CarFlags]:
+        there = _centre(moment, right)
+        other = _leader(moment, states, states, there)
         room = jnp.clip(other.gap, 0.0, NOBODY) - jnp.clip(own.gap, 0.0, NOBODY)
-        aside = [right * offset / moment.lane_width, right * drift, right * drifted]
-        return jnp.stack([*aside, quicker, room / 10, cars.speed / 10], axis=-1), exists
+        aside = [right * (y - centre) / moment.lane_width, right * drift, right * drifted]
+        return jnp.stack([*aside, hurry(other) - hurry(own), room / 10, speed / 10], axis=-1), there != centre
 
     found, exist = zip(*map(side, (-1, 1)), strict=True)
     return jnp.stack(found, axis=1), jnp.stack(exist, axis=1)
 
 
-def _hurry(leader: Leader, speed: Float[jax.Array, "cars"]) -> Float[jax.Array, "cars"]:
-    """Return the speed of leaders relative to the followers, weighed by their nearness [m/s]."""
-    near = jnp.where(leader.there, jnp.exp(-jnp.maximum(leader.gap, 0.0) / NEARNESS), 0.0)
-    return near * (leader.speed - speed)
+def _seen(states: CarStates) -> CarStates:
+    """Return states in which cars that are not seen stand far behind."""
+    return jnp.where(jnp.isfinite(states).all(axis=-1, keepdims=True), states, jnp.array([-FAR, -FAR, 0.0, 0.0]))
 
 
-def _chances(intention: Intention, moment: Moments) -> Float[jax.Array, "cars modes"]:
-    """Return the probability of each mode of each car."""
-    drawn, exist = advantages(moment)
-    odds = jnp.where(exist, jnp.asarray(intention.biases) + drawn @ jnp.asarray(intention.weights), -jnp.inf)
-    return jax.nn.softmax(jnp.concatenate([jnp.zeros((len(odds), 1)), odds], axis=1), axis=1)
+def _centre(moment: Moments, side: int | CarNumbers) -> Cars:
+    """Return the lateral position of the lane that is so many to the right of each car's, or of its own at the edge."""
+    lane = lanes_of(moment.lanes, _seen(moment.past[-1])[:, 1])
+    return moment.lanes[jnp.clip(lane + side, 0, len(moment.lanes) - 1)]
 
 
-def _around(
-    drivers: Drivers,
-    moment: Moments,
-    cars: _Cars,
-    logarithms: Float[jax.Array, "cars 3"],
-    wanted: Float[jax.Array, "cars"],
-    others: Others,
-) -> _Cars:
-    """Return all cars before each step, as the others are expected to move, arrays [50, cars]."""
-    if others == "recorded":
-        return _Cars(*jax.vmap(_cars)(jnp.concatenate([moment.past[-1:], moment.future[:-1]])))
-    if others == "coasting":
-        times = TIME_STEP * jnp.arange(STEPS)[:, None]
-        x = cars.x + times * cars.speed * jnp.cos(cars.heading)
-        y = cars.y + times * cars.speed * jnp.sin(cars.heading)
-        return _Cars(x, y, *(jnp.broadcast_to(part, x.shape) for part in cars[2:]))
-    changes = wanted != moment.lanes[_lane(moment)]
-    after = drive_on(drivers, moment, cars, logarithms, wanted, changes)
-    states = jnp.concatenate([jnp.stack(cars[:4], axis=-1)[None], after[:-1]])
-    x, y, heading, speed = jnp.moveaxis(states, -1, 0)
-    return _Cars(x, y, heading, speed, jnp.broadcast_to(cars.present, x.shape))
-
-
-def _personal(
-    drivers: Drivers, logarithms: Float[jax.Array, "cars 3"], changes: Bool[jax.Array, "cars"], limit: jax.Array
-) -> tuple[DrivingWeights, RewardTraits]:
-    """Return the weights and traits of all cars."""
-    factors = drivers.changing
-    weights = DrivingWeights(
-        *(
-            weight * jnp.where(changes, factor, 1.0)
-            for weight, factor in zip(drivers.weights, factors.weights, strict=True)
-        )
-    )
-    traits = drivers.prior.traits(logarithms, limit)
-    speed = traits.desired_speed * jnp.where(changes, factors.desired_speed, 1.0)
-    return weights, RewardTraits(speed, traits.headway * jnp.where(changes, factors.headway, 1.0), traits.patience)
-
-
-def _cars(states: Float[jax.Array, "cars 4"]) -> _Cars:
-    present = jnp.isfinite(states).all(axis=-1)
-    away = jnp.array([-FAR, -FAR, 0.0, 0.0])
-    x, y, heading, speed = jnp.moveaxis(jnp.where(present[:, None], states, away), -1, 0)
-    return _Cars(x, y, heading, speed, present)
-
-
-def _lane(moment: Moments) -> Int[jax.Array, "cars"]:
-    return _lane_of(moment, _cars(moment.past[-1]).y)
-
-
-def _lane_of(moment: Moments, y: Float[jax.Array, "*cars"]) -> Int[jax.Array, "*cars"]:
-    """Return numbers of lanes; of lanes that are repeated, the first's."""
-    return lanes_of(jnp.asarray(moment.lanes), jnp.atleast_1d(y)).reshape(jnp.shape(y))
-
-
-def _leaders(
-    cars: _Cars,
-    others: _Cars,
-    middle: Float[jax.Array, "cars"],
-    lengths: Float[jax.Array, "cars"],
-    lane_width: Float[jax.Array, ""],
-) -> Leader:
-    """Return the nearest of the others ahead of each car and within half a lane of a lateral position."""
-    distance = others.x[None, :] - cars.x[:, None]
-    near = jnp.abs(others.y[None, :] - middle[:, None]) < lane_width / 2
-    ahead = (distance > 0) & near & others.present[None, :] & ~jnp.eye(len(middle), dtype=bool)
-    nearest = jnp.argmin(jnp.where(ahead, distance, jnp.inf), axis=1)
-    gap = jnp.take_along_axis(distance, nearest[:, None], axis=1)[:, 0] - (lengths + lengths[nearest]) / 2
-    there = ahead.any(axis=1)
-    return Leader(jnp.where(there, gap, NOBODY), others.speed[nearest], there)
+def _leader(moment: Moments, states: CarStates, others: CarStates, lane: Cars) -> Leader:
+    """Return the nearest of the others ahead of each car in the lane with this lateral position."""
+    not_itself, lengths = ~jnp.eye(len(states), dtype=bool), moment.sizes[:, 0]
+    place, there = leaders(states[:, 0], lane, others, not_itself, moment.lane_width / 2)
+    gap = others[place, 0] - states[:, 0] - (lengths + lengths[place]) / 2
+    return Leader(jnp.where(there, gap, NOBODY), others[place, 3], there)

@@ -1,50 +1,134 @@
-"""Evaluate learned drivers on recordings, beside the predictors of `ms_highway.irl.predictors`.
-
-An evaluation is a dictionary of plain numbers: ``predictors``, by name, with what `ms_highway.irl.errors.measures`
-returns; ``situations``, by driving regime (see `ms_highway.irl.regimes`), with mean ``distance`` [m] and ``log_p`` of
-each predictor by horizon; ``likelihood``: mean log p of the scaled controls in windows of half a second (see
-`ms_highway.irl.maximum_entropy`), under the learned reward and at constant velocity, and of how many ``windows``;
-numbers of predicted ``windows`` and of ``tracks``; and ``others``, see `ms_highway.irl.driving.Others`.
-"""
+"""Evaluate learned drivers on recordings, beside the predictors of `ms_highway.irl.predictors`."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy import optimize, special
+from msgspec import structs
+from scipy import optimize, stats
 
 from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.leaders import leaders
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import PAPER_DYNAMICS
+from ms_highway.irl.arrays import Flags, Parameters, Paths, Steps, Values
 from ms_highway.irl.driving import Others
-from ms_highway.irl.errors import Outcomes, measures, outcomes
-from ms_highway.irl.learning import converged, folds, window_log_likelihoods
-from ms_highway.irl.maximum_entropy import differentiate, fit
-from ms_highway.irl.moments import Moments, cut_moments
-from ms_highway.irl.predictors import PREDICTORS, Prediction, check_drivers, learn_peers, predictions
+from ms_highway.irl.learning import folds
+from ms_highway.irl.maximum_entropy import differentiate, fit_weights, window_log_likelihoods
+from ms_highway.irl.moments import AT, HORIZONS, Moments, cut_moments
+from ms_highway.irl.outlook import expected_path, log_density, region_level
+from ms_highway.irl.predictors import PREDICTORS, Prediction, check_drivers, predictions
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.regimes import by_regime
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.windows import Windows, driver_game, regular_windows
 from ms_highway.runtime.files import read_json
 from ms_highway.runtime.progress import Progress, silent
+from ms_highway.runtime.structures import Structure, read
 
-__all__ = ["cross_validate", "evaluate", "kept_log_likelihoods", "load_evaluation"]
+MISS = 2.0  # m
+LEVELS = (50, 90, 99)
+"""Percentages of probability in the predicted regions whose calibration is measured."""
+
+HORIZON = 3  # s, at which regimes are distinguished
+LANE_CHANGE = 1.5  # m to the side
+HARD = 1.0  # m/s^2, on average
+SLOW = 5.0  # m/s
+LEADER = 50.0  # m ahead, from centre to centre
 
 LEAST_DEVIATION, MOST = 1e-6, 1e3  # of scaled controls; and of tails
 
+ByHorizon = dict[str, float]
+KINDS = ("fde", "ade", "rmse", "miss", "log_p", *(f"inside {level}" for level in LEVELS))
+SITUATIONS = ("distance", "log_p")
 
-def evaluate(
+
+class Evaluation(Structure, omit_defaults=True):
+    """How well drivers were predicted: plain numbers, by horizon in seconds.
+
+    Attributes:
+        predictors: what `measures` returns, by predictor.
+        situations: mean ``distance`` [m] and ``log_p`` of each predictor, by driving regime, see `driving_regimes`; and
+            ``windows``, the number of drivers.
+        likelihood: mean log p of the scaled controls in windows of half a second (see
+            `ms_highway.irl.maximum_entropy`) under the learned reward (``model``) and at ``constant_velocity``, and the
+            number of ``windows``.
+        windows: number of predictions.
+        tracks: number of drivers.
+        others: see `ms_highway.irl.driving.Others`.
+        folds: weights of each fold of a cross-validation.
+    """
+
+    predictors: dict[str, dict[str, ByHorizon]]
+    situations: dict[str, dict[str, dict[str, ByHorizon]]]
+    likelihood: dict[str, float]
+    windows: int
+    tracks: int
+    others: Others
+    folds: Sequence[dict[str, Any]] = ()
+
+    def __post_init__(self) -> None:
+        wanted = {"predictors": PREDICTORS, "situations": SITUATIONS, "likelihood": ("model", "constant_velocity")}
+        lacking = [f"{part}.{name}" for part in wanted for name in wanted[part] if name not in getattr(self, part)]
+        for name, row in self.predictors.items():
+            lacking += [f"predictors.{name}.{kind}" for kind in KINDS if kind not in row]
+        if lacking:
+            raise ValueError(f"it lacks {', '.join(lacking)}")
+
+
+class Judged(NamedTuple):
+    """What became of every prediction, NaN where the driver was not seen.
+
+    Attributes:
+        distance: from the expected to the recorded position [m].
+        log_p: log density of the recorded position [1/m^2].
+        level: probability of the region of highest density that just reaches it.
+    """
+
+    distance: Steps
+    log_p: Steps
+    level: Steps
+
+
+def outcomes(prediction: Prediction, recorded: Paths) -> Judged:
+    """Compare predicted distributions with recorded positions."""
+    positions = recorded.astype(np.float32)
+    distance = np.linalg.norm(expected_path(prediction.modes) - recorded, axis=-1)
+    return Judged(distance, np.asarray(log_density(*prediction, positions)), region_level(*prediction, positions))
+
+
+def measures(found: Judged) -> dict[str, ByHorizon]:
+    """Return what a predictor is worth, by horizon in seconds, over the drivers that are seen until then.
+
+    Returns:
+        ``fde``: mean distance at the horizon [m]; ``ade``: mean distance up to it [m]; ``rmse``: root mean square of
+        the distance at it [m]; ``miss``: share of drivers whose distance at it exceeds 2 m; ``log_p``: mean log density
+        of the recorded positions [1/m^2]; ``inside 50`` and so on: share of drivers in the region of highest density
+        that holds 50 % of the probability.
+    """
+    rows: dict[str, ByHorizon] = {}
+    for horizon in HORIZONS:
+        seen = np.isfinite(found.distance[:, 10 * horizon - 1])
+        if not seen.any():
+            continue
+        until, log_p, level = (part[seen, : 10 * horizon] for part in found)
+        last = until[:, -1]
+        values = {"fde": last, "ade": until, "rmse": last**2, "miss": last > MISS, "log_p": log_p[:, -1]}
+        values |= {f"inside {percent}": level[:, -1] < percent / 100 for percent in LEVELS}
+        for kind, value in values.items():
+            mean = np.sqrt(value.mean()) if kind == "rmse" else value.mean()
+            rows.setdefault(kind, {})[str(horizon)] = float(mean)
+    return rows
+
+
+def evaluate_reward(
     recordings: Sequence[Recording],
     learned: LearnedReward,
     others: Others = "predicted",
     *,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> Evaluation:
     """Evaluate a learned reward on recordings; ``progress`` is called with a message when a part begins.
 
     Raises:
@@ -53,14 +137,13 @@ def evaluate(
     drivers = check_drivers(learned.drivers)
     progress("cutting windows")
     moments, windows = cut_moments(recordings), regular_windows(recordings, learned.horizon)
-    progress(f"predicting {moments.predicted.sum()} drivers")
+    progress(f"predicting {len(moments.which)} drivers")
     predicted = predictions(moments, drivers, others)
     progress(f"differentiating {len(windows)} windows")
-    derivatives, model = differentiate(windows, learned.model.names), learned.model
-    likely = window_log_likelihoods(derivatives, model, learned.weights, learned.temperature, learned.tails)
+    likely = window_log_likelihoods(differentiate(windows, learned.model.names), learned)
     progress("measuring")
-    parts, fold = {name: [part] for name, part in predicted.items()}, np.zeros(len(moments), dtype=int)
-    return _measured(moments, parts, fold, windows, likely, others)
+    found = {name: outcomes(part, moments.recorded) for name, part in predicted.items()}
+    return _evaluation(moments, found, windows, likely, others)
 
 
 def cross_validate(
@@ -71,7 +154,7 @@ def cross_validate(
     others: Others = "predicted",
     *,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> Evaluation:
     """Evaluate by cross-validation: each fold is predicted by what is learned from the other folds.
 
     Args:
@@ -81,9 +164,6 @@ def cross_validate(
         parts: the number of folds.
         others: motion of the other cars in predictions, see `ms_highway.irl.driving.Others`.
         progress: called with a message when a part begins.
-
-    Returns:
-        The evaluation over all folds, with the weights of each (``folds``).
 
     Raises:
         ValueError: if there is one group only, no driver was seen for long enough, or a fit does not converge.
@@ -96,113 +176,109 @@ def cross_validate(
         )
     progress(f"differentiating {len(windows)} windows")
     derivatives = differentiate(windows, model.names)
-    likely, weights, found = np.empty(len(windows)), [], None
-    held_out = folds(np.union1d(windows.group, moments.group), parts)
-    predicted: dict[str, list[Prediction]] = {}
-    for number, names in enumerate(held_out, 1):
+    likely, fold, found = np.empty(len(windows)), np.zeros(len(moments), dtype=int), None
+    held_out, weights = folds(np.union1d(windows.group, moments.group), parts), []
+    predicted: dict[str, list[Judged]] = {}
+    for number, names in enumerate(held_out):
         held, driven = np.isin(windows.group, names), np.isin(moments.group, names)
-        progress(f"learning, fold {number} of {len(held_out)}")
-        found = converged(fit(derivatives.of(~held), model, found))
-        if held.any():
-            chosen = derivatives.of(held)
-            likely[held] = window_log_likelihoods(chosen, model, found.weights, found.temperature, found.tails)
+        progress(f"learning, fold {number + 1} of {len(held_out)}")
+        found = fit_weights(derivatives.of(~held), model, found)
+        likely[held], fold[driven] = window_log_likelihoods(derivatives.of(held), found), number
         drivers = learn_drivers(moments, ~driven, intervals=False)
-        drivers = replace(drivers, peers=learn_peers(moments, ~driven))
-        weights.append({"weights": found.weights, "temperature": found.temperature, "drivers": dict(drivers.weights)})
+        weights.append({"weights": found.weights, "temperature": found.temperature, "drivers": drivers.weights})
         for name, part in predictions(moments, drivers, others).items():
-            predicted.setdefault(name, []).append(part)
-    fold = np.argmax([np.isin(moments.group, names) for names in held_out], axis=0)
+            predicted.setdefault(name, []).append(outcomes(part, moments.recorded))
     progress("measuring")
-    return {**_measured(moments, predicted, fold, windows, likely, others), "folds": weights}
+    own = {name: moments.by_fold(fold, each) for name, each in predicted.items()}
+    return structs.replace(_evaluation(moments, own, windows, likely, others), folds=weights)
 
 
-def load_evaluation(path: Path) -> dict[str, Any]:
+def _evaluation(
+    moments: Moments, found: Mapping[str, Judged], windows: Windows, likely: Values, others: Others
+) -> Evaluation:
+    likelihood = {"model": likely, "constant_velocity": kept_log_likelihoods(windows)}
+    return Evaluation(
+        predictors={name: measures(part) for name, part in found.items()},
+        situations=by_regime(found, moments),
+        likelihood={name: float(values.mean()) for name, values in likelihood.items()} | {"windows": len(windows)},
+        windows=len(moments.which),
+        tracks=len(np.unique(moments.drivers(moments.track))),
+        others=others,
+    )
+
+
+def load_evaluation(path: Path) -> Evaluation:
     """Read what ``ms-highway irl evaluate --json`` prints.
 
     Raises:
-        ValueError: if the file cannot be read or is no evaluation; the message names what is missing.
+        ValueError: if the file cannot be read or is no evaluation; the message names what is wrong.
     """
     try:
-        evaluation = read_json(path)
+        return read(read_json(path), Evaluation)
     except (OSError, ValueError) as error:
-        raise ValueError(f"{path} cannot be read as an evaluation: {error}") from error
-    remedy = "write it again with `ms-highway irl evaluate --json`"
-    if not isinstance(evaluation, dict):
-        raise ValueError(f"{path} is no evaluation; {remedy}")
-    parts = ("windows", "tracks", "others", "situations", "likelihood", "predictors")
-    missing = [name for name in parts if name not in evaluation]
-    rows, likely, situations = (
-        part if isinstance(part := evaluation.get(name), dict) else {}
-        for name in ("predictors", "likelihood", "situations")
-    )
-    numbers = ("model", "constant_velocity", "windows")
-    missing += [f"likelihood.{name}" for name in numbers if not isinstance(likely.get(name), (int, float))]
-    missing += [f"situations.{name}" for name in ("distance", "log_p") if not isinstance(situations.get(name), dict)]
-    missing += [f"predictors.{name}" for name in PREDICTORS if not isinstance(rows.get(name), dict)]
-    for name, row in rows.items():
-        kinds = ("fde", "rmse", "miss", "log_p", "inside 50", "inside 90", "inside 99")
-        for kind in kinds if isinstance(row, dict) else ():
-            values = row.get(kind)
-            usable = isinstance(values, dict) and all(
-                horizon.isdecimal() and isinstance(value, (int, float)) for horizon, value in values.items()
-            )
-            if not usable:
-                missing.append(f"predictors.{name}.{kind}")
-    if missing:
-        raise ValueError(f"{path} lacks {', '.join(missing)}, or they are no numbers; {remedy}")
-    return evaluation
+        remedy = "write it again with `ms-highway irl evaluate --json`"
+        raise ValueError(f"{path} cannot be read as an evaluation: {error}; {remedy}") from error
 
 
-def _measured(
-    moments: Moments,
-    predicted: Mapping[str, list[Prediction]],
-    fold: Int[np.ndarray, "n"],
-    windows: Windows,
-    likely: Float[np.ndarray, "windows"],
-    others: Others,
-) -> dict[str, Any]:
-    """Return the evaluation of predictions of all moments by what was learned for each fold, and of windows."""
-    recorded = moments.recorded
-    of_drivers = np.repeat(fold[:, None], moments.predicted.shape[1], axis=1)[moments.predicted]
-    found: dict[str, Outcomes] = {}
-    for name, parts in predicted.items():
-        each = [outcomes(*part, recorded) for part in parts]
-        own = of_drivers, np.arange(len(recorded))
-        found[name] = Outcomes(*(np.stack(values)[own] for values in zip(*each, strict=True)))
-    distances = {name: np.linalg.norm(outcome.path - recorded, axis=-1) for name, outcome in found.items()}
-    return {
-        "predictors": {name: measures(outcome, recorded) for name, outcome in found.items()},
-        "situations": {
-            "distance": by_regime(distances, moments),
-            "log_p": by_regime({name: outcome.log_p for name, outcome in found.items()}, moments),
-        },
-        "likelihood": {
-            "model": float(likely.mean()),
-            "constant_velocity": float(kept_log_likelihoods(windows).mean()),
-            "windows": len(windows),
-        },
-        "windows": int(moments.predicted.sum()),
-        "tracks": len(np.unique(moments.track[moments.predicted])),
-        "others": others,
+def driving_regimes(moments: Moments) -> dict[str, Flags]:
+    """Return which predicted drivers are in each regime, by name; a driver may be in several, or in none.
+
+    A *lane change* is 1.5 m to the side within 3 s; *braking* and *accelerating* are more than 1 m/s^2 on average over
+    that time; *slow* is below 5 m/s at the start; *no leader* is none within 50 m in the own lane at the start;
+    *following* is a leader and none of the other regimes.
+    """
+    start, later = moments.drivers(moments.now), moments.tracks(moments.future)[:, 10 * HORIZON - 1]
+    others, reach = moments.now[moments.which], moments.lane_width[moments.which] / 2
+    near = (others[..., 0] - start[:, :1] < LEADER)[:, None]
+    _, led = leaders(start[:, :1], start[:, 1:2], others, near, reach[:, None, None])
+    change = (later[:, 3] - start[:, 3]) / HORIZON
+    found = {
+        "lane change": np.abs(later[:, 1] - start[:, 1]) > LANE_CHANGE,
+        "braking": change < -HARD,
+        "accelerating": change > HARD,
+        "slow": start[:, 3] < SLOW,
+        "no leader": ~led[:, 0],
     }
+    return {**found, "following": ~np.any(list(found.values()), axis=0)}
 
 
-def kept_log_likelihoods(windows: Windows) -> Float[np.ndarray, "n"]:
+def by_regime(found: Mapping[str, Judged], moments: Moments) -> dict[str, dict[str, dict[str, ByHorizon]]]:
+    """Return the means of each predictor by what is measured, regime and horizon; see `Evaluation.situations`.
+
+    Args:
+        found: by predictor.
+        moments: of the drivers; those seen for less than 3 s are left out.
+    """
+    reached = np.isfinite(moments.recorded[..., 0])[:, AT]
+    rows: dict[str, dict[str, dict[str, ByHorizon]]] = {kind: {} for kind in SITUATIONS}
+    for regime, chosen in driving_regimes(moments).items():
+        some = chosen & reached[:, HORIZONS.index(HORIZON)]
+        if not some.any():
+            continue
+        counts = {str(at): float(reached[some, place].sum()) for place, at in enumerate(HORIZONS)}
+        for kind, row in rows.items():
+            row[regime] = {"windows": counts}
+            for name, outcome in found.items():
+                means = np.asarray(getattr(outcome, kind))[some][:, AT]
+                row[regime][name] = {
+                    at: float(np.nanmean(means[:, place])) for place, at in enumerate(counts) if counts[at]
+                }
+    return rows
+
+
+def kept_log_likelihoods(windows: Windows) -> Values:
     """Return log p of the scaled controls in every window, if spread around those that keep the velocity.
 
     Independent but for their common scale: a multivariate Student t distribution, as drivers have whose reward is
     learned. Its two scales and its tails are fitted to the same windows, an advantage over a learned reward.
     """
     scale = np.asarray(driver_game(windows, {}).planner.control_scale, dtype=float)
-    kept = keep_velocity(PAPER_DYNAMICS, np.asarray(windows.start))[:, None]
-    off = (np.asarray(windows.controls) - kept) / scale
-    size = off[0].size
+    off = (windows.controls - keep_velocity(PAPER_DYNAMICS, windows.start)[:, None]) / scale
+    n, steps, _ = off.shape
 
-    def each(logarithms: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n"]:
-        scales, tails = np.exp(logarithms[:2]), np.exp(logarithms[2])
-        squares = np.sum((off / scales) ** 2, axis=(1, 2))
-        shape = special.gammaln((tails + size) / 2) - special.gammaln(tails / 2) - size / 2 * np.log(tails * np.pi)
-        return shape - size / 2 * np.log(scales).sum() - (tails + size) / 2 * np.log1p(squares / tails)
+    def each(logarithms: Parameters) -> Values:
+        scaled, tails = (off / np.exp(logarithms[:2])).reshape(n, -1), np.exp(logarithms[2])
+        return stats.multivariate_t.logpdf(scaled, df=tails, shape=np.eye(2 * steps)) - steps * logarithms[:2].sum()
 
     first = np.log([*np.maximum(np.sqrt(np.mean(off**2, axis=(0, 1))), LEAST_DEVIATION), 2.0])
     bounds = np.log([(LEAST_DEVIATION, MOST), (LEAST_DEVIATION, MOST), (1 / MOST, MOST)])

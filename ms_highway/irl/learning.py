@@ -7,40 +7,24 @@ from importlib.metadata import version
 
 import jax
 import numpy as np
-from jax import numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from ms_highway.game.dynamics import Motion, observe
-from ms_highway.game.features import motion_reward
-from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move
+from ms_highway.game.dynamics import observe
+from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT
 from ms_highway.game.reward_model import RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit, log_likelihoods
+from ms_highway.irl.arrays import Controls, Numbers, Values
+from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit_weights, window_log_likelihoods
 from ms_highway.irl.moments import cut_moments
-from ms_highway.irl.predictors import learn_peers
+from ms_highway.irl.recordings.demonstrators import optimal
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.windows import Windows, driver_game, regular_windows, with_window
-from ms_highway.optimization.solvers import optimize_controls
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.progress import Progress, silent
-from ms_highway.runtime.reductions import unrolled_sum
-
-__all__ = [
-    "COMFORT_GIVEN",
-    "REAL",
-    "SIMULATED",
-    "best_controls",
-    "converged",
-    "curvatures",
-    "expected_features",
-    "folds",
-    "learn",
-    "window_log_likelihoods",
-]
 
 COMFORT_GIVEN = 0.1
 """Comfort weight that sets the scale of all others; small against the curvature of the published weights."""
@@ -63,13 +47,13 @@ REAL = RewardModel(
 """Learned from real drivers: also weights of interaction with traffic, and of steering relative to accelerating."""
 
 
-def folds(groups: Int[np.ndarray, "n"], number: int) -> list[Int[np.ndarray, "held"]]:
+def folds(groups: Numbers, number: int) -> list[Numbers]:
     """Split group numbers into folds, so that each group is held out once."""
     names = np.unique(groups)
     return np.array_split(names, min(number, len(names)))
 
 
-def learn(
+def learn_reward(
     recordings: Sequence[Recording],
     model: RewardModel,
     horizon: int,
@@ -97,39 +81,32 @@ def learn(
     derivatives = differentiate(windows, model.names)
     progress("fitting")
     real = recordings[0].measured
-    found = converged(fit(derivatives, model, drivers=windows.driver if real else None))
-    held_out = []
-    parts = folds(windows.group, validations)
+    found = fit_weights(derivatives, model, drivers=windows.driver if real else None)
+    held_out, parts = [], folds(windows.group, validations)
     for number, names in enumerate(parts if len(parts) > 1 else [], 1):
         chosen = np.isin(windows.group, names)
         progress(f"cross-validating, {number} of {len(parts)}")
-        rest = converged(fit(derivatives.of(~chosen), model, found))
-        own = rest.weights, rest.temperature, rest.tails
-        held_out.append(window_log_likelihoods(derivatives.of(chosen), model, *own))
-    drivers = None
+        rest = fit_weights(derivatives.of(~chosen), model, found)
+        held_out.append(window_log_likelihoods(derivatives.of(chosen), rest))
     if real:
         moments = cut_moments(recordings)
-        drivers = learn_drivers(moments, progress=progress)
-        progress("fitting the predictors to compare with")
-        drivers = replace(drivers, peers=learn_peers(moments))
+        drivers = learn_drivers(moments, np.ones(len(moments), dtype=bool), progress=progress)
     progress("counting features")
+    counts = {"human": derivatives.features.mean(axis=0), "model": expected_features(windows, found)}
     return LearnedReward(
         weights=found.weights,
         temperature=found.temperature,
         learned=model.learned,
         covariance=found.covariance.tolist(),
         horizon=horizon,
-        converged=found.converged,
+        converged=True,
         iterations=found.iterations,
         windows=len(windows),
         log_likelihood={
             "train": found.log_likelihood,
             "held_out": float(np.concatenate(held_out).mean()) if held_out else None,
         },
-        feature_counts={
-            "human": dict(zip(model.names, derivatives.features.mean(axis=0).tolist(), strict=True)),
-            "model": dict(zip(model.names, expected_features(windows, found).tolist(), strict=True)),
-        },
+        feature_counts={who: dict(zip(model.names, sums.tolist(), strict=True)) for who, sums in counts.items()},
         provenance={
             "data": source,
             "groups": len({recording.group for recording in recordings}),
@@ -137,91 +114,43 @@ def learn(
             "versions": {package: version(package) for package in ("ms-highway", "jax", "numpy", "scipy")},
         },
         tails=found.tails,
-        drivers=drivers,
+        drivers=drivers if real else None,
     )
 
 
-def converged(found: Fit) -> Fit:
-    """Return the fit.
-
-    Raises:
-        ValueError: if it has not converged.
-    """
-    if not found.converged:
-        raise ValueError(
-            f"the fit has not converged after {found.iterations} iterations, at {found.weights}; "
-            "learn fewer weights, or from more driving"
-        )
-    return found
-
-
-def window_log_likelihoods(
-    derivatives: FeatureDerivatives,
-    model: RewardModel,
-    weights: Mapping[str, float],
-    temperature: float,
-    tails: float | None = None,
-) -> Float[np.ndarray, "n"]:
-    """Return log p of the scaled controls in every window, see `log_likelihoods`, in double precision."""
-    with jax.enable_x64(True):
-        theta = jnp.array([weights[name] for name in model.names])
-        data = FeatureDerivatives(*map(jnp.asarray, derivatives))
-        return np.asarray(log_likelihoods(data, theta, temperature, model.floor, tails))
-
-
-def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Float[np.ndarray, "n K 2"]:
-    """Return the controls of a local optimum of a reward in every window, found from keeping the velocity.
+def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Controls:
+    """Return the controls of a local optimum of a reward in every window, see `optimal`.
 
     Args:
         windows: start, road and recorded neighbours of each driver.
         sharp_weights: weights of the reward by name, divided by the temperature.
     """
-    game = driver_game(windows, sharp_weights)
-    game = replace(game, planner=replace(game.planner, solver="newton"))
-    return in_batches(partial(_best_controls, game), windows)
+    return in_batches(partial(_best_controls, driver_game(windows, sharp_weights)), windows)
 
 
 @jit_quickly
-def _best_controls(game: Game, windows: Windows) -> Float[jax.Array, "n K 2"]:
-    def best(window: Windows) -> Float[jax.Array, "K 2"]:
-        here, others = with_window(game, window), observe(window.others)
-        scaled = optimize_controls(
-            here.planner,
-            partial(move, here, window.start),
-            lambda path: unrolled_sum(motion_reward(here.scene, here.robot, Motion(*path), others)),
-            partial(discomfort, here, window.start),
-            constant_velocity(here, window.start),
-            partial(bounded, here, window.start),
-        )
-        return scaled * here.planner.control_scale
-
-    return jax.vmap(best)(windows)
+@partial(jax.vmap, in_axes=(None, 0))
+def _best_controls(game: Game, window: Windows) -> Controls:
+    best = optimal(with_window(game, window), window.start, observe(window.others))
+    return best.controls * game.planner.control_scale
 
 
-def curvatures(
-    windows: Windows, controls: Float[np.ndarray, "n K 2"], found: Fit
-) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
-    """Return eigenvalues of -H / T at given controls, bounded from below as in the fit, and eigenvectors."""
-    derivatives = differentiate(replace(windows, controls=controls), found.model.names)
-    return _curvatures(derivatives, found)
-
-
-def _curvatures(
-    derivatives: FeatureDerivatives, found: Fit
-) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "n d d"]]:
+def curvatures(derivatives: FeatureDerivatives, found: Fit) -> tuple[Float[np.ndarray, "n d"], np.ndarray]:
+    """Return eigenvalues of -H / T, bounded from below as in the fit, and eigenvectors [n, d, d]."""
     theta = np.array([found.weights[name] for name in found.model.names])
     values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, derivatives.hessians) / found.temperature)
     return np.maximum(values, found.model.floor / found.temperature), vectors
 
 
-def expected_features(windows: Windows, found: Fit) -> Float[np.ndarray, "names"]:
+def expected_features(windows: Windows, found: Fit) -> Values:
     """Return the features' expected sums over a window under the fit's distribution of controls, mean over windows.
 
     To second order around the best controls u*: ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, the eigenvalues
     of -H bounded as in the fit.
     """
-    best = replace(windows, controls=best_controls(windows, found.sharp_weights))
+    sharp = {name: weight / found.temperature for name, weight in found.weights.items()}
+    best = replace(windows, controls=best_controls(windows, sharp))
     derivatives = differentiate(best, found.model.names)
-    values, vectors = _curvatures(derivatives, found)
+    values, vectors = curvatures(derivatives, found)
     spread = np.einsum("nde,ne,nfe->ndf", vectors, 1 / values, vectors)
     return np.mean(derivatives.features + np.einsum("nfde,nde->nf", derivatives.hessians, spread) / 2, axis=0)

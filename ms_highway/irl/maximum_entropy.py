@@ -21,30 +21,29 @@ nu degrees of freedom, its *tails*::
                + log Gamma((nu + d) / 2) - log Gamma(nu / 2) - (d / 2) log(nu pi)
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
 from jax.scipy.special import gammaln
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy import optimize
 
 from ms_highway.game.game import Game, move
+from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT
 from ms_highway.game.reward_model import RewardModel
+from ms_highway.irl.arrays import Flags, Numbers, Parameters, Scalar, Values
 from ms_highway.irl.windows import Windows, control_deviation, driver_game, features_along, path_features
+from ms_highway.optimization.estimation import grouped_covariance, slope_differences
 from ms_highway.optimization.floored import floored
-from ms_highway.optimization.second_derivatives import Trajectory, second_order_expansion
-from ms_highway.runtime.arrays import Array
+from ms_highway.optimization.second_derivatives import second_order_expansion
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
-
-__all__ = ["FeatureDerivatives", "Fit", "differentiate", "fit", "log_likelihoods", "most_likely"]
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
 MANY = 600  # windows, of which half as many are fitted first
@@ -62,11 +61,11 @@ class FeatureDerivatives(NamedTuple):
         hessians: second derivatives.
     """
 
-    features: Float[Array, "n names"]
-    gradients: Float[Array, "n names d"]
-    hessians: Float[Array, "n names d d"]
+    features: Float[Any, "n names"]
+    gradients: Float[Any, "n names d"]
+    hessians: Float[Any, "n names d d"]
 
-    def of(self, chosen: np.ndarray) -> "FeatureDerivatives":
+    def of(self, chosen: Flags) -> "FeatureDerivatives":
         """Return the derivatives in the chosen windows."""
         return FeatureDerivatives(*(part[chosen] for part in self))
 
@@ -78,40 +77,23 @@ class Fit:
     Attributes:
         model: the weights that were learned and those given.
         logarithms: of the learned weights' sizes, of the temperature T and, in a model with tails, of nu.
-        covariance: of the logarithms: the inverse B of minus the Hessian of the log-likelihood and prior; if drivers
-            are told apart, ``B sum_i s_i s_i^T B`` with the score s_i of all windows of driver i (Huber 1967), as the
-            windows of one driver are not independent.
-        converged: whether the optimiser reached the maximum.
+        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior; if drivers are
+            given, `grouped_covariance`, as the windows of one driver are not independent.
         iterations: of the optimiser.
         log_likelihood: mean over the windows.
+        weights: all of them, by name.
+        temperature: T, the spread of the drivers around the optimum, in units of the reward.
+        tails: degrees of freedom nu, None for a normal distribution.
     """
 
     model: RewardModel
-    logarithms: Float[np.ndarray, "parameters"]
-    covariance: Float[np.ndarray, "parameters parameters"]
-    converged: bool
+    logarithms: Parameters
+    covariance: Float[Any, "parameters parameters"]
     iterations: int
     log_likelihood: float
-
-    @property
-    def weights(self) -> dict[str, float]:
-        """All weights by name."""
-        return self.model.weights(self.logarithms)
-
-    @property
-    def temperature(self) -> float:
-        """T, the spread of the drivers around the optimum, in units of the reward."""
-        return float(np.exp(self.logarithms[len(self.model.learned)]))
-
-    @property
-    def tails(self) -> float | None:
-        """Degrees of freedom nu, None for a normal distribution."""
-        return float(np.exp(self.logarithms[-1])) if self.model.tails else None
-
-    @property
-    def sharp_weights(self) -> dict[str, float]:
-        """The weights over the temperature: the reward in units of log-probability."""
-        return {name: weight / self.temperature for name, weight in self.weights.items()}
+    weights: dict[str, float]
+    temperature: float
+    tails: float | None
 
 
 def differentiate(windows: Windows, names: tuple[str, ...]) -> FeatureDerivatives:
@@ -122,11 +104,8 @@ def differentiate(windows: Windows, names: tuple[str, ...]) -> FeatureDerivative
     """
     game = driver_game(windows, {}, names)
     columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
-
-    def named(batch: Windows) -> FeatureDerivatives:
-        return FeatureDerivatives(*(np.asarray(part)[:, columns] for part in _differentiate(game, batch)))
-
-    derivatives = FeatureDerivatives(*(part.astype(np.float64) for part in in_batches(named, windows)))
+    parts = in_batches(lambda batch: [part[:, columns] for part in _differentiate(game, batch)], windows)
+    derivatives = FeatureDerivatives(*(part.astype(np.float64) for part in parts))
     for part in derivatives:
         if not np.isfinite(part).all():
             window = int(np.argwhere(~np.isfinite(part))[0][0])
@@ -141,11 +120,11 @@ def _differentiate(game: Game, window: Windows) -> FeatureDerivatives:
     """Return the derivatives of all features and of `COMFORT`, so that one compilation serves any choice of them."""
     controls = window.controls / game.planner.control_scale
 
-    def of_one(weights: Float[jax.Array, "names"]) -> tuple[Float[jax.Array, "d"], Float[jax.Array, "d d"]]:
-        def reward(path: Trajectory) -> Float[jax.Array, ""]:
+    def of_one(weights: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def reward(path: jax.Array) -> Scalar:
             return weights[:-2] @ path_features(game, window, path).sum(axis=0)
 
-        def cost(controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, ""]:
+        def cost(controls: jax.Array) -> Scalar:
             return weights[-2:] @ jnp.sum(control_deviation(game, window, controls) ** 2, axis=0) / 2
 
         expansion = second_order_expansion(partial(move, game, window.start), reward, controls, cost)
@@ -158,11 +137,11 @@ def _differentiate(game: Game, window: Windows) -> FeatureDerivatives:
 @jax.jit
 def log_likelihoods(
     derivatives: FeatureDerivatives,
-    theta: Float[Array, "names"],
-    temperature: float | Float[Array, ""],
+    theta: Values,
+    temperature: float | Scalar,
     floor: float,
-    tails: float | Float[Array, ""] | None = None,
-) -> Float[jax.Array, "n"]:
+    tails: float | Scalar | None = None,
+) -> Values:
     """Return Laplace's log p of the scaled controls in every window; eigenvalues of -H are at least ``floor / T``.
 
     Args:
@@ -189,126 +168,85 @@ def log_likelihoods(
     return jax.lax.map(window, (slope, bend))
 
 
-def fit(
+def window_log_likelihoods(derivatives: FeatureDerivatives, found: Fit | LearnedReward) -> Values:
+    """Return `log_likelihoods` of the scaled controls in every window under a reward, in double precision."""
+    with jax.enable_x64(True):
+        theta = jnp.array([found.weights[name] for name in found.model.names])
+        data = FeatureDerivatives(*map(jnp.asarray, derivatives))
+        return np.asarray(log_likelihoods(data, theta, found.temperature, found.model.floor, found.tails))
+
+
+def fit_weights(
     derivatives: FeatureDerivatives,
     model: RewardModel,
     near: Fit | None = None,
-    drivers: Int[np.ndarray, "n"] | None = None,
+    drivers: Numbers | None = None,
+    strict: bool = True,
 ) -> Fit:
-    """Fit the most likely weights and temperature, see `most_likely`.
+    """Fit the weights and the temperature that make windows most likely under a weak prior, in double precision.
+
+    The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
+    deviation 4. Where the windows carry no information about a weight, its prior remains, and the covariance shows it.
 
     Args:
         derivatives: of the features `RewardModel.names`, in their order.
         model: the weights to learn and those given.
         near: a fit to start from; by default, with more than 600 windows, a fit of about 300 of them.
         drivers: number of each window's driver, for the covariance; by default, all windows are independent.
+        strict: whether to refuse a fit that has not converged.
 
     Raises:
-        ValueError: if the weights diverge.
+        ValueError: if the weights diverge, or the fit does not converge.
     """
-    windows = len(derivatives.features)
-    if near is None and windows > MANY:
-        near = fit(derivatives.of(np.arange(0, windows, windows * 2 // MANY)), model)
-    begin = None if near is None else near.logarithms
-    return most_likely(_above_floor, (derivatives, model.floor), model, begin, drivers)
-
-
-def _above_floor(
-    data: tuple[FeatureDerivatives, jax.Array], theta: Float[jax.Array, "names"], *spread: Float[jax.Array, ""]
-) -> Float[jax.Array, "n"]:
-    """`log_likelihoods` of derivatives and a floor, with a temperature and perhaps tails."""
-    derivatives, floor = data
-    return log_likelihoods(derivatives, theta, spread[0], floor, *spread[1:])
-
-
-Likelihoods: TypeAlias = Callable[..., Float[jax.Array, "n"]]
-"""Log p of each of n data, of (data, theta, temperature) and, in a model with tails, of nu."""
-
-
-def most_likely(
-    likelihoods: Likelihoods,
-    data: Any,
-    model: RewardModel,
-    begin: Float[np.ndarray, "parameters"] | None = None,
-    drivers: Int[np.ndarray, "n"] | None = None,
-) -> Fit:
-    """Fit the weights and the temperature that make data most likely under a weak prior, in double precision.
-
-    The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
-    deviation 4. Where the data carry no information about a weight, its prior remains, and the covariance shows it.
-
-    Args:
-        likelihoods: log p of each of n data, of (data, theta in the order of `RewardModel.names`, temperature); a
-            module-level function, so that it is compiled once for data of the same shapes.
-        data: a pytree of arrays.
-        model: the weights to learn and those given.
-        begin: the logarithms to start from.
-        drivers: see `fit`.
-
-    Raises:
-        ValueError: if the weights diverge.
-    """
+    number, learned = len(derivatives.features), len(model.learned)
+    if near is None and number > MANY:
+        near = fit_weights(derivatives.of(np.arange(0, number, number * 2 // MANY)), model, strict=False)
+    remedy = "learn fewer weights, or from more driving"
     with jax.enable_x64(True):
         given = jnp.array([float(value) for value in model.given.values()])
-        signs, data = jnp.asarray(model.signs()), jax.tree.map(jnp.asarray, data)
+        data = FeatureDerivatives(*map(jnp.asarray, derivatives)), model.floor, model.signs(), given
 
-        def loss(logarithms: np.ndarray) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
-            return _loss(likelihoods, jnp.asarray(logarithms), data, signs, given)
+        def loss(logarithms: Parameters) -> tuple[float, np.ndarray]:
+            (value, _), slope = _loss(logarithms, *data)
+            return float(value), np.asarray(slope)
 
-        def value(logarithms: np.ndarray) -> float:
-            return float(loss(logarithms)[0][0])
+        def bend(logarithms: Parameters) -> np.ndarray:
+            hessian = slope_differences(lambda near: loss(near)[1], logarithms, DIFFERENCE)
+            if not np.isfinite(hessian).all():
+                raise ValueError(f"the weights diverge, at {model.weights(logarithms)}; {remedy}")
+            return hessian
 
-        def slope(logarithms: np.ndarray) -> np.ndarray:
-            return np.asarray(loss(logarithms)[1])
-
-        def bend(logarithms: np.ndarray) -> np.ndarray:
-            steps = DIFFERENCE * np.eye(len(logarithms))
-            rows = [slope(logarithms + step) - slope(logarithms - step) for step in steps]
-            if not np.isfinite(rows).all():
-                weights = model.weights(logarithms)
-                raise ValueError(f"the weights diverge, at {weights}; learn fewer of them, or from more driving")
-            return np.stack(rows) / (2 * DIFFERENCE)
-
-        first = np.zeros(len(model.learned) + 1 + model.tails) if begin is None else begin
-
-        found = optimize.minimize(value, first, jac=slope, hess=bend, method="trust-exact", options=TRUST_REGION)
-        top = np.asarray(found.x)
-        hessian, converged = bend(top), bool(np.abs(slope(top)).max() < TOLERANCE)
-        each = np.asarray(loss(top)[0][1])
-        covariance = np.linalg.pinv(len(each) * (hessian + hessian.T) / 2, hermitian=True)
+        first = np.zeros(learned + 1 + model.tails) if near is None else near.logarithms
+        found = optimize.minimize(loss, first, jac=True, hess=bend, method="trust-exact", options=TRUST_REGION)
+        top, weights, hessian = np.asarray(found.x), model.weights(found.x), bend(found.x)
+        if strict and np.abs(loss(top)[1]).max() >= TOLERANCE:
+            raise ValueError(f"the fit has not converged after {found.nit} iterations, at {weights}; {remedy}")
+        covariance = np.linalg.pinv(number * (hessian + hessian.T) / 2, hermitian=True)
         if drivers is not None:
-            scores = np.asarray(_scores(likelihoods, jnp.asarray(top), data, signs, given))
-            of_drivers = np.stack([scores[drivers == driver].sum(axis=0) for driver in np.unique(drivers)])
-            covariance = covariance @ (of_drivers.T @ of_drivers) @ covariance
-    return Fit(model, top, covariance, converged, int(found.nit), float(each.mean()))
-
-
-@partial(jit_quickly, static_argnums=(0,))
-@partial(jax.value_and_grad, argnums=1, has_aux=True)
-def _loss(
-    likelihoods: Likelihoods,
-    logarithms: Float[jax.Array, "parameters"],
-    data: Any,
-    signs: Float[jax.Array, "learned"],
-    given: Float[jax.Array, "given"],
-) -> tuple[Float[jax.Array, ""], Float[jax.Array, "n"]]:
-    """Return minus the mean log p under the prior, and log p of each of the data."""
-    each = _each(likelihoods, logarithms, data, signs, given)
-    return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each), each
-
-
-@partial(jit_quickly, static_argnums=(0,))
-def _scores(likelihoods: Likelihoods, logarithms: jax.Array, *rest: Any) -> Float[jax.Array, "n parameters"]:
-    """Return the slopes of log p of each of the data in the logarithms, for the arguments of `_loss`."""
-    return jax.jacfwd(lambda logarithms: _each(likelihoods, logarithms, *rest))(logarithms)
+            covariance = grouped_covariance(covariance, np.asarray(_scores(top, *data)), drivers)
+        likely = float(_loss(top, *data)[0][1].mean())
+    temperature, *tails = np.exp(top[learned:]).tolist()
+    return Fit(model, top, covariance, int(found.nit), likely, weights, temperature, *(tails or [None]))
 
 
 def _each(
-    likelihoods: Likelihoods,
-    logarithms: Float[jax.Array, "parameters"],
-    data: Any,
-    signs: Float[jax.Array, "learned"],
-    given: Float[jax.Array, "given"],
-) -> Float[jax.Array, "n"]:
-    sizes = jnp.exp(logarithms)
-    return likelihoods(data, jnp.concatenate([signs * sizes[: len(signs)], given]), *sizes[len(signs) :])
+    logarithms: Parameters, derivatives: FeatureDerivatives, floor: float, signs: Parameters, given: Parameters
+) -> Values:
+    """Return log p of every window under logarithms of the learned weights' sizes, the temperature and perhaps nu."""
+    sizes, learned = jnp.exp(logarithms), len(signs)
+    temperature, *tails = sizes[learned:]
+    return log_likelihoods(derivatives, jnp.concatenate([signs * sizes[:learned], given]), temperature, floor, *tails)
+
+
+@jit_quickly
+@partial(jax.value_and_grad, has_aux=True)
+def _loss(logarithms: Parameters, *data: Any) -> tuple[Scalar, Values]:
+    """Return minus the mean log p under the prior, and log p of each window."""
+    each = _each(logarithms, *data)
+    return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each), each
+
+
+@jit_quickly
+def _scores(logarithms: Parameters, *data: Any) -> Float[Any, "n parameters"]:
+    """Return the slopes of log p of each window."""
+    return jax.jacfwd(lambda logarithms: _each(logarithms, *data))(logarithms)

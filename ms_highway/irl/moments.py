@@ -6,12 +6,11 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
-from ms_highway.game.scenario import TIME_STEP
+from ms_highway.irl.arrays import CarFlags, CarNumbers, Cars, CarStates, Flags, Numbers, Paths, Values
 from ms_highway.irl.recordings.recording import Recording, number_groups
-
-__all__ = ["PAST", "STEPS", "Moments", "cut_moments", "lanes_of"]
+from ms_highway.irl.windows import padded_lanes
 
 STEPS = 50
 """Steps of 0.1 s for which drivers are predicted."""
@@ -19,9 +18,18 @@ STEPS = 50
 PAST = 30
 """Steps of 0.1 s before a moment that predictions may look at."""
 
+HORIZONS = (1, 2, 3, 5)
+"""Seconds after which predictions are judged."""
+
+AT = 10 * np.array(HORIZONS) - 1
+"""Places of the horizons among the steps."""
+
+SCALES = np.array([[0.4, 0.1], [1.0, 0.3], [1.8, 0.5], [3.5, 0.8]])
+"""Usual errors at the horizons, along and across the road [m], by which fits weigh them."""
+
 APART = 10  # steps between two moments at which a driver is predicted
 SHORTEST = 10  # steps for which a driver must be seen from then on
-CARS, LANES = 64, 6  # at least, so that one compilation serves most recordings
+CARS = 64  # at least, so that one compilation serves most recordings
 
 
 @jax.tree_util.register_dataclass
@@ -30,10 +38,10 @@ class Moments:
     """n moments of recorded traffic: arrays of NumPy or JAX, in SI units and lane coordinates.
 
     Attributes:
-        past: every car 3 s before, and at each step until now; NaN where it was not seen.
-        future: every car after each of the coming steps; NaN where it was not seen.
+        past: every car 3 s before, and at each step until now [n, 31, cars, 4]; NaN where it was not seen.
+        future: every car after each of the coming steps [n, 50, cars, 4]; NaN where it was not seen.
         sizes: length and width of every car [m].
-        lanes: lateral position of each lane's centre, ascending; the last is repeated.
+        lanes: lateral position of each lane's centre [n, lanes], ascending; the last is repeated.
         lane_width: of a lane [m].
         speed_limit: of the road [m/s].
         predicted: which cars are drivers to predict from this moment on.
@@ -41,30 +49,35 @@ class Moments:
         group: number of the recording's group, to split by.
     """
 
-    past: Float[Any, "n 31 cars 4"]
-    future: Float[Any, "n 50 cars 4"]
+    past: CarStates
+    future: CarStates
     sizes: Float[Any, "n cars 2"]
-    lanes: Float[Any, "n lanes"]
-    lane_width: Float[Any, "n"]
-    speed_limit: Float[Any, "n"]
-    predicted: Bool[Any, "n cars"]
-    track: Int[Any, "n cars"]
-    group: Int[Any, "n"]
+    lanes: Cars
+    lane_width: Values
+    speed_limit: Values
+    predicted: CarFlags
+    track: CarNumbers
+    group: Numbers
 
     def __len__(self) -> int:
         return len(self.group)
 
     @property
-    def now(self) -> Float[Any, "n cars 4"]:
+    def now(self) -> CarStates:
         """States of all cars, NaN for those that are not seen."""
         return self.past[:, -1]
 
     @property
-    def recorded(self) -> Float[np.ndarray, "drivers 50 2"]:
+    def recorded(self) -> Paths:
         """Positions of the predicted drivers after each step, NaN after they were seen last."""
-        return self.drivers(np.moveaxis(np.asarray(self.future), 1, 2))[..., :2]
+        return self.tracks(self.future)[..., :2]
 
-    def of(self, chosen: Bool[np.ndarray, "n"]) -> "Moments":
+    @property
+    def which(self) -> Numbers:
+        """Number of the moment of each predicted driver."""
+        return np.argwhere(self.predicted)[:, 0]
+
+    def of(self, chosen: Flags) -> "Moments":
         """Return the chosen moments."""
         return jax.tree.map(lambda numbers: numbers[chosen], self)
 
@@ -72,59 +85,45 @@ class Moments:
         """Return the rows of the predicted drivers of values [n, cars, ...], moment after moment."""
         return values[self.predicted]
 
+    def by_fold(self, fold: Numbers, parts: Sequence[Any]) -> Any:
+        """Return the rows of the predicted drivers from the part of its moment's fold; parts are tuples of arrays."""
+        own = fold[self.which], np.arange(len(self.which))
+        return type(parts[0])(*(np.stack(values)[own] for values in zip(*parts, strict=True)))
+
+    def tracks(self, states: CarStates) -> CarStates:
+        """Return the states [drivers, times, 4] of the predicted drivers, from those [n, times, cars, 4] of all."""
+        return self.drivers(np.moveaxis(states, 1, 2))
+
 
 def cut_moments(recordings: Sequence[Recording]) -> Moments:
     """Cut the moments at which drivers are predicted: the first of each driver's track and every full second after it.
 
-    Args:
-        recordings: the recordings to cut.
-
     Raises:
-        ValueError: if no driver was seen for a second, or a recording's time step is not 0.1 s.
+        ValueError: if no driver was seen for a second.
     """
-    groups = number_groups(recordings)
+    groups, rows, tracks_before = number_groups(recordings), [], 0
     cars = max((CARS, *(item.states.shape[1] for item in recordings)))
-    lanes = max((LANES, *(len(item.lanes) for item in recordings)))
-    rows, first_track = [], 0
-    for recording in recordings:
-        if not np.isclose(recording.time_step, TIME_STEP):
-            step = recording.time_step
-            raise ValueError(f"{recording.name} has a time step of {step} s, not of {TIME_STEP} s; resample it")
-        tracks = np.full(cars, -1)
-        tracks[recording.drivers] = first_track + np.arange(len(recording.drivers))
-        first_track += len(recording.drivers)
+    for recording, lanes in zip(recordings, padded_lanes(recordings), strict=True):
+        track = np.full(cars, -1)
+        track[recording.drivers] = tracks_before + np.arange(len(recording.drivers))
+        tracks_before += len(recording.drivers)
         missing = cars - recording.states.shape[1]
         states = np.pad(recording.states, ((PAST, STEPS), (0, missing), (0, 0)), constant_values=np.nan)
-        road = np.pad(np.asarray(recording.lanes, dtype=float), (0, lanes - len(recording.lanes)), mode="edge")
-        begins = {int(car): _begins(recording, int(car)) for car in recording.drivers}
-        for time in sorted({time for times in begins.values() for time in times}):
-            predicted = np.zeros(cars, dtype=bool)
-            predicted[[car for car, times in begins.items() if time in times]] = True
-            rows.append(
-                Moments(
-                    past=states[time : time + PAST + 1],
-                    future=states[time + PAST + 1 : time + PAST + 1 + STEPS],
-                    sizes=np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0),
-                    lanes=road,
-                    lane_width=np.float64(recording.lane_width),
-                    speed_limit=np.float64(recording.speed_limit),
-                    predicted=predicted,
-                    track=tracks,
-                    group=np.int64(groups[recording.group]),
-                )
-            )
+        sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
+        road = lanes, recording.lane_width, recording.speed_limit
+        begins = np.zeros((len(recording.states), cars), dtype=bool)
+        for car in recording.drivers:
+            seen = np.flatnonzero(recording.seen[:, car])
+            begins[seen[0] : max(seen[-1] - SHORTEST + 1, 0) : APART, car] = True
+        for time in np.flatnonzero(begins.any(axis=1)):
+            past, future = np.split(states[time : time + PAST + 1 + STEPS], [PAST + 1])
+            rows.append(Moments(past, future, sizes, *road, begins[time], track, groups[recording.group]))
     if not rows:
         raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {SHORTEST / 10:g} s")
     return jax.tree.map(lambda *parts: np.stack(parts), *rows)
 
 
-def lanes_of(lanes: Float[Any, "*n lanes"], y: Float[Any, "*n cars"]) -> Int[Any, "*n cars"]:
-    """Return the number of the lane whose centre is nearest to each lateral position."""
+def lanes_of(lanes: Cars, y: Cars) -> CarNumbers:
+    """Return the number of the lane whose centre is nearest to each lateral position; the first of repeated ones."""
     xp = y.__array_namespace__()
     return xp.argmin(xp.abs(y[..., None] - lanes[..., None, :]), axis=-1)
-
-
-def _begins(recording: Recording, car: int) -> range:
-    """Return the times at which a car is predicted."""
-    seen = np.flatnonzero(recording.seen[:, car])
-    return range(seen[0], seen[-1] - SHORTEST + 1, APART)

@@ -1,16 +1,16 @@
-"""Tell where drivers may be: paths in several modes, how far off they may be, and how likely a position is."""
+"""Say where drivers may be: paths in several modes, how far off they may be, and how likely a position is."""
 
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
-from scipy import optimize
+from jaxtyping import Float
 
 from ms_highway.game.learned_drivers import Spread
-
-__all__ = ["DRAWS", "SIDES", "Modes", "expected_path", "fit_spread", "log_density", "region_level"]
+from ms_highway.irl.arrays import Parameters, Paths, Scalar, Steps
+from ms_highway.optimization.estimation import minimum
+from ms_highway.runtime.structures import plain
 
 DRAWS = 256
 """Draws from a predicted distribution, by which the region that holds a position is measured."""
@@ -18,7 +18,9 @@ DRAWS = 256
 SIDES = np.array([0, -1, 1])
 """Lanes to the right of each mode of a driver who may change lanes."""
 
-EVERY = 5  # steps between those at which the spread is fitted
+EVERY = 5
+"""Steps between those at which distributions are fitted."""
+
 FIRST = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.0, 0.0)  # parameters that a fit starts from, the tails' last
 PRIOR = 2.0  # standard deviation of the parameters around these
 
@@ -35,13 +37,18 @@ class Modes(NamedTuple):
     path: Float[Any, "n modes 50 2"]
 
 
-def expected_path(modes: Modes) -> Float[np.ndarray, "n 50 2"]:
+def one_mode(path: Paths) -> Modes:
+    """Return the single path of each driver as its only mode."""
+    return Modes(jnp.ones((len(path), 1)), jnp.asarray(path)[:, None])
+
+
+def expected_path(modes: Modes) -> Paths:
     """Return the mean of the modes' paths, the single path that errors are measured by."""
     return np.einsum("nm,nmtc->ntc", np.asarray(modes.probability), np.asarray(modes.path))
 
 
 @jax.jit
-def log_density(modes: Modes, spread: Spread, positions: Float[jax.Array, "n 50 2"]) -> Float[jax.Array, "n 50"]:
+def log_density(modes: Modes, spread: Spread, positions: Paths) -> Steps:
     """Return the log density of positions after each step [1/m^2]; NaN where a position is NaN."""
     scales = spread.scales(*modes.path.shape[1:3])
     off = (jnp.asarray(positions)[:, None] - modes.path) / scales
@@ -52,52 +59,39 @@ def log_density(modes: Modes, spread: Spread, positions: Float[jax.Array, "n 50 
     return jax.scipy.special.logsumexp(each + chances[..., None], axis=1)
 
 
-def region_level(
-    modes: Modes, spread: Spread, positions: Float[np.ndarray, "n 50 2"], seed: int = 0
-) -> Float[np.ndarray, "n 50"]:
+def region_level(modes: Modes, spread: Spread, positions: Paths) -> Steps:
     """Return the probability of the region of highest density that has each position on its edge, by `DRAWS` draws.
 
     Over cases that are well predicted, it is uniformly distributed: half of the drivers are in the 50 % region.
     """
-    random = np.random.default_rng(seed)
-    n, number, steps = np.asarray(modes.path).shape[:3]
+    random, path = np.random.default_rng(0), np.asarray(modes.path)
+    n, number, steps = path.shape[:3]
     scales, freedom = np.asarray(spread.scales(number, steps)), np.asarray(spread.freedom(steps))
     edge, inside = np.asarray(log_density(modes, spread, positions)), np.zeros((n, steps))
     below = np.cumsum(np.asarray(modes.probability), axis=1)[:, :-1]
     for _ in range(DRAWS):
         mode = np.sum(random.random((n, 1)) > below, axis=1)
         stretch = np.sqrt(freedom / random.chisquare(freedom, (n, steps)))[..., None]
-        drawn = np.asarray(modes.path)[np.arange(n), mode] + stretch * random.normal(size=(n, steps, 2)) * scales[mode]
+        drawn = path[np.arange(n), mode] + stretch * random.normal(size=(n, steps, 2)) * scales[mode]
         inside += np.asarray(log_density(modes, spread, drawn)) > edge
     return np.where(np.isfinite(edge), inside / DRAWS, np.nan)
 
 
-def fit_spread(modes: Modes, positions: Float[np.ndarray, "n 50 2"]) -> Spread:
+def fit_spread(modes: Modes, positions: Paths) -> Spread:
     """Fit the spread that makes recorded positions most likely, every half second."""
-    few = np.s_[EVERY - 1 :: EVERY]
-    known = np.isfinite(positions).all(axis=-1)[:, few]
-
-    def value(parameters: np.ndarray) -> tuple[float, np.ndarray]:
-        surprise, slope = _surprise(parameters, modes, np.nan_to_num(positions), known)
-        return float(surprise), np.asarray(slope, dtype=float)
-
-    found = optimize.minimize(value, np.array(FIRST), jac=True, method="L-BFGS-B")
-    return _spread(found.x)
+    known = np.isfinite(positions).all(axis=-1)[:, EVERY - 1 :: EVERY]
+    found = minimum(_surprise, np.array(FIRST), modes, np.nan_to_num(positions), known)
+    return plain(_spread(found))
 
 
-def _spread(parameters: Float[Any, "10"]) -> Spread:
+def _spread(parameters: Parameters) -> Spread:
     xp = parameters.__array_namespace__()
     return Spread(parameters[:3], parameters[3:6], parameters[6:8], xp.stack([xp.exp(parameters[8]), parameters[9]]))
 
 
 @jax.jit
 @jax.value_and_grad
-def _surprise(
-    parameters: Float[jax.Array, "10"],
-    modes: Modes,
-    positions: Float[jax.Array, "n 50 2"],
-    known: Bool[jax.Array, "n few"],
-) -> Float[jax.Array, ""]:
+def _surprise(parameters: Parameters, modes: Modes, positions: Paths, known: Steps) -> Scalar:
     """Return minus the mean log density of the known positions, with a weak prior."""
     each = log_density(modes, _spread(jnp.asarray(parameters)), positions)[:, EVERY - 1 :: EVERY]
     weak = jnp.sum((jnp.asarray(parameters) - jnp.array(FIRST)) ** 2) / (2 * PRIOR**2)

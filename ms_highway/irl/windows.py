@@ -9,36 +9,20 @@ from typing import Any
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from ms_highway.game.dynamics import Motion, keep_velocity, observe
 from ms_highway.game.features import motion_features
 from ms_highway.game.game import Game, move
 from ms_highway.game.neighbours import far_behind, places
 from ms_highway.game.reward import FEATURES, features_for
-from ms_highway.game.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT, driving_game
+from ms_highway.game.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT, TIME_STEP, driving_game
 from ms_highway.game.scene import Scene
-from ms_highway.irl.recordings.recording import Recording, number_groups
-from ms_highway.irl.recordings.tracks import track_of
-from ms_highway.optimization.second_derivatives import Trajectory
+from ms_highway.irl.arrays import CarStates, Controls, Flags, Numbers, States, Values
+from ms_highway.irl.recordings.recording import Recording, number_groups, track_of
+from ms_highway.optimization.arrays import Trajectory
 from ms_highway.runtime.batches import in_batches
 from ms_highway.runtime.compilation import jit_quickly
-
-__all__ = [
-    "Windows",
-    "coasting",
-    "control_deviation",
-    "cut_windows",
-    "driver_game",
-    "features_along",
-    "first_step",
-    "most_lanes",
-    "path_features",
-    "regular",
-    "regular_windows",
-    "scene_of",
-    "with_window",
-]
 
 KINK = 0.05  # sine of the heading below which noise may turn the car to either side
 SATURATED = 0.8  # of the limits of plans
@@ -61,42 +45,25 @@ class Windows:
     """
 
     scenes: Scene
-    speed_limit: Float[Any, "*n"]
-    start: Float[Any, "*n 4"]
-    controls: Float[Any, "*n K 2"]
+    speed_limit: Values
+    start: States
+    controls: Controls
     others: Float[Any, "*n 6 K 4"]
-    driver: Int[Any, "*n"]
-    group: Int[Any, "*n"]
+    driver: Numbers
+    group: Numbers
 
     def __len__(self) -> int:
         return len(self.start)
 
-    def of(self, chosen: Bool[np.ndarray, "n"]) -> "Windows":
+    def of(self, chosen: Flags) -> "Windows":
         """Return the chosen windows."""
         return jax.tree.map(lambda numbers: numbers[chosen], self)
 
 
-def scene_of(recording: Recording, driver: int, lanes: int) -> Scene:
-    """Return a driver's scene: all cars have its size, and lanes are padded to a number by repeating the last.
-
-    Repeated lanes change no feature.
-    """
-    missing = lanes - len(recording.lanes)
-    return Scene(
-        lanes=np.pad(np.asarray(recording.lanes, dtype=float), (0, missing), mode="edge"),
-        lane_width=float(recording.lane_width),
-        obstacles=np.empty((0, 2)),
-        obstacle_size=np.ones(2),
-        car_size=np.asarray(recording.sizes[driver], dtype=float),
-        corner=0.5,
-        target_lane=float(recording.lanes[0]),
-        length_unit=PAPER_UNIT,
-    )
-
-
-def most_lanes(recordings: Sequence[Recording]) -> int:
-    """Return the number to pad lanes to, see `scene_of`."""
-    return max((LANES, *(len(item.lanes) for item in recordings)))
+def padded_lanes(recordings: Sequence[Recording]) -> list[Values]:
+    """Return every recording's lanes, padded to one number by repeating the last, which changes no feature."""
+    most = max((LANES, *(len(item.lanes) for item in recordings)))
+    return [np.pad(np.asarray(item.lanes, float), (0, most - len(item.lanes)), mode="edge") for item in recordings]
 
 
 def cut_windows(recordings: Sequence[Recording], steps: int) -> Windows:
@@ -107,60 +74,45 @@ def cut_windows(recordings: Sequence[Recording], steps: int) -> Windows:
         steps: K, the length of a window.
 
     Raises:
-        ValueError: if there is no window, or a recording's time step differs from the planners'.
+        ValueError: if there is no window.
     """
-    groups = number_groups(recordings)
-    lanes = most_lanes(recordings)
-    rows, drivers = [], itertools.count()
-    for recording in recordings:
-        everyone = coasting(recording.states, recording.time_step)
-        for driver in map(int, recording.drivers):
-            track = track_of(recording, driver, PAPER_DYNAMICS)
-            scene, number = scene_of(recording, driver, lanes), np.int64(next(drivers))
+    groups, rows, numbers = number_groups(recordings), [], itertools.count()
+    for recording, lanes in zip(recordings, padded_lanes(recordings), strict=True):
+        everyone = _coasting(recording.states)
+        for driver in recording.drivers:
+            track, marks = track_of(recording, driver, PAPER_DYNAMICS), (next(numbers), groups[recording.group])
+            scene = Scene(
+                lanes=lanes,
+                lane_width=recording.lane_width,
+                obstacles=np.empty((0, 2)),
+                obstacle_size=np.ones(2),
+                car_size=recording.sizes[driver],
+                corner=0.5,
+                target_lane=lanes[0],
+                length_unit=PAPER_UNIT,
+            )
             for first in range(0, len(track.controls) - steps + 1, steps):
-                start, now = track.states[first], first_step(recording, driver) + first
-                others = _around(start, everyone[now : now + steps + 1], _others(recording, driver, now), recording)
-                group = np.int64(groups[recording.group])
+                start, now = track.states[first], recording.seen[:, driver].argmax() + first
+                present = recording.seen[now] & (np.arange(recording.states.shape[1]) != driver)
+                cars, taken = places(start, everyone[now], present, recording.lane_width)
+                paths = np.moveaxis(everyone[now + 1 : now + steps + 1, cars], 0, 1)
+                others = np.where(taken[:, None, None], paths, far_behind(start))
                 controls = track.controls[first : first + steps]
-                rows.append(Windows(scene, np.float64(recording.speed_limit), start, controls, others, number, group))
+                rows.append(Windows(scene, recording.speed_limit, start, controls, others, *marks))
     if not rows:
         raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {steps + 1} samples on end")
     return jax.tree.map(lambda *parts: np.stack(parts), *rows)
 
 
-def first_step(recording: Recording, car: int) -> int:
-    """Return the time step at which a car was first seen."""
-    return int(recording.seen[:, car].argmax())
-
-
-def coasting(states: Float[np.ndarray, "times cars 4"], time_step: float) -> Float[np.ndarray, "times cars 4"]:
-    """Return the states, with NaN after a car was last seen replaced by motion at constant velocity."""
+def _coasting(states: CarStates) -> CarStates:
+    """Return the states, with motion at constant velocity after a car was last seen."""
     states = states.copy()
     for before, after in itertools.pairwise(states):
-        lost = np.isnan(after).any(axis=-1)
-        heading, distance = before[lost, 2], before[lost, 3] * time_step
-        after[lost] = before[lost]
-        after[lost, :2] += np.stack([distance * np.cos(heading), distance * np.sin(heading)], axis=-1)
+        x, y, heading, speed = before.T
+        distance = speed * TIME_STEP
+        kept = np.stack([x + distance * np.cos(heading), y + distance * np.sin(heading), heading, speed], axis=-1)
+        after[:] = np.where(np.isnan(after).any(axis=-1, keepdims=True), kept, after)
     return states
-
-
-def _others(recording: Recording, driver: int, time: int) -> Bool[np.ndarray, "cars"]:
-    """Return which cars other than the driver are seen at a time."""
-    others = recording.seen[time].copy()
-    others[driver] = False
-    return others
-
-
-def _around(
-    driver: Float[np.ndarray, "4"],
-    everyone: Float[np.ndarray, "K+1 cars 4"],
-    present: Bool[np.ndarray, "cars"],
-    recording: Recording,
-) -> Float[np.ndarray, "6 K 4"]:
-    """Return the paths of the driver's neighbours at the first time."""
-    cars, taken = places(driver, everyone[0], present, recording.lane_width)
-    paths = np.moveaxis(everyone[1:, cars], 0, 1)
-    return np.where(taken[:, None, None], paths, far_behind(driver))
 
 
 def regular_windows(recordings: Sequence[Recording], steps: int) -> Windows:
@@ -179,7 +131,7 @@ def regular_windows(recordings: Sequence[Recording], steps: int) -> Windows:
     return windows
 
 
-def regular(windows: Windows) -> Bool[np.ndarray, "n"]:
+def regular(windows: Windows) -> Flags:
     """Return the windows in which the gradient at the driver's controls identifies the reward.
 
     Excluded are controls near their limit, where the limit and not the reward decides; and cars that are off the road
@@ -208,8 +160,7 @@ def driver_game(windows: Windows, weights: Mapping[str, float], names: Sequence[
     scene = jax.tree.map(lambda numbers: numbers[0], windows.scenes)
     computed = features_for(weights, dict.fromkeys(names, 1.0), least=FEATURES)
     game = driving_game(scene, float(windows.speed_limit[0]), weights, computed, grip=None)
-    horizon = windows.controls.shape[1]
-    return replace(game, planner=replace(game.planner, horizon=horizon))
+    return replace(game, planner=replace(game.planner, horizon=windows.controls.shape[1]))
 
 
 def with_window(game: Game, window: Windows) -> Game:
@@ -218,27 +169,21 @@ def with_window(game: Game, window: Windows) -> Game:
 
 
 def path_features(game: Game, window: Windows, path: Trajectory) -> Float[jax.Array, "K features"]:
-    """Return the game's features at each step of a driver's path in a window.
-
-    Args:
-        game: of `driver_game`.
-        window: one window.
-        path: the driver's motion after each step.
-    """
+    """Return the features of `driver_game` at each step of a driver's path in one window."""
     here = with_window(game, window)
 
-    def at_step(own: Float[jax.Array, "fields"], others: Float[jax.Array, "6 4"]) -> Float[jax.Array, "features"]:
+    def at_step(own: jax.Array, others: jax.Array) -> jax.Array:
         return jnp.stack(motion_features(here.scene, here.robot, Motion(*own), observe(others)))
 
     return jax.vmap(at_step, in_axes=(1, 1))(path, window.others)
 
 
-def control_deviation(game: Game, window: Windows, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "K 2"]:
+def control_deviation(game: Game, window: Windows, controls: Controls) -> Controls:
     """Return scaled controls minus those that keep the velocity; comfort's features are ``-sum deviation^2 / 2``."""
     return controls - keep_velocity(game.dynamics, jnp.asarray(window.start)) / game.planner.control_scale
 
 
-def features_along(game: Game, window: Windows, controls: Float[jax.Array, "K 2"]) -> Float[jax.Array, "features"]:
+def features_along(game: Game, window: Windows, controls: Controls) -> Float[jax.Array, "features"]:
     """Return the game's features, then those of comfort, summed over a window's steps under scaled controls."""
     path = move(game, jnp.asarray(window.start), controls)
     paid = path_features(game, window, path).sum(axis=0)

@@ -22,7 +22,7 @@ from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.hypotheses import next_controls
 from ms_highway.runtime.arrays import Array, SameArray
-from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
+from ms_highway.runtime.compilation import in_one_kernel, quick_options
 from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up
 
@@ -121,4 +121,4 @@ def infer_function(layout: Layout) -> jax.stages.Wrapped:
     def update(numbers: Array, belief: Belief, before: State, after: State, robot: Controls) -> Belief:
         return infer(layout.unpack(numbers), belief, before, after, robot)
 
-    return jax.jit(in_one_kernel(update), compiler_options=known_options(QUICKLY))
+    return jax.jit(in_one_kernel(update), compiler_options=quick_options())

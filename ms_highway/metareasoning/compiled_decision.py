@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule, first
 from ms_highway.optimization.arrays import Control
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Array, Vector
-from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
+from ms_highway.runtime.compilation import in_one_kernel, quick_options
 from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up
 
@@ -47,6 +47,9 @@ class CompiledDecision:
         self._leaves = [jnp.asarray(leaf) for leaf in leaves]
         self.rule, self.game = rule, game
         self.function = decide_function(layout, network, game.number == 1 and rule.in_one_kernel)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return CompiledDecision, (self.rule, self.game)  # compiled functions cannot be pickled
 
     def decide(self, memory: Memory, observed: Observation) -> tuple[Decision, float]:
         """Return the decision, in NumPy arrays, and the seconds that it took.
@@ -114,9 +117,7 @@ def decide_function(layout: Layout, network: jax.tree_util.PyTreeDef = EMPTY, fu
         return jnp.concatenate([rungs, step[None], checks.ravel(), gains.ravel(), failed[None]])
 
     whole = fuses and network == EMPTY
-    return jax.jit(
-        in_one_kernel(look_and_choose) if whole else look_and_choose, compiler_options=known_options(QUICKLY)
-    )
+    return jax.jit(in_one_kernel(look_and_choose) if whole else look_and_choose, compiler_options=quick_options())
 
 
 def _memory(rule: Rule, game: Game, observed: Vector) -> tuple[Memory, Vector]:

@@ -6,21 +6,22 @@ with R what a proposal earns and c_i the part of it that car i costs. Where noth
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ms_highway.planning.road.settings import RUNGS
+from ms_highway.planning.road.settings import ROAD_MODELS
 
-__all__ = ["BudgetedRungs", "FixedRung", "PricedRungs", "RoadCosts", "RungChoice"]
+Gains = Float[Any, "traffic"]
+Rungs = Int[Any, "traffic"]
 
 
 class RoadCosts(NamedTuple):
     """Seconds of a plan: ``base + sum each[rung]`` over the cars."""
 
     base: float
-    each: Float[np.ndarray, "rungs"]
+    each: Float[Any, "rungs"]
 
 
 class RungChoice(Protocol):
@@ -32,7 +33,7 @@ class RungChoice(Protocol):
 
     looks: bool
 
-    def choose(self, gains: Float[np.ndarray, "traffic"], costs: RoadCosts, spent: float) -> Int[np.ndarray, "traffic"]:
+    def choose(self, gains: Gains, costs: RoadCosts, spent: float) -> Rungs:
         """Return the rung of each car.
 
         Args:
@@ -54,17 +55,17 @@ class FixedRung:
     looks = False
 
     def __post_init__(self) -> None:
-        if self.name not in RUNGS:
-            raise ValueError(f"there is no model {self.name!r} of traffic; the models are {', '.join(RUNGS)}")
+        if self.name not in ROAD_MODELS:
+            raise ValueError(f"there is no model {self.name!r} of traffic; the models are {', '.join(ROAD_MODELS)}")
 
-    def choose(self, gains: Float[np.ndarray, "traffic"], costs: RoadCosts, spent: float) -> Int[np.ndarray, "traffic"]:
+    def choose(self, gains: Gains, costs: RoadCosts, spent: float) -> Rungs:
         """See `RungChoice`."""
-        return np.full(len(gains), RUNGS.index(self.name), np.int32)
+        return np.full(len(gains), ROAD_MODELS.index(self.name), np.int32)
 
 
 @dataclass(frozen=True)
 class PricedRungs:
-    """Predict a car by the dearest model if its answer may be worth the time of it, else by the cheaper ones.
+    """Predict a car by the most expensive model whose time its answer may be worth.
 
     A model that costs nothing is always worth it.
 
@@ -74,20 +75,21 @@ class PricedRungs:
     """
 
     price: float
-    ladder: tuple[str, ...] = RUNGS
+    ladder: tuple[str, ...] = ROAD_MODELS
     looks = True
 
-    def choose(self, gains: Float[np.ndarray, "traffic"], costs: RoadCosts, spent: float) -> Int[np.ndarray, "traffic"]:
+    def choose(self, gains: Gains, costs: RoadCosts, spent: float) -> Rungs:
         """See `RungChoice`."""
-        rungs = np.full(len(gains), RUNGS.index(self.ladder[0]), np.int32)
-        for rung in (RUNGS.index(name) for name in self.ladder[1:]):
+        first, *more = map(ROAD_MODELS.index, self.ladder)
+        rungs = np.full(len(gains), first, np.int32)
+        for rung in more:
             rungs[gains >= self.price * costs.each[rung]] = rung
         return rungs
 
 
 @dataclass(frozen=True)
 class BudgetedRungs:
-    """Predict those by the dearest model whose answers may be worth most, as many as there is time for.
+    """Predict those by the most expensive model whose answers may be worth most, as many as there is time for.
 
     Attributes:
         milliseconds: of a decision and a plan.
@@ -95,18 +97,18 @@ class BudgetedRungs:
     """
 
     milliseconds: float
-    ladder: tuple[str, ...] = RUNGS
+    ladder: tuple[str, ...] = ROAD_MODELS
     looks = True
 
-    def choose(self, gains: Float[np.ndarray, "traffic"], costs: RoadCosts, spent: float) -> Int[np.ndarray, "traffic"]:
+    def choose(self, gains: Gains, costs: RoadCosts, spent: float) -> Rungs:
         """See `RungChoice`."""
         left = self.milliseconds / 1e3 - spent - costs.base
-        ladder = [RUNGS.index(name) for name in self.ladder]
-        free = max([ladder[0], *(rung for rung in ladder if costs.each[rung] == 0)])
+        ladder = [ROAD_MODELS.index(name) for name in self.ladder]
+        free = max(rung for rung in ladder if costs.each[rung] == 0 or rung == ladder[0])
         rungs = np.full(len(gains), free, np.int32)
         for car in np.argsort(-gains, kind="stable"):
             affordable = [rung for rung in ladder if costs.each[rung] <= left]
             if gains[car] > 0 and affordable:
-                rungs[car] = max(rungs[car], affordable[-1])
+                rungs[car] = max(free, affordable[-1])
                 left -= costs.each[rungs[car]]
         return rungs

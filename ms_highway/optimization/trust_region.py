@@ -6,8 +6,7 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.optimization.second_derivatives import eigenpairs
-from ms_highway.runtime.arrays import Flag, Index, Matrix, Scalar, Vector
-from ms_highway.runtime.reductions import unrolled_sum
+from ms_highway.runtime.arrays import Flag, Index, Matrix, Scalar, Vector, unrolled_sum
 
 HALVINGS = 60  # of the shift's bracket at most: more than float32 resolves
 

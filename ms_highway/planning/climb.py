@@ -116,13 +116,14 @@ def _direction(who: Answering, plan: Plan) -> Plan:
     """Return the direction of a joint gradient step."""
     game, state = who.game, who.state
     robot, pull_robot = jax.vjp(partial(move, game, state[0]), plan.robot)
-    path = _Path(game, state, robot, move_all(game, state[1 : 1 + game.number], plan.humans))
-    along_robot, along_humans = jax.grad(trajectory_reward, argnums=(2, 3))(game, state, robot, path.humans)
+    humans, pull_humans = jax.vjp(partial(move_all, game, state[1 : 1 + game.number]), plan.humans)
+    path = _Path(game, state, robot, humans)
+    along_robot, along_humans = jax.grad(trajectory_reward, argnums=(2, 3))(game, state, robot, humans)
+    pulled = pull_humans(along_humans)[0]
 
     def respond(human: Index, slopes: Plan) -> Plan:
         own = path.objective(human).expand(plan.humans[human])
-        _, pull_human = jax.vjp(partial(move, game, state[1 + human]), plan.humans[human])
-        pushed = response(game.influence, own.hessian, pull_human(along_humans[human])[0].ravel())
+        pushed = response(game.influence, own.hessian, pulled[human].ravel())
         through = path.through(human, own.jacobian, pushed)
         return Plan(slopes.robot + through, _put(slopes.humans, human, own.gradient.reshape(-1, 2)))
 

@@ -17,7 +17,7 @@ from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import Array, Scalar
-from ms_highway.runtime.compilation import QUICKLY, in_one_kernel, known_options
+from ms_highway.runtime.compilation import in_one_kernel, quick_options
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up
@@ -144,14 +144,14 @@ def plan_function(ladder: tuple[HumanModel, ...], layout: Layout, fuses: bool = 
     Args:
         ladder: human models; with one human, the one that predicts it.
         layout: of the game.
-        fuses: whether to compile one kernel, of which calls of LAPACK (`eigh`, `solve`, `cholesky`) cannot be part.
+        fuses: whether to compile one kernel, of which calls of LAPACK (``eigh``, ``solve``) cannot be part.
     """
 
     def plan(numbers: Array, state: State, start: Array, rungs: Rungs | None = None) -> Array:
         robot, humans = plan_for(ladder, layout.unpack(numbers), state, rungs, Plan(start[0], start[1:]))
         return jnp.concatenate([robot[None], humans])
 
-    return jax.jit(in_one_kernel(plan)) if fuses else jax.jit(plan, compiler_options=known_options(QUICKLY))
+    return jax.jit(in_one_kernel(plan)) if fuses else jax.jit(plan, compiler_options=quick_options())
 
 
 @cache
@@ -159,7 +159,7 @@ def way_out_function(layout: Layout) -> jax.stages.Wrapped:
     """Compile `keep_way_out` once for all games of a layout; it takes a packed game, all cars, and a scaled control."""
     return jax.jit(
         lambda numbers, state, control: keep_way_out(layout.unpack(numbers), state, control),
-        compiler_options=known_options(QUICKLY),
+        compiler_options=quick_options(),
     )
 
 

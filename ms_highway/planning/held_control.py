@@ -7,61 +7,27 @@ risk of collisions, the braking of followers and the edges of the road.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple, Self
+from typing import Any
 
-import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ms_highway.game.features import ATTENTION, HEADING_SHARE, STANDSTILL_GAP
+from ms_highway.game.leaders import Leader
 from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
-from ms_highway.runtime.arrays import Array
 
-__all__ = ["DrivingWeights", "Leader", "held_acceleration", "held_curvature"]
-
-Number = float | Float[Array, ""]
+Cars = Float[Any, "*cars"]
 
 UNIT = PAPER_UNIT  # m
 TURN_SCALE = 1 / (SPEED_LIMIT * UNIT)  # 1/m, of the planner's scaled curvature, see `ms_highway.game.scenario`
 HARDEST, STRONGEST, SHARPEST = 8.0, 4.0, 0.02  # m/s^2 of braking and accelerating, 1/m
 
 
-class DrivingWeights(NamedTuple):
-    """Weights of a reward that matter in a lane, at any common scale; see `ms_highway.game.features.features`."""
-
-    speed: Number
-    headway: Number
-    closing_speed: Number
-    lane_alignment: Number
-    direction: Number
-    comfort_steering: Number
-    comfort_acceleration: Number
-
-    @classmethod
-    def of(cls, weights: Mapping[str, float]) -> Self:
-        """Return the weights of a reward by name; those that it lacks are 0."""
-        return cls(*(float(weights.get(name, 0.0)) for name in cls._fields))
-
-
-class Leader(NamedTuple):
-    """The car ahead.
-
-    Attributes:
-        gap: between bumpers [m].
-        speed: along the road [m/s].
-        there: whether there is one.
-    """
-
-    gap: Float[jax.Array, "*cars"]
-    speed: Float[jax.Array, "*cars"]
-    there: Bool[jax.Array, "*cars"]
-
-
 def held_acceleration(
-    weights: DrivingWeights, traits: RewardTraits, speed: Float[jax.Array, "*cars"], leader: Leader, horizon: int = 5
-) -> Float[jax.Array, "*cars"]:
+    weights: Mapping[str, Any], traits: RewardTraits, speed: Cars, leader: Leader, horizon: int = 5
+) -> Cars:
     """Return the acceleration [m/s^2] that, held for a horizon of steps of 0.1 s, earns most; -8 to 4.
 
     With the speed ``v_k = v + a t_k`` and the gap ``g_k = g + (v_leader - v) t_k - a t_k^2 / 2`` it maximises, with the
@@ -69,30 +35,31 @@ def held_acceleration(
 
         sum_k -speed ((v_k - s) / s)^2 - w headway ((g_k - 2 m - headway v_k) / U)^2
               - w closing_speed ((v_k - v_leader) / s)^2 - patience comfort (a / (U / s^2))^2 / 2
+
+    Args:
+        weights: of the reward, by name, at any common scale.
+        traits: of the drivers.
+        speed: [m/s].
+        leader: of each.
+        horizon: number of steps.
     """
     wish = jnp.maximum(traits.desired_speed, 1.0)
     attention = jnp.where(leader.there, jnp.exp(-jnp.maximum(leader.gap, 0.0) / (ATTENTION * UNIT)), 0.0)
     closing = leader.speed - speed
     slope = jnp.zeros_like(speed)
-    bend = horizon * weights.comfort_acceleration * traits.patience / UNIT**2
+    bend = horizon * weights["comfort_acceleration"] * traits.patience / UNIT**2
     for time in _times(horizon):
         lack = leader.gap + closing * time - STANDSTILL_GAP * UNIT - traits.headway * speed
         change = time**2 / 2 + traits.headway * time  # of the lack, per acceleration
-        slope += 2 * weights.speed * (wish - speed) * time / wish**2
-        slope += 2 * attention * weights.headway * lack * change / UNIT**2
-        slope += 2 * attention * weights.closing_speed * closing * time / wish**2
-        bend += 2 * (weights.speed + attention * weights.closing_speed) * time**2 / wish**2
-        bend += 2 * attention * weights.headway * change**2 / UNIT**2
+        slope += 2 * weights["speed"] * (wish - speed) * time / wish**2
+        slope += 2 * attention * weights["headway"] * lack * change / UNIT**2
+        slope += 2 * attention * weights["closing_speed"] * closing * time / wish**2
+        bend += 2 * (weights["speed"] + attention * weights["closing_speed"]) * time**2 / wish**2
+        bend += 2 * attention * weights["headway"] * change**2 / UNIT**2
     return jnp.clip(slope / bend, -HARDEST, STRONGEST)
 
 
-def held_curvature(
-    weights: DrivingWeights,
-    offset: Float[jax.Array, "*cars"],
-    heading: Float[jax.Array, "*cars"],
-    speed: Float[jax.Array, "*cars"],
-    horizon: int = 5,
-) -> Float[jax.Array, "*cars"]:
+def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, speed: Cars, horizon: int = 5) -> Cars:
     """Return the curvature [1/m] that, held for a horizon of steps of 0.1 s, earns most; at most 0.02 to each side.
 
     With the lateral position ``y_k = offset + v heading t_k + v^2 c t_k^2 / 2`` and the heading ``h_k = heading + v c
@@ -100,22 +67,22 @@ def held_curvature(
     (c U 0.6)^2 / 2``.
 
     Args:
-        weights: of the reward.
+        weights: of the reward, by name.
         offset: from the centre of the lane it wants, to the right [m].
         heading: relative to the lane [rad].
         speed: [m/s].
         horizon: number of steps.
     """
-    straight = weights.direction + HEADING_SHARE * weights.lane_alignment
+    straight = weights["direction"] + HEADING_SHARE * weights["lane_alignment"]
     slope = jnp.zeros_like(speed)
-    bend = jnp.full_like(speed, horizon * weights.comfort_steering / TURN_SCALE**2)
+    bend = jnp.full_like(speed, horizon * weights["comfort_steering"] / TURN_SCALE**2)
     for time in _times(horizon):
         aside, turned = (speed * time) ** 2 / 2, speed * time
-        slope -= 2 * weights.lane_alignment * (offset + speed * time * heading) * aside / UNIT**2
+        slope -= 2 * weights["lane_alignment"] * (offset + speed * time * heading) * aside / UNIT**2
         slope -= straight * heading * turned
-        bend += 2 * weights.lane_alignment * aside**2 / UNIT**2 + straight * turned**2
+        bend += 2 * weights["lane_alignment"] * aside**2 / UNIT**2 + straight * turned**2
     return jnp.clip(slope / bend, -SHARPEST, SHARPEST)
 
 
-def _times(horizon: int) -> Float[np.ndarray, "horizon"]:
+def _times(horizon: int) -> np.ndarray:
     return TIME_STEP * np.arange(1, horizon + 1)

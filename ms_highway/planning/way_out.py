@@ -20,8 +20,7 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
 from ms_highway.optimization.arrays import Control
 from ms_highway.planning.manoeuvres import manoeuvres
-from ms_highway.runtime.arrays import Flag, Index
-from ms_highway.runtime.reductions import unrolled_sum
+from ms_highway.runtime.arrays import Flag, Index, unrolled_sum
 
 ESCAPE_STEPS = 25  # steps of an escape: 2.5 s at 0.1 s, a full stop from 20 m/s
 MARGIN = 0.15  # m between bodies that is wanted, as others do not keep their velocity exactly

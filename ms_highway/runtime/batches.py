@@ -6,8 +6,6 @@ from typing import Any
 import jax
 import numpy as np
 
-__all__ = ["BATCH", "in_batches"]
-
 BATCH = 32  # items; more are hardly faster and waste more on the last batch
 
 
@@ -18,17 +16,13 @@ def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
 
     Args:
         function: from a pytree of arrays [BATCH, ...] to a pytree of arrays [BATCH, ...].
-        items: pytree of arrays [n, ...]; floating-point numbers are converted to single precision.
+        items: pytree of arrays [n, ...].
     """
-    items = jax.tree.map(_single, items)
-    number, results = len(jax.tree.leaves(items)[0]), []
+    number = len(jax.tree.leaves(items)[0])
+    results = []
     for first in range(0, number, BATCH):
-        places = np.minimum(np.arange(first, first + BATCH), number - 1)
-        result = function(jax.tree.map(lambda array, places=places: array[places], items))
-        results.append(jax.tree.map(np.asarray, result))
+        batch = jax.tree.map(
+            lambda array, places=range(first, first + BATCH): np.take(array, places, axis=0, mode="clip"), items
+        )
+        results.append(function(batch))
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:number], *results)
-
-
-def _single(array: Any) -> np.ndarray:
-    array = np.asarray(array)
-    return array.astype(np.float32) if np.issubdtype(array.dtype, np.floating) else array

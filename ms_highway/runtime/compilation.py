@@ -1,17 +1,27 @@
 """Compile functions: quickly, or into one kernel."""
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable
 from functools import cache, wraps
 from typing import Any
 
 import jax
 from jax import numpy as jnp
 
-__all__ = ["QUICKLY", "in_one_kernel", "jit_quickly", "known_options"]
 
-QUICKLY = {"xla_cpu_use_fusion_emitters": False}
-"""Compiler options that halve compilation time, where XLA knows them (JAX up to 0.11.0); they make small plans
-a tenth slower, and large ones not."""
+@cache
+def quick_options() -> dict[str, bool]:
+    """Return compiler options that halve compilation time, where XLA knows them (JAX up to 0.11.0); starts JAX.
+
+    They make small plans a tenth slower, and large ones not.
+    """
+    options = {"xla_cpu_use_fusion_emitters": False}
+    try:
+        jax.jit(lambda: 0, compiler_options=options).lower().compile()
+    except jax.errors.JaxRuntimeError as error:
+        if "No such compile option" not in str(error):
+            raise
+        return {}
+    return options
 
 
 def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
@@ -36,42 +46,14 @@ def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array
     return looped
 
 
-def jit_quickly(
-    function: Callable[..., Any], *, static_argnums: tuple[int, ...] = (), options: Mapping[str, Any] | None = None
-) -> Callable[..., Any]:
-    """Apply `jax.jit` with the compiler options `QUICKLY`, and others, as far as this version of XLA knows them.
+def jit_quickly(function: Callable[..., Any], **options: Hashable) -> Callable[..., Any]:
+    """Apply `jax.jit` with `quick_options` and further compiler options.
 
     XLA is asked at the first call, so that importing a module does not start JAX.
-
-    Args:
-        function: to compile.
-        static_argnums: see `jax.jit`.
-        options: further compiler options by name.
     """
-    chosen = {**QUICKLY, **(options or {})}
 
     @cache
     def compiled() -> jax.stages.Wrapped:
-        return jax.jit(function, static_argnums=static_argnums, compiler_options=known_options(chosen))
+        return jax.jit(function, compiler_options={**quick_options(), **options})
 
-    @wraps(function)
-    def call(*arguments: Any) -> Any:
-        return compiled()(*arguments)
-
-    return call
-
-
-def known_options(options: Mapping[str, Hashable]) -> dict[str, Hashable]:
-    """Select the compiler options that this version of XLA knows; starts JAX."""
-    return {name: value for name, value in options.items() if _knows(name, value)}
-
-
-@cache
-def _knows(option: str, value: Hashable) -> bool:
-    try:
-        jax.jit(lambda: 0, compiler_options={option: value}).lower().compile()
-    except jax.errors.JaxRuntimeError as error:
-        if "No such compile option" not in str(error):
-            raise
-        return False
-    return True
+    return wraps(function)(lambda *arguments: compiled()(*arguments))

@@ -1,29 +1,14 @@
 """Files that are either whole or not there."""
 
-import errno
 import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
-
-__all__ = [
-    "PART",
-    "append",
-    "held",
-    "naming",
-    "part_of",
-    "read_json",
-    "remove_temporary",
-    "replacing",
-    "temporary",
-    "temporary_directory",
-    "tidy",
-]
 
 PART = ".part."
 """How the names of files begin that are being written, or were when a process was killed."""
@@ -47,7 +32,8 @@ def replacing(path: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path), temporary(part_of(path)) as part:
         yield part
-        _synchronise(part)
+        with part.open("rb+") as file:
+            os.fsync(file.fileno())  # or else it may be empty after a power failure, under its own name
         part.replace(path)
 
 
@@ -76,32 +62,26 @@ def held(directory: Path) -> Iterator[None]:
         raise ValueError(f"results cannot go to {directory}, which is a file; name a new or existing directory")
     made = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
-    lock = _lock(directory)
     try:
-        yield
+        with ExitStack() as holding:
+            with suppress(ImportError, OSError):
+                _lock(directory, holding)
+            yield
     finally:
         if made:
             with suppress(OSError):
                 directory.rmdir()
-        if lock is not None:
-            os.close(lock)
 
 
-def _lock(directory: Path) -> int | None:
-    """Return a descriptor that holds the directory until it is closed, if only by the end of the process."""
-    try:
-        import fcntl
-    except ImportError:
-        return None
+def _lock(directory: Path, holding: ExitStack) -> None:
+    import fcntl
+
     lock = os.open(directory, os.O_RDONLY)
+    holding.callback(os.close, lock)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        os.close(lock)
-        if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
-            return None
+    except (BlockingIOError, PermissionError) as error:
         raise ValueError(f"another command is writing to {directory}; wait for its end, or choose another") from error
-    return lock
 
 
 def append(path: Path, text: str) -> None:
@@ -111,7 +91,7 @@ def append(path: Path, text: str) -> None:
         OSError: naming the file, if it cannot be written.
     """
     with naming(path), path.open("rb+", buffering=0) as file:
-        before, rest = file.seek(0, os.SEEK_END), memoryview(text.encode())
+        before, rest = file.seek(0, os.SEEK_END), text.encode()
         try:
             while rest:  # a disk may take a part, and say at the next that it is full
                 rest = rest[file.write(rest) :]
@@ -145,6 +125,12 @@ def remove_temporary() -> None:
         _remove(path)
 
 
+def _remove(path: Path) -> None:
+    shutil.rmtree(path, ignore_errors=True)  # leaves files and links
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Let errors of the system name the file that the block writes; that of a full disk does not.
@@ -170,17 +156,3 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text())
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
-
-
-def _synchronise(path: Path) -> None:
-    """Wait until the disk has a file, or else it may be empty after a power failure, under its own name."""
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        with suppress(OSError):
-            path.unlink(missing_ok=True)

@@ -6,8 +6,6 @@ The hook is set when the package is imported, without importing JAX.
 import os
 import sys
 
-__all__ = ["refuse_after_fork"]
-
 _forked = False  # whether this process was forked from one in which JAX had begun
 
 

@@ -13,13 +13,7 @@ import os
 import signal
 import sys
 from contextlib import suppress
-from types import FrameType
-from typing import TYPE_CHECKING, NoReturn
-
-if TYPE_CHECKING:  # slow imports come after interrupts are caught
-    from socket import socket
-
-__all__ = ["INTERRUPTED", "STOPPED", "end", "is_command", "watch"]
+from typing import NoReturn
 
 INTERRUPTED = 128 + signal.SIGINT
 """Exit status of an interrupted command, by the convention of shells."""
@@ -36,17 +30,20 @@ def watch() -> None:
     """Let interrupts end this process, if it is the command ``ms-highway`` and does not ignore them."""
     if not is_command() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
-    signal.signal(signal.SIGINT, _end_early)
-    from socket import socketpair
+    if not hasattr(signal, "sigwait"):  # Windows, where the main thread has to come between two lines
+        signal.signal(signal.SIGINT, lambda *_: end(STOPPED, INTERRUPTED))
+        return
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # in threads and processes that are started from now on
     from threading import Thread
 
     import ms_highway.runtime.files  # noqa: F401  # `end` needs it, and would wait for imports of the main thread
 
-    watched, notified = socketpair()
-    notified.setblocking(False)
-    signal.set_wakeup_fd(notified.fileno())
-    Thread(target=_wait, args=(watched, notified), daemon=True).start()
-    signal.signal(signal.SIGINT, lambda *_: None)
+    Thread(target=_wait, daemon=True).start()
+
+
+def _wait() -> NoReturn:
+    signal.sigwait({signal.SIGINT})
+    end(STOPPED, INTERRUPTED)
 
 
 def end(message: str, status: int) -> NoReturn:
@@ -55,7 +52,9 @@ def end(message: str, status: int) -> NoReturn:
 
     from ms_highway.runtime.files import remove_temporary
 
-    _report(message)
+    after_a_bar = f"{SHOW_CURSOR}\n" if sys.stderr.isatty() else ""
+    with suppress(OSError):
+        os.write(sys.stderr.fileno(), f"{after_a_bar}{message}\n".encode())
     if "multiprocessing" in sys.modules:
         for worker in sys.modules["multiprocessing"].active_children():
             worker.terminate()
@@ -66,28 +65,8 @@ def end(message: str, status: int) -> NoReturn:
     os._exit(status)
 
 
-def _report(message: str) -> None:
-    after_a_bar = f"{SHOW_CURSOR}\n" if sys.stderr.isatty() else ""
-    with suppress(OSError):
-        os.write(sys.stderr.fileno(), f"{after_a_bar}{message}\n".encode())
-
-
-def _end_early(signal_number: int, frame: FrameType | None) -> NoReturn:
-    """End this process before the thread is there that waits for interrupts, when there is nothing to clean up yet."""
-    _report(STOPPED)
-    os._exit(INTERRUPTED)
-
-
 def is_command() -> bool:
     """Return whether this process was started as ``ms-highway`` or ``python -m ms_highway``, not as its worker."""
     by_module = sys.argv[0] == "-m" and "ms_highway" in sys.orig_argv
     by_name = os.path.splitext(os.path.basename(sys.argv[0]))[0] == "ms-highway"
     return (by_module or by_name) and "--multiprocessing-fork" not in sys.orig_argv
-
-
-def _wait(watched: "socket", notified: "socket") -> None:
-    """Wait for the signal and end the process; ``notified`` is kept open until then."""
-    with notified:
-        while signal.SIGINT not in watched.recv(1):
-            pass
-        end(STOPPED, INTERRUPTED)

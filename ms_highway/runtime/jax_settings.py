@@ -4,14 +4,13 @@ import os
 from pathlib import Path
 
 import jax
-
-from ms_highway.runtime.compilation_cache import check_owner, use_checked_cache
-
-__all__ = ["high_throughput", "keep_compilations", "low_latency"]
+from jax.experimental.compilation_cache import compilation_cache
 
 KERNEL_BYTES = 100_000
 """Loops with less memory traffic per iteration become one kernel: those of a plan or a decision, but not those of
 batches, which run faster as many vectorised kernels."""
+
+WRITABLE_BY_OTHERS = 0o022
 
 
 def low_latency() -> None:
@@ -26,7 +25,7 @@ def low_latency() -> None:
     differently, and means over 30 episodes differ in the first digit. To reproduce results of the command, call it.
     """
     option = "xla_cpu_small_while_loop_byte_threshold"
-    _tell_xla(option, f"--xla_backend_extra_options={option}={KERNEL_BYTES}")
+    _add_flag(option, f"--xla_backend_extra_options={option}={KERNEL_BYTES}")
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
@@ -37,17 +36,25 @@ def high_throughput() -> None:
     and make the last digits of a number depend on its place in a batch, which chaotic episodes amplify. ``XLA_FLAGS``
     with that option or with the name of a file are left unchanged.
     """
-    _tell_xla("xla_cpu_max_isa", "--xla_cpu_max_isa=AVX2")
+    _add_flag("xla_cpu_max_isa", "--xla_cpu_max_isa=AVX2")
 
 
-def _tell_xla(option: str, flag: str) -> None:
+def _add_flag(option: str, flag: str) -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if option not in flags and (not flags or flags.startswith("-")):
         os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
 
 
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def keep_compilations(directory: Path | None = None) -> Path:
-    """Keep compiled functions in a directory for later runs; return it.
+    """Keep compiled functions in a directory for later runs, in JAX's persistent cache; return the directory.
+
+    They are machine code and run unverified, so that nobody else may write to it. Nothing limits its size; JAX's option
+    ``jax_compilation_cache_max_size`` does, where filelock is installed.
 
     Args:
         directory: by default that of the environment variable ``JAX_COMPILATION_CACHE_DIR``, or else
@@ -56,13 +63,16 @@ def keep_compilations(directory: Path | None = None) -> Path:
     Raises:
         OSError: if it cannot be made, or others can write to it; then nothing is kept or used.
     """
-    chosen, cache = os.environ.get("JAX_COMPILATION_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")
-    home = Path(cache) if cache and Path(cache).is_absolute() else Path.home() / ".cache"
-    directory = directory or (Path(chosen) if chosen else home / "ms_highway" / "compiled")
+    home = Path(os.environ.get("XDG_CACHE_HOME", ""))  # by the standard, ignored if it is relative
+    usual = (home if home.is_absolute() else Path.home() / ".cache") / "ms_highway" / "compiled"
+    directory = directory or Path(os.environ.get("JAX_COMPILATION_CACHE_DIR") or usual)
     jax.config.update("jax_compilation_cache_dir", None)
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-    check_owner(directory)
+    status = directory.stat()
+    if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & WRITABLE_BY_OTHERS):
+        why = f"others may write to {directory}, and their machine code would run"
+        raise PermissionError(f"{why}; choose a directory of your own, or change that: chmod go-w {directory}")
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-    use_checked_cache()
+    compilation_cache.reset_cache()  # JAX would stay with a directory that it has used
     return directory

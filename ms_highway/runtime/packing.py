@@ -6,9 +6,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
-
-__all__ = ["Layout", "Packed", "pack"]
 
 
 class Layout(NamedTuple):
@@ -17,19 +14,16 @@ class Layout(NamedTuple):
     structure: jax.tree_util.PyTreeDef
     shapes: tuple[tuple[int, ...], ...]
 
-    def unpack(self, numbers: Float[jax.Array, "n"]) -> Any:
-        """Build the pytree of these numbers."""
+    def unpack(self, numbers: jax.Array) -> Any:
+        """Build the pytree of these numbers [n]."""
         ends = np.cumsum([prod(shape) for shape in self.shapes])
-        leaves = jnp.split(numbers, ends[:-1])
-        return jax.tree.unflatten(
-            self.structure, [leaf.reshape(shape) for leaf, shape in zip(leaves, self.shapes, strict=True)]
-        )
+        return jax.tree.unflatten(self.structure, map(jnp.reshape, jnp.split(numbers, ends[:-1]), self.shapes))
 
 
 class Packed(NamedTuple):
-    """A pytree as one array of numbers, and its layout."""
+    """A pytree as one array of numbers [n], and its layout."""
 
-    numbers: Float[np.ndarray, "n"]
+    numbers: np.ndarray
     layout: Layout
 
 
@@ -37,7 +31,5 @@ def pack(tree: Any) -> Packed:
     """Pack a pytree of numbers in float32 with NumPy, which is faster than a conversion by JAX."""
     leaves, structure = jax.tree.flatten(tree)
     arrays = [np.asarray(leaf, dtype=np.float32) for leaf in leaves]
-    return Packed(
-        np.concatenate([array.ravel() for array in arrays]),
-        Layout(structure, tuple(array.shape for array in arrays)),
-    )
+    layout = Layout(structure, tuple(array.shape for array in arrays))
+    return Packed(np.concatenate([array.ravel() for array in arrays]), layout)

@@ -5,48 +5,23 @@ breaks shows that the process at its other end has ended. The computation itself
 """
 
 import socket
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from select import select
 from threading import Event, Thread
-from time import monotonic, sleep
+from time import sleep
+from typing import TypeAlias
 
 from ms_highway.runtime.interrupt import end
 
-__all__ = ["together"]
-
-PATIENCE = 300.0  # s, for which processes wait for each other at the beginning
+PATIENCE = 300  # s, for which processes wait for the next one at the beginning
 PAUSE = 0.2  # s, between attempts to connect
-GREETING = 5.0  # s, within which a process that connects must say which one it is
+GREETING = 5  # s, within which a process that connects must say which one it is
 SILENCE = 60  # s, after which a connection is tested
 BEGIN, DONE = "begin", "done"
 
-
-class _Link:
-    """A connection, line by line."""
-
-    def __init__(self, connection: socket.socket) -> None:
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        if hasattr(socket, "TCP_KEEPIDLE"):
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, SILENCE)
-        self.connection = connection
-        self._lines = connection.makefile("rb", buffering=0)
-
-    def say(self, line: str) -> None:
-        with suppress(OSError):  # a process that has ended is noticed by listening
-            self.connection.sendall(f"{line}\n".encode())
-
-    def hear(self, seconds: float | None = None) -> str:
-        """Return the next line; empty when the connection has broken, or after this many seconds."""
-        self.connection.settimeout(seconds)
-        try:
-            return self._lines.readline(200).decode(errors="replace").strip()
-        except OSError:
-            return ""
-
-    def close(self) -> None:
-        with suppress(OSError):
-            self.connection.shutdown(socket.SHUT_RDWR)
-        self.connection.close()
+Links: TypeAlias = dict[socket.socket, int]
+"""Connections, each with the index of the process at its other end."""
 
 
 @contextmanager
@@ -63,90 +38,107 @@ def together(address: str, of: int, place: int) -> Iterator[None]:
     Raises:
         ValueError: if the address is wrong or in use, or the others do not connect or give another number.
     """
-    with ExitStack() as closing:
+    links: Links = {}
+    leaving = Event()
+    watching = Thread(target=_watch, args=(links, leaving), daemon=True)
+    try:
         try:
-            host, port = _parts(address)
-            links = _gather(host, port, of, closing) if place == 0 else _reach(host, port, of, place, closing)
+            _connect(links, address, of, place)
         except (ValueError, OSError, OverflowError) as error:
             remedy = "give HOST:PORT, a free port of the machine of process 0"
             raise ValueError(f"--coordinator {address}: {error}; {remedy}") from error
-        leaving = Event()
-        watches = [Thread(target=_watch, args=(other, links, leaving), daemon=True) for other in links]
-        for watch in watches:
-            watch.start()
-        try:
-            yield
-            if place == 0:
-                for watch in watches:
-                    watch.join()
-            for link in links.values():
-                link.say(DONE)
-        finally:
-            leaving.set()
+        watching.start()
+        yield
+        if place == 0:
+            watching.join()
+        else:
+            _say(links, DONE)
+    finally:
+        leaving.set()
+        for link in links:
+            with suppress(OSError):  # the other process has closed it
+                link.shutdown(socket.SHUT_RDWR)  # wakes `_watch`
+        if watching.is_alive():
+            watching.join()
+        for link in links:
+            link.close()
 
 
-def _parts(address: str) -> tuple[str, int]:
-    host, _, port = address.rpartition(":")
-    if not host.strip("[]"):
+def _connect(links: Links, address: str, of: int, place: int) -> None:
+    name, _, port = address.rpartition(":")
+    host = name.strip("[]"), int(port)
+    if not host[0]:
         raise ValueError("it names no host")
-    return host.strip("[]"), int(port)
-
-
-def _gather(host: str, port: int, of: int, closing: ExitStack) -> dict[int, _Link]:
-    """Return connections with all other processes, by their index."""
-    links: dict[int, _Link] = {}
-    family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-    with socket.create_server((host, port), family=family) as server:
-        end_of_patience = monotonic() + PATIENCE
-        while len(links) < of - 1:
-            server.settimeout(max(end_of_patience - monotonic(), PAUSE))
-            try:
-                link = _Link(server.accept()[0])
-            except TimeoutError:
-                lacking = [str(place) for place in range(1, of) if place not in links]
-                raise OSError(f"process {', '.join(lacking)} did not come within {PATIENCE:g} s") from None
-            closing.callback(link.close)
-            greeting = link.hear(GREETING).split()
-            if len(greeting) != 2 or not all(word.isdecimal() for word in greeting):
-                link.close()  # somebody else
-                continue
-            place, counted = map(int, greeting)
-            if counted != of or place in links or not 0 < place < of:
-                link.say(f"process 0 counts {of} processes, and knows of {sorted([0, *links])}")
-                link.close()
-                continue
-            links[place] = link
-    for link in links.values():
-        link.say(BEGIN)
-    return links
-
-
-def _reach(host: str, port: int, of: int, place: int, closing: ExitStack) -> dict[int, _Link]:
-    """Return the connection with process 0."""
-    end_of_patience = monotonic() + PATIENCE
-    while True:
-        try:
-            link = _Link(socket.create_connection((host, port), PATIENCE))
+    if place == 0:
+        family = socket.getaddrinfo(*host, type=socket.SOCK_STREAM)[0][0]
+        with socket.create_server(host, family=family) as server:
+            server.settimeout(PATIENCE)
+            while lacking := sorted({*range(1, of)}.difference(links.values())):
+                _accept(links, server, of, lacking)
+        _test_silence(links)
+        _say(links, BEGIN)
+        return
+    for _ in range(round(PATIENCE / PAUSE)):
+        with suppress(ConnectionRefusedError):
+            links[socket.create_connection(host)] = 0
             break
-        except ConnectionRefusedError:
-            if monotonic() > end_of_patience:
-                raise
-            sleep(PAUSE)
-    closing.callback(link.close)
-    link.say(f"{place} {of}")
-    heard = link.hear(PATIENCE)
+        sleep(PAUSE)
+    else:
+        raise OSError(f"process 0 was not there within {PATIENCE} s")
+    _test_silence(links)
+    _say(links, f"{place} {of}")
+    heard = _hear(*links)
     if heard != BEGIN:
         raise OSError(heard or "process 0 has ended")
-    return {0: link}
 
 
-def _watch(other: int, links: Mapping[int, _Link], leaving: Event) -> None:
+def _accept(links: Links, server: socket.socket, of: int, lacking: list[int]) -> None:
+    """Connect process 0 with one that it lacks, or refuse whoever comes."""
+    try:
+        link, _ = server.accept()
+    except TimeoutError:
+        names = ", ".join(map(str, lacking))
+        raise OSError(f"process {names} did not come within {PATIENCE} s") from None
+    link.settimeout(GREETING)
+    greeting = _hear(link)
+    if greeting in [f"{place} {of}" for place in lacking]:
+        links[link] = int(greeting.split()[0])
+    else:
+        _say([link], f"process 0 counts {of} processes, and waits for {lacking}")
+        link.close()
+
+
+def _test_silence(links: Iterable[socket.socket]) -> None:
+    for link in links:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        if hasattr(socket, "TCP_KEEPIDLE"):
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, SILENCE)
+
+
+def _say(links: Iterable[socket.socket], line: str) -> None:
+    for link in links:
+        with suppress(OSError):  # a process that has ended is noticed by listening
+            link.sendall(f"{line}\n".encode())
+
+
+def _hear(link: socket.socket) -> str:
+    """Return the next line; empty when the connection has broken or its time is up."""
+    with suppress(OSError), link.makefile("rb", buffering=0) as lines:
+        return lines.readline(200).decode(errors="replace").strip()
+    return ""
+
+
+def _watch(links: Links, leaving: Event) -> None:
     """End this process if another ends before it is done; process 0, which all are connected to, informs the others."""
-    heard = links[other].hear()
-    if heard == DONE or leaving.is_set():
-        return
-    message = heard or f"process {other} has ended before it was done"
-    for place, link in links.items():
-        if place != other:
-            link.say(message)
-    end(f"ms-highway: {message}, and so does this one; start all again in the same way to resume", status=1)
+    busy = dict(links)
+    while busy:
+        for link in select(busy, (), ())[0]:
+            heard = _hear(link)
+            if heard == DONE:
+                del busy[link]
+            elif leaving.is_set():
+                return
+            else:
+                message = heard or f"process {links[link]} has ended before it was done"
+                _say(links.keys() - {link}, message)
+                end(f"ms-highway: {message}, and so does this one; start all again in the same way to resume", status=1)

@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from typing import TypeAlias
 
-__all__ = ["Progress", "silent"]
-
 Progress: TypeAlias = Callable[[str], object]
 """Called with a message when a part of a computation begins."""
 

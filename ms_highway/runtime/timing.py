@@ -7,8 +7,6 @@ from typing import Any
 import jax
 import numpy as np
 
-__all__ = ["forget", "timed", "warm_up"]
-
 _warm: set[Hashable] = set()  # compiled functions that have run, with the shapes of their arguments
 
 

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from ms_highway.runtime.cores import cores
+from ms_highway.runtime.jax_settings import cores
 
 AXIS = "items"  # of a mesh of devices
 CHUNK = 8  # items that a processor computes together, one in each lane of AVX2

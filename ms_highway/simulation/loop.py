@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 from jax.sharding import Mesh
 from jaxtyping import Bool, Float, Int
@@ -32,9 +33,6 @@ from ms_highway.runtime.arrays import Index, Scalar
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.simulation.devices import device_mesh, share_among
 from ms_highway.simulation.records import ALWAYS_YIELDS, DECIDES, USUAL, Episodes, Loop, Records
-
-IN_ONE_MODULE = {"xla_cpu_parallel_codegen_split_count": 1}
-"""Compiler options without which LLVM rounds differently where more threads compile."""
 
 
 def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Records:
@@ -99,7 +97,7 @@ class _Own(NamedTuple):
         return replace(game, humans=replace(game.humans, weights=self.human_weights))
 
 
-@partial(jit_quickly, options=IN_ONE_MODULE)
+@partial(jit_quickly, xla_cpu_parallel_codegen_split_count=1)  # or LLVM rounds differently where more threads compile
 def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Records:
     """Run the first ``count`` episodes; the records of the others mean nothing."""
     size, together, decides = len(episodes), loop.together, not isinstance(loop.rule, Order)
@@ -179,9 +177,10 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
     """Plan every episode; with one human, compute only the models that some episode uses."""
 
     def planned(models: tuple[HumanModel, ...], now: _Now, own: _Own) -> Plan:
-        game = own.robots(loop.game)
-        warm = game.planner.persistent or any(map(starts_warm, models))
-        start = _warm_plan(now.robot, cold_start(game, now.state)) if warm else None
+        game, start, warm = own.robots(loop.game), None, np.array([starts_warm(model) for model in models])
+        if game.planner.persistent or warm.any():
+            left = game.planner.persistent | jnp.asarray(warm)[now.memory.rungs if len(warm) > 1 else 0].any()
+            start = _warm_plan(now.robot._replace(steps=left * now.robot.steps), cold_start(game, now.state))
         return plan_for(models, game, now.state, now.memory.rungs, start)
 
     if loop.game.number > 1:

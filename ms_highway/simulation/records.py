@@ -7,7 +7,7 @@ import jax
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.game import Game
-from ms_highway.metareasoning.rule import Rule
+from ms_highway.metareasoning.rule import Order, Rule
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array
 from ms_highway.simulation.devices import CHUNK
@@ -38,7 +38,7 @@ class Loop:
     """
 
     game: Game
-    rule: Rule
+    rule: Rule | Order
     others: tuple[HumanModel, ...] = field(default=(), metadata={"static": True})
     way_out: bool = field(default=False, metadata={"static": True})
     belief: bool = field(default=False, metadata={"static": True})

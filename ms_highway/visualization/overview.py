@@ -6,8 +6,8 @@ from typing import Any
 
 import pandas as pd
 
+from ms_highway.experiments.directory import EXTENDED
 from ms_highway.experiments.results import Results
-from ms_highway.experiments.settings import EXTENDED
 from ms_highway.visualization.comparison import cells
 
 OUTCOME = "controller", "reward/step", "90 % interval", "collisions"

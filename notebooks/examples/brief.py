@@ -4,8 +4,8 @@ A model is a rung of the ladder: a frozen dataclass with a name, ``responds``, `
 `ms_highway.HumanModel`). Run it, or make it known to any command::
 
     python notebooks/examples/brief.py
-    ms-highway --import notebooks.examples.brief compare merger give_way --ladder naive brief \
-      --costs naive=0.09,turn=0.17,brief=0.148,tom=0.37 --out results/brief \
+    ms-highway --import notebooks.examples.brief compare merger give_way --set ladder=naive,brief \
+      --set costs=naive=0.09,turn=0.17,brief=0.148,tom=0.37 --out results/brief \
       --controllers naive brief tom switching:0.1 switching:0.001
 
 Prints::

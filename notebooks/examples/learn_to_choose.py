@@ -1,9 +1,9 @@
 """Learn which human model is worth its time, with DQN of stable-baselines3, and compare with Algorithm 1.
 
 The agent's action is the human model that the coming step is planned with; its reward is the robot's less the price of
-the plan, ``r_R - lambda T(M)``: the paper's meta-MDP. Needs the extra ``learning``::
+the plan, ``r_R - lambda T(M)``: the paper's meta-MDP. Needs stable-baselines3::
 
-    pip install -e ".[learning]"
+    pip install stable-baselines3
     python notebooks/examples/learn_to_choose.py merger --price 3
 """
 
@@ -36,9 +36,9 @@ def choosing(scenario: str, price: float) -> gym.Env:
     return gym.make(environment_id(scenario), config={"action": {"type": "HumanModelAction", "lambda": price}})
 
 
-def learn(scenario: str, price: float, steps: int, seed: int) -> DQN:
+def learn(scenario: str, price: float, steps: int, seed: int, settings: dict) -> DQN:
     """An agent that has learned to choose, from episodes whose starts follow from the seed."""
-    agent = DQN("MlpPolicy", Monitor(choosing(scenario, price)), seed=seed, device="cpu", **LEARNER)
+    agent = DQN("MlpPolicy", Monitor(choosing(scenario, price)), seed=seed, device="cpu", **settings)
     return agent.learn(steps)
 
 
@@ -65,6 +65,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=5000, help="of learning (default: 5000)")
     parser.add_argument("--runs", type=int, default=1, help="agents that learn, seeded 0, 1, ... (default: 1)")
     parser.add_argument("--episodes", type=int, default=30, help="to judge by (default: 30)")
+    parser.add_argument("--defaults", action="store_true", help="take stable-baselines3's own hyperparameters")
     options = parser.parse_args()
     scenario, price = options.scenario, options.price
     seeds = range(10_000, 10_000 + options.episodes)  # no agent learns from these
@@ -76,7 +77,8 @@ def main() -> None:
             (step["reward"], step["counted_seconds"]) for seed in seeds for step in episode(env, seed)
         ]
     for run in range(options.runs):
-        outcomes[f"dqn, seed {run}"] = drive(learn(scenario, price, options.steps, run), scenario, price, seeds)
+        agent = learn(scenario, price, options.steps, run, {} if options.defaults else LEARNER)
+        outcomes[f"dqn, seed {run}"] = drive(agent, scenario, price, seeds)
 
     print(f"{scenario}, {options.episodes} episodes, a second of planning costs {price:g}")
     print(f"{'':16}{'reward/step':>12}{'counted ms':>12}{'reward - price':>16}")

@@ -1,4 +1,4 @@
-"""Keep what lies in `results/` here, in six files, and rewrite the tables of the pages that show it.
+"""Keep what lies in `results/` here, in five files, and rewrite the tables of the pages that show it.
 
 Run it in the project's directory after any of the commands in `notebooks/results/README.md`; runs that do not lie
 in `results/` stay as they were kept::
@@ -16,16 +16,17 @@ from ms_highway.benchmarks.road.names import DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
-from ms_highway.experiments.safety import Safety, safety_cells
 from ms_highway.planning.road.settings import RUNGS
-from ms_highway.visualization.overview import markdown, overview
+from ms_highway.visualization.overview import overview
+from ms_highway.visualization.tables import markdown
 
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
-RUNS = ("compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", "safety")
+LIMITS = ("limit_50", "limit_9", "limit_6")
+RUNS = ("compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", *LIMITS)
 """Directories in results/."""
 
-TABLES = "summary", "regrets", "safety"  # what some of them hold, and what is kept with a column ``run``
+TABLES = "summary", "regrets"  # what some of them hold, and what is kept with a column ``run``
 ROADS = "road", "road_commuters"
 """Directories of figures in results/, each file written by ``ms-highway bench road --json``, and what keeps them."""
 
@@ -36,73 +37,61 @@ SHOWN = {  # in the project's README
 }
 
 
-def collect(results: Path, kept: Path = KEPT) -> None:
+def collect(results: Path) -> None:
     """Take over tables, settings and provenance of every run that lies in a directory of results."""
     for name in TABLES:
-        parts = {}
+        kept, parts = _texts(KEPT / f"{name}.csv"), []
         for run in RUNS:
-            if (results / run / f"{name}.csv").is_file():
-                parts[run] = _texts(results / run / f"{name}.csv").assign(run=run)
-            elif (kept / f"{name}.csv").is_file():
-                parts[run] = _texts(kept / f"{name}.csv").query("run == @run")
-        table = pd.concat(parts.values())
-        table[["run", *table.columns.drop("run")]].to_csv(kept / f"{name}.csv", index=False)
-    file = kept / "settings.json"
-    settings = json.loads(file.read_text()) if file.is_file() else {}
+            file = results / run / f"{name}.csv"
+            parts.append(_texts(file).assign(run=run) if file.is_file() else kept[kept["run"] == run])
+        table = pd.concat(parts)
+        table[["run", *table.columns.drop("run")]].to_csv(KEPT / f"{name}.csv", index=False)
+    settings = json.loads((KEPT / "settings.json").read_text())
     for run in RUNS:
-        if (results / run).is_dir():
-            parts = {
-                name: json.loads((results / run / f"{name}.json").read_text()) for name in ("settings", "provenance")
-            }
-            settings[run] = parts
-    file.write_text(json.dumps({run: settings[run] for run in RUNS if run in settings}, indent=1) + "\n")
+        for name in ("settings", "provenance"):
+            if (results / run / f"{name}.json").is_file():
+                settings.setdefault(run, {})[name] = json.loads((results / run / f"{name}.json").read_text())
+    ordered = {run: settings[run] for run in RUNS if run in settings}
+    (KEPT / "settings.json").write_text(json.dumps(ordered, indent=1) + "\n")
     for name in ROADS:
         roads: dict[str, dict[str, dict]] = {}
         for part in sorted((results / name).glob("*.json")):
             for scene, drivers in json.loads(part.read_text()).items():
                 roads.setdefault(scene, {}).update(drivers)
         if roads:
-            (kept / f"{name}.json").write_text(json.dumps(in_order(roads), indent=2) + "\n")
+            (KEPT / f"{name}.json").write_text(json.dumps(in_order(roads), indent=2) + "\n")
 
 
-def comparison(run: str, kept: Path = KEPT) -> Results:
+def comparison(run: str) -> Results:
     """A kept comparison, without its records."""
-    made = json.loads((kept / "settings.json").read_text())[run]
-    return Results(Path(run), pd.DataFrame(), kept_table("summary", run, kept), made["settings"], made["provenance"])
+    made = json.loads((KEPT / "settings.json").read_text())[run]
+    return Results(Path(run), pd.DataFrame(), kept_table("summary", run), made["settings"], made["provenance"])
 
 
-def safety(kept: Path = KEPT) -> Safety:
-    """The kept counts of collisions."""
-    made = json.loads((kept / "settings.json").read_text())["safety"]
-    return Safety(Path("safety"), kept_table("safety", "safety", kept), made["settings"], made["provenance"])
-
-
-def kept_table(name: str, run: str, kept: Path = KEPT) -> pd.DataFrame:
+def kept_table(name: str, run: str) -> pd.DataFrame:
     """A run's rows of a kept table."""
-    table = pd.read_csv(kept / f"{name}.csv")
-    shares = [name for name in table if name.startswith("share_")]
+    table = pd.read_csv(KEPT / f"{name}.csv")
     own = table[table["run"] == run].drop(columns="run").reset_index(drop=True)
-    return own.drop(columns=[name for name in shares if own[name].isna().all()])  # models of other runs
+    return own.drop(columns=[name for name in own if name.startswith("share_") and own[name].isna().all()])
 
 
-def tables(kept: Path = KEPT) -> dict[str, str]:
+def tables() -> dict[str, str]:
     """The tables of the pages in Markdown, by the name that stands in the comment above each."""
-    compare = comparison("compare", kept)
-    rows = overview([compare])
-    few = [
-        controller in SHOWN[scenario] for scenario, controller in zip(rows["scenario"], rows["controller"], strict=True)
-    ]
-    return {
-        "shown": markdown(rows[few]),
-        "semantics": markdown(overview([compare, comparison("released", kept)])),
-        "human rewards": markdown(overview([compare, comparison("published", kept)])),
-        "worth": markdown(overview([comparison("worth", kept)])),
-        "crowd": markdown(overview([comparison("crowd", kept)])),
-        "crowd peers": markdown(overview([comparison("crowd_peers", kept)])),
-        "safety": markdown(safety_cells(safety(kept))),
-        "regrets": markdown(regret_cells(kept_table("regrets", "frontier", kept))),
-        **{name: markdown(road_cells(json.loads((kept / f"{name}.json").read_text()))) for name in ROADS},
+    compare = comparison("compare")
+    rows, limits = overview([compare]), overview([comparison(run) for run in LIMITS])
+    shown = [name in SHOWN[scenario] for scenario, name in zip(rows["scenario"], rows["controller"], strict=True)]
+    cells = {
+        "shown": rows[shown],
+        "semantics": overview([compare, comparison("released")]),
+        "human rewards": overview([compare, comparison("published")]),
+        "worth": overview([comparison("worth")]),
+        "crowd": overview([comparison("crowd")]),
+        "crowd peers": overview([comparison("crowd_peers")]),
+        "limits": limits.drop(columns=[name for name in limits if "collision" not in name][2:]),
+        "regrets": regret_cells(kept_table("regrets", "frontier")),
+        **{name: road_cells(json.loads((KEPT / f"{name}.json").read_text())) for name in ROADS},
     }
+    return {name: markdown(table) for name, table in cells.items()}
 
 
 def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:

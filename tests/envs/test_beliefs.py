@@ -85,7 +85,7 @@ def test_mixed_humans_are_drawn_for_every_episode():
     assert {*drawn(0)} == {True, False}
 
 
-@pytest.mark.parametrize(("scenario", "config"), [("merger", {}), ("dense_merge", TWO | {"humans": 12})])
+@pytest.mark.parametrize(("scenario", "config"), [("merger", {}), ("dense_merge", TWO | {"humans": 5})])
 def test_a_frame_shows_every_humans_belief(scenario, config):
     def shown(controller):
         env = make(scenario, controller, "rgb_array", **config)

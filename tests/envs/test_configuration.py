@@ -1,5 +1,6 @@
 """What configurations say, and what is said of wrong ones."""
 
+import re
 from dataclasses import replace
 
 import gymnasium as gym
@@ -47,7 +48,7 @@ WRONG = [
     ({"controller": {"type": "learned", "lambda": 1, "values": "none.npz"}}, "none.npz cannot be read"),
     ({"ladder": ["tom", "naive"]}, "cheapest first"),
     ({"ladder": []}, "impossible ladder"),
-    ({"ladder": "tom"}, "'tom' is one name"),
+    ({"ladder": "tom"}, "config['ladder'] is 'tom'; give a list of human models"),
     ({"costs": "free"}, "config['costs'] is 'free'; say 'published', 'measured', or give seconds"),
     ({"costs": {"naive": 0.1}}, "config['costs'] has no seconds for 'turn'"),
     ({"costs": {"naive": -0.1, "turn": 1, "tom": 1}}, "config['costs']['naive'] is -0.1; say 'published'"),
@@ -63,7 +64,7 @@ WRONG = [
     ({"iterations": 2.5}, "config['iterations'] is 2.5; it must be a whole number from 1 to 5000"),
     ({"step_size": -0.1}, "config['step_size'] is -0.1; it must be a positive number, or None"),
     ({"time_step": 1e-320}, "it must be from 0.01 to 1 s"),
-    ({"time_step": 0.2, "policy_frequency": 10}, "steps of 0.2 s, so it must be 5"),
+    ({"time_step": 0.05, "policy_frequency": 10}, "steps of 0.05 s, so it must be 20"),
     ({"policy_frequency": 5}, "must be 10"),
     ({"duration": -1}, "config['duration'] is -1; it must be a positive number"),
     ({"duration": 0.01}, "one time step at least"),
@@ -93,9 +94,8 @@ def make(scenario=PAIR, **config):
 @pytest.mark.parametrize(("config", "message"), WRONG)
 def test_a_wrong_configuration_is_refused_with_key_value_and_remedy(config, message):
     for scenario in (PAIR, SEVERAL):
-        with pytest.raises(ValueError) as refused:
+        with pytest.raises(ValueError, match=re.escape(message)):
             ENVIRONMENTS[scenario].checked_config(config)
-        assert message in str(refused.value)
 
 
 def test_one_human_is_one_and_streams_have_several():
@@ -114,7 +114,7 @@ def test_numpys_numbers_count_as_numbers():
 def test_the_demonstration_refuses_what_it_has_not():
     for config, message in (
         ({"density": "empty"}, "choose one of 'sparse', 'medium', 'dense'"),
-        ({"action": {"type": "Autopilot"}}, "'action'.* here it must be 'ContinuousAction'"),
+        ({"action": {"type": "Autopilot"}}, "'action'.*its 'type' must be one of ContinuousAction"),
     ):
         with pytest.raises(ValueError, match=message):
             DemonstrationEnv.checked_config(config)
@@ -191,9 +191,8 @@ def test_a_short_name_stands_for_a_configuration(text, config):
     ],
 )
 def test_what_is_no_short_name_is_refused_with_an_example(text, message):
-    with pytest.raises(ValueError) as refused:
+    with pytest.raises(ValueError, match=re.escape(message)):
         controller_config(text)
-    assert message in str(refused.value)
 
 
 @pytest.mark.parametrize("name", ["merger", "dense_merge", "Zipper", "two words"])

@@ -67,8 +67,8 @@ def test_initial_states_can_be_given_and_are_checked():
     env.reset(options={"initial_states": given})
     np.testing.assert_array_equal(env.unwrapped.car_states, given)
     for options, message in (
-        ({"initial_states": given[:2]}, r"shape \(2, 4\); merger needs \(3, 4\)"),
-        ({"initial_states": given * np.nan}, "not finite"),
+        ({"initial_states": given[:2]}, r"merger needs an array \(3, 4\) of finite numbers"),
+        ({"initial_states": given * np.nan}, "is \\[\\[nan"),
         ({"initial_state": given}, "'initial_state' in the reset options; did you mean 'initial_states'"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -16,21 +16,18 @@ import pandas as pd
 import pytest
 
 from ms_highway.cli.main import main
-from ms_highway.cli.options import lambdas
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.resuming import check_settings
-from ms_highway.experiments.sweep import Sweep, Worker, run_sweep
+from ms_highway.experiments.sweep import Sweep, run_sweep
 
-SWEEP = ["sweep", "stay_back", "--ladder", "naive", "--lambdas", "0.1:10:2", "--episodes", "24", "--part", "16"]
+SWEEP = ["sweep", "stay_back", "--set", "ladder=naive,", "--lambdas", "0.1:10:2", "--seeds", "24", "--part", "16"]
 """Three controllers of which none thinks hard: 72 episodes in five parts."""
 
 
 def failure(capsys, *arguments):
     """The one line that a refused command prints."""
     assert main(list(arguments)) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1
-    return lines[0]
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
 
 
 def contents(directory):
@@ -42,13 +39,9 @@ def contents(directory):
 def begin(*arguments, devices=1):
     """The command in a process of its own, compiled without much optimisation, as little is computed."""
     flags = f"--xla_backend_optimization_level=0 --xla_force_host_platform_device_count={devices}"
-    environment = {**os.environ, "XLA_FLAGS": flags}
-    return subprocess.Popen(
-        [sys.executable, "-m", "ms_highway", *arguments],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env=environment,
-    )
+    command = [sys.executable, "-m", "ms_highway", *arguments]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return subprocess.Popen(command, env={**os.environ, "XLA_FLAGS": flags}, **quiet)
 
 
 @pytest.fixture(scope="module")
@@ -60,9 +53,8 @@ def swept(tmp_path_factory):
 
 def test_a_sweep_is_opened_in_one_line_with_a_row_per_episode_and_per_step(swept):
     episodes, steps = pd.read_parquet(swept / "episodes"), pd.read_parquet(swept / "steps")
-    assert len(episodes) == 3 * 24
-    assert len(steps) == 35 * len(episodes)
     keys = ["controller", "seed"]
+    assert (len(episodes), len(steps)) == (3 * 24, 35 * 3 * 24)
     assert not episodes.duplicated(keys).any()
     means = steps.groupby(keys)["reward"].mean()
     np.testing.assert_allclose(episodes.set_index(keys)["reward"].sort_index(), means.sort_index(), atol=1e-6)
@@ -109,27 +101,18 @@ def test_two_processes_and_other_parts_give_the_episodes_of_one(swept, tmp_path)
 
 def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, capsys):
     before = contents(swept)
-    assert "seed 0 instead of 5" in failure(capsys, *SWEEP, "--steps", "--seed", "5", "--out", str(swept))
+    assert "first_seed 0 instead of 5" in failure(capsys, *SWEEP, "--steps", "--first-seed", "5", "--out", str(swept))
     assert contents(swept) == before
     (tmp_path / "steps.csv").touch()
     assert "choose another directory" in failure(capsys, *SWEEP, "--out", str(tmp_path))
 
 
 def test_processes_that_are_asked_for_different_sweeps_do_not_mix_them(swept, tmp_path):
-    shutil.copytree(swept, tmp_path / "out")
-    shutil.rmtree(tmp_path / "out" / "episodes")
-    job = Sweep(Comparison({"stay_back": ["naive"]}, seeds=24, ladder=["naive"]), part=10)
+    shutil.copytree(swept, tmp_path / "out", ignore=shutil.ignore_patterns("episodes"))
+    comparison = Comparison({"stay_back": ["naive"]}, seeds=24, config={"ladder": ["naive"]})
     with pytest.raises(ValueError, match="part 16 instead of 10"):
-        next(run_sweep(job, tmp_path / "out", worker=Worker(1, 2)))
+        next(run_sweep(Sweep(comparison, tmp_path / "out", part=10, place=1, processes=2)))
     assert not (tmp_path / "out" / "episodes").exists()
-
-
-def test_a_sweep_that_was_killed_while_it_wrote_its_settings_can_go_on(tmp_path):
-    (tmp_path / ".part.settings.json").write_text("{")
-    check_settings(tmp_path, {})
-    (tmp_path / "other").touch()
-    with pytest.raises(ValueError, match="is not empty"):
-        check_settings(tmp_path, {})
 
 
 def test_a_part_that_was_damaged_is_named(swept, tmp_path, capsys):
@@ -141,32 +124,20 @@ def test_a_part_that_was_damaged_is_named(swept, tmp_path, capsys):
     assert "remove it" in line
 
 
-def test_lambdas_are_spaced_evenly_in_their_logarithm_or_listed():
-    assert lambdas("0.001:10:5") == [0.001, 0.01, 0.1, 1, 10]
-    assert lambdas("0.001:10:4") == [0.001, 0.0215, 0.464, 10]
-    assert lambdas("0.5,0.1,0.5,-0") == [0.5, 0.1, 0]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["roundabout"], "unknown scenario 'roundabout'"),
-        (["merger", "--lambdas", "1:0.1:5"], "lambdas are '1:0.1:5'; give LOW:HIGH:COUNT"),
-        (["merger", "--lambdas", "cheap"], "lambdas are 'cheap'"),
         (["merger", "--controllers", "oracle"], "unknown controller 'oracle'"),
-        (["merger", "--episodes", "0"], "--episodes is 0"),
-        (["merger", "--episodes", "1000000000000"], "are 4882812500 parts; there may be 1000000 with --part 1024"),
-        (["merger", "--part", "1000000000000"], "--part is 1000000000000; it must be 1000000 or less"),
-        (["merger", "--lambdas", "0.1:10:1000000000000"], "lambdas are '0.1:10:1000000000000'"),
-        (["merger", "--seed", "-1"], "--seed is -1"),
-        (["merger", "--part", "0"], "--part is 0"),
-        (["merger", "--costs", "measured"], "cannot measure plans"),
+        (["merger", "--seeds", "1000000", "--part", "1"], "parts; there may be 1000000, of --part episodes each"),
+        (["merger", "--set", "costs=measured"], "cannot measure plans"),
+        (
+            ["dense_merge"],
+            "costs are 'measured', and a simulation cannot measure plans; say 'published', or give seconds",
+        ),
+        (["dense_merge", "--set", "costs=naive=0.1"], "no seconds for 'turn'"),
         (["merger", "--devices", "1000"], "1000 devices are wanted; this process has"),
-        (["merger", "--lambdas", ""], "lambdas are ''"),
-        (["merger", "--lambdas", "1:1.01:25"], "differ in three digits"),
-        (["merger", "--seed", "9223372036854775000"], "no seed may be"),
         (["merger", "--processes", "2"], "several need a coordinator"),
-        (["merger", "--processes", "2", "--coordinator", "nonsense"], "--coordinator nonsense"),
         (["merger", "--process", "1"], "numbered from 0"),
     ],
 )

@@ -80,38 +80,32 @@ def test_files_that_are_no_reference_files_are_refused_by_name(tmp_path):
     (tmp_path / "merger__naive.npz").write_bytes(b"not an archive")
     with pytest.raises(ValueError, match=r"merger__naive\.npz is no reference file"):
         validate(tmp_path)
-    np.savez(tmp_path / "merger__naive.npz", states=np.zeros((1, 2, 3, 4)))
-    with pytest.raises(ValueError, match="robot_controls"):
-        validate(tmp_path)
-    np.savez(tmp_path / "highway__naive.npz")
-    with pytest.raises(ValueError, match="SCENARIO__KIND"):
-        read_episodes(tmp_path / "highway__naive.npz")
+    for name in ("highway__naive", "merger__switching_aggressive"):
+        np.savez(tmp_path / f"{name}.npz")
+        with pytest.raises(ValueError, match="SCENARIO__KIND"):
+            read_episodes(tmp_path / f"{name}.npz")
 
 
 def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
     with np.load(reference / "merger__tom.npz") as archive:
         arrays = dict(archive)
+    file, robot, states = tmp_path / "merger__tom.npz", arrays["robot_controls"], arrays["states"]
     for change, message in (
         ({"models": arrays["models"] + 5}, "no places in naive, turn, tom"),
         ({"ladder": np.array([0])}, "no places in naive, turn, tom"),
+        ({"ladder": np.repeat(arrays["ladder"], 2)}, "no places in naive, turn, tom"),
         ({"states": np.zeros(3)}, "states has shape"),
         ({"rewards": arrays["rewards"][:, 1:]}, "rewards has shape"),
-        ({"robot_controls": arrays["robot_controls"] * np.nan}, "robot_controls is not finite"),
-        ({"states": arrays["states"] * 1e300}, "states is not finite, in single precision"),
-        ({"states": arrays["states"] > 0}, "states holds bool; it must hold numbers"),
-        ({"rewards": arrays["rewards"] * 1j}, "rewards holds complex128"),
-        ({"robot_controls": arrays["robot_controls"].astype("M8[s]")}, "robot_controls holds datetime64"),
+        ({"robot_controls": robot * np.nan}, "robot_controls is not finite"),
+        ({"states": states * 1e300}, "states is not finite, in single precision"),
+        ({"states": states > 0}, "states holds bool; it must hold numbers"),
+        ({"robot_controls": robot.astype("M8[s]")}, "robot_controls holds datetime64"),
         ({"models": arrays["models"] * 1.0}, "models holds float64; it must hold integers"),
-        ({"ladder": np.zeros(3, dtype=[("a", float)])}, "ladder holds"),
-        ({"ladder": np.repeat(arrays["ladder"], 2)}, "no places in naive, turn, tom"),
-        ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, "with two steps or more"),
+        ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, "of two steps or more"),
     ):
-        np.savez(tmp_path / "merger__tom.npz", **{**arrays, **change})
+        np.savez(file, **{**arrays, **change})
         with pytest.raises(ValueError, match=message):
-            validate_file(tmp_path / "merger__tom.npz")
-    shutil.copy(reference / "merger__tom.npz", tmp_path / "merger__switching_aggressive.npz")
-    with pytest.raises(ValueError, match="switching_lambda_NUMBER"):
-        validate_file(tmp_path / "merger__switching_aggressive.npz")
+            validate_file(file)
 
 
 def test_files_that_are_empty_endless_or_unpack_without_end_are_refused(tmp_path):
@@ -124,16 +118,7 @@ def test_files_that_are_empty_endless_or_unpack_without_end_are_refused(tmp_path
     with pytest.raises(ValueError, match="a directory or a device"):
         validate_file(file)
     file.unlink()
-    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }".ljust(117) + "\n"
-    with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("states.npy", b"\x93NUMPY\x01\x00v\x00" + header.encode())
-    with pytest.raises(ValueError, match="is no reference file"):
-        validate_file(file)
-    with (
-        zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
-        archive.open("states.npy", "w") as entry,
-    ):
-        for _ in range(140):
-            entry.write(bytes(1_000_000))
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("states.npy", bytes(140_000_000))
     with pytest.raises(ValueError, match="it unpacks to 140000000 bytes"):
         validate_file(file)

@@ -2,23 +2,20 @@
 
 import gzip
 import re
-import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ms_highway.irl.recordings.commonroad import read_directory
-from ms_highway.irl.recordings.recording import Recording
 
 SPEED = 12.0  # m/s, of the cars in the scenarios below
 STEPS = 20
 TURN = 0.6  # rad, of the scenarios' road against their x axis
 
 
-def lanelet(number: int, left: float, line: np.ndarray, links: str = "") -> str:
+def lanelet(number, left, line, links=""):
     """A lanelet 3.5 m wide whose centre lies that far to the left of a line."""
     direction = np.gradient(line, axis=0)
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1) / np.linalg.norm(direction, axis=-1, keepdims=True)
@@ -30,11 +27,11 @@ def lanelet(number: int, left: float, line: np.ndarray, links: str = "") -> str:
     return f'<lanelet id="{number}">{sides}{links}<laneletType>highway</laneletType></lanelet>'
 
 
-def straight(start: float, end: float) -> np.ndarray:
+def straight(start, end):
     return np.linspace(start, end, 30)[:, None] * [np.cos(TURN), np.sin(TURN)]
 
 
-def two_lanes() -> str:
+def two_lanes():
     """Two lanes; the left one, lanelets 1 and 2, is listed last, and none knows who is beside it."""
     return (
         lanelet(3, -3.5, straight(0, 200))
@@ -43,7 +40,7 @@ def two_lanes() -> str:
     )
 
 
-def state(name: str, time: int, x: float, y: float, orientation: float) -> str:
+def state(name, time, x, y, orientation):
     return (
         f"<{name}><position><point><x>{x}</x><y>{y}</y></point></position>"
         f"<orientation><exact>{orientation}</exact></orientation><time><exact>{time}</exact></time>"
@@ -51,7 +48,7 @@ def state(name: str, time: int, x: float, y: float, orientation: float) -> str:
     )
 
 
-def car(number: int, start: float, right: float, samples: int = STEPS) -> str:
+def car(number, start, right, samples=STEPS):
     """A car that keeps its velocity along the road, that far to the right of the left lane's centre."""
     cosine, sine = np.cos(TURN), np.sin(TURN)
     along = start + SPEED * 0.1 * np.arange(samples)
@@ -64,7 +61,7 @@ def car(number: int, start: float, right: float, samples: int = STEPS) -> str:
     )
 
 
-def scenario(*, lanelets: str | None = None, cars: str | None = None, time_step: float = 0.1, number: int = 1) -> str:
+def scenario(*, lanelets=None, cars=None, time_step=0.1, number=1):
     return (
         f'<?xml version="1.0"?><commonRoad commonRoadVersion="2020a" benchmarkID="USA_Test-1_{number}_T-1" '
         f'timeStepSize="{time_step}" author="a" affiliation="b" source="c" date="2020-01-01">'
@@ -75,13 +72,13 @@ def scenario(*, lanelets: str | None = None, cars: str | None = None, time_step:
     )
 
 
-def read(directory: Path, *texts: str) -> list[Recording]:
+def read(directory, *texts):
     for number, text in enumerate(texts):
         (directory / f"scenario_{number}.xml").write_text(text)
     return read_directory(directory)
 
 
-def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right(tmp_path: Path) -> None:
+def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right(tmp_path):
     (recording,) = read(tmp_path, scenario())
     assert (recording.name, recording.group) == ("USA_Test-1_1_T-1", "Test-1")
     np.testing.assert_allclose(recording.lanes, [0, 3.5], atol=1e-6)
@@ -93,14 +90,7 @@ def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right(tmp_path: Path)
     np.testing.assert_allclose(recording.states, np.transpose(expected, (2, 0, 1)), atol=1e-6)
 
 
-def test_places_beyond_the_ends_of_the_road_are_extrapolated(tmp_path: Path) -> None:
-    (recording,) = read(tmp_path, scenario(cars=car(100, -50, 2.0) + car(101, 190, 2.0)))
-    np.testing.assert_allclose(recording.states[0, :, 0], [-50, 190], atol=1e-6)
-    np.testing.assert_allclose(recording.states[-1, :, 0], np.array([-50, 190]) + SPEED * 0.1 * (STEPS - 1), atol=1e-6)
-    np.testing.assert_allclose(recording.states[..., 1], 2.0, atol=1e-6)
-
-
-def test_headings_turn_to_the_right_on_a_curved_road(tmp_path: Path) -> None:
+def test_headings_turn_to_the_right_on_a_curved_road(tmp_path):
     # The road bends left on a radius of 400 m; who goes straight on turns right of it.
     angle = np.linspace(0, 0.5, 60)
     bend = 400 * np.stack([np.sin(angle), 1 - np.cos(angle)], axis=-1)
@@ -113,20 +103,14 @@ def test_headings_turn_to_the_right_on_a_curved_road(tmp_path: Path) -> None:
     np.testing.assert_allclose(x, 400 * np.arctan2(along, 400), atol=0.1)
 
 
-def test_a_single_lane_is_as_wide_as_its_lanelets(tmp_path: Path) -> None:
-    (recording,) = read(tmp_path, scenario(lanelets=lanelet(1, 0, straight(0, 200))))
-    assert len(recording.lanes) == 1
-    assert recording.lane_width == pytest.approx(3.5)
-
-
-def test_ramps_and_the_opposite_direction_are_no_lanes(tmp_path: Path) -> None:
+def test_ramps_and_the_opposite_direction_are_no_lanes(tmp_path):
     opposite = lanelet(4, -8.0, straight(200, 0))
     ramp = lanelet(5, -10.0, np.linspace(0, 1, 30)[:, None] * [120, -40])
     (recording,) = read(tmp_path, scenario(lanelets=opposite + ramp + two_lanes()))
     np.testing.assert_allclose(recording.lanes, [0, 3.5], atol=1e-6)
 
 
-def test_a_track_counts_once_among_the_files_of_one_recording(tmp_path: Path) -> None:
+def test_a_track_counts_once_among_the_files_of_one_recording(tmp_path):
     first = scenario(cars=car(100, 20, 0) + car(101, 40, 3.0), number=1)
     second = scenario(cars=car(100, 20, 0) + car(102, 60, 3.0), number=2)
     elsewhere = second.replace("Test-1_2", "Test-2_2")
@@ -135,18 +119,10 @@ def test_a_track_counts_once_among_the_files_of_one_recording(tmp_path: Path) ->
     assert all(recording.seen.all() for recording in recordings)
 
 
-def test_cars_seen_once_are_neighbours_but_no_drivers(tmp_path: Path) -> None:
+def test_cars_seen_once_are_neighbours_but_no_drivers(tmp_path):
     (recording,) = read(tmp_path, scenario(cars=car(100, 20, 0, samples=1) + car(101, 40, 3.0)))
     assert recording.drivers.tolist() == [1]
     assert recording.seen.sum(axis=0).tolist() == [1, STEPS]
-
-
-def test_compressed_scenarios_are_the_same(tmp_path: Path) -> None:
-    (plain,) = read(tmp_path, scenario())
-    (tmp_path / "scenario_0.xml").rename(tmp_path / "other")
-    (tmp_path / "scenario.xml.gz").write_bytes(gzip.compress(scenario().encode()))
-    (compressed,) = read_directory(tmp_path)
-    np.testing.assert_array_equal(plain.states, compressed.states)
 
 
 @pytest.mark.parametrize(
@@ -155,27 +131,18 @@ def test_compressed_scenarios_are_the_same(tmp_path: Path) -> None:
         (scenario()[:3000], "is no CommonRoad scenario, or damaged .*; fetch it again"),
         ("", "is no CommonRoad scenario, or damaged .*; fetch it again"),
         ("<html/>", "is no CommonRoad scenario, or damaged .*; fetch it again"),
-        (scenario(lanelets=""), "has no lanelets from which lanes start"),
-        (scenario(cars=""), "has no dynamic obstacle with two samples"),
-        (scenario(cars=car(100, 20, 0, samples=1)), "has no dynamic obstacle with two samples"),
-        (scenario(time_step=0.2), "has a time step of 0.2 s; it must be 0.1 s"),
+        (scenario(lanelets=""), "there are no lanelets from which lanes start"),
+        (scenario(cars=""), "there is no dynamic obstacle with two samples"),
+        (scenario(cars=car(100, 20, 0, samples=1)), "there is no dynamic obstacle with two samples"),
+        (scenario(time_step=0.2), "the time step is 0.2 s; it must be 0.1 s"),
     ],
 )
-def test_bad_files_are_refused_by_name(tmp_path: Path, text: str, problem: str) -> None:
+def test_bad_files_are_refused_by_name(tmp_path, text, problem):
     with pytest.raises(ValueError, match=re.escape(str(tmp_path / "scenario_0.xml")) + ".*" + problem):
         read(tmp_path, text)
 
 
-def test_damaged_archives_are_refused_by_name(tmp_path: Path) -> None:
-    path = tmp_path / "scenario.xml.gz"
-    whole = gzip.compress(scenario().encode())
-    for content in (whole[:500], b"no archive", whole[:100] + b"noise" + whole[105:]):
-        path.write_bytes(content)
-        with pytest.raises(ValueError, match=re.escape(str(path)) + ".*fetch it again"):
-            read_directory(tmp_path)
-
-
-def test_a_directory_without_scenarios_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_directory_without_scenarios_is_refused_by_name(tmp_path):
     with pytest.raises(ValueError, match=re.escape(str(tmp_path)) + " holds no CommonRoad scenarios"):
         read_directory(tmp_path)
     missing = tmp_path / "missing"
@@ -183,41 +150,18 @@ def test_a_directory_without_scenarios_is_refused_by_name(tmp_path: Path) -> Non
         read_directory(missing)
 
 
-def test_the_extra_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_extra_is_named_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "commonroad.common.reader.file_reader_xml", None)
     with pytest.raises(ImportError, match=re.escape("pip install 'ms-highway[commonroad]'")):
         read(tmp_path, scenario())
 
 
-def test_us101_has_five_or_six_lanes(us101: list[Recording]) -> None:
-    assert len(us101) == 16
-    for recording in us101:
-        assert len(recording.lanes) in (5, 6)
-        np.testing.assert_allclose(recording.lanes, [0, 3.4, 6.8, 10.1, 13.6, 17.3][: len(recording.lanes)], atol=0.11)
-        assert recording.lane_width == pytest.approx(3.42, abs=0.05)
-    assert [len(recording.lanes) for recording in us101 if recording.group == "US101-10"] == [5]
-
-
-def test_us101_drivers_stay_on_the_road_and_go_with_it(us101: list[Recording]) -> None:
-    assert sum(len(recording.drivers) for recording in us101) == 566
-    for recording in us101:
-        driven = recording.states[recording.seen]
-        assert (np.abs(driven[:, 2]) < 0.4).all()
-        beyond = np.maximum(recording.lanes[0] - driven[:, 1], driven[:, 1] - recording.lanes[-1])
-        assert np.mean(beyond > recording.lane_width / 2) < 0.01
-
-
 @pytest.mark.parametrize(("seconds", "mean"), [(3, 2.317), (5, 5.37)])
-def test_constant_velocity_on_us101_errs_as_is_known(us101: list[Recording], seconds: int, mean: float) -> None:
+def test_constant_velocity_on_us101_errs_as_is_known(us101, seconds, mean):
     assert np.mean(constant_velocity_errors(us101, seconds)) == pytest.approx(mean, rel=0.02)
 
 
-def test_a_smooth_reference_line_lets_constant_velocity_err_less_at_first(us101: list[Recording]) -> None:
-    # 0.447 m with a reference line of straight pieces 5 m long, whose kinks make headings jump.
-    assert 0.39 < np.mean(constant_velocity_errors(us101, 1)) < 0.447
-
-
-def constant_velocity_errors(recordings: list[Recording], seconds: int) -> list[float]:
+def constant_velocity_errors(recordings, seconds):
     """Final displacement errors [m] from the start of every long enough track."""
     errors = []
     for recording in recordings:
@@ -230,23 +174,13 @@ def constant_velocity_errors(recordings: list[Recording], seconds: int) -> list[
     return errors
 
 
-def test_the_first_files_are_read_where_that_is_asked_for(tmp_path: Path) -> None:
+def test_the_first_files_are_read_where_that_is_asked_for(tmp_path):
     for name in ("b", "a", "c"):
         (tmp_path / f"{name}.xml").write_text(scenario())
     (tmp_path / "c.xml").write_text("never looked at")
     assert len(read_directory(tmp_path, 2)) == 2
     with pytest.raises(ValueError, match=r"c\.xml is no CommonRoad scenario"):
         read_directory(tmp_path, 3)
-
-
-def test_a_us101_file_under_another_name_adds_no_drivers(us101_directory: Path, tmp_path: Path) -> None:
-    source = us101_directory / "USA_US101-29_1_T-1.xml.gz"
-    for name in ("first.xml.gz", "second.xml.gz"):
-        shutil.copy(source, tmp_path / name)
-    first, second = read_directory(tmp_path)
-    assert len(first.drivers) == 27
-    assert len(second.drivers) == 0
-    np.testing.assert_array_equal(first.states, second.states)
 
 
 def test_a_scenario_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
@@ -260,13 +194,13 @@ def test_a_scenario_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        ({"lanelets": lanelet(1, 0.0, straight(0, 1e9))}, "lanelets are up to 8.25e\\+08 m apart"),
-        ({"lanelets": re.sub("<x>[^<]*", "<x>inf", two_lanes(), count=1)}, "coordinates of lanelets are not finite"),
+        ({"lanelets": lanelet(1, 0.0, straight(0, 1e9))}, "lanelets are not finite, or more than 100000 m apart"),
+        ({"lanelets": re.sub("<x>[^<]*", "<x>inf", two_lanes(), count=1)}, "lanelets are not finite"),
         ({"cars": car(100, 20, 0).replace(f"<exact>{TURN}", "<exact>inf")}, "an orientation of inf rad"),
         ({"cars": car(100, 20, 0).replace(f"<exact>{TURN}", "<exact>1e15")}, "an orientation of 1e15 rad"),
-        ({"cars": car(100, 20, 0).replace("<length>4.5", "<length>inf")}, "is longer than 100 m, or faster"),
-        ({"cars": car(100, 20, 0).replace(f"<exact>{SPEED}", "<exact>1e9")}, "is longer than 100 m, or faster"),
-        ({"cars": car(100, 20, 0) + car(101, 1e9, 0)}, "obstacles are up to .* m apart"),
+        ({"cars": car(100, 20, 0).replace("<length>4.5", "<length>inf")}, "is longer than 100 m"),
+        ({"cars": car(100, 20, 0).replace(f"<exact>{SPEED}", "<exact>1e9")}, "faster than any car"),
+        ({"cars": car(100, 20, 0) + car(101, 1e9, 0)}, "nowhere on Earth"),
         (
             {"cars": car(100, 20, 0).replace("<time><exact>3<", "<time><exact>9<")},
             "times of obstacle 100 do not follow each other",

@@ -1,6 +1,5 @@
 """Demonstrations: the environment, those who drive in it, and what is recorded."""
 
-import importlib
 import json
 import os
 import re
@@ -11,7 +10,6 @@ import sys
 import threading
 import time
 import warnings
-from pathlib import Path
 
 import gymnasium as gym
 import h5py
@@ -23,7 +21,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from jax import numpy as jnp
 
-import ms_highway
 from ms_highway.cli.main import main
 from ms_highway.envs import DEMONSTRATION_ID
 from ms_highway.envs.demonstration import ABSENT, KEYBOARD_ACTION, demonstration_game
@@ -31,10 +28,9 @@ from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.dynamics import recover_control, step
 from ms_highway.game.game import rollout_reward
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.recordings.datasets import load
+from ms_highway.irl.recordings.datasets import load_demonstrations
 from ms_highway.irl.recordings.demonstrations import actions, record
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
-from ms_highway.vehicle import HumanVehicle, RoutedVehicle
 
 SLOPE = jax.jit(jax.grad(rollout_reward, argnums=2))
 EARNED = jax.jit(jax.vmap(rollout_reward, in_axes=(None, None, 0, None)))
@@ -48,14 +44,13 @@ def make(density="medium", render_mode=None, **config):
 
 def driven(env, seed, driver="mpc"):
     """Observations, actions, rewards and infos of an episode."""
-    observations, taken, rewards, infos = [env.reset(seed=seed)[0]], [], [], []
+    observations, steps = [env.reset(seed=seed)[0]], []
     for action in actions(driver, env.unwrapped, seed):
         observation, reward, _, truncated, info = env.step(action)
         observations.append(observation)
-        taken.append(action)
-        rewards.append(reward)
-        infos.append(info)
+        steps.append((action, reward, info))
         if truncated:
+            taken, rewards, infos = zip(*steps, strict=True)
             return np.array(observations), np.array(taken), np.array(rewards), infos
 
 
@@ -102,72 +97,25 @@ def test_gymnasiums_checker_passes_without_a_warning():
         check_env(make(render_mode="rgb_array").unwrapped)
 
 
-def test_its_id_is_registered_once_and_for_good():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        importlib.reload(ms_highway)
-    assert "ms-highway/demonstration-v0" in gym.registry
-
-
-def test_the_same_seed_gives_the_same_episode_and_another_one_another():
-    env = make()
-    first, again, other = driven(env, 3), driven(env, 3), driven(env, 4)
-    for one, same in zip(first[:3], again[:3], strict=True):
-        np.testing.assert_array_equal(one, same)
-    assert len(first[1]) == 50
-    assert abs(first[0] - other[0]).max() > 0.1
-    for reward, info in zip(first[2], first[3], strict=True):
-        assert sum(info["rewards"].values()) == pytest.approx(reward)
-
-
 @pytest.mark.parametrize("density", DENSITIES)
 def test_routes_are_many_as_the_density_says_near_the_driver_and_never_collide(density):
-    env = make(density).unwrapped
-    changes = 0
-    for seed in range(40):
+    env, changes, number = make(density).unwrapped, 0, DENSITIES[density]
+    for seed in range(30):
         observation, _ = env.reset(seed=seed)
-        assert observation[:, 0].sum() == 1 + DENSITIES[density]
-        assert not observation[observation[:, 0] == 0].any()
-        routes = env.routes[: DENSITIES[density]]
-        assert (env.routes[DENSITIES[density] :] == ABSENT).all()
+        assert observation[:, 0].sum() == 1 + number
+        routes = env.routes[:number]
+        assert (env.routes[number:] == ABSENT).all()
         assert (abs(routes[:, 0, 0] - 15) <= 45).all()
         assert (abs(routes[..., 3] - 19) < 1.2).all()
         changes += (np.ptp(routes[..., 1], axis=1) > 1).sum()
-        cars = [RoutedVehicle(None, route) for route in routes]
-        for _ in range(routes.shape[1]):
-            for place, car in enumerate(cars):
-                car.solid = False
-                assert not any(car._is_colliding(other, 0.1)[0] for other in cars[:place])
-            for car in cars:
-                car.step(0.1)
-    assert 0.2 < changes / 40 / DENSITIES[density] < 0.6
-
-
-def test_routes_move_as_their_headings_and_speeds_say():
-    env = make("dense").unwrapped
-    env.reset(seed=5)
-    x, y, heading, speed = np.moveaxis(env.routes, -1, 0)
-    for place, direction in ((x, np.cos), (y, np.sin)):
-        velocity = speed * direction(heading)
-        np.testing.assert_allclose(np.diff(place), 0.05 * (velocity[:, 1:] + velocity[:, :-1]), atol=2e-3)
-
-
-def test_a_car_past_the_end_of_its_route_keeps_its_velocity():
-    car = RoutedVehicle(None, np.array([[0, 0, 0.0, 18], [2, 0, 0.1, 19]]))
-    for _ in range(2):
-        car.act()
-        car.step(0.1)
-    np.testing.assert_allclose(car.state, [2 + 1.9 * np.cos(0.1), 1.9 * np.sin(0.1), 0.1, 19], rtol=1e-6)
-
-
-def test_one_driver_in_five_starts_off_the_road():
-    env = make("sparse").unwrapped
-    starts = np.array([env.reset(seed=seed)[0][0] for seed in range(300)])
-    depth = abs(starts[:, 2] - 10 / 3) + 1.25 - 5
-    assert 0.1 < (depth > 0.3).mean() < 0.3
-    assert depth.max() < 2.0
-    assert np.std(starts[:, 3]) == pytest.approx(0.04, rel=0.15)
-    assert np.std(starts[:, 4]) == pytest.approx(2.5, rel=0.15)
+        for place, route in enumerate(routes):
+            apart = abs(routes[:place, :, :2] - route[:, :2])
+            assert ((apart[..., 0] > 5.1) | (apart[..., 1] > 2.6)).all()
+        x, y, heading, speed = np.moveaxis(routes, -1, 0)
+        for position, direction in ((x, np.cos), (y, np.sin)):
+            velocity = speed * direction(heading)
+            np.testing.assert_allclose(np.diff(position), 0.05 * (velocity[:, 1:] + velocity[:, :-1]), atol=2e-3)
+    assert 0.2 < changes / 30 / number < 0.6
 
 
 def test_collisions_are_noted_and_without_effect():
@@ -178,44 +126,10 @@ def test_collisions_are_noted_and_without_effect():
     before = env.vehicle.speed
     _, reward, terminated, _, info = env.step(env.action_for([0.0, 0.2 * before]))
     assert info["collision"]
-    assert info["crashed"]
     assert not terminated
     assert reward < -90
     assert env.vehicle.speed == pytest.approx(before, rel=1e-5)
     np.testing.assert_array_equal(ahead.state, env.routes[0, 1])
-
-
-def test_an_action_space_follows_the_configuration_and_keeps_its_seed():
-    env = make().unwrapped
-    space = env.action_space
-    env.reset(seed=0)
-    assert env.action_space is space
-    env.reset(options={"config": {"action": {"lateral": False}}})
-    assert env.action_space.shape == (1,)
-
-
-def test_the_driver_is_drawn_in_its_colour():
-    env = make(render_mode="rgb_array")
-    env.reset(seed=0)
-    frame = env.render()
-    assert (abs(frame.astype(int) - HumanVehicle.COLOR).max(axis=-1) <= 2).sum() > 500
-
-
-@pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        ({"densty": "dense"}, "did you mean 'density'"),
-        ({"density": "empty"}, "choose one of 'sparse', 'medium', 'dense'"),
-        ({"action": {"type": "Autopilot"}}, "must be 'ContinuousAction'"),
-        ({"action": {"acceleration": 1}}, "unknown key 'acceleration'"),
-        ({"observation": {"type": "Kinematics"}}, "must be 'CarTracks'"),
-        ({"policy_frequency": 5}, "must be 10"),
-        ({"duration": -1}, "'duration'"),
-    ],
-)
-def test_a_wrong_configuration_is_refused_with_the_remedy(config, message):
-    with pytest.raises(ValueError, match=message):
-        gym.make(DEMONSTRATION_ID, config=config)
 
 
 # Those who drive
@@ -230,30 +144,18 @@ def test_recorded_actions_drive_the_recorded_states(driver):
     limit = env.unwrapped.action_type.steering_range[1]
     controls = np.stack([np.tan(taken[:, 1] * limit) / 5, low + (taken[:, 0] + 1) * (high - low) / 2], axis=-1)
     np.testing.assert_allclose(step(PAPER_DYNAMICS, states[:-1], controls), states[1:], atol=5e-5)
-    recovered = recover_control(PAPER_DYNAMICS, states[:-1], states[1:])
-    np.testing.assert_allclose(recovered, controls, atol=1e-3)
+    np.testing.assert_allclose(recover_control(PAPER_DYNAMICS, states[:-1], states[1:]), controls, atol=1e-3)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 6])
+@pytest.mark.parametrize("seed", [1, 6])
 def test_an_optimal_window_has_no_slope_and_earns_more_than_those_beside_it(seed):
     car, others = windows(seed, steps=10)
     best = optimal(GAME, car, others)
     slope = SLOPE(GAME, car, best.controls, others)
     assert abs(slope).max() < 2e-3
-    np.testing.assert_allclose(best.gradient, slope, atol=1e-3)
     nudges = 0.1 * jax.random.normal(jax.random.key(seed), (200, *best.controls.shape))
     rewards = EARNED(GAME, car, jnp.concatenate([best.controls[None], best.controls + nudges]), others)
     assert (rewards[1:] < rewards[0]).all()
-
-
-def test_the_hessian_at_the_optimum_is_that_of_the_reward():
-    car, others = windows(2)
-    best = optimal(GAME, car, others)
-    nudge = 1e-2 * np.eye(10, dtype=np.float32).reshape(10, 5, 2)
-    forward, back = (
-        np.array([SLOPE(GAME, car, best.controls + sign * row, others).ravel() for row in nudge]) for sign in (1, -1)
-    )
-    np.testing.assert_allclose(best.hessian, (forward - back) / 2e-2, atol=0.02 * abs(best.hessian).max())
 
 
 def test_samples_vary_as_the_curvature_of_the_reward_and_the_temperature_say():
@@ -268,16 +170,6 @@ def test_samples_vary_as_the_curvature_of_the_reward_and_the_temperature_say():
     np.testing.assert_allclose(np.cov(white.T), np.eye(10), atol=0.2)
 
 
-def test_a_maxent_driver_is_as_random_as_its_seed():
-    env = make().unwrapped
-    taken = []
-    for seed in (0, 0, 1):
-        env.reset(seed=7)
-        taken.append(next(actions("maxent", env, seed)))
-    np.testing.assert_array_equal(taken[0], taken[1])
-    assert (taken[0] != taken[2]).any()
-
-
 def test_arrow_keys_drive(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     env = make(render_mode="human", action=KEYBOARD_ACTION, manual_control=True).unwrapped
@@ -288,9 +180,7 @@ def test_arrow_keys_drive(monkeypatch):
     env.step(next(keys))  # sees the key only after it has moved
     assert env.vehicle.speed == pytest.approx(speed + 0.1 * (4 - 0.2 * speed))
     speed = env.vehicle.speed
-    action = next(keys)
-    np.testing.assert_allclose(action, [0.7, 0.0])
-    env.step(action)
+    env.step(next(keys))
     assert env.vehicle.speed == pytest.approx(speed + 0.1 * (11 - 0.2 * speed))
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     env.step(next(keys))
@@ -303,7 +193,7 @@ def test_arrow_keys_drive(monkeypatch):
 
 def test_recordings_come_back_as_they_were_driven(recorded, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(recorded))
-    recordings = load(NAME)
+    recordings = load_demonstrations(NAME)
     for seed, (recording, density) in enumerate(zip(recordings, DENSITIES, strict=True)):
         observations, *_ = driven(make(density), seed)
         present = observations[..., 0] == 1
@@ -311,7 +201,6 @@ def test_recordings_come_back_as_they_were_driven(recorded, monkeypatch):
         np.testing.assert_array_equal(recording.states[present], observations[present][:, 1:])
         assert recording.states.shape == (51, 8, 4)
         assert list(recording.drivers) == [0]
-        np.testing.assert_allclose(recording.lanes, [0, 10 / 3, 20 / 3], rtol=1e-6)
     assert len({recording.group for recording in recordings}) == 3
 
 
@@ -320,34 +209,34 @@ def test_a_data_set_is_minaris_and_says_how_it_was_made(recorded, monkeypatch):
     dataset = minari.load_dataset(NAME)
     assert dataset.total_steps == 150
     assert NAME in minari.list_local_datasets()
-    marks = list(dataset.storage.get_episode_metadata(range(3)))
-    assert [(mark["seed"], mark["density"]) for mark in marks] == list(enumerate(DENSITIES))
+    for number, (mark, density) in enumerate(
+        zip(dataset.storage.get_episode_metadata(range(3)), DENSITIES, strict=True)
+    ):
+        assert (mark["seed"], mark["options"]["config"]["density"]) == (number, density)
     made = dataset.storage.metadata["ms_highway"]
     assert (made["driver"], made["format"], made["time_step"], made["horizon"]) == ("mpc", 1, 0.1, 5)
-    assert made["weights"]["speed"] == 2
     env = dataset.recover_environment()
     observation, _ = env.reset(seed=0, options={"config": {"density": "sparse"}})
     np.testing.assert_array_equal(observation, dataset[0].observations[0])
 
 
 def test_a_killed_recording_keeps_its_episodes_and_goes_on(recorded, datasets, monkeypatch):
-    arguments = ["irl", "record", "--driver", "mpc", "--dataset", "ms-highway/mpc-v0", "--episodes"]
+    arguments = ["irl", "record", "--driver", "mpc", "--dataset", NAME, "--episodes"]
     process = subprocess.Popen([sys.executable, "-m", "ms_highway", *arguments, "1000"], stderr=subprocess.DEVNULL)
-    metadata = datasets / NAME / "data" / "metadata.json"
-    deadline = time.monotonic() + 60
+    metadata, deadline = datasets / NAME / "data" / "metadata.json", time.monotonic() + 90
     while not metadata.exists() or '"total_episodes": 2' not in metadata.read_text():
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.005)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    kept = len(load(NAME))
+    kept = len(load_demonstrations(NAME))
     assert kept >= 2
     assert main([*arguments, str(kept + 1)]) == 0
-    resumed = load(NAME)
+    resumed = load_demonstrations(NAME)
     assert len(resumed) >= kept + 1
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(recorded))
-    for one, other in zip(load(NAME), resumed, strict=False):
+    for one, other in zip(load_demonstrations(NAME), resumed, strict=False):
         np.testing.assert_allclose(one.states, other.states, atol=1e-4)  # another process compiles a little differently
 
 
@@ -360,16 +249,10 @@ def test_an_episode_that_the_metadata_do_not_count_yet_is_not_lost(files):
     assert [path.name for path in files.parent.iterdir()] == ["data"]
 
 
-def test_a_disk_without_room_for_another_episode_is_named_before_it_is_driven(files):
-    with (files / "padding").open("wb") as padding:
-        padding.truncate(10**13)  # takes no room, but a copy of it would
-    with pytest.raises(OSError, match="mpc-v0/data needs 10000002 MB for another episode; its disk has"):
-        list(record("mpc", 4, NAME))
-    assert [path.name for path in files.parent.iterdir()] == ["data"]
-    assert len(load(NAME)) == 3
-
-
-def test_two_recordings_into_one_data_set_do_not_mix(files):
+def test_two_recordings_into_one_data_set_do_not_mix_and_a_complete_one_is_left_alone(files):
+    before = (files / "main_data.hdf5").read_bytes()
+    assert list(record("mpc", 2, NAME)) == [3]
+    assert (files / "main_data.hdf5").read_bytes() == before
     counts = record("mpc", 4, NAME)
     assert next(counts) == 3
     with pytest.raises(ValueError, match="another command is writing to"):
@@ -377,24 +260,16 @@ def test_two_recordings_into_one_data_set_do_not_mix(files):
     assert list(counts) == [4]
 
 
-def test_a_recording_that_is_complete_is_left_alone(files):
-    before = (files / "main_data.hdf5").read_bytes()
-    assert list(record("mpc", 2, NAME)) == [3]
-    assert (files / "main_data.hdf5").read_bytes() == before
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"driver": "optimal"}, "other settings, {'driver': 'mpc'"),
         ({"seed": 5}, "other settings, {'first_seed': 0}"),
-        ({"densities": ["dense"]}, "other settings, {'densities'"),
         ({"driver": "human"}, "the drivers are keyboard, optimal, maxent, mpc"),
         ({"densities": ["empty"]}, "choose from sparse, medium, dense"),
         ({"driver": "maxent", "temperature": 0.0}, "the temperature is 0.0"),
         ({"seed": -1}, "must not be negative"),
         ({"episodes": 0}, "at least one"),
-        ({"dataset": "no version"}, "name it like ms-highway/maxent-v0"),
         ({"dataset": "../up-v0"}, "name it like ms-highway/maxent-v0"),
     ],
 )
@@ -402,14 +277,6 @@ def test_a_recording_that_is_complete_is_left_alone(files):
 def test_impossible_and_other_settings_are_refused(change, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         next(record(**{"driver": "mpc", "episodes": 3, "dataset": NAME, **change}))
-
-
-def spoil(files: Path, name: str, change):
-    """Replace an array of the second episode."""
-    with h5py.File(files / "main_data.hdf5", "a") as file:
-        changed = change(file[f"episode_1/{name}"][()])
-        del file[f"episode_1/{name}"]
-        file[f"episode_1/{name}"] = changed
 
 
 def with_nan(tracks):
@@ -425,16 +292,19 @@ def without_driver(tracks):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (with_nan, "episode 1 is not finite at step 7, car 2"),
-        (without_driver, "episode 1 lacks its driver at step 4"),
-        (lambda tracks: tracks[:, :5], r"episode 1 has observations of shape \(51, 5, 5\)"),
-        (lambda tracks: tracks[:1], r"episode 1 has observations of shape \(1, 8, 5\)"),
+        (with_nan, "not finite at step 7, car 2"),
+        (without_driver, "car 0 at step 4 is not finite"),
+        (lambda tracks: tracks[:, :5], r"shape \(51, 5, 5\)"),
+        (lambda tracks: tracks[:1], "a track needs two samples"),
     ],
 )
 def test_spoilt_episodes_are_refused(files, change, message):
-    spoil(files, "observations", change)
-    with pytest.raises(ValueError, match=f"^data set {NAME}, {message}.*record it again"):
-        load(NAME)
+    with h5py.File(files / "main_data.hdf5", "a") as file:
+        changed = change(file["episode_1/observations"][()])
+        del file["episode_1/observations"]
+        file["episode_1/observations"] = changed
+    with pytest.raises(ValueError, match=f"^data set {NAME}, episode 1 cannot be read .*{message}.*record it again"):
+        load_demonstrations(NAME)
 
 
 @pytest.mark.parametrize(
@@ -452,39 +322,31 @@ def test_spoilt_data_sets_are_refused(files, change, message):
     metadata = json.loads((files / "metadata.json").read_text())
     (files / "metadata.json").write_text(json.dumps({**metadata, **change}))
     with pytest.raises(ValueError, match=f"^data set {NAME},? {message}"):
-        load(NAME)
+        load_demonstrations(NAME)
 
 
-def test_a_broken_file_and_a_missing_data_set_are_refused(files):
+def test_a_broken_file_and_a_missing_data_set_are_refused_and_without_minari_the_extra_is_named(files, monkeypatch):
     (files / "main_data.hdf5").write_bytes(b"no HDF5")
     with pytest.raises(ValueError, match=f"^data set {NAME}, episode 0 cannot be read"):
-        load(NAME)
+        load_demonstrations(NAME)
     with pytest.raises(ValueError, match="there is no data set ms-highway/other-v0"):
-        load("ms-highway/other-v0")
-
-
-def test_without_minari_the_extra_is_named(monkeypatch):
+        load_demonstrations("ms-highway/other-v0")
     monkeypatch.setitem(sys.modules, "minari", None)
     with pytest.raises(ImportError, match=r"pip install 'ms-highway\[demonstrations\]'"):
-        load(NAME)
+        load_demonstrations(NAME)
 
 
-def test_a_person_needs_a_display(datasets, monkeypatch, capsys):
+def test_a_person_needs_a_display_and_keeps_what_is_finished_when_the_window_closes(datasets, monkeypatch, capsys):
     for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
     pygame.display.quit()
     assert main(["irl", "record", "--driver", "keyboard", "--episodes", "1", "--dataset", "me-v0"]) == 2
     assert "there is no display" in capsys.readouterr().err
     pygame.display.quit()
-    assert not list(datasets.iterdir())
-
-
-def test_a_person_who_closes_the_window_keeps_what_is_finished(datasets, monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     counts = record("keyboard", 1, "me-v0")
     assert next(counts) == 0
-    closing = threading.Timer(2.0, pygame.event.post, [pygame.event.Event(pygame.QUIT)])  # within the five seconds
-    closing.start()
+    threading.Timer(2.0, pygame.event.post, [pygame.event.Event(pygame.QUIT)]).start()  # within the five seconds
     with pytest.raises(KeyboardInterrupt):
         next(counts)
     assert not list(datasets.iterdir())

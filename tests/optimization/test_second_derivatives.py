@@ -1,32 +1,28 @@
-"""Second derivatives, responses and eigenpairs."""
+"""Second derivatives, responses, eigenpairs and bounded eigenvalues."""
+
+from functools import partial
 
 import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.optimization.second_derivatives import eigenpairs, jacobian_and_hessian, response
+from ms_highway.game.game import move, total_reward, trajectory_reward
+from ms_highway.optimization.floored import floored
+from ms_highway.optimization.second_derivatives import (
+    eigenpairs,
+    response,
+    second_order_expansion,
+)
+from ms_highway.runtime.compilation import jit_quickly
 
-
-def symmetric_matrices():
-    """Of all scales, with equal eigenvalues, diagonal ones, singular ones and zero among them."""
-    random = np.random.default_rng(0)
-    for number in range(60):
-        matrix = random.normal(size=(2, 2)) * 10 ** random.uniform(-3, 3)
-        yield np.diag(np.diag(matrix)) if number % 4 == 0 else matrix + matrix.T
-    yield from (
-        np.zeros((2, 2)),
-        np.eye(2),
-        -3 * np.eye(2),
-        np.ones((2, 2)),
-        np.diag([2.0, -1.0]),
-        np.diag([-1.0, 2.0]),
-    )
+SPECIAL = [np.zeros((2, 2)), np.eye(2), -3 * np.eye(2), np.ones((2, 2)), np.diag([2.0, -1.0]), np.diag([-1.0, 2.0])]
 
 
 def test_two_by_two_eigenpairs_agree_with_lapack():
-    compiled = jax.jit(eigenpairs)
-    for matrix in symmetric_matrices():
+    random, compiled = np.random.default_rng(0), jax.jit(eigenpairs)
+    drawn = [random.normal(size=(2, 2)) * 10 ** random.uniform(-3, 3) for _ in range(40)]
+    for matrix in [*SPECIAL, *(matrix + matrix.T for matrix in drawn)]:
         values, vectors = (np.asarray(part, dtype=float) for part in compiled(jnp.float32(matrix)))
         scale = max(abs(matrix).max(), 1e-30)
         np.testing.assert_allclose(values, np.linalg.eigvalsh(matrix), atol=1e-6 * scale, rtol=1e-6)
@@ -37,18 +33,43 @@ def test_two_by_two_eigenpairs_agree_with_lapack():
 @pytest.mark.parametrize("size", [2, 5])
 def test_the_exact_response_solves_the_linear_equations(size):
     random = np.random.default_rng(0)
-    for _ in range(20):
+    for _ in range(10):
         matrix, push = random.normal(size=(size, size)), random.normal(size=(size, 2))
         matrix = matrix + matrix.T + 3 * np.eye(size)
         answer = response("exact", jnp.float32(matrix), jnp.float32(push))
         np.testing.assert_allclose(matrix @ answer, -push, atol=1e-4 * abs(np.linalg.inv(matrix)).max())
 
 
-def test_slope_and_bend_are_the_first_two_derivatives():
-    def function(variables):
-        return jnp.sum(jnp.sin(variables[0]) * variables[1] ** 3)
+def test_the_chain_rule_gives_the_hessian_of_the_whole_plan(played):
+    game, state = played("merger", seed=1)
+    controls = jnp.asarray(np.random.default_rng(0).normal(0, 0.2, (2, 5, 2)), dtype=jnp.float32)
+    humans = move(game, state[1], controls[1])[None]
 
-    point = jnp.array([[0.3, -1.0], [0.7, 2.0]])
-    slope, bend = jax.jit(jacobian_and_hessian(function))(point)
-    np.testing.assert_allclose(slope, jax.jit(jax.grad(function))(point), rtol=1e-6)
-    np.testing.assert_allclose(bend, jax.jit(jax.hessian(function))(point), rtol=1e-6)
+    @jit_quickly
+    def both(robot):
+        expansion = second_order_expansion(
+            partial(move, game, state[0]), lambda robot: trajectory_reward(game, state, robot, humans), robot
+        )
+        objective = partial(total_reward, game, state, humans=controls[1:])
+        return expansion, jax.grad(objective)(robot), jax.hessian(objective)(robot)
+
+    expansion, gradient, hessian = both(controls[0])
+    scale = abs(hessian).max()
+    np.testing.assert_allclose(expansion.gradient, gradient.ravel(), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(expansion.hessian, hessian.reshape(10, 10), rtol=1e-3, atol=1e-5 * scale)
+
+
+def symmetric(seed, eigenvalues):
+    vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(len(eigenvalues),) * 2))[0]
+    return (vectors * eigenvalues) @ vectors.T
+
+
+@pytest.mark.parametrize("eigenvalues", [(3.0, 3.0, 2.0, 1.5), (3.0, 3.0, -1.0, -1.0), (0.2, -0.3, -5.0, 4.0)])
+def test_floored_eigenvalues_have_exact_derivatives_also_where_they_meet(eigenvalues):
+    with jax.enable_x64(True):
+        matrix, change = symmetric(0, eigenvalues), symmetric(1, (1.0, -0.5, 0.3, 0.7))
+        expected = np.sort(np.maximum(eigenvalues, 1.0))
+        np.testing.assert_allclose(np.linalg.eigvalsh(floored(matrix, 1.0)), expected, atol=1e-12)
+        slope = jax.jvp(floored, (matrix, 1.0), (change, 0.4))[1]
+        difference = (floored(matrix + 1e-6 * change, 1 + 4e-7) - floored(matrix - 1e-6 * change, 1 - 4e-7)) / 2e-6
+        np.testing.assert_allclose(slope, difference, atol=1e-7)

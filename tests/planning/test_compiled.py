@@ -12,31 +12,33 @@ from jax import numpy as jnp
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
 from ms_highway.metareasoning.compiled_decision import CompiledDecision
-from ms_highway.metareasoning.rule import first_memory
-from ms_highway.metareasoning.switching import Switching, decide
+from ms_highway.metareasoning.rule import Outcome, decide, first_memory
+from ms_highway.metareasoning.switching import Switching
+from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import MODELS, ladder
-from ms_highway.runtime.compilation import in_one_kernel, jit_quickly, known_options
+from ms_highway.planning.plans import cold_start
+from ms_highway.runtime.compilation import in_one_kernel, jit_quickly
 
 IN_A_PROCESS_OF_ITS_OWN = """
 import os, sys
 from ms_highway import low_latency
 low_latency()
 import jax, numpy as np
-from ms_highway.envs.stay_back import STAY_BACK
 from ms_highway.game.scenario import build_game, draw_starts
+from ms_highway.game.scenarios import STAY_BACK
 from ms_highway.metareasoning.compiled_decision import CompiledDecision
 from ms_highway.metareasoning.rule import first_memory
 from ms_highway.metareasoning.switching import Switching
-from ms_highway.planning.compiled_plans import CompiledPlans
-from ms_highway.planning.human_models import MODELS, ladder
+from ms_highway.planning.compiled_plans import CompiledPlans, Costs
+from ms_highway.planning.human_models import ladder
 game = build_game(STAY_BACK)
 state = draw_starts(STAY_BACK, np.random.default_rng(0)).astype(np.float32)
-plans = CompiledPlans(game)
-plan = plans.function(MODELS["naive"]).lower(*plans.arguments(state)).compile()
+function, *arguments = CompiledPlans(game, ladder(["naive"])).call(state, [0])
+plan = function.lower(*arguments).compile()
 compiled = [plan]
-switching = Switching(np.array([0.09, 0.17]), 0.1, ladder(("naive", "turn")))
+switching = Switching(Costs.of([0.09, 0.17], 1), 0.1, ladder(("naive", "turn")))
 decisions = CompiledDecision(switching, game)
-observed = decisions.arguments(first_memory(switching), decisions.nothing_happened(state))
+observed = decisions.arguments(first_memory(switching, 1), decisions.still(state))
 if "decision" in sys.argv:
     compiled.append(decisions.function.lower(*observed).compile())
 print(os.environ["XLA_FLAGS"])
@@ -44,7 +46,7 @@ for function in compiled:  # what is left to do outside of the kernel
     text = function.as_text()
     print(text[text.index("ENTRY"):].count(" fusion(") if 'xla_cpu_small_call="true"' in text else 1000)
 print(jax.device_count())
-print(*np.asarray(plan(*plans.arguments(state))[0]).ravel().tolist())
+print(*np.asarray(plan(*arguments)[0]).ravel().tolist())
 """
 
 
@@ -54,13 +56,6 @@ def run_with_low_latency(*compiled, **environment):
     run = subprocess.run(command, capture_output=True, text=True, check=True, env=clean | environment)
     flags, *numbers, controls = run.stdout.splitlines()
     return flags, *(int(number) for number in numbers), np.array(controls.split(), dtype=float)
-
-
-def test_compiler_options_that_this_xla_does_not_know_are_left_out():
-    kept = {"xla_cpu_parallel_codegen_split_count": 1}
-    assert known_options({**kept, "xla_cpu_no_such_option": True}) == kept
-    doubled = jit_quickly(lambda number: 2 * number, options={"xla_cpu_no_such_option": True})
-    assert doubled(3.0) == 6.0
 
 
 @pytest.mark.parametrize("more", [[], pytest.param(["decision"], marks=pytest.mark.slow)])
@@ -109,7 +104,7 @@ def test_a_compiled_decision_is_the_decision_about_what_was_observed(played):
     """It recovers the human's control and the robot's reward from the states before and after the step."""
     game, before = played("merger", seed=4)
     rungs = ladder(("naive", "turn", "tom"))
-    switching = jax.tree.map(jnp.asarray, Switching(np.array([0.09, 0.17, 0.37]), 0.1, rungs))
+    switching = jax.tree.map(jnp.asarray, Switching(Costs.of([0.09, 0.17, 0.37], 1), 0.1, rungs))
     scale = np.asarray(game.planner.control_scale)
     scaled = np.array([[-0.2, 0.1], [0.05, -0.3]], dtype=np.float32)
     dynamics = jax.tree.map(float, game.world)
@@ -118,9 +113,10 @@ def test_a_compiled_decision_is_the_decision_about_what_was_observed(played):
     compiled, decided = CompiledDecision(switching, game), jit_quickly(decide)
     earned = reward(game.scene, game.robot, after.astype(np.float32))
     for rung in range(3):
-        memory = first_memory(switching, rung)
-        expected = decided(switching, game, memory, before, *scaled, earned)
-        happened = compiled.nothing_happened(state)._replace(control=scaled[0] * scale, after=after)
+        memory = first_memory(switching, 1)._replace(rungs=np.array([rung]), step=np.ones((), int))
+        outcome = Outcome(before, after, scaled[0], scaled[1:], earned, cold_start(game, before))
+        expected = decided(switching, game, memory, outcome)
+        happened = compiled.still(state)._replace(control=scaled[0] * scale, after=after)
         decision, _ = compiled.decide(memory, happened)
         for found, wanted in zip(decision.memory, expected.memory, strict=True):
             np.testing.assert_array_equal(found, wanted)

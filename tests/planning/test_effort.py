@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from ms_highway.envs import MergerEnv
+from ms_highway.envs.configuration import read_own
 from ms_highway.envs.graphics import model_color
-from ms_highway.envs.settings import Settings, merged
+from ms_highway.envs.settings import Settings
 from ms_highway.envs.short_names import named_controller
 from ms_highway.game.game import total_reward
 from ms_highway.optimization.solvers import project
@@ -23,9 +24,9 @@ from ms_highway.planning.human_models import (
     is_model,
     known_models,
     ladder,
-    plan_within_limits,
     register,
 )
+from ms_highway.planning.several import plan_for
 from ms_highway.runtime.compilation import jit_quickly
 
 STRANGE = ["tom@0", "tom@08", "tom@x", "tom@", "tom@5001", "tom+cold", "tom+warm@8", "tom@8+warm+warm", "@8", 8]
@@ -33,7 +34,7 @@ STRANGE = ["tom@0", "tom@08", "tom@x", "tom@", "tom@5001", "tom+cold", "tom+warm
 
 def compiled(name):
     """The plans of a model, compiled."""
-    return jit_quickly(partial(plan_within_limits, human_model(name)))
+    return jit_quickly(partial(plan_for, (human_model(name),)))
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def test_a_name_is_that_of_the_model_that_it_stands_for(name):
 @pytest.mark.parametrize("name", STRANGE)
 def test_a_name_of_no_effort_is_refused_with_the_remedy(name):
     assert not is_model(name)
-    with pytest.raises(ValueError, match=r"unknown human model .*naive, turn, tom, also in 1 to 5000 steps \(tom@8\)"):
+    with pytest.raises(ValueError, match=r"unknown human model .*tom, also in 1 to 5000 steps \(tom@8\)"):
         ladder([name])
 
 
@@ -82,8 +83,8 @@ def test_the_ladder_that_serves_best_has_a_name_which_no_model_may_have():
 
 def test_registered_models_have_efforts_too(lazy, played):
     game, state = played("merger")
-    np.testing.assert_array_equal(*(compiled(name)(game, state) for name in ("naive@3", "lazy@3")))
-    assert known_models(["lazy@3", "tom@8"]) == ["naive", "turn", "tom@8", "tom", "lazy@3", "lazy"]
+    np.testing.assert_array_equal(*(compiled(name)(game, state).robot for name in ("naive@3", "lazy@3")))
+    assert known_models(["lazy@3", "tom@8"]) == ["naive", "idm", "turn", "tom@8", "tom", "lazy@3", "lazy"]
 
 
 @pytest.mark.parametrize("solver", ["gradient", "newton"])
@@ -91,7 +92,7 @@ def test_counted_steps_are_gradient_steps_of_their_own_length_under_any_solver(p
     game, state = played("merger", solver=solver)
     robot = compiled("naive@1")(game, state).robot
     expected = Naive().predict(game, state)
-    slope = jax.grad(total_reward, argnums=2)(game, state, np.zeros((5, 2)), expected)
+    slope = jax.grad(total_reward, argnums=2)(game, state, np.zeros((5, 2)), expected[None])
     np.testing.assert_allclose(robot, project(game.planner, 0.1 * slope), atol=1e-5)
 
 
@@ -99,8 +100,7 @@ def test_more_steps_climb_further_and_six_as_far_as_the_papers_twenty(played):
     game, state = played("merger")
 
     def earned(name):
-        robot, human = compiled(name)(game, state)
-        return float(total_reward(game, state, robot, human))
+        return float(total_reward(game, state, *compiled(name)(game, state)))
 
     two, six, twelve, papers = map(earned, ("naive@2", "naive@6", "naive@12", "naive"))
     assert two < six < twelve
@@ -113,20 +113,19 @@ def test_steps_do_not_overshoot_at_other_horizons(played, horizon):
     game = replace(game, planner=replace(game.planner, horizon=horizon))
     rewards = []
     for name in ("naive@1", "naive@30"):
-        robot, human = compiled(name)(game, state)
-        rewards.append(float(total_reward(game, state, robot, human)))
+        rewards.append(float(total_reward(game, state, *compiled(name)(game, state))))
     assert rewards[1] > rewards[0]
 
 
 def test_a_model_from_the_last_plan_plans_as_without_where_there_is_none(played):
     game, state = played("merger")
-    np.testing.assert_array_equal(*(compiled(name)(game, state) for name in ("naive+warm", "naive")))
+    np.testing.assert_array_equal(*(compiled(name)(game, state).robot for name in ("naive+warm", "naive")))
 
 
 def test_costs_are_those_given_or_proportional_to_the_steps():
     def costs(given, *names, **config):
-        config = merged(MergerEnv.default_config(), {"ladder": list(names), "costs": given, **config})
-        return Settings.read(config).costs
+        config = MergerEnv.checked_config({"ladder": list(names), "costs": given, **config})
+        return read_own(Settings, config).seconds
 
     published = costs("published", "naive", "tom@8", "tom@8+warm", "tom+warm")
     assert published["tom@8"] == published["tom@8+warm"] == pytest.approx(0.37 * 8 / 20)
@@ -145,7 +144,7 @@ def test_costs_are_those_given_or_proportional_to_the_steps():
 
 def test_measured_costs_grow_with_the_steps(played):
     game, state = played("merger")
-    few, many = measure_costs(game, ladder(["tom@2+warm", "tom@60"]), np.asarray(state), repeats=9)
+    few, many = measure_costs(game, ladder(["tom@2+warm", "tom@60"]), np.asarray(state), repeats=9).each
     assert few < many
 
 

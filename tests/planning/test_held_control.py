@@ -8,31 +8,28 @@ from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, observe
 from ms_highway.game.game import rollout_reward
+from ms_highway.game.leaders import Leader
 from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import features_for
 from ms_highway.game.scenario import driving_game
 from ms_highway.game.scene import Scene
-from ms_highway.planning.held_control import DrivingWeights, Leader, held_acceleration, held_curvature
+from ms_highway.planning.held_control import held_acceleration, held_curvature
 
-WEIGHTS = dict(shipped("us101").drivers.weights)
+WEIGHTS = shipped("us101").drivers.weights
 LIMIT = 29.0
 
 
-def best_of_reward(car: np.ndarray, leader: np.ndarray, traits: RewardTraits, held: np.ndarray) -> np.ndarray:
-    """Return which of held controls earns most by the reward's own features, along or across."""
+def best_of_reward(car, leader, traits, held):
+    """Which of held controls earns most by the reward's own features, along or across."""
     scene = Scene(np.zeros(1), 3.4, np.empty((0, 2)), np.ones(2), np.array([5.0, 2.0]), 0.5, 0.0, 100 / 3)
     weights = {name: 1e3 * weight for name, weight in WEIGHTS.items()}
     game = driving_game(scene, traits.desired_speed, weights, features_for(weights), grip=None)
     comfort = np.asarray(game.robot.comfort) * [1.0, traits.patience]
     game = replace(game, robot=replace(game.robot, headway=traits.headway, comfort=comfort))
-    kept = keep_velocity(game.dynamics, car)
-    times = 0.1 * np.arange(1, 6)
-    others = np.stack([leader[0] + leader[3] * times, *(np.full(5, part) for part in leader[1:])], axis=-1)
-    earned = [
-        rollout_reward(game, car, np.tile((kept + control) / game.planner.control_scale, (5, 1)), observe(others[None]))
-        for control in held
-    ]
+    controls = (keep_velocity(game.dynamics, car) + held) / game.planner.control_scale
+    ahead = leader + np.outer(0.1 * np.arange(1, 6), [leader[3], 0, 0, 0])
+    earned = [rollout_reward(game, car, np.tile(control, (5, 1)), observe(ahead[None])) for control in controls]
     return held[int(np.argmax(np.array(earned)))]
 
 
@@ -40,28 +37,26 @@ def best_of_reward(car: np.ndarray, leader: np.ndarray, traits: RewardTraits, he
 def test_a_held_acceleration_is_the_best_of_the_reward(gap, speed, leading):
     traits = RewardTraits(LIMIT, 1.4, 1.3)
     held = np.stack([np.zeros(141), np.linspace(-4, 3, 141)], axis=-1)
-    car, leader = np.array([0.0, 0.0, 0.0, speed]), np.array([gap + 5.0, 0.0, 0.0, leading])
-    found = held_acceleration(
-        DrivingWeights.of(WEIGHTS),
-        traits,
-        jnp.array(speed),
-        Leader(jnp.array(gap), jnp.array(leading), jnp.array(True)),
-    )
-    assert float(found) == pytest.approx(best_of_reward(car, leader, traits, held)[1], abs=0.15)
+    best = best_of_reward(np.array([0.0, 0.0, 0.0, speed]), np.array([gap + 5.0, 0.0, 0.0, leading]), traits, held)
+    found = held_acceleration(WEIGHTS, traits, jnp.array(speed), Leader(*map(jnp.array, (gap, leading, True))))
+    assert float(found) == pytest.approx(best[1], abs=0.15)
 
 
 @pytest.mark.parametrize(("offset", "heading"), [(0.8, 0.0), (-0.5, 0.02), (0.0, -0.03)])
 def test_a_held_curvature_is_the_best_of_the_reward(offset, heading):
-    traits = RewardTraits(LIMIT, 1.4, 1.0)
     held = np.stack([np.linspace(-0.02, 0.02, 161), np.zeros(161)], axis=-1)
     car, leader = np.array([0.0, offset, heading, 20.0]), np.array([-900.0, 0.0, 0.0, 0.0])
-    found = held_curvature(DrivingWeights.of(WEIGHTS), *map(jnp.array, (offset, heading, 20.0)))
-    assert float(found) == pytest.approx(best_of_reward(car, leader, traits, held)[0], abs=1.5e-3)
+    found = held_curvature(WEIGHTS, *map(jnp.array, (offset, heading, 20.0)))
+    assert float(found) == pytest.approx(
+        best_of_reward(car, leader, RewardTraits(LIMIT, 1.4, 1.0), held)[0], abs=1.5e-3
+    )
 
 
 def test_without_a_leader_only_the_desired_speed_counts():
-    nobody = Leader(jnp.array(0.0), jnp.array(0.0), jnp.array(False))
-    weights, slow, fast = DrivingWeights.of(WEIGHTS), RewardTraits(15.0, 1.0, 1.0), RewardTraits(30.0, 1.0, 1.0)
-    assert float(held_acceleration(weights, slow, jnp.array(15.0), nobody)) == pytest.approx(0.0, abs=1e-6)
-    assert float(held_acceleration(weights, fast, jnp.array(15.0), nobody)) > 0.0
-    assert float(held_acceleration(weights, slow, jnp.array(20.0), nobody)) < 0.0
+    nobody = Leader(*map(jnp.array, (0.0, 0.0, False)))
+    even, faster, slower = (
+        float(held_acceleration(WEIGHTS, RewardTraits(wish, 1.0, 1.0), jnp.array(speed), nobody))
+        for wish, speed in ((15.0, 15.0), (30.0, 15.0), (15.0, 20.0))
+    )
+    assert even == pytest.approx(0.0, abs=1e-6)
+    assert slower < 0.0 < faster

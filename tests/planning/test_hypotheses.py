@@ -4,10 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from ms_highway.control.fixed import FixedModel
-from ms_highway.game.crowd import Crowd
+from ms_highway.control.driver import fixed
 from ms_highway.game.game import swap_roles
-from ms_highway.planning.human_models import Naive
 from ms_highway.planning.hypotheses import next_controls
 
 NAIVE, IDM, TURN, TOM = range(4)
@@ -18,19 +16,18 @@ CUTTING_IN = STRAIGHT + np.float32([-0.3, 0.0])
 @pytest.fixture
 def predicted(played):
     game, state = played("merger")
-    crowd = Crowd(game, np.asarray(game.human.weights)[None])
 
     def predict(plan, robot=None):
         cars = np.array(state)
         cars[0, :2] = cars[0, :2] if robot is None else robot
-        return np.asarray(jax.jit(next_controls)(crowd, cars, plan))[0], cars, game
+        return np.asarray(jax.jit(next_controls)(game, cars, plan))[0], cars, game
 
     return predict
 
 
 def test_turn_is_what_a_human_of_this_package_does_and_naive_makes_up_for_friction(predicted):
     controls, cars, game = predicted(STRAIGHT)
-    human = FixedModel(swap_roles(game), Naive()).step(cars[[1, 0, *range(2, len(cars))]])
+    human = fixed(swap_roles(game)).step(cars[[1, 0, *range(2, len(cars))]])
     np.testing.assert_allclose(controls[TURN], human.control, atol=0.01)
     np.testing.assert_allclose(controls[NAIVE], [0.0, 0.2 * cars[1, 3]], rtol=1e-4)
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game.crowd_scenario import DENSE_MERGE, crowd_game
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import features
+from ms_highway.game.scenario import build_game
+from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.compilation import jit_quickly
 
@@ -15,7 +16,7 @@ STEPS = 45
 
 @pytest.fixture(scope="module")
 def game():
-    return crowd_game(DENSE_MERGE, 3).game
+    return build_game(DENSE_MERGE, control_limit=DENSE_MERGE.control_limit, grip=DENSE_MERGE.grip, humans=3)
 
 
 @pytest.fixture(scope="module")

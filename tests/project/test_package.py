@@ -1,55 +1,60 @@
-"""The wheel, away from the source tree."""
+"""The package as it is imported and installed."""
 
+import os
+import shutil
 import subprocess
 import sys
-import venv
-import zipfile
+from importlib.metadata import Distribution
 from pathlib import Path
 
 import pytest
 
+import ms_highway
+
 ROOT = Path(__file__).parents[2]
 
-USE = """
-import gymnasium as gym, ms_highway, pathlib
-assert "site-packages" in ms_highway.__file__, ms_highway.__file__
-for name in ("py.typed", "data/report.html.jinja", "data/NOTICE.txt"):
-    assert (pathlib.Path(ms_highway.__file__).parent / name).exists(), name
-ms_highway.keep_compilations()
-for name in ("stay-back", "merger", "give-way"):
-    env = gym.make(f"ms-highway/{name}-v0", config={"controller": {"type": "fixed", "model": "naive"}})
-    env.reset(seed=0)
-    observation, reward, *_ = env.step(0)
-    assert env.observation_space.contains(observation) and reward != 0
-    print(name, reward)
+IMPORTED = """
+import sys
+import gymnasium as gym
+import ms_highway
+assert "jax" not in sys.modules and "ms_highway.envs" not in sys.modules
+assert {"highway-v0", "ms-highway/merger-v0", "ms-highway/demonstration-v0"} <= set(gym.registry)
+from ms_highway import *
+assert "jax" in sys.modules and HumanVehicle is vehicle.HumanVehicle
 """
 
 
+def test_an_import_registers_all_environments_and_loads_public_names_when_they_are_used():
+    subprocess.run([sys.executable, "-W", "error::ImportWarning", "-c", IMPORTED], check=True)
+
+
+def test_a_name_that_is_not_public_is_refused_as_python_refuses_it():
+    assert not hasattr(ms_highway, "climb")
+    assert set(ms_highway.__all__) <= set(dir(ms_highway))
+
+
 @pytest.mark.slow
-def test_the_wheel_works_in_a_fresh_environment_from_another_directory(tmp_path):
-    subprocess.run(
-        [sys.executable, "-m", "build", "--wheel", "--outdir", str(tmp_path), str(ROOT)],
-        check=True,
-        capture_output=True,
+def test_the_wheel_works_from_another_directory_without_the_source_tree(tmp_path):
+    source, installed = tmp_path / "source", tmp_path / "installed"
+    for folder in ("ms_highway", "envs"):
+        shutil.copytree(ROOT / folder, source / folder, symlinks=True)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(installed), str(source)]
+    subprocess.run(pip, check=True)
+    shutil.rmtree(source)
+    (metadata,) = installed.glob("*.dist-info")
+    assert "Copyright (c) 2026 the ms_highway authors" in (metadata / "licenses" / "LICENSE").read_text()
+    assert Distribution.at(metadata).metadata["License-Expression"] == "MIT"
+    package = installed / "ms_highway"
+    for name in ("py.typed", "__init__.pyi", "data/report.html.jinja"):
+        assert (package / name).exists(), name
+    assert "US-101" in (package / "data" / "NOTICE.txt").read_text()
+    shutil.copy(Path(__file__).with_name("test_drive.py"), tmp_path)
+    program = (
+        "import ms_highway, pytest, sys\n"
+        f"assert ms_highway.__file__.startswith({str(installed)!r})\n"
+        "sys.exit(pytest.main(['-q', '-W', 'error', 'test_drive.py']))"
     )
-    (wheel,) = tmp_path.glob("*.whl")
-    with zipfile.ZipFile(wheel) as files:
-        (license,) = (files.read(name).decode() for name in files.namelist() if name.endswith("licenses/LICENSE"))
-        assert "Copyright (c) 2026 the ms_highway authors" in license
-        (metadata,) = (files.read(name).decode() for name in files.namelist() if name.endswith("/METADATA"))
-        assert "License-Expression: MIT" in metadata
-        assert "US-101" in files.read("ms_highway/data/NOTICE.txt").decode()
-    home = tmp_path / "environment"
-    venv.create(home, with_pip=True)
-    here = [path for path in sys.path if path.endswith("site-packages")]
-    python = str(home / "bin" / "python")
-    subprocess.run([python, "-m", "pip", "install", "--quiet", "--no-deps", str(wheel)], check=True)
-    packages = subprocess.run(
-        [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"],
-        check=True,
-        capture_output=True,
-        text=True,
-    ).stdout.strip()
-    Path(packages, "dependencies.pth").write_text("\n".join(here))  # the dependencies, already installed, come after it
-    run = subprocess.run([python, "-c", USE], cwd=tmp_path, check=True, capture_output=True, text=True)
-    assert run.stdout.count("\n") == 3
+    environment = {**os.environ, "PYTHONPATH": str(installed)}
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=True)

@@ -8,7 +8,7 @@ import pytest
 
 from ms_highway.runtime.files import append, held, remove_temporary, replacing, temporary_directory, tidy
 
-WRITES, SIZE = 300, 20_000
+SIZE = 20_000  # bytes
 
 
 @contextmanager
@@ -25,11 +25,8 @@ def room_for(size):
 def test_a_file_that_does_not_fit_is_named_and_leaves_what_was_there(tmp_path):
     file = tmp_path / "summary.csv"
     file.write_text("before")
-    with (
-        room_for(1000),
-        pytest.raises(OSError, match=r"summary\.csv cannot be written: File too large"),
-        replacing(file) as path,
-    ):
+    refused = pytest.raises(OSError, match=r"summary\.csv cannot be written: File too large")
+    with room_for(1000), refused, replacing(file) as path:
         path.write_text("x" * SIZE)
     assert file.read_text() == "before"
     assert list(tmp_path.iterdir()) == [file]
@@ -45,36 +42,29 @@ def test_rows_are_appended_all_or_none(tmp_path):
     assert file.read_text() == "header\n1,2\n5,6\n"
 
 
-def test_many_may_write_the_same_file_and_whoever_reads_finds_it_whole(tmp_path):
+def test_several_may_write_the_same_file_and_whoever_reads_finds_it_whole(tmp_path):
     file = tmp_path / "report.html"
 
     def write(letter):
-        for _ in range(WRITES):
+        for _ in range(100):
             with replacing(file) as path:
                 path.write_text(letter * SIZE)
 
     with ThreadPoolExecutor(2) as threads:
         writers = [threads.submit(write, letter) for letter in "ab"]
-        read = 0
         while not all(writer.done() for writer in writers):
-            if file.exists():
-                assert file.read_text() in ("a" * SIZE, "b" * SIZE)
-                read += 1
-    assert read > 10
+            assert not file.exists() or file.read_text() in ("a" * SIZE, "b" * SIZE)
     assert [writer.exception() for writer in writers] == [None, None]
     assert list(tmp_path.iterdir()) == [file]
 
 
 def test_a_link_that_somebody_has_planted_is_not_followed(tmp_path):
-    victim, file = tmp_path / "victim", tmp_path / "out" / "settings.json"
+    victim, file = tmp_path / "victim", tmp_path / "settings.json"
     victim.write_text("precious")
-    file.parent.mkdir()
-    for name in (".part.settings.json", "settings.json"):
-        (file.parent / name).symlink_to(victim)
+    file.symlink_to(victim)
     with replacing(file) as path:
         path.write_text("{}")
-    assert victim.read_text() == "precious"
-    assert file.read_text() == "{}"
+    assert (victim.read_text(), file.read_text()) == ("precious", "{}")
 
 
 def test_devices_and_directories_are_not_replaced(tmp_path):
@@ -85,15 +75,13 @@ def test_devices_and_directories_are_not_replaced(tmp_path):
 
 def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands_left(tmp_path):
     directory = tmp_path / "out"
-    (directory / "episodes").mkdir(parents=True)
-    left = f".part.{16 * 'a'}.settings.json", f"episodes/.part.{16 * '0'}.part-000001.parquet"
-    others = ".part.notes.txt", "episodes/download.part"
-    for name in (*left, *others):
+    directory.mkdir()
+    names = {f".part.{16 * 'a'}.settings.json", ".part.notes.txt", "download.part"}
+    for name in names:
         (directory / name).touch()
     with held(directory):
-        assert set(left) < {str(path.relative_to(directory)) for path in directory.rglob("*")}
-        tidy(directory, directory / "episodes", directory / "steps")
-        assert {str(path.relative_to(directory)) for path in directory.rglob("*")} == {"episodes", *others}
+        tidy(directory, directory / "steps")
+        assert {path.name for path in directory.iterdir()} == {".part.notes.txt", "download.part"}
         with pytest.raises(ValueError, match="another command is writing to"), held(directory):
             pass
     with held(directory), held(tmp_path / "other"):

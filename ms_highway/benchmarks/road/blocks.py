@@ -13,8 +13,7 @@ from threading import Event
 
 from ms_highway.benchmarks.processes import own_process
 from ms_highway.benchmarks.road.episodes import Block, Episode, film, run_episode
-from ms_highway.runtime.cores import cores
-from ms_highway.runtime.jax_settings import low_latency
+from ms_highway.runtime.jax_settings import cores, low_latency
 
 
 def run_blocks(

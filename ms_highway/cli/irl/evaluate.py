@@ -1,22 +1,10 @@
 """The command ``ms-highway irl evaluate``."""
 
 import argparse
-import json
 from typing import Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
-from ms_highway.cli.irl.options import (
-    OTHERS,
-    REAL_DRIVERS_HELP,
-    add_data,
-    add_model,
-    horizon,
-    model,
-    read,
-    real_drivers,
-)
-
-__all__ = ["add_evaluate"]
+from ms_highway.cli.irl.options import OTHERS, add_data, model, read
 
 HELP = """\
 Predict recorded drivers for up to 5 s and compare with where they went, beside constant velocity, constant turn rate
@@ -36,12 +24,15 @@ examples:
 
 def add_evaluate(commands: Any) -> None:
     """Add the command ``evaluate`` to a parser's subparsers."""
-    parser = add_command(commands, "evaluate", "predict recorded drivers", HELP, EXAMPLES)
+    parser = add_command(commands, "irl evaluate", "predict recorded drivers", HELP, EXAMPLES)
     add_data(parser)
     which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--theta", metavar="FILE", help=REAL_DRIVERS_HELP)
+    which.add_argument(
+        "--theta",
+        metavar="FILE",
+        help="a reward learned from real recordings: a file of `ms-highway irl fit`, or us101",
+    )
     which.add_argument("--folds", type=int, metavar="N", help="cross-validate by recording, in N folds")
-    add_model(parser)
     parser.add_argument(
         "--others",
         choices=OTHERS,
@@ -55,20 +46,26 @@ def add_evaluate(commands: Any) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    from ms_highway.irl.evaluation import cross_validate, evaluate
+    import msgspec
+
+    from ms_highway.game.learned_reward import named
+    from ms_highway.irl.evaluation import cross_validate, evaluate_reward
+    from ms_highway.irl.predictors import check_drivers
     from ms_highway.visualization.irl.tables import evaluation_tables
 
-    if options.theta and (options.learn or options.horizon):
-        raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
-    learned = real_drivers(options.theta) if options.theta else None
+    if options.theta:
+        if options.learn or options.horizon:
+            raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
+        learned = named(options.theta)
+        check_drivers(learned.drivers, f"--theta {options.theta}")
     recordings = read(options.data)
     with telling() as tell:
-        if learned:
-            found = evaluate(recordings, learned, options.others, progress=tell)
+        if options.theta:
+            found = evaluate_reward(recordings, learned, options.others, progress=tell)
         else:
-            chosen, steps = model(options, recordings), horizon(options)
-            found = cross_validate(recordings, chosen, steps, options.folds, options.others, progress=tell)
+            chosen = model(options, recordings)
+            found = cross_validate(recordings, *chosen, options.folds, options.others, progress=tell)
     if options.json:
-        print(json.dumps(found, indent=2))
-        return
-    print_tables(*evaluation_tables(found))
+        print(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
+    else:
+        print_tables(*evaluation_tables(found))

@@ -5,9 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
-from ms_highway.cli.irl.options import MINARI, add_data, add_model, horizon, model, read
-
-__all__ = ["add_fit"]
+from ms_highway.cli.irl.options import MINARI, add_data, model, read
 
 HELP = """\
 Learn the weights of a reward by maximum entropy: the reward that makes it most likely that drivers did what they did,
@@ -27,27 +25,26 @@ examples:
 
 def add_fit(commands: Any) -> None:
     """Add the command ``fit`` to a parser's subparsers."""
-    parser = add_command(commands, "fit", "learn a reward", HELP, EXAMPLES)
+    parser = add_command(commands, "irl fit", "learn a reward", HELP, EXAMPLES)
     add_data(parser)
-    add_model(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="a .json file for the learned reward")
-    parser.set_defaults(run=_fit)
+    parser.set_defaults(run=_fit_reward)
 
 
-def _fit(options: argparse.Namespace) -> None:
+def _fit_reward(options: argparse.Namespace) -> None:
     from ms_highway.game.learned_reward import save
-    from ms_highway.irl.learning import learn
-    from ms_highway.visualization.irl.tables import drivers_table, learned_table
+    from ms_highway.irl.learning import learn_reward
+    from ms_highway.visualization.irl.tables import learned_tables
 
     if options.out.is_dir():
         raise ValueError(f"--out is {options.out}, a directory; name a .json file")
     recordings = read(options.data)
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
     with telling() as tell:
-        learned = learn(recordings, model(options, recordings), horizon(options), source, progress=tell)
+        learned = learn_reward(recordings, *model(options, recordings), source, progress=tell)
     save(learned, options.out)
-    print_tables(learned_table(learned), *([drivers_table(learned.drivers)] if learned.drivers else []))
-    likely = learned.log_likelihood
-    held_out = "" if likely["held_out"] is None else f", {likely['held_out']:.3f} on those held out"
-    print(f"log-likelihood per window: {likely['train']:.3f}{held_out}")
+    print_tables(*learned_tables(learned))
+    train, held_out = (learned.log_likelihood[part] for part in ("train", "held_out"))
+    rest = "" if held_out is None else f", {held_out:.3f} on those held out"
+    print(f"log-likelihood per window: {train:.3f}{rest}")
     print(f"the learned reward is in {options.out}")

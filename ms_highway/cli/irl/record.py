@@ -5,10 +5,8 @@ from typing import Any
 
 from ms_highway.cli.console import add_command, count_episodes
 from ms_highway.cli.irl.options import DENSITY_NAMES
-from ms_highway.cli.options import MOST, check_most
-from ms_highway.irl.recordings.drivers import DRIVERS, TEMPERATURE
-
-__all__ = ["add_record"]
+from ms_highway.cli.options import add_number
+from ms_highway.irl.recordings import DRIVERS, TEMPERATURE
 
 HELP = """\
 Record episodes of driving on a highway as a Minari data set, in $MINARI_DATASETS_PATH or ~/.minari/datasets.
@@ -26,10 +24,10 @@ MOST_SEED = 2**32 - 1  # that JAX's random numbers take
 
 def add_record(commands: Any) -> None:
     """Add the command ``record`` to a parser's subparsers."""
-    parser = add_command(commands, "record", "record demonstrations", HELP, EXAMPLES)
+    parser = add_command(commands, "irl record", "record demonstrations", HELP, EXAMPLES)
     drivers = "; ".join(f"{name}: {meaning}" for name, meaning in DRIVERS.items())
     parser.add_argument("--driver", choices=list(DRIVERS), required=True, help=drivers)
-    parser.add_argument("--episodes", type=int, required=True, metavar="N", help="episodes the data set shall have")
+    add_number(parser, "--episodes", None, "episodes that the data set is to have", required=True, metavar="N")
     parser.add_argument("--dataset", required=True, metavar="NAME", help="such as ms-highway/maxent-v0")
     parser.add_argument(
         "--density",
@@ -44,17 +42,15 @@ def add_record(commands: Any) -> None:
         default=TEMPERATURE,
         help=f"of the driver maxent, in reward (default: {TEMPERATURE:g})",
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the first episode (default: 0)")
+    add_number(parser, "--seed", 0, "seed of the first episode", least=0, most=MOST_SEED)
     parser.set_defaults(run=_record)
 
 
 def _record(options: argparse.Namespace) -> None:
     from ms_highway.irl.recordings.demonstrations import record
 
-    check_most(options, episodes=MOST, seed=MOST_SEED)
-    counts = record(
-        options.driver, options.episodes, options.dataset, options.density, options.seed, options.temperature
-    )
+    asked = options.driver, options.episodes, options.dataset, options.density, options.seed, options.temperature
+    counts = record(*asked)
     already = next(counts)
     done = count_episodes(counts, already, options.episodes)
     print(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")

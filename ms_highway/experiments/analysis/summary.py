@@ -1,20 +1,17 @@
 """Summarise records: a row per scenario and controller, with intervals."""
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from scipy import stats
 
 from ms_highway.control.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
-from ms_highway.envs.crowd.controllers import any_controller
-from ms_highway.experiments.records import share_column
+from ms_highway.envs.short_names import controller_config
+from ms_highway.experiments.records import KEYS, count_column, models_of, share_column
 from ms_highway.planning.human_models import known_models
-
-__all__ = ["CONFIDENCE", "earned", "interval", "summary"]
 
 CONFIDENCE = 0.9
 FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
+MILLISECONDS = {"planning_ms": "planning_seconds", "counted_ms": "counted_seconds", "decision_ms": "decision_seconds"}
 
 
 def summary(records: pd.DataFrame) -> pd.DataFrame:
@@ -24,62 +21,63 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     ``reward_low`` and ``reward_high``, the 90 % interval of the mean over episodes (Student's t), and ``reward_std``
     over episodes; ``planning_ms`` and ``decision_ms`` per step as measured; ``counted_ms`` per step, planning at the
     seconds T(M) that decisions count, empty where one is not known; ``share_MODEL`` of steps; ``collision_episodes``,
-    in which the robot collided at least once; ``fallbacks``, steps whose plan failed, of all episodes together. Among
-    several humans, and empty with one: ``success``, the share of the episodes in which the robot succeeded;
-    ``humans_turn`` and ``humans_tom``, how many are predicted by these models in a step; ``cycle_ms_p50`` and
-    ``cycle_ms_p99``, quantiles of planning and deciding together; ``late`` and ``way_out``, shares of the steps that
-    the robot drove with an old plan because the new one was late, and to keep a way out.
+    in which the robot collided at least once; ``fallbacks``, steps whose plan failed, of all episodes together;
+    ``cycle_ms_p50`` and ``cycle_ms_p99``, quantiles of planning and deciding together; ``late`` and ``way_out``, shares
+    of the steps that the robot drove with an old plan because the new one was late, and to keep a way out. Where
+    scenarios have several humans: ``success``, the share of the episodes in which the robot succeeded, and
+    ``humans_MODEL``, how many each rung above the first predicts in a step.
+
+    Args:
+        records: a row per step, see `ms_highway.experiments.records.columns`; or per simulated episode, see
+            `ms_highway.experiments.batch.Batch.episodes_table`, of which nothing was measured.
 
     Raises:
         ValueError: for an unknown controller.
     """
-    rows, models = [], known_models(records["model"].unique())
-    for (scenario, controller), steps in records.groupby(["scenario", "controller"], sort=False):
-        rows.append(
-            {
-                "scenario": scenario,
-                **earned(controller, steps.groupby("seed")["reward"].mean()),
-                "planning_ms": 1e3 * steps["planning_seconds"].mean(),
-                "counted_ms": 1e3 * steps["counted_seconds"].mean(skipna=False),
-                "decision_ms": 1e3 * steps["decision_seconds"].mean(),
-                **{share_column(model): (steps["model"] == model).mean() for model in models},
-                "collision_episodes": int(steps.groupby("seed")["collision"].any().sum()),
-                "fallbacks": int(steps["status"].isin(FAILED).sum()),
-                **_among_several(steps),
-            }
-        )
+    table = _marked(records) if "step" in records else records
+    means = [column(name) for column in (share_column, count_column) for name in models_of(table, column)]
+    means += [name for name in ("success", "late", "way_out") if name in table]
+    rows = []
+    for (scenario, controller), some in table.groupby(["scenario", "controller"], sort=False):
+        config, episodes = controller_config(controller), some.groupby("seed")
+        rewards = episodes["reward"].mean()
+        low, high = interval(rewards)
+        row = {
+            "scenario": scenario,
+            "controller": controller,
+            "kind": config["type"],
+            "price": config.get("lambda", np.nan),
+            "episodes": len(rewards),
+            "reward": rewards.mean(),
+            "reward_low": low,
+            "reward_high": high,
+            "reward_std": rewards.std(),
+            **{name: 1e3 * some[column].mean(skipna=False) for name, column in MILLISECONDS.items() if column in some},
+            "collision_episodes": int((episodes["collisions"].sum() > 0).sum()),
+            "fallbacks": int(some["fallbacks"].sum()),
+            **some[means].mean(),
+        }
+        if "cycle_ms" in some:
+            row |= {f"cycle_ms_p{share}": some["cycle_ms"].quantile(share / 100) for share in (50, 99)}
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
-def _among_several(steps: pd.DataFrame) -> dict[str, float]:
-    """Return what is summarised of steps among several humans; NaN with one human."""
-    names = ("success", "humans_turn", "humans_tom", "cycle_ms_p50", "cycle_ms_p99", "late", "way_out")
-    if "success" not in steps or steps["success"].isna().all():
-        return dict.fromkeys(names, np.nan)
-    success = steps.sort_values("step").groupby("seed")["success"].last().astype(float).mean()
-    cycles = 1e3 * (steps["planning_seconds"] + steps["decision_seconds"])
-    shares = [(steps["status"] == STATUSES[number]).mean() for number in (LATE, WAY_OUT)]
-    counts = [steps[name].mean() for name in names[1:3]]
-    return dict(zip(names, [success, *counts, cycles.median(), cycles.quantile(0.99), *shares], strict=True))
-
-
-def earned(controller: str, rewards: pd.Series) -> dict[str, Any]:
-    """Summarise a controller's rewards, each the mean of an episode; see `summary`.
-
-    Raises:
-        ValueError: for an unknown controller.
-    """
-    settings, (low, high) = any_controller(controller), interval(rewards)
-    return {
-        "controller": controller,
-        "kind": settings.type,
-        "price": settings.price,
-        "episodes": len(rewards),
-        "reward": rewards.mean(),
-        "reward_low": low,
-        "reward_high": high,
-        "reward_std": rewards.std(),
-    }
+def _marked(steps: pd.DataFrame) -> pd.DataFrame:
+    """Return steps with columns whose means and sums a summary has."""
+    statuses = {name: steps["status"] == STATUSES[number] for name, number in (("late", LATE), ("way_out", WAY_OUT))}
+    models = known_models(steps["model"].unique())
+    table = steps.assign(
+        **{share_column(model): steps["model"] == model for model in models},
+        **statuses,
+        fallbacks=steps["status"].isin(FAILED),
+        collisions=steps["collision"],
+        cycle_ms=1e3 * (steps["planning_seconds"] + steps["decision_seconds"]),
+    )
+    if "success" in table:
+        last = table["step"] == table.groupby(KEYS)["step"].transform("max")
+        table["success"] = table["success"].where(last).astype(float)
+    return table
 
 
 def interval(values: pd.Series) -> tuple[float, float]:

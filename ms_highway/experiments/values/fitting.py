@@ -9,16 +9,14 @@ import jax
 import numpy as np
 import optax
 from jax import numpy as jnp
-from jaxtyping import Float, Int
 
-from ms_highway.experiments.values.rollouts import Rollouts, draw_prices
-from ms_highway.metareasoning.learned_value import Network, advantages, network_inputs, scale
-
-__all__ = ["BATCH", "NETWORKS", "SOFTENING", "descend", "fit", "new_network"]
+from ms_highway.experiments.values.rollouts import Random, Rollouts, draw_prices
+from ms_highway.metareasoning.learned_value import Network, network_inputs, noise, outputs, scale
+from ms_highway.runtime.arrays import Array
 
 NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
 HIDDEN = (32, 32)
-STEPS = 6000
+STEPS = 3000, 6000  # over the cheapest, over the top
 BATCH = 256
 RATE = 3e-3  # of learning at first; it falls to 0 by a cosine
 SOFTENING = 1.0  # power of the noise that an error weighs more with than its likelihood says (Seitzer et al. 2022)
@@ -26,110 +24,99 @@ DECAY = 0.5  # of weights, times the rate and per step
 LARGEST_TARGET = 30.0  # in units of the scale of advantages: not even a crash counts more
 
 
-def new_network(random: np.random.Generator, inputs: int, rungs: int) -> Network:
+def new_network(random: Random, inputs: int, means: int) -> Network:
     """Draw weights with the variance that keeps the size of what tanh layers pass on (LeCun et al. 1998)."""
-    sizes = [inputs, *HIDDEN, 2 * rungs]
     return tuple(
         (
             (random.normal(size=(NETWORKS, one, other)) / np.sqrt(one)).astype(np.float32),
             np.zeros((NETWORKS, other), np.float32),
         )
-        for one, other in pairwise(sizes)
+        for one, other in pairwise([inputs, *HIDDEN, 2 * means])
     )
 
 
 def fit(
+    network: Network,
     rollouts: Rollouts,
-    costs: Float[np.ndarray, "rungs"],
-    prices: tuple[float, float],
-    centre: Float[np.ndarray, "inputs"],
-    spread: Float[np.ndarray, "inputs"],
-    random: np.random.Generator,
+    costs: Array,
+    prices: tuple[float, float] | None,
+    centre: Array,
+    spread: Array,
+    random: Random,
 ) -> Network:
-    """Fit advantages and their spread at prices drawn anew in every step, by AdamW and the likelihood of normal errors.
+    """Fit what rungs are worth, and its spread, by AdamW and the likelihood of normal errors.
 
-    What a rollout earned and planned is known for each way to go on, so that its best way at any price is known, too.
     Where small causes have large effects (Stay Back in 20 gradient steps), the spread is large, and errors weigh less.
 
     Args:
+        network: first weights.
         rollouts: from many states.
         costs: T(M) of each rung [s].
-        prices: the least and the largest lambda.
+        prices: the least and the largest lambda, for advantages over the top at prices drawn anew in every step: what a
+            rollout earned and planned is known for each way to go on, so that its best way at any price is known, too.
+            Without, gains over the cheapest rung are fitted.
         centre: of the inputs, means by which they are standardised.
         spread: of the inputs, standard deviations likewise.
-        random: draws first weights, rollouts and prices.
+        random: draws rollouts and prices.
     """
-    network = new_network(random, len(centre), len(costs))
-    chosen = random.integers(len(rollouts.descriptions), size=(STEPS, NETWORKS, BATCH))
-    drawn = draw_prices(random, prices, chosen.size).reshape(chosen.shape)
-    numbers = (costs.astype(np.float32), centre, spread)
-    single = Rollouts(*(np.asarray(part, np.float32) for part in rollouts))
-    return jax.tree.map(np.asarray, _fit(network, single, numbers, chosen, drawn))
+    labels = _over_the_cheapest if prices is None else _over_the_top
+    shape = STEPS[prices is not None], NETWORKS, BATCH
+    chosen = random.integers(len(rollouts.descriptions), size=shape)
+    drawn = np.zeros(shape) if prices is None else draw_prices(random, prices, chosen.size).reshape(shape)
+    numbers = jax.tree.map(np.float32, (rollouts, costs, centre, spread, drawn))
+    return jax.tree.map(np.asarray, _fit(labels, network, chosen, *numbers))
 
 
-@jax.jit
+def _over_the_cheapest(means: Array, rollouts: Rollouts, costs: Array, prices: Array) -> tuple[Array, Array]:
+    """Return the errors of gains, and where they count."""
+    gains = rollouts.rewards[..., 1:, 0]
+    known = jnp.isfinite(gains)
+    return means - jnp.where(known, gains, 0), known
+
+
+def _over_the_top(means: Array, rollouts: Rollouts, costs: Array, prices: Array) -> tuple[Array, Array]:
+    """Return the errors of advantages in units of `scale`, and where they count."""
+    earned, size = jnp.asarray(rollouts.best(prices)), scale(prices, costs[-1] - costs[0])[..., None]
+    known = jnp.isfinite(earned)
+    top = known.shape[-1] - 1 - jnp.argmax(known[..., ::-1], axis=-1)[..., None]  # of the course's own ladder
+    over_top = partial(jnp.take_along_axis, indices=top, axis=-1)
+    targets = jnp.clip(jnp.where(known, (earned - over_top(earned)) / size, 0), -LARGEST_TARGET, LARGEST_TARGET)
+    estimates = size * (means - means[..., -1:]) - prices[..., None] * (costs - costs[-1])
+    return (estimates - over_top(estimates)) / size - targets, known & (jnp.arange(known.shape[-1]) < top)
+
+
+@partial(jax.jit, static_argnums=0)
 def _fit(
+    labels: Callable[..., tuple[Array, Array]],
     network: Network,
+    chosen: Array,
     rollouts: Rollouts,
-    numbers: tuple[jax.Array, ...],
-    chosen: Int[jax.Array, "steps networks batch"],
-    drawn: Float[jax.Array, "steps networks batch"],
+    costs: Array,
+    centre: Array,
+    spread: Array,
+    prices: Array,
 ) -> Network:
-    costs, centre, spread = numbers
 
-    def loss(
-        network: Network, chosen: Int[jax.Array, "networks batch"], price: Float[jax.Array, "networks batch"]
-    ) -> Float[jax.Array, ""]:
+    def one(network: Network, inputs: Array) -> tuple[Array, Array]:
+        means, spreads = outputs(jax.tree.map(lambda part: part[None], network), inputs)
+        return means[0], noise(spreads[0])
+
+    def loss(network: Network, chosen: Array, prices: Array) -> Array:
         picked = Rollouts(*(part[chosen] for part in rollouts))
-        earned = jnp.asarray(picked.best(price))
-        size = scale(price, costs[-1] - costs[0])[..., None]
-        known = jnp.isfinite(earned)
-        top = known.shape[-1] - 1 - jnp.argmax(known[..., ::-1], axis=-1)[..., None]  # of the course's own ladder
-        targets = (earned - jnp.take_along_axis(earned, top, axis=-1)) / size
-        targets = jnp.clip(jnp.where(known, targets, 0), -LARGEST_TARGET, LARGEST_TARGET)
-        inputs = (network_inputs(jnp.asarray(picked.descriptions), price) - centre) / spread
-        over_top, noise = jax.vmap(partial(_one, costs))(network, inputs, price)
-        errors = (over_top - jnp.take_along_axis(over_top, top, axis=-1)) / size - targets
-        surprise = errors**2 / (2 * (noise / size) ** 2) + jnp.log(noise / size)
-        surprise *= jax.lax.stop_gradient(noise / size) ** SOFTENING
-        below_top = known & (jnp.arange(known.shape[-1]) < top)
-        return jnp.where(below_top, surprise, 0).sum(axis=-1).mean(axis=-1).sum()
+        described = jnp.asarray(picked.descriptions)
+        inputs = described if labels is _over_the_cheapest else network_inputs(described, prices)
+        means, apart = jax.vmap(jax.vmap(one, in_axes=(None, 0)))(network, (inputs - centre) / spread)
+        errors, counts = labels(means, picked, costs, prices)
+        surprise = errors**2 / (2 * apart**2) + jnp.log(apart)
+        surprise *= jax.lax.stop_gradient(apart) ** SOFTENING
+        return jnp.where(counts, surprise, 0).sum(axis=-1).mean(axis=-1).sum()
 
-    return descend(loss, network, (chosen, drawn))
+    optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY)
 
-
-def descend(loss: Callable[..., Float[jax.Array, ""]], network: Network, batches: Any) -> Network:
-    """Return a network after steps of AdamW, whose rate falls to 0 by a cosine.
-
-    Args:
-        loss: of a network and of what a batch consists of.
-        network: first weights.
-        batches: tuple of arrays [steps, ...].
-    """
-    optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(batches[0])), weight_decay=DECAY)
-
-    def step(
-        carry: tuple[Network, optax.OptState], batch: tuple[jax.Array, ...]
-    ) -> tuple[tuple[Network, optax.OptState], None]:
+    def step(carry: Any, batch: tuple[Array, Array]) -> tuple[Any, None]:
         network, state = carry
         updates, state = optimizer.update(jax.grad(loss)(network, *batch), state, network)
         return (optax.apply_updates(network, updates), state), None
 
-    (network, _), _ = jax.lax.scan(step, (network, optimizer.init(network)), batches)
+    (network, _), _ = jax.lax.scan(step, (network, optimizer.init(network)), (chosen, prices))
     return network
-
-
-def _one(
-    costs: Float[jax.Array, "rungs"],
-    network: Network,
-    inputs: Float[jax.Array, "batch inputs"],
-    prices: Float[jax.Array, "batch"],
-) -> tuple[Float[jax.Array, "batch rungs"], Float[jax.Array, "batch rungs"]]:
-    """Estimate a batch by one of the networks."""
-    alone = jax.tree.map(lambda part: part[None], network)
-
-    def estimate(inputs: Float[jax.Array, "inputs"], price: Float[jax.Array, ""]) -> tuple[jax.Array, jax.Array]:
-        over_top, noise = advantages(alone, inputs, price, costs, costs[-1] - costs[0])
-        return over_top[0], noise[0]
-
-    return jax.vmap(estimate)(inputs, prices)

@@ -9,11 +9,9 @@ from functools import partial
 
 import numpy as np
 
-from ms_highway.experiments.values.course import Course
-from ms_highway.game.game import Game
-from ms_highway.game.scenario import COMMON_WEIGHTS, Scenario, draw_starts
-
-__all__ = ["draw_scenario", "generated_courses"]
+from ms_highway.experiments.values.rollouts import Course, Random
+from ms_highway.game.scenario import COMMON_WEIGHTS, Scenario, draw_episode
+from ms_highway.simulation.records import Loop
 
 LANE = 0.1  # paper units, between the lanes' centres
 FAR = 300.0  # paper units, 10 km
@@ -21,7 +19,7 @@ SHORTEST_GAP = 0.19  # paper units between the centres of cars in one lane
 STEPS = 40
 
 
-def draw_scenario(random: np.random.Generator) -> Scenario:
+def draw_scenario(random: Random) -> Scenario:
     """Draw lanes, cars, cones, and what both drivers are after."""
     while True:
         count = int(random.choice([1, 2, 3], p=[0.1, 0.6, 0.3]))
@@ -58,8 +56,12 @@ def draw_scenario(random: np.random.Generator) -> Scenario:
     )
 
 
-def _robot_weights(random: np.random.Generator, leads: bool) -> dict[str, float]:
-    weights = _driving(random)
+def _robot_weights(random: Random, leads: bool) -> dict[str, float]:
+    """Draw weights: the common ones, each within a third of its own, as collisions cost what they do, and aims."""
+    weights = {
+        name: weight if name == "collision" else weight * _between(random, 0.75, 1.33)
+        for name, weight in COMMON_WEIGHTS.items()
+    }
     if random.random() < 0.75:
         weights |= {"target_lane": _between(random, 60, 1000), "merged": random.choice([0.0, 5.0])}
     if leads and random.random() < 0.3:
@@ -69,48 +71,30 @@ def _robot_weights(random: np.random.Generator, leads: bool) -> dict[str, float]
     return weights
 
 
-def _human_weights(random: np.random.Generator, leads: bool) -> dict[str, float]:
-    weights: dict[str, float] = {}
-    if random.random() < 0.75:
-        weights["target_lane"] = _between(random, 60, 1000)
-    if leads and random.random() < 0.4:
-        weights["gap"] = _between(random, 10, 90)
-    return weights
+def _human_weights(random: Random, leads: bool) -> dict[str, float]:
+    weights = {"target_lane": _between(random, 60, 1000)} if random.random() < 0.75 else {}
+    return weights | ({"gap": _between(random, 10, 90)} if leads and random.random() < 0.4 else {})
 
 
-def _driving(random: np.random.Generator) -> dict[str, float]:
-    """Return the common weights, each within a third of its own; collisions cost what they do."""
-    return {
-        name: weight if name == "collision" else weight * _between(random, 0.75, 1.33)
-        for name, weight in COMMON_WEIGHTS.items()
-    }
-
-
-def _between(random: np.random.Generator, low: float, high: float) -> float:
+def _between(random: Random, low: float, high: float) -> float:
     return float(np.exp(random.uniform(np.log(low), np.log(high))))
 
 
 def generated_courses(
-    build: Callable[[Scenario], Game], rungs: tuple[int, ...], count: int, share: float, random: np.random.Generator
+    loop: Callable[[Scenario], Loop], rungs: tuple[int, ...], count: int, random: Random
 ) -> list[Course]:
-    """Draw courses.
+    """Draw courses, which share the states of not quite three whole ones.
 
     Args:
-        build: builds a scenario's game.
+        loop: makes what the episodes of a scenario have in common.
         rungs: places of the models of every course in the ladder that is learned.
         count: number of courses.
-        share: of the states of a whole course that each of them is given.
         random: draws them.
     """
-    scenarios = [draw_scenario(random) for _ in range(count)]
-    return [
-        Course(
-            f"generated {place}",
-            build(scenario),
-            partial(draw_starts, scenario),
-            STEPS,
-            rungs,
-            share,
-        )
-        for place, scenario in enumerate(scenarios)
-    ]
+    share, courses = min(1.0, 3 / count) * 0.99, []
+    for place in range(count):
+        scenario = draw_scenario(random)
+        own = loop(scenario)
+        draw = partial(draw_episode, scenario, humans=own.game.humans)
+        courses.append(Course(f"generated {place}", own, draw, STEPS, rungs, share))
+    return courses

@@ -1,152 +1,258 @@
-"""Roll out every model from visited situations: what the value of computation is learned from."""
+"""Roll out the models of a ladder from visited situations: what the value of computation is learned from.
 
-from collections.abc import Sequence
+With one human, every model plans a step, and it goes on with one of them, or once a rule is learned by that rule. Among
+several, one human is predicted by each model for the whole rollout, and all others naively, or by the learned rule.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Float, Int
 
-from ms_highway.experiments.values.course import SEGMENT, Course, drive, noisy_starts
+from ms_highway.game.arrays import HumansWeights, State
+from ms_highway.game.game import Game
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.situation import describe
 from ms_highway.runtime.arrays import Array
-from ms_highway.simulation.records import DECIDES
+from ms_highway.simulation.loop import simulate
+from ms_highway.simulation.records import DECIDES, USUAL, Episodes, Loop, Records
 
-__all__ = ["HORIZON", "Rollouts", "draw_prices", "joined", "roll_out", "visited"]
+Random: TypeAlias = np.random.Generator
 
-HORIZON = SEGMENT  # steps of a rollout
-STAYS = 0.8  # probability that a random order keeps its rung for another step
-WORST = 1e6  # of a rollout, where plans fail and cars leave the world
+MOST_NOISE = 4.0  # see `noisy_starts`
+STATES_OF_AN_EPISODE = 4, 6  # with one human, and among several
+STAYS = 0.8, 0.9  # probability that a random order keeps its rungs for another step, likewise
+WORST = 1e6  # of a rollout with one human, where plans fail and cars leave the world
+WORST_STEP = 1e3  # of a step among several
 STRATA = 2  # of the prices that the rule is followed at, in their logarithm: one from each
+LEAST_LIKELY = 0.05  # state to be drawn among several, where driving at the limit on the way to the lane counts 1
+HUMANS_OF_A_STATE = 3  # that are rolled out
 
 
 class Rollouts(NamedTuple):
-    """What was earned and planned from states, by the rung of the first step and what was followed afterwards.
+    """What was earned and planned from states, by the rung and by what was followed after the first step.
 
     A way to go on that one does not have has a reward of -inf, and so have rungs that are not on the course's ladder.
 
     Attributes:
-        descriptions: of the states, see `ms_highway.metareasoning.situation.describe`.
-        rewards: sums over the rollout.
-        seconds: of planning at T(M), sums over the rollout.
+        descriptions: of the situations [examples, numbers], see `ms_highway.metareasoning.situation`.
+        rewards: sums over the rollout [examples, rungs, ways]; among several humans, means over its steps, more than
+            those of the first rung.
+        seconds: of planning at T(M), sums over the rollout, likewise; 0 among several humans.
     """
 
-    descriptions: Float[Array, "*states numbers"]
-    rewards: Float[Array, "*states rungs ways"]
-    seconds: Float[Array, "*states rungs ways"]
+    descriptions: Any
+    rewards: Any
+    seconds: Any
 
-    def best(self, prices: Float[Array, "*states"]) -> Float[Array, "*states rungs"]:
+    def best(self, prices: Any) -> Any:
         """Return the reward less lambda times the seconds of the best way to go on after each rung."""
         return (self.rewards - prices[..., None, None] * self.seconds).max(axis=-1)
 
 
-def joined(parts: Sequence[Rollouts]) -> Rollouts:
-    """Return the rollouts of all parts."""
-    most = max(part.rewards.shape[-1] for part in parts)
+@dataclass(frozen=True)
+class Course:
+    """Where values are learned.
 
-    def padded(array: Float[Array, "states rungs ways"], value: float) -> Float[np.ndarray, "states rungs ways"]:
-        return np.pad(array, ((0, 0), (0, 0), (0, most - array.shape[-1])), constant_values=value)
+    Attributes:
+        name: in reports.
+        loop: what its episodes have in common, but for the rule.
+        draw: draws the start of every car and the weights of the humans' rewards.
+        steps: of an episode, from which states are drawn.
+        rungs: places of the course's own ladder in the ladder that is learned.
+        share: of the states that a whole course is given.
+    """
 
-    return Rollouts(
-        np.concatenate([part.descriptions for part in parts]),
-        np.concatenate([padded(part.rewards, -np.inf) for part in parts]),
-        np.concatenate([padded(part.seconds, 0.0) for part in parts]),
-    )
+    name: str
+    loop: Loop
+    draw: Callable[[Random], tuple[State, HumansWeights]]
+    steps: int
+    rungs: tuple[int, ...]
+    share: float = 1.0
+
+    @property
+    def game(self) -> Game:
+        """The game that is played."""
+        return self.loop.game
+
+    @property
+    def several(self) -> bool:
+        """Whether there are several humans."""
+        return self.game.number > 1
+
+    def starts(self, random: Random, count: int) -> list[Array]:
+        """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features]."""
+        drawn = [self.draw(random) for _ in range(count)]
+        return [np.array(part, np.float32) for part in zip(*drawn, strict=True)]
 
 
-def draw_prices(random: np.random.Generator, prices: tuple[float, float], count: int) -> Float[np.ndarray, "count"]:
+def noisy_starts(course: Course, random: Random, count: int) -> list[Array]:
+    """Draw starts with one to five times the noise of the course's own.
+
+    A start is ``a + c (b - a)`` with two draws a and b, which has their mean and ``sqrt(c^2 + (1 - c)^2)`` times their
+    standard deviation; c is drawn from 1 to 4.
+    """
+    pairs = [(course.draw(random), course.draw(random)) for _ in range(count)]
+    first, second = (np.array([pair[place][0] for pair in pairs]) for place in (0, 1))
+    starts = first + random.uniform(1.0, MOST_NOISE, (count, 1, 1)) * (second - first)
+    return [starts.astype(np.float32), np.array([weights for (_, weights), _ in pairs])]
+
+
+def draw_prices(random: Random, prices: Sequence[float], count: int) -> Array:
     """Draw lambdas whose logarithms are uniform."""
     return np.exp(random.uniform(np.log(prices[0]), np.log(prices[1]), count)).astype(np.float32)
 
 
-def visited(
-    course: Course, rule: LearnedValue, random: np.random.Generator, count: int, learned: bool, mesh: Mesh
-) -> Float[np.ndarray, "states cars 4"]:
-    """Draw states that episodes come through, planned by random orders.
+@dataclass(frozen=True)
+class Driving:
+    """How a course is driven.
 
-    Once the rule is learned, it takes over: at the first step in half of the episodes, later in the others.
+    Attributes:
+        course: where.
+        rule: that was learned last, on the course's ladder.
+        learned: whether it was; otherwise it is not used.
+        prices: the least and the largest lambda that it is followed at.
+        horizon: steps of a rollout.
+        mesh: devices.
     """
-    episodes = -(-count // 4)  # four states of each
-    starts = noisy_starts(course, random, episodes)
-    schedules = _random_orders(random, episodes, course.steps, len(rule.ladder))
-    if learned:
-        takes_over = np.where(random.random(episodes) < 0.5, 0, random.integers(1, course.steps // 2, episodes))
-        schedules[np.arange(course.steps) >= takes_over[:, None]] = DECIDES
-    prices = draw_prices(random, tuple(np.asarray(rule.prices)), episodes)
-    after = drive(course, rule, starts, schedules, prices, mesh).states
-    states = np.concatenate([starts[:, None], after[:, :-1]], axis=1)
-    states = states[np.isfinite(states).all(axis=(1, 2, 3))]
-    places = np.array([random.choice(course.steps, 4, replace=False) for _ in states])
-    return states[np.arange(len(states))[:, None], places].reshape(-1, *states.shape[2:])[:count]
+
+    course: Course
+    rule: LearnedValue
+    learned: bool
+    prices: tuple[float, float]
+    horizon: int
+    mesh: Mesh
+
+    def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> tuple[Records, Array]:
+        """Simulate episodes, with models by schedule or by the rule.
+
+        Whatever their length, they are simulated as many steps at a time as a rollout has, so that a course is compiled
+        once; every such segment starts cold.
+
+        Args:
+            starts: of all cars [episodes, cars, 4].
+            weights: of the humans' rewards [episodes, humans, features].
+            schedules: the rung of all humans [episodes, steps], or of every human [episodes, steps, humans].
+            prices: lambdas [episodes], or the same for all.
+
+        Returns:
+            Records, and the seconds of planning at T(M) [episodes, steps].
+        """
+        game, (count, steps, *_) = self.course.game, np.shape(schedules)
+        schedules = np.broadcast_to(np.reshape(schedules, (count, steps, -1)), (count, steps, game.number))
+        lambdas = np.broadcast_to(np.float32(prices), count)
+        robot = np.broadcast_to(np.asarray(game.robot.weights, np.float32), (count, len(game.robot.weights)))
+        own, loop, parts = np.full((count, game.number), USUAL), replace(self.course.loop, rule=self.rule), []
+        for first in range(0, steps, self.horizon):
+            part = np.asarray(schedules[:, first : first + self.horizon], np.int32)
+            part = np.pad(part, ((0, 0), (0, self.horizon - part.shape[1]), (0, 0)), mode="edge")
+            parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, own), self.mesh))
+            starts = np.asarray(parts[-1].states[:, -1])
+        records = jax.tree.map(lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts)
+        costs = self.rule.costs
+        return records, costs.base + np.asarray(costs.each, float)[records.rungs].sum(axis=-1)
+
+    def roll_out(self, random: Random, count: int, rungs: int) -> Rollouts:
+        """Visit so many states and roll out from them, on a ladder of as many rungs as are learned."""
+        states, weights = self._visited(random, count)
+        described = np.asarray(_describe(self.course.game, states))
+        label = self._each_human if self.course.several else self._each_way
+        chosen, rewards, seconds = label(random, states, weights)
+        whole = [np.full((len(rewards), rungs, max(rungs, STRATA + 1)), value) for value in (-np.inf, 0.0)]
+        for part, own in zip(whole, (rewards, seconds), strict=True):
+            part[:, self.course.rungs, : own.shape[-1]] = own
+        picked = described[np.arange(len(states))[:, None], chosen]
+        return Rollouts(picked.reshape(len(rewards), -1), *whole)
+
+    def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
+        """Draw states that episodes come through, planned by random orders and by the rule, and the humans' weights.
+
+        With one human, a learned rule takes over at the first step in half of the episodes, later in the others; among
+        several, it plans half of the episodes, and states are drawn mostly of robots that drive and have not reached
+        their lane: measured in Dense Merge, predictions hardly matter in others, which are three of four.
+        """
+        course, steps, several = self.course, self.course.steps, self.course.several
+        number = -(-count // STATES_OF_AN_EPISODE[several])
+        starts, weights = course.starts(random, number) if several else noisy_starts(course, random, number)
+        orders, prices = _random_orders(random, number, course), self.prices[0]
+        if self.learned and several:
+            orders[::2] = DECIDES
+        elif self.learned:
+            takes_over = np.where(random.random(number) < 0.5, 0, random.integers(1, steps // 2, number))
+            orders[np.arange(steps) >= takes_over[:, None]] = DECIDES
+        if not several:
+            prices = draw_prices(random, self.prices, number)
+        after = self.drive(starts, weights, orders, prices)[0].states
+        states = np.concatenate([starts[:, None], after[:, :-1]], axis=1)
+        finite = np.isfinite(states).all(axis=(1, 2, 3))
+        states, weights, scene = states[finite], weights[finite], course.game.scene
+        away = np.abs(states[:, :, 0, 1] - float(scene.target_lane)) > float(scene.lane_width) / 2
+        likely = np.maximum(away * states[:, :, 0, 3] / float(course.game.robot.speed_limit), LEAST_LIKELY)
+        pick = partial(random.choice, steps, STATES_OF_AN_EPISODE[several], replace=False)
+        places = np.array([pick(p=own / own.sum() if several else None) for own in likely])
+        visited = states[np.arange(len(states))[:, None], places].reshape(-1, *states.shape[2:])
+        return visited[:count], np.repeat(weights, places.shape[1], axis=0)[:count]
+
+    def _each_way(self, random: Random, states: Any, weights: Any) -> tuple[Any, Any, Any]:
+        """Plan one step with each rung; go on with each rung, or with a learned rule, by the rule or with the top."""
+        count, own = len(states), len(self.course.rungs)
+        ways = [(rung, np.ones(count, np.float32)) for rung in range(own)]  # from the second step on, and prices
+        if self.learned:
+            edges = pairwise(np.geomspace(*self.prices, STRATA + 1).tolist())
+            ways = [*((DECIDES, draw_prices(random, pair, count)) for pair in edges), ways[-1]]
+        first, then = np.repeat(np.arange(own), len(ways)), np.tile([rung for rung, _ in ways], own)
+        schedules = np.where(np.arange(self.horizon) == 0, first[:, None], then[:, None])  # [own * ways, steps]
+        prices = np.tile(np.stack([price for _, price in ways], axis=1), (1, own)).ravel()
+        starts, drivers = (np.repeat(part, len(schedules), axis=0) for part in (states, weights))
+        records, planned = self.drive(starts, drivers, np.tile(schedules, (count, 1)), prices)
+        earned = np.nan_to_num(np.sum(records.reward, axis=1, dtype=float), nan=-WORST)
+        rewards, seconds = np.clip(earned, -WORST, WORST), planned.sum(axis=1)
+        shape = count, own, len(ways)
+        return np.zeros((count, 1), int), rewards.reshape(shape), seconds.reshape(shape)
+
+    def _each_human(self, random: Random, states: Any, weights: Any) -> tuple[Any, Any, Any]:
+        """Choose humans in each state, near ones rather, and predict each of them by all rungs."""
+        rungs, humans = len(self.course.rungs), self.course.game.number
+        distances = np.linalg.norm(states[:, 1 : 1 + humans, :2] - states[:, :1, :2], axis=-1)
+        likely = 1.0 / (1.0 + np.argsort(np.argsort(distances))) ** 2
+        keys = random.exponential(size=likely.shape) / likely  # the smallest are a sample without replacement
+        chosen = np.argsort(keys, axis=1)[:, :HUMANS_OF_A_STATE]
+        orders = np.full((*chosen.shape, rungs, humans), DECIDES if self.learned else 0)
+        for rung in range(rungs):
+            np.put_along_axis(orders[:, :, rung], chosen[..., None], rung, axis=-1)
+        which = np.broadcast_to(np.arange(len(states))[:, None, None, None], (*orders.shape[:-1], 1))
+        every = np.concatenate([which, orders], axis=-1).reshape(-1, 1 + humans)
+        different, places = np.unique(every, axis=0, return_inverse=True)  # all naive is the same for every human
+        own, schedules = different[:, 0], np.repeat(different[:, None, 1:], self.horizon, axis=1)
+        rewards = self.drive(states[own], weights[own], schedules, self.prices[0])[0].reward
+        earned = np.clip(np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None).mean(axis=1).astype(float)
+        gains = earned[places].reshape(-1, rungs, 1)
+        gains -= gains[:, :1]
+        return chosen, gains, np.zeros_like(gains)
 
 
-def _random_orders(random: np.random.Generator, count: int, steps: int, rungs: int) -> Int[np.ndarray, "count steps"]:
-    """Draw orders that keep a rung for some steps, with frequencies of the rungs that differ from order to order."""
-    orders = np.zeros((count, steps), np.int32)
-    shares = random.dirichlet(np.ones(rungs), count)
-    for order, share in zip(orders, shares, strict=True):
-        changes = random.random(steps) > STAYS
-        drawn = random.choice(rungs, steps, p=share)
+def _random_orders(random: Random, count: int, course: Course) -> Array:
+    """Draw orders that keep their rungs for some steps, with frequencies of rungs that differ from order to order.
+
+    Among several humans, all change at once, each to a rung of its own.
+    """
+    rungs, steps, several = len(course.rungs), course.steps, course.several
+    orders = np.zeros((count, steps, course.game.number), np.int32)
+    for order, share in zip(orders, random.dirichlet(np.ones(rungs), count), strict=True):
+        draw = partial(random.choice, rungs, p=share)
+        uniform: Any = None if several else random.random(steps)
+        drawn: Any = None if several else draw(steps)
         for step in range(steps):
-            order[step] = drawn[step] if step == 0 or changes[step] else order[step - 1]
+            stays = step > 0 and (random.random() < STAYS[1] if several else uniform[step] <= STAYS[0])
+            order[step] = order[step - 1] if stays else draw(course.game.number) if several else drawn[step]
     return orders
 
 
-_describe = jax.jit(jax.vmap(describe, in_axes=(None, 0)))
-
-
-def roll_out(
-    course: Course,
-    rule: LearnedValue,
-    states: Float[np.ndarray, "states cars 4"],
-    random: np.random.Generator,
-    learned: bool,
-    rungs: int,
-    horizon: int,
-    mesh: Mesh,
-) -> Rollouts:
-    """Plan one step with each rung; go on with each rung, or once the rule is learned, by the rule or with the top.
-
-    Args:
-        course: where.
-        rule: on the course's ladder.
-        states: to start from.
-        random: draws the prices that the rule is followed at.
-        learned: whether the rule is.
-        rungs: of the ladder that is learned, of which the course's may be a part.
-        horizon: number of steps that count.
-        mesh: devices.
-    """
-    own = len(rule.ladder)
-    ways: list[tuple[int, np.ndarray]] = []  # rung from the second step on, or DECIDES, and prices
-    if not learned:
-        ways = [(rung, np.ones(len(states), np.float32)) for rung in range(own)]
-    else:
-        least, largest = np.asarray(rule.prices, float)
-        edges = pairwise(np.geomspace(least, largest, STRATA + 1).tolist())
-        ways = [(DECIDES, draw_prices(random, pair, len(states))) for pair in edges]
-        ways.append((own - 1, np.ones(len(states), np.float32)))
-    first = np.repeat(np.arange(own), len(ways))
-    then = np.tile([rung for rung, _ in ways], own)
-    schedules = np.where(np.arange(HORIZON) == 0, first[:, None], then[:, None])  # [own * ways, steps]
-    prices = np.stack([price for _, price in ways], axis=1)  # [states, ways]
-    many = len(schedules)
-    records = drive(
-        course,
-        rule,
-        np.repeat(states, many, axis=0),
-        np.tile(schedules, (len(states), 1)),
-        np.tile(prices, (1, own)).ravel(),
-        mesh,
-    )
-    shape = len(states), own, len(ways)
-    earned = np.sum(records.reward[:, :horizon], axis=1, dtype=float)
-    planned = np.sum(np.asarray(rule.costs, float)[records.model[:, :horizon]], axis=1)
-    rewards = np.full((len(states), rungs, len(ways)), -np.inf)
-    seconds = np.zeros_like(rewards)
-    rewards[:, course.rungs] = np.clip(np.nan_to_num(earned, nan=-WORST), -WORST, WORST).reshape(shape)
-    seconds[:, course.rungs] = planned.reshape(shape)
-    return Rollouts(np.asarray(_describe(course.game, states)), rewards, seconds)
+@jax.jit
+def _describe(game: Game, states: Any) -> Array:
+    return jax.vmap(partial(describe, game, surroundings=game.number > 1))(states)

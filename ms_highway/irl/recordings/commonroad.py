@@ -8,14 +8,12 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from jaxtyping import Float
 
 from ms_highway.game.scenario import TIME_STEP
+from ms_highway.irl.arrays import Points, Values
 from ms_highway.irl.recordings.lane_coordinates import LaneCoordinates, fit_lane_coordinates
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.files import temporary_directory
-
-__all__ = ["SPEED_LIMIT", "read_directory"]
 
 SPEED_LIMIT = 29.06  # m/s, 65 mph: on US-101, whose scenarios have no traffic signs
 
@@ -26,9 +24,12 @@ COMPRESSED = ".xml.gz"
 
 MOST_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
 MOST_METRES = 100_000.0  # from one end of a scenario to the other
-MOST_SPEED, MOST_SIZE = 200.0, 100.0  # m/s and m, of a vehicle
+MOST_SIZE = 100.0  # m, of a vehicle
 MOST_RADIANS = 1000.0  # of an orientation
 MOST_STATES = 10_000_000  # of all cars at all times
+MOST_SAMPLED = 1e12, 1e8, 1e8, MOST_RADIANS, 200.0  # time step, m, m, rad and m/s, of a vehicle
+
+MEND = "mend the file or leave it out"
 
 
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
@@ -52,7 +53,14 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
     if not paths:
         raise ValueError(f"{directory} holds no CommonRoad scenarios, files *.xml or *.xml.gz")
     counted: set[tuple] = set()
-    return [_convert(_open(path), path, counted) for path in paths[:first]]
+    recordings = []
+    for path in paths[:first]:
+        scenario = _open(path)
+        try:
+            recordings.append(_convert(scenario, counted))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+    return recordings
 
 
 def _open(path: Path) -> Any:
@@ -73,39 +81,32 @@ def _open(path: Path) -> Any:
                     readable.write_bytes(packed.read(MOST_BYTES + 1))
             if readable.stat().st_size > MOST_BYTES:
                 raise ValueError(f"more than {MOST_BYTES} bytes of XML")
-            _check_orientations(readable)
-            scenario, _ = XMLFileReader(readable).open()
+            # commonroad-io subtracts one turn after the other from an orientation, which might never end.
+            for orientation in ElementTree.parse(readable).iter("orientation"):
+                for text in orientation.itertext():
+                    if text.strip() and not abs(float(text)) <= MOST_RADIANS:
+                        raise ValueError(f"an orientation of {text} rad")
+            return XMLFileReader(readable).open()[0]
         except Exception as error:  # unpacking, parsing and the library raise many kinds
             raise ValueError(
                 f"{path} is no CommonRoad scenario, or damaged ({type(error).__name__}: {error}); fetch it again"
             ) from error
-    return scenario
 
 
-def _check_orientations(path: Path) -> None:
-    """Refuse large angles: commonroad-io subtracts one turn after the other, which might never end."""
-    for orientation in ElementTree.parse(path).iter("orientation"):
-        for text in orientation.itertext():
-            if text.strip() and not abs(float(text)) <= MOST_RADIANS:
-                raise ValueError(f"an orientation of {text} rad")
-
-
-def _convert(scenario: Any, path: Path, counted: set[tuple]) -> Recording:
+def _convert(scenario: Any, counted: set[tuple]) -> Recording:
     """Convert a scenario to a recording; add its drivers to those already counted."""
     if not np.isclose(scenario.dt, TIME_STEP):
-        raise ValueError(f"{path} has a time step of {scenario.dt} s; it must be {TIME_STEP} s")
-    road, lanes, lane_width = _road(scenario.lanelet_network, path)
+        raise ValueError(f"the time step is {scenario.dt} s; it must be {TIME_STEP} s")
+    road, lanes, lane_width = _road(scenario.lanelet_network)
     group = f"{scenario.scenario_id.map_name}-{scenario.scenario_id.map_id}"
     obstacles = scenario.dynamic_obstacles
-    tracks = [_samples(obstacle, path) for obstacle in obstacles]
+    tracks = [_samples(obstacle) for obstacle in obstacles]
     if not any(len(track) > 1 for track in tracks):
-        raise ValueError(f"{path} has no dynamic obstacle with two samples; there is no driving in it")
-    _check_extent(np.concatenate([track[:, 1:3] for track in tracks]), path, "obstacles")
+        raise ValueError("there is no dynamic obstacle with two samples, and so no driving")
     times = 1 + max(int(track[-1, 0]) for track in tracks)
     if times * len(tracks) > MOST_STATES:
-        raise ValueError(f"{path} has {len(tracks)} obstacles in {times} time steps; {MOST_STATES} states can be read")
-    states = np.full((times, len(tracks), 4), np.nan)
-    drivers = []
+        raise ValueError(f"there are {len(tracks)} obstacles in {times} time steps; {MOST_STATES} states can be read")
+    states, drivers = np.full((times, len(tracks), 4), np.nan), []
     for car, (obstacle, track) in enumerate(zip(obstacles, tracks, strict=True)):
         time, position, orientation, speed = track[:, 0].astype(int), track[:, 1:3], track[:, 3], track[:, 4]
         located = road.locate(position)
@@ -117,57 +118,32 @@ def _convert(scenario: Any, path: Path, counted: set[tuple]) -> Recording:
         if len(track) > 1 and along_the_road and identity not in counted:
             drivers.append(car)
             counted.add(identity)
-    return Recording(
-        name=str(scenario.scenario_id),
-        group=group,
-        time_step=TIME_STEP,
-        states=states,
-        drivers=np.array(drivers, dtype=int),
-        sizes=np.array([_size(obstacle.obstacle_shape) for obstacle in obstacles]),
-        lanes=lanes,
-        lane_width=lane_width,
-        speed_limit=SPEED_LIMIT,
-    )
+    sizes = np.array([_size(obstacle.obstacle_shape) for obstacle in obstacles])
+    name, numbers = str(scenario.scenario_id), np.array(drivers, dtype=int)
+    return Recording(name, group, states, numbers, sizes, lanes, lane_width, SPEED_LIMIT)
 
 
-def _samples(obstacle: Any, path: Path) -> Float[np.ndarray, "times 5"]:
-    """Return time step, position x and y, orientation and speed of an obstacle, as in the file."""
+def _samples(obstacle: Any) -> np.ndarray:
+    """Return time step, position x and y, orientation and speed of an obstacle, as in the file [times, 5]."""
     states = [obstacle.initial_state]
     states += getattr(getattr(obstacle.prediction, "trajectory", None), "state_list", [])
+    name = f"obstacle {obstacle.obstacle_id}"
     try:
         rows = [(state.time_step, *state.position, state.orientation, state.velocity) for state in states]
         samples = np.array(rows, dtype=float).reshape(-1, 5)
     except (AttributeError, TypeError, ValueError) as error:
         raise ValueError(
-            f"{path}: obstacle {obstacle.obstacle_id} lacks an exact time, position, orientation or velocity; "
-            "only recorded driving can be read"
+            f"{name} lacks an exact time, position, orientation or velocity; only recorded driving can be read"
         ) from error
-    if not np.isfinite(samples).all():
-        sample = samples[~np.isfinite(samples).all(axis=1)][0]
-        raise ValueError(
-            f"{path}: obstacle {obstacle.obstacle_id} is not finite at time step {sample[0]:g}: {sample[1:]}; "
-            "mend the file or leave it out"
-        )
-    if np.abs(samples[:, 4]).max() > MOST_SPEED or max(_size(obstacle.obstacle_shape)) > MOST_SIZE:
-        raise ValueError(
-            f"{path}: obstacle {obstacle.obstacle_id} is longer than {MOST_SIZE:g} m, or faster than {MOST_SPEED:g}; "
-            "mend the file or leave it out"
-        )
+    usable = (np.abs(samples) <= MOST_SAMPLED).all(axis=1)
+    if not usable.all():
+        time, *rest = samples[~usable][0]
+        raise ValueError(f"{name} is nowhere on Earth, or faster than any car, at step {time:g}: {np.array(rest)}")
+    if not max(_size(obstacle.obstacle_shape)) <= MOST_SIZE:
+        raise ValueError(f"{name} is longer than {MOST_SIZE:g} m; {MEND}")
     if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():
-        raise ValueError(
-            f"{path}: the times of obstacle {obstacle.obstacle_id} do not follow each other from 0 on; "
-            "mend the file or leave it out"
-        )
+        raise ValueError(f"the times of {name} do not follow each other from 0 on; {MEND}")
     return samples
-
-
-def _check_extent(points: Float[np.ndarray, "points 2"], path: Path, of: str) -> None:
-    """Refuse points that are not finite or too far apart for a road."""
-    if not np.isfinite(points).all():
-        raise ValueError(f"{path}: coordinates of {of} are not finite; mend the file or leave it out")
-    extent = np.ptp(points, axis=0).max()
-    if extent > MOST_METRES:
-        raise ValueError(f"{path}: {of} are up to {extent:.3g} m apart; roads of up to {MOST_METRES:g} m can be read")
 
 
 def _size(shape: Any) -> tuple[float, float]:
@@ -178,27 +154,28 @@ def _size(shape: Any) -> tuple[float, float]:
     return right - left, high - low
 
 
-def _road(network: Any, path: Path) -> tuple[LaneCoordinates, Float[np.ndarray, "lanes"], float]:
+def _road(network: Any) -> tuple[LaneCoordinates, Values, float]:
     """Return coordinates along the leftmost lane, the lateral positions of lanes, ascending, and their width."""
     chains = list(_chains(network))
     if not chains:
-        raise ValueError(f"{path} has no lanelets from which lanes start; driving can only be judged on a road")
+        raise ValueError("there are no lanelets from which lanes start; driving can only be judged on a road")
     lines = [np.concatenate([lanelet.center_vertices for lanelet in chain]) for chain in chains]
-    _check_extent(np.concatenate(lines), path, "lanelets")
+    if not np.ptp(np.concatenate(lines), axis=0).max() <= MOST_METRES:
+        raise ValueError(f"lanelets are not finite, or more than {MOST_METRES:g} m apart; {MEND}")
     # Take the line that has most lines parallel to it: a ramp has none but itself.
     offsets = max(
         (_offsets(fit_lane_coordinates(line), lines) for line in lines), key=lambda offset: np.isfinite(offset).sum()
     )
     if not np.isfinite(offsets).any():
-        raise ValueError(f"{path} has no lane that is straight enough to measure driving along it")
-    road = fit_lane_coordinates(lines[int(np.nanargmin(offsets))])
+        raise ValueError("no lane is straight enough to measure driving along it")
+    leftmost = int(np.nanargmin(offsets))
+    road = fit_lane_coordinates(lines[leftmost])
     found = np.sort(_offsets(road, lines))
     found = found[np.isfinite(found)]
     lanes = found[np.r_[True, np.diff(found) > DISTINCT_LANES]]
-    if len(lanes) > 1:
-        return road, lanes, float(np.median(np.diff(lanes)))
-    lanelet = chains[int(np.nanargmin(offsets))][0]
-    return road, lanes, float(np.median(np.linalg.norm(lanelet.left_vertices - lanelet.right_vertices, axis=-1)))
+    lanelet = chains[leftmost][0]
+    widths = np.linalg.norm(lanelet.left_vertices - lanelet.right_vertices, axis=-1)
+    return road, lanes, float(np.median(np.diff(lanes) if len(lanes) > 1 else widths))
 
 
 def _chains(network: Any) -> Iterator[list[Any]]:
@@ -213,7 +190,7 @@ def _chains(network: Any) -> Iterator[list[Any]]:
         yield chain
 
 
-def _offsets(road: LaneCoordinates, lines: list[Float[np.ndarray, "points 2"]]) -> Float[np.ndarray, "lines"]:
+def _offsets(road: LaneCoordinates, lines: list[Points]) -> Values:
     """Return how far to the right of a road's reference line other lines are; NaN for those that are no lanes of it.
 
     Lanes run in the road's direction and parallel to it, except at the ends. In recording 10 of US-101, a ramp comes

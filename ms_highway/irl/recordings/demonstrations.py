@@ -8,28 +8,18 @@ from typing import Any
 import gymnasium as gym
 import jax
 import numpy as np
-from jaxtyping import Float
 
-from ms_highway.control.fixed import FixedModel
+from ms_highway.control.driver import fixed
 from ms_highway.envs import DEMONSTRATION_ID, DemonstrationEnv
 from ms_highway.envs.demonstration import KEYBOARD_ACTION, demonstration_game
 from ms_highway.envs.graphics import check_display
 from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.scenario import COMMON_WEIGHTS, TIME_STEP
-from ms_highway.irl.recordings.datasets import (
-    FORMAT,
-    add_episode,
-    check_room,
-    count_recorded,
-    data_directory,
-    step_collector,
-)
+from ms_highway.irl.recordings import DRIVERS, TEMPERATURE, Driver
+from ms_highway.irl.recordings.datasets import FORMAT, add_episode, check_room, count_recorded, data_directory
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
-from ms_highway.irl.recordings.drivers import DRIVERS, TEMPERATURE, Driver
 from ms_highway.planning.human_models import Naive
-from ms_highway.runtime.files import held, part_of, temporary, tidy
-
-__all__ = ["actions", "record"]
+from ms_highway.runtime.files import held, tidy
 
 
 def record(
@@ -63,32 +53,30 @@ def record(
     provenance = _provenance(driver, densities, seed, temperature)
     if episodes < 1:
         raise ValueError(f"{episodes} episodes are to be recorded; there must be at least one")
+    person: dict[str, Any] = {}
     if driver == "keyboard":
         check_display()
-    with held(data.parent), temporary(part_of(data)) as scratch:
+        config = {"action": KEYBOARD_ACTION, "manual_control": True, "real_time_rendering": True}
+        person = {"render_mode": "human", "config": config}
+    with held(data.parent):
         done = count_recorded(dataset, data, provenance)
         tidy(data.parent)
         yield done
         if done >= episodes:
             return
-        scratch.mkdir()
-        env = _environment(driver)
-        collector = step_collector(env, scratch)
+        env = gym.make(DEMONSTRATION_ID, **person)
         try:
-            for episode in range(done, episodes):
+            for number in range(done, episodes):
                 check_room(data)
-                density = densities[episode % len(densities)]
-                _drive(collector, driver, seed + episode, density, temperature)
-                marks = {"seed": seed + episode, "density": density}
-                add_episode(collector, dataset, data, env, provenance, episode, marks)
-                yield episode + 1
+                density = densities[number % len(densities)]
+                episode = _drive(env, driver, seed + number, {"config": {"density": density}}, temperature)
+                add_episode(episode, dataset, data, env, provenance)
+                yield number + 1
         finally:
-            collector.close()
+            env.close()
 
 
-def actions(
-    driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE
-) -> Iterator[Float[np.ndarray, "2"]]:
+def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
     """Yield a driver's actions in an episode that has just begun.
 
     Args:
@@ -102,14 +90,13 @@ def actions(
             yield env.action_type.last_action.astype(np.float32)
         raise KeyboardInterrupt
     if driver == "mpc":
-        controller = FixedModel(env.game, Naive())
+        controller = fixed(env.game, Naive())
         while True:
             yield env.action_for(controller.step(env.car_states).control)
     game = demonstration_game(DRIVER_WEIGHTS)
     horizon, scale = game.planner.horizon, np.asarray(game.planner.control_scale, dtype=float)
     for place in count():
-        soon = slice(env.steps + 1, env.steps + 1 + horizon)
-        car, others = window(env.car_states[0], env.routes[:, soon])
+        car, others = window(env.car_states[0], env.routes[:, env.steps + 1 : env.steps + 1 + horizon])
         if driver == "optimal":
             controls = optimal(game, car, others).controls
         else:
@@ -126,8 +113,7 @@ def _provenance(driver: Driver, densities: Sequence[str], seed: int, temperature
     """
     if driver not in DRIVERS:
         raise ValueError(f"unknown driver {driver!r}; the drivers are {', '.join(DRIVERS)}")
-    unknown = [density for density in densities if density not in DENSITIES]
-    if unknown or not densities:
+    if not densities or set(densities) - set(DENSITIES):
         raise ValueError(f"densities {list(densities)} of traffic are impossible; choose from {', '.join(DENSITIES)}")
     if seed < 0:
         raise ValueError(f"the seed is {seed}; it must not be negative")
@@ -139,7 +125,7 @@ def _provenance(driver: Driver, densities: Sequence[str], seed: int, temperature
         "version": version("ms-highway"),
         "driver": driver,
         "temperature": float(temperature) if driver == "maxent" else None,
-        "weights": None if weights is None else {name: float(weight) for name, weight in weights.items()},
+        "weights": weights and {name: float(weight) for name, weight in weights.items()},
         "horizon": None if driver == "keyboard" else demonstration_game().planner.horizon,
         "time_step": TIME_STEP,
         "densities": list(densities),
@@ -147,19 +133,16 @@ def _provenance(driver: Driver, densities: Sequence[str], seed: int, temperature
     }
 
 
-def _environment(driver: Driver) -> gym.Env:
-    if driver == "keyboard":
-        config = {"action": KEYBOARD_ACTION, "manual_control": True, "real_time_rendering": True}
-        return gym.make(DEMONSTRATION_ID, render_mode="human", config=config)
-    return gym.make(DEMONSTRATION_ID)
+def _drive(env: gym.Env, driver: Driver, seed: int, options: dict[str, Any], temperature: float) -> Any:
+    """Return an episode, as Minari's ``EpisodeBuffer``."""
+    from minari.data_collector import EpisodeBuffer
 
-
-def _drive(collector: gym.Env, driver: Driver, seed: int, density: str, temperature: float) -> None:
-    """Drive one episode."""
-    collector.reset(seed=seed, options={"config": {"density": density}})
-    env = collector.unwrapped
-    assert isinstance(env, DemonstrationEnv)
-    for action in actions(driver, env, seed, temperature):
-        _, _, terminated, truncated, _ = collector.step(action)
-        if terminated or truncated:
-            return
+    world, first = env.unwrapped, env.reset(seed=seed, options=options)[0]
+    assert isinstance(world, DemonstrationEnv)
+    steps = []
+    for action in actions(driver, world, seed, temperature):
+        steps.append((action, *env.step(action)))
+        if any(steps[-1][3:5]):
+            break
+    taken, observations, *outcomes, _ = map(list, zip(*steps, strict=True))
+    return EpisodeBuffer(None, seed, options, [first, *observations], taken, *outcomes)

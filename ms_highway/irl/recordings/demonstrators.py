@@ -9,16 +9,16 @@ from functools import partial
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
 
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, rollout_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
+from ms_highway.irl.arrays import Controls, Scalar, States
+from ms_highway.optimization.arrays import Trajectory
 from ms_highway.optimization.newton import Optimum, find_optimum
-from ms_highway.optimization.second_derivatives import Trajectory, eigenpairs
-
-__all__ = ["DRIVER_WEIGHTS", "maxent", "optimal", "window"]
+from ms_highway.optimization.objective import Objective
+from ms_highway.optimization.second_derivatives import eigenpairs
 
 DRIVER_WEIGHTS = {
     **{name: weight for name, weight in COMMON_WEIGHTS.items() if name != "collision"},
@@ -32,19 +32,21 @@ FLOOR = 0.05  # of the eigenvalues of Hessians: half of comfort's curvature
 DRAWS = 20  # length of the chain that a sample ends
 
 
-def window(
-    car: Float[np.ndarray, "4"], routes: Float[np.ndarray, "others steps 4"]
-) -> tuple[Float[jax.Array, "4"], Motion]:
+def window(car: States, routes: States) -> tuple[States, Motion]:
     """Return a driver's state and the motion of the others after each step, with x measured from the driver.
 
     Float32 resolves these better than positions far along the road.
+
+    Args:
+        car: the driver's state.
+        routes: of the others after each step [others, steps, 4].
     """
     ahead = np.array([car[0], 0.0, 0.0, 0.0])
     return jnp.asarray(car - ahead, dtype=jnp.float32), observe((routes - ahead).astype(np.float32))
 
 
 @jax.jit
-def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
+def optimal(game: Game, car: States, others: Motion) -> Optimum:
     """Find the local optimum of a window that is uphill from keeping the velocity, see `find_optimum`.
 
     Args:
@@ -53,16 +55,14 @@ def optimal(game: Game, car: Float[jax.Array, "4"], others: Motion) -> Optimum:
         others: motion of the others after each step, arrays [others, steps].
     """
 
-    def reward(path: Trajectory) -> Float[jax.Array, ""]:
+    def reward(path: Trajectory) -> Scalar:
         return jnp.sum(motion_reward(game.scene, game.robot, Motion(*path), others))
 
     path, cost, within = (partial(function, game, car) for function in (move, discomfort, bounded))
-    return find_optimum(path, reward, cost, constant_velocity(game, car), within, FLOOR)
+    return find_optimum(Objective(path, reward, cost, within), constant_velocity(game, car), FLOOR)
 
 
-def maxent(
-    game: Game, car: Float[jax.Array, "4"], others: Motion, key: jax.Array, temperature: float
-) -> Float[jax.Array, "steps 2"]:
+def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature: float) -> Controls:
     """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum, within the limits.
 
     Returns the last draw of an independence Metropolis-Hastings chain, which starts at the optimum and proposes from
@@ -79,9 +79,7 @@ def maxent(
 
 
 @jax.jit
-def _sample(
-    game: Game, car: Float[jax.Array, "4"], others: Motion, best: Optimum, key: jax.Array, temperature: float
-) -> Float[jax.Array, "steps 2"]:
+def _sample(game: Game, car: States, others: Motion, best: Optimum, key: jax.Array, temperature: float) -> Controls:
     values, vectors = eigenpairs(best.hessian)
     spread = vectors * jnp.sqrt(temperature / jnp.maximum(jnp.abs(values), FLOOR))
     proposing, accepting = jax.random.split(key)

@@ -3,15 +3,14 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from scipy.interpolate import BSpline, make_smoothing_spline
 
-__all__ = ["LaneCoordinates", "LanePosition", "fit_lane_coordinates"]
+from ms_highway.irl.arrays import Points, Values
 
 SPACING = 5.0  # m, between the points that the curve is fitted to
 STIFFNESS = 2000.0  # m^3; smooths what is shorter than 60 m, (2 pi / 60 m)^4 = 1 / (SPACING STIFFNESS)
 FEWEST_POINTS = 5  # that a smoothing spline can be fitted to
-ITERATIONS = 5  # each reduces the error to |offset / radius| of it, a few percent on a highway
+ITERATIONS = 6  # each reduces the error to |offset / radius| of it, a few percent on a highway
 
 
 class LanePosition(NamedTuple):
@@ -23,9 +22,9 @@ class LanePosition(NamedTuple):
         heading: of the road at the point [rad], counterclockwise, in the coordinates of the map.
     """
 
-    x: Float[np.ndarray, "points"]
-    y: Float[np.ndarray, "points"]
-    heading: Float[np.ndarray, "points"]
+    x: Values
+    y: Values
+    heading: Values
 
 
 class LaneCoordinates(NamedTuple):
@@ -39,27 +38,22 @@ class LaneCoordinates(NamedTuple):
     curve: BSpline
     length: float
 
-    def locate(self, points: Float[np.ndarray, "points 2"]) -> LanePosition:
+    def locate(self, points: Points) -> LanePosition:
         """Return the positions on the road of points of the map."""
         samples = np.linspace(0, self.length, max(int(self.length / SPACING), 2))
         distance = np.linalg.norm(points[:, None] - self.curve(samples), axis=-1)
         x = samples[distance.argmin(axis=1)]
         for _ in range(ITERATIONS):
-            offset, tangent = self._offset(points, x)
+            nearest_end = np.clip(x, 0, self.length)
+            tangent = self.curve(nearest_end, 1)
+            tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+            offset = points - self.curve(nearest_end) - (x - nearest_end)[:, None] * tangent
             x = x + (offset * tangent).sum(axis=-1)
-        offset, tangent = self._offset(points, x)
         right = offset[:, 0] * tangent[:, 1] - offset[:, 1] * tangent[:, 0]
         return LanePosition(x, right, np.arctan2(tangent[:, 1], tangent[:, 0]))
 
-    def _offset(self, points: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the vectors from the line at x to the points, and the line's tangents there, both [points, 2]."""
-        nearest_end = np.clip(x, 0, self.length)
-        tangent = self.curve(nearest_end, 1)
-        tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
-        return points - self.curve(nearest_end) - (x - nearest_end)[:, None] * tangent, tangent
 
-
-def fit_lane_coordinates(line: Float[np.ndarray, "points 2"]) -> LaneCoordinates:
+def fit_lane_coordinates(line: Points) -> LaneCoordinates:
     """Fit coordinates to a line, smoothed: lines of maps have kinks that would look like steering."""
     line = line[np.r_[True, np.any(np.diff(line, axis=0) != 0, axis=-1)]]
     distance = np.r_[0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=-1))]

@@ -1,4 +1,4 @@
-"""Recorded driving, simulated or real: the states of all cars, in lane coordinates.
+"""Recorded driving, simulated or real: the states of all cars, in lane coordinates, and smooth tracks of drivers.
 
 In lane coordinates, x runs along the road, y to the right of its leftmost lane's centre, and headings are relative to
 its direction, so that recorded roads are straight like those of `ms_highway.game.scene`.
@@ -7,24 +7,37 @@ its direction, so that recorded roads are straight like those of `ms_highway.gam
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
-__all__ = ["Recording", "number_groups"]
+from ms_highway.game.dynamics import Dynamics, recover_control, step
+from ms_highway.irl.arrays import CarFlags, CarStates, Numbers, Points, States, Values
+
+# Standard deviations. Errors of position and jerks together decide how smooth tracks are: here, oscillations faster
+# than (JERK dt / POSITION)^(1/3) / dt, a third of a hertz, count as noise. The other three are wide, and only decide
+# what positions leave open, such as the steering of a standing car.
+POSITION = 0.2  # m, error of recorded positions
+JERK = 2.0  # m/s^3, along the road
+LATERAL_JERK = 0.5  # m/s^3, across it
+ACCELERATION = 4.0  # m/s^2, along the road
+HEADING = 0.2  # rad, at first
+CURVATURE = 0.02  # 1/m
+
+CURVATURE_LIMIT = 0.2  # 1/m, of a front wheel turned by 45 degrees
+ROUNDS = 2  # of fitting speeds, then headings, each with the other as last known; on a highway one is nearly enough
 
 
 @dataclass(frozen=True)
 class Recording:
-    """All cars on one stretch of road, sampled at equal times; lengths in metres, y points to the right.
+    """All cars on one stretch of road, sampled every 0.1 s; lengths in metres, y points to the right.
 
     Attributes:
         name: of the source, for messages.
         group: recordings of one group may share drivers, so that no split divides them.
-        time_step: between two samples [s].
-        states: ``(x, y, heading, speed)`` of every car at every time; NaN where a car was not seen.
+        states: ``(x, y, heading, speed)`` of every car at every time [times, cars, 4]; NaN where a car was not seen.
         drivers: indices of the cars to learn from and to predict.
-        sizes: length and width of every car.
+        sizes: length and width of every car [cars, 2].
         lanes: lateral position of each lane's centre, ascending.
         lane_width: width of a lane.
         speed_limit: of the road [m/s].
@@ -33,11 +46,10 @@ class Recording:
 
     name: str
     group: str
-    time_step: float
-    states: Float[np.ndarray, "times cars 4"]
-    drivers: Int[np.ndarray, "drivers"]
-    sizes: Float[np.ndarray, "cars 2"]
-    lanes: Float[np.ndarray, "lanes"]
+    states: CarStates
+    drivers: Numbers
+    sizes: Points
+    lanes: Values
     lane_width: float
     speed_limit: float
     measured: bool = True
@@ -48,32 +60,104 @@ class Recording:
         Raises:
             ValueError: naming the recording and the problem.
         """
-        times_and_cars = np.shape(self.states)[:2]
-        if np.shape(self.states) != (*times_and_cars, 4) or len(times_and_cars) != 2:
-            raise ValueError(f"{self.name}: states have shape {np.shape(self.states)}; they must be [times, cars, 4]")
-        if not len(self.lanes):
-            raise ValueError(f"{self.name} has no lanes; driving can only be judged on a road")
-        if not np.isfinite(self.lanes).all() or not self.lane_width > 0:
-            raise ValueError(f"{self.name}: lanes {self.lanes} of width {self.lane_width} are not a road")
-        if np.shape(self.sizes) != (times_and_cars[1], 2) or not (np.asarray(self.sizes) > 0).all():
-            raise ValueError(
-                f"{self.name}: every one of its {times_and_cars[1]} cars needs a positive length and width"
-            )
-        for car in self.drivers:
-            seen = self.seen[:, car]
-            first, last = (int(seen.argmax()), len(seen) - int(seen[::-1].argmax())) if seen.any() else (0, 0)
-            if last - first < 2:
-                raise ValueError(f"{self.name}: car {car} was seen {last - first} times; a track needs two samples")
-            if not seen[first:last].all():
-                lost = first + int(seen[first:last].argmin())
-                raise ValueError(f"{self.name}: car {car} at step {lost} is not finite: {self.states[lost, car]}")
+        shape, problem = np.shape(self.states), ""
+        if len(shape) != 3 or shape[2] != 4:
+            problem = f"states have shape {shape}; they must be [times, cars, 4]"
+        elif not len(self.lanes) or not np.isfinite(self.lanes).all() or not self.lane_width > 0:
+            problem = f"lanes {self.lanes} of width {self.lane_width} are not a road to judge driving on"
+        elif np.shape(self.sizes) != (shape[1], 2) or not (np.asarray(self.sizes) > 0).all():
+            problem = f"every one of its {shape[1]} cars needs a positive length and width"
+        else:
+            for car in self.drivers:
+                times = np.flatnonzero(self.seen[:, car])
+                if len(times) < 2:
+                    problem = f"car {car} was seen {len(times)} times; a track needs two samples"
+                elif np.ptp(times) >= len(times):
+                    lost = times[(np.diff(times) > 1).argmax()] + 1
+                    problem = f"car {car} at step {lost} is not finite: {self.states[lost, car]}"
+        if problem:
+            raise ValueError(f"{self.name}: {problem}")
 
     @cached_property
-    def seen(self) -> Bool[np.ndarray, "times cars"]:
-        """Whether each car was seen at each time."""
+    def seen(self) -> CarFlags:
+        """Whether each car was seen at each time [times, cars]."""
         return np.isfinite(self.states).all(axis=-1)
 
 
 def number_groups(recordings: Sequence[Recording]) -> dict[str, int]:
     """Number the groups of recordings, by name, in order of appearance."""
     return {name: number for number, name in enumerate(dict.fromkeys(item.group for item in recordings))}
+
+
+class Track(NamedTuple):
+    """A track: one step of its dynamics with each control leads from each state to the next.
+
+    Attributes:
+        states: ``(x, y, heading, speed)``, one more than the controls.
+        controls: ``(omega, acceleration)``.
+    """
+
+    states: States
+    controls: Points
+
+
+def track_of(recording: Recording, car: int, dynamics: Dynamics) -> Track:
+    """Return a car's track: `smoothed` if it was measured, the recorded states if it was simulated."""
+    states = recording.states[recording.seen[:, car], car]
+    if recording.measured:
+        return smoothed(states[:, :2], dynamics)
+    return Track(states, recover_control(dynamics, states[:-1], states[1:]))
+
+
+def smoothed(recorded: Points, dynamics: Dynamics) -> Track:
+    """Return the most likely track of a car, given its recorded positions and priors of accelerations and jerks.
+
+    Recorded speeds and headings, themselves derived from noisy positions, are not used. With a step's distance
+    ``d = (v + v_next) dt / 2``, two linear least-squares problems are solved in turn, for the initial x and speed v
+    and accelerations a; and for the initial y and heading h and curvatures c::
+
+        x = x_0 + sum of d cos(h)    v = v_0 + sum of a dt
+        y = y_0 + sum of d sin(h)    h = h_0 + sum of v c dt
+
+    They penalise errors of position, jerks ``a'`` and ``v^2 c'``, and, weakly, a, c and h_0: a standing car therefore
+    keeps its heading, and its curvature decays to 0.
+    """
+    dt = float(dynamics.time_step)
+    each = np.eye(len(recorded) - 1)
+    change, cosine = np.diff(each, axis=0), np.ones(len(each))
+    sine_per_heading = cosine
+    for _ in range(ROUNDS):
+        speeds = _running(each * dt)
+        distances = (speeds[:-1] + speeds[1:]) * dt / 2
+        along = _running(cosine[:, None] * distances)
+        x, *motion = _least_squares(along, recorded[:, 0], change / (JERK * dt), each / ACCELERATION)
+        speed = np.maximum(speeds @ motion, 0)
+
+        headings = _running(np.diag(speed[:-1] * dt))
+        distance = (speed[:-1] + speed[1:]) * dt / 2
+        across = _running((distance * sine_per_heading)[:, None] * headings[:-1])
+        jerks = change * speed[1:-1, None] ** 2 / (LATERAL_JERK * dt)
+        first = np.eye(1, len(each) + 1) / HEADING
+        y, *turning = _least_squares(across, recorded[:, 1], jerks, each / CURVATURE, first)
+        heading = headings @ [turning[0], *np.clip(turning[1:], -CURVATURE_LIMIT, CURVATURE_LIMIT)]
+        cosine, sine_per_heading = np.cos(heading[:-1]), np.sinc(heading[:-1] / np.pi)
+
+    likeliest = np.stack([np.full_like(speed, x), np.full_like(speed, y), heading, speed], axis=-1)
+    controls = recover_control(dynamics, likeliest[:-1], likeliest[1:])
+    states = [likeliest[0]]
+    for control in controls:
+        states.append(step(dynamics, states[-1], control))
+    return Track(np.stack(states), controls)
+
+
+def _running(increments: np.ndarray) -> np.ndarray:
+    """Return the matrix that maps a quantity's initial value and the unknowns in its increments to all its values."""
+    sums = np.pad(np.cumsum(increments, axis=0), ((1, 0), (0, 0)))
+    return np.column_stack([np.ones(len(sums)), sums])
+
+
+def _least_squares(positions: np.ndarray, recorded: np.ndarray, *penalties: np.ndarray) -> np.ndarray:
+    """Return the unknowns that fit the positions best, with penalties of the last of them in standard deviations."""
+    likely = np.vstack([np.pad(part, ((0, 0), (positions.shape[1] - part.shape[1], 0))) for part in penalties])
+    errors = np.pad(recorded / POSITION, (0, len(likely)))
+    return np.linalg.lstsq(np.vstack([positions / POSITION, likely]), errors)[0]

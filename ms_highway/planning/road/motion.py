@@ -2,19 +2,16 @@
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Float
 
-from ms_highway.game.road import RoadScene, interpolate, place
-from ms_highway.planning.road.settings import RoadPlanning
-
-__all__ = ["advance", "bodies", "drive", "within_limits"]
+from ms_highway.game.road import SPACING, Car, Knots, Number, Pose, RoadScene, interpolate, place
+from ms_highway.planning.road.arrays import Control, Controls, Scalar, States, Steps, Trajectory
+from ms_highway.planning.road.settings import CORNERING, RoadPlanning
 
 SLOWEST = 1.0  # m/s, below which curvature is limited as at this speed
+SLOWING = 2.5  # m/s^2, before bends
 
 
-def within_limits(
-    planning: RoadPlanning, speed: Float[jax.Array, "*shape"], control: Float[jax.Array, "*shape 2"]
-) -> Float[jax.Array, "*shape 2"]:
+def within_limits(planning: RoadPlanning, speed: Number, control: Control) -> Control:
     """Limit curvature and acceleration to the friction circle, to the sharpest curve, and to a stop, never backwards.
 
     The acceleration gives way to the curve: ``|v^2 k| <= grip`` first, then ``a^2 <= grip^2 - (v^2 k)^2``.
@@ -27,9 +24,7 @@ def within_limits(
     return jnp.stack([curvature, acceleration], axis=-1)
 
 
-def advance(
-    scene: RoadScene, planning: RoadPlanning, state: Float[jax.Array, "4"], control: Float[jax.Array, "2"]
-) -> Float[jax.Array, "4"]:
+def advance(scene: RoadScene, planning: RoadPlanning, state: Car, control: Control) -> Car:
     """Return the state one time step later; with old values on the right-hand side and the road's curvature k_r::
 
         s += u cos(heading) dt / (1 - d k_r);  d += u sin(heading) dt;  heading += (v k - k_r s') dt;  v += a dt
@@ -41,23 +36,14 @@ def advance(
     bend = interpolate(scene.route.curvature, s)
     rear = speed * jnp.sqrt(jnp.maximum(1 - (control[0] * scene.size[0] / 2) ** 2, 0.1))
     onward = rear * jnp.cos(heading) / jnp.maximum(1 - d * bend, 0.2)
-    dt = planning.time_step
-    return jnp.stack(
-        [
-            s + onward * dt,
-            d + rear * jnp.sin(heading) * dt,
-            heading + (speed * control[0] - bend * onward) * dt,
-            speed + control[1] * dt,
-        ]
-    )
+    changes = [onward, rear * jnp.sin(heading), speed * control[0] - bend * onward, control[1]]
+    return state + jnp.stack(changes) * planning.time_step
 
 
-def drive(
-    scene: RoadScene, planning: RoadPlanning, controls: Float[jax.Array, "steps 2"]
-) -> tuple[Float[jax.Array, "steps 4"], Float[jax.Array, "steps 2"]]:
+def drive(scene: RoadScene, planning: RoadPlanning, controls: Controls) -> tuple[States, Controls]:
     """Return the robot's states after each control, and the controls within limits that it executed."""
 
-    def go(state: Float[jax.Array, "4"], control: Float[jax.Array, "2"]) -> tuple[jax.Array, tuple]:
+    def go(state: Car, control: Control) -> tuple[Car, tuple[Car, Control]]:
         held = within_limits(planning, state[3], control)
         moved = advance(scene, planning, state, held)
         return moved, (moved, held)
@@ -65,10 +51,35 @@ def drive(
     return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
 
 
-def bodies(
-    scene: RoadScene, states: Float[jax.Array, "*shape 4"]
-) -> tuple[Float[jax.Array, "*shape"], Float[jax.Array, "*shape"], Float[jax.Array, "*shape"]]:
+def bodies(scene: RoadScene, states: States) -> Pose:
     """Return x, y and heading of the robot's centre in world coordinates, half a length ahead of its rear axle."""
     x, y, along = place(scene.route, states[..., 0], states[..., 1])
     heading, half = along + states[..., 2], scene.size[0] / 2
     return x + half * jnp.cos(heading), y + half * jnp.sin(heading), heading
+
+
+def centres(scene: RoadScene, states: States) -> States:
+    """Return x, y, heading and speed of the robot's centre in world coordinates, fields before steps."""
+    return jnp.stack([*bodies(scene, states), states[..., 3]], axis=-2)
+
+
+def earlier(first: Scalar, values: Steps) -> Steps:
+    """Return values a step earlier, with a first one in front."""
+    return jnp.concatenate([jnp.full_like(values[..., :1], first), values[..., :-1]], axis=-1)
+
+
+def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Knots:
+    """Return the highest speed at each knot of the route from which gentle braking suffices for all bends ahead."""
+    bends = jnp.maximum(jnp.abs(scene.route.curvature), 1e-4)
+    allowed = jnp.minimum(CORNERING * planning.grip / bends, planning.desired_speed**2)
+    ahead = 2 * SLOWING * SPACING * jnp.arange(len(bends))
+    return jnp.sqrt(jnp.maximum(jax.lax.cummin(allowed + ahead, reverse=True) - ahead, 1.0))
+
+
+def cruise(scene: RoadScene, planning: RoadPlanning) -> Trajectory:
+    """Return the trajectory of the robot's centre if it keeps its speed and lateral position along its route."""
+    s, d, _, speed = jnp.asarray(scene.robot)
+    pace = speed / jnp.maximum(1 - d * interpolate(scene.route.curvature, s), 0.2)
+    s = s + scene.size[0] / 2 + pace * planning.times
+    d, speed = (jnp.broadcast_to(number, s.shape) for number in (d, speed))
+    return jnp.stack([*place(scene.route, s, d), speed])

@@ -1,70 +1,25 @@
 """Judge proposals and refined plans: what they earn, and which constraints they break."""
 
-from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
-import jax
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.road import RoadScene, interpolate
-from ms_highway.planning.road.junctions import avoidable, blocks, occupied
-from ms_highway.planning.road.motion import bodies
-from ms_highway.planning.road.proposals import Rollouts
-from ms_highway.planning.road.prospects import missing_room, prospects, pushes_from_behind, urgency
-from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import FAR, Ways, on_route, positions
-from ms_highway.runtime.arrays import Array
-
-__all__ = ["RoadWeights", "Scores", "score", "separation"]
+from ms_highway.game.road import Number, Pose, interpolate, rotated
+from ms_highway.planning.road.arrays import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans
+from ms_highway.planning.road.motion import bodies, earlier
+from ms_highway.planning.road.proposals import STOPPING, Rollouts
+from ms_highway.planning.road.prospects import lane_of, missing_room, prospects, urgency
+from ms_highway.planning.road.traffic import FAR, STANDING, Situation, least, on_route, positions, way_knots
 
 MARGIN = 0.35  # m between bodies that counts as a collision
 FADING = 0.95  # of what is expected later, per step
 TOLERATED = 1.5  # m/s^2, of braking of others that costs nothing
 SOON = 1.6  # s, until when all counts that others may do
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class RoadWeights:
-    """What a plan is worth, per second unless told otherwise.
-
-    Attributes:
-        speed: of the share of the desired speed that is reached.
-        prospect: of the share that the car ahead allows after the plan [for the whole plan].
-        centre: of the squared distance to the centre of the lane [1/m^2].
-        change: of leaving the lane, once [for the whole plan].
-        right: of each lane further to the right [for the whole plan].
-        goal: of each change of lane that is left to the goal, where the room for it is short [for the whole plan].
-        acceleration: of squared acceleration [s^4/m^2].
-        jerk: of squared jerk [s^6/m^2].
-        imposed: of the squared braking that cars behind are made to do [s^4/m^2].
-        near: of being nearer than `comfortable` to others, squared share.
-        comfortable: distance between bodies [m].
-        collision: of hitting somebody at once; less, the later [for the whole plan].
-        blocking: of being in the way of a car that crosses, after a plan [for the whole plan].
-        avoidable: share that counts of what can still be avoided by stopping before a crossing.
-        off_road: of leaving the road, and of a lane that is not open [for the whole plan].
-        stopping: of each metre that is missing to stop behind the car ahead [1/m, for the whole plan].
-    """
-
-    speed: float | Float[Array, ""] = 1.0
-    prospect: float | Float[Array, ""] = 6.0
-    centre: float | Float[Array, ""] = 0.005
-    change: float | Float[Array, ""] = 0.1
-    right: float | Float[Array, ""] = 0.1
-    goal: float | Float[Array, ""] = 6.0
-    acceleration: float | Float[Array, ""] = 0.01
-    jerk: float | Float[Array, ""] = 0.002
-    imposed: float | Float[Array, ""] = 0.3
-    near: float | Float[Array, ""] = 8.0
-    comfortable: float | Float[Array, ""] = 1.0
-    collision: float | Float[Array, ""] = 100.0
-    blocking: float | Float[Array, ""] = 40.0
-    avoidable: float | Float[Array, ""] = 0.02
-    off_road: float | Float[Array, ""] = 200.0
-    stopping: float | Float[Array, ""] = 1.0
+CROSSES, EARLY = 0.8, 0.15  # cosine of the angle below which cars may come so much earlier or later [s]
+CLEARANCE = 1.0  # m, around where others cross the robot's way
+UNSURE = 6.0  # m/s^2, of the accelerations that others may have
+DECIDED = 1  # step after which stopping has to be possible
+AWAITED = 6.0  # s, in which a crossing car has to come to count
 
 
 class Scores(NamedTuple):
@@ -81,36 +36,121 @@ class Scores(NamedTuple):
         missing: metres that are missing to stop behind the car ahead, after the plan.
     """
 
-    own: Float[jax.Array, "plans"]
-    others: Float[jax.Array, "plans traffic"]
-    answerable: Float[jax.Array, "plans traffic"]
-    collides: Bool[jax.Array, "plans"]
-    impact: Float[jax.Array, "plans"]
-    leaves: Bool[jax.Array, "plans"]
-    missing: Float[jax.Array, "plans"]
+    own: Plans
+    others: EachCar
+    answerable: EachCar
+    collides: PlanFlags
+    impact: Plans
+    leaves: PlanFlags
+    missing: Plans
 
     @property
-    def total(self) -> Float[jax.Array, "plans"]:
+    def total(self) -> Plans:
         """What each plan earns in all."""
         return self.own - self.others.sum(axis=-1)
 
     @property
-    def preference(self) -> Float[jax.Array, "plans"]:
+    def preference(self) -> Plans:
         """What plans are chosen by: what they earn; if all hit somebody, how softly they do."""
         return jnp.where((self.impact > 0).all(), -self.impact, self.total)
 
     @property
-    def broken(self) -> Bool[jax.Array, "plans"]:
+    def broken(self) -> PlanFlags:
         """Whether a plan breaks a constraint."""
         return self.collides | self.leaves | (self.missing > 0)
 
 
-def separation(
-    own: tuple[jax.Array, jax.Array, jax.Array],
-    size: Float[Array, "2"],
-    other: tuple[jax.Array, jax.Array, jax.Array],
-    sizes: Float[jax.Array, "*shape 2"],
-) -> Float[jax.Array, "*shape"]:
+def score(now: Situation, rollouts: Rollouts, lanes: Lane) -> Scores:
+    """Judge plans that go to lanes 0 to 2."""
+    scene, planning, weights = now.scene, now.planning, now.weights
+    desired = planning.desired_speed
+    s, d, _, speed = jnp.moveaxis(rollouts.states, -1, 0)
+    goal = lane_of(scene.lanes, lanes, s)
+    off_speed = jnp.abs(speed - jnp.minimum(interpolate(now.caps, s), desired))
+    per_second = weights.speed * (1 - off_speed / desired) - weights.centre * (d - goal) ** 2
+    per_second = per_second - _discomfort(now, rollouts)
+    closed = (lane_of(jnp.asarray(scene.open, float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
+    leaves = _leaves(now, rollouts)
+    per_plan = (
+        weights.right * (lanes - 1.0)
+        - weights.change * (lanes != 1)
+        - weights.goal * urgency(scene, lanes)
+        - weights.off_road * (leaves.astype(float) + closed)
+    )
+    others, hit, impact = _meetings(now, rollouts, lanes)
+    leading_s, leading_d, cosine = on_route(now.ways, scene.states[:, 0], scene.states[:, 1])
+    leads = (leading_s > scene.robot[0]) & (jnp.abs(leading_d - scene.robot[1]) < scene.size[1]) & (cosine > 0.5)
+    missing = missing_room(now, rollouts, goal[:, -1])
+    slower, charged = prospects(now, rollouts, lanes)
+    lost = weights.prospect * slower / desired
+    return Scores(
+        own=planning.time_step * per_second.sum(axis=1) + per_plan - jnp.where(charged.any(axis=-1), 0.0, lost),
+        others=others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0),
+        answerable=jnp.where(leads, 0.0, others),
+        collides=hit.any(axis=(1, 2)),
+        impact=impact,
+        leaves=leaves | closed,
+        missing=missing.max(axis=1),
+    )
+
+
+def _discomfort(now: Situation, rollouts: Rollouts) -> EachStep:
+    """Return the cost of acceleration and jerk after each step."""
+    scene, weights, speed, controls = now.scene, now.weights, rollouts.states[..., 3], rollouts.controls
+    squared = earlier(scene.robot[3], speed) ** 2
+    lateral = squared * controls[..., 0]
+    bend = interpolate(scene.route.curvature, rollouts.states[..., 0])
+    jerk = jnp.diff(lateral, axis=1, prepend=scene.robot[3] ** 2 * scene.applied[0]) ** 2
+    jerk = (jerk + jnp.diff(controls[..., 1], axis=1, prepend=scene.applied[1]) ** 2) / now.planning.time_step**2
+    return weights.acceleration * (controls[..., 1] ** 2 + (lateral - squared * bend) ** 2) + weights.jerk * jerk
+
+
+def _leaves(now: Situation, rollouts: Rollouts) -> PlanFlags:
+    """Return whether plans leave the road; what cannot be helped any more does not count."""
+    s, d, heading, _ = jnp.moveaxis(rollouts.states, -1, 0)
+    length, width = now.scene.size
+    left, right = interpolate(now.scene.edges, s + length / 2)
+    middle = d + length / 2 * jnp.sin(heading)
+    reach = (width * jnp.cos(heading) + length * jnp.abs(jnp.sin(heading))) / 2
+    beyond = jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)
+    return (beyond > beyond[:, :1] + 0.1).any(axis=1)
+
+
+def _meetings(now: Situation, rollouts: Rollouts, lanes: Lane) -> tuple[EachCar, EachFlag, Plans]:
+    """Return what the nearness of others costs, where plans hit them, and how hard they do.
+
+    The impact is the highest difference of velocities when bodies first touch.
+    """
+    scene, planning, weights, speeds = now.scene, now.planning, now.weights, rollouts.speeds
+    dt, (s, d, _, speed) = planning.time_step, rollouts.robot
+    own, others = bodies(scene, rollouts.states[:, None]), positions(scene, rollouts.along, rollouts.across)
+    # A follower in the robot's own lane that runs into it, or through it, while it keeps its lane does not count.
+    behind = rollouts.s[..., :1] < s[..., :1] - 1.0
+    followed = jnp.cumprod(jnp.abs(rollouts.d - d) < scene.size[1], axis=-1) > 0
+    pushes = behind & followed & (rollouts.cosine > 0.5) & jnp.equal(lanes, 1)[:, None, None]
+    counts = scene.present[:, None] & ~pushes
+    clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, rollouts)), FAR)
+    touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)
+    first = touch & (jnp.cumsum(touch, axis=-1) == 1)
+    squared = speed**2 + speeds**2 - 2 * speed * speeds * jnp.cos(own[2] - others[2])
+    impact = jnp.where(first, jnp.sqrt(jnp.maximum(squared, 1e-4)), 0.0).max(axis=(1, 2))
+    revised, steps = _avoidable(now, rollouts)[..., None], jnp.arange(planning.steps)
+    fading = FADING**steps * jnp.where(revised & (dt * steps > SOON), weights.avoidable, 1.0)
+    near = jnp.maximum(1 - jnp.maximum(clear, 0.0) / weights.comfortable, 0.0) ** 2
+    slowed = jnp.diff(speeds, axis=-1, prepend=jnp.broadcast_to(scene.states[:, 3:], (*speeds.shape[:-1], 1))) / dt
+    endangered = (rollouts.s < s) & (speeds > speed)  # behind a faster robot, gaps open by themselves
+    imposed = jnp.where(endangered, jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
+    hit = clear < MARGIN
+    cost = (
+        dt * weights.near * jnp.sum(near * fading, axis=-1)
+        + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
+        + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
+        + weights.blocking * blocks(now, rollouts) * jnp.where(revised[..., 0], weights.avoidable, 1.0)
+    )
+    return cost, hit, impact
+
+
+def separation(own: Pose, size: Number, other: Pose, sizes: Number) -> Number:
     """Return the distance between two rectangles along the axis that separates them best [m]; negative if they overlap.
 
     Args:
@@ -119,125 +159,46 @@ def separation(
         other: x, y and heading of the other.
         sizes: its length and width [m].
     """
-    dx, dy, turn = other[0] - own[0], other[1] - own[1], other[2] - own[2]
+    dx, dy, turn = (theirs - mine for theirs, mine in zip(other, own, strict=True))
     c, s = jnp.abs(jnp.cos(turn)), jnp.abs(jnp.sin(turn))
-    (a, b), (e, f) = (size[0] / 2, size[1] / 2), (sizes[..., 0] / 2, sizes[..., 1] / 2)
 
-    def along(heading: jax.Array) -> tuple[jax.Array, jax.Array]:
-        cosine, sine = jnp.cos(heading), jnp.sin(heading)
-        return jnp.abs(dx * cosine + dy * sine), jnp.abs(dy * cosine - dx * sine)
+    def apart(heading: Number, size: Number, sizes: Number) -> Number:
+        (a, b), (e, f) = (jnp.moveaxis(jnp.asarray(each) / 2, -1, 0) for each in (size, sizes))
+        u, v = (jnp.abs(part) for part in rotated(dx, dy, heading))
+        return jnp.maximum(u - a - e * c - f * s, v - b - e * s - f * c)
 
-    (u, v), (p, q) = along(own[2]), along(other[2])
-    gaps = u - a - e * c - f * s, v - b - e * s - f * c, p - e - a * c - b * s, q - f - a * s - b * c
-    return jnp.maximum(jnp.maximum(gaps[0], gaps[1]), jnp.maximum(gaps[2], gaps[3]))
+    return jnp.maximum(apart(own[2], size, sizes), apart(other[2], sizes, size))
 
 
-def score(
-    scene: RoadScene,
-    planning: RoadPlanning,
-    weights: RoadWeights,
-    ways: Ways,
-    rollouts: Rollouts,
-    lanes: Int[jax.Array, "plans"],
-    caps: Float[jax.Array, "knots"],
-) -> Scores:
-    """Judge plans.
+def _occupied(now: Situation, rollouts: Rollouts) -> EachStep:
+    """Return length and width of what others may occupy [m]: more of their way where it crosses the robot's.
 
-    Args:
-        scene: the road.
-        planning: limits and wishes.
-        weights: what counts.
-        ways: see `ms_highway.planning.road.traffic.ways_of`.
-        rollouts: of the plans.
-        lanes: that each goes to, 0 to 2.
-        caps: see `ms_highway.planning.road.proposals.speed_caps`.
+    Nobody knows when exactly a car comes that may brake or speed up; where it is now is known.
     """
-    dt, states, controls = planning.time_step, rollouts.states, rollouts.controls
-    s, d, heading, speed = jnp.moveaxis(states, -1, 0)
-    wanted = jnp.minimum(interpolate(caps, s), planning.desired_speed)
-    reached = 1 - jnp.abs(speed - wanted) / planning.desired_speed
-    centres = jnp.asarray(scene.lanes)
-    goal = jax.vmap(lambda lane, s: interpolate(centres[lane], s))(lanes, s)
-    before = jnp.concatenate([jnp.full_like(speed[:, :1], scene.robot[3]), speed[:, :-1]], axis=1)
-    lateral = before**2 * controls[..., 0]
-    sideways = jnp.concatenate([jnp.full_like(lateral[:, :1], scene.robot[3] ** 2 * scene.applied[0]), lateral], axis=1)
-    pushed = jnp.concatenate([jnp.full_like(lateral[:, :1], scene.applied[1]), controls[..., 1]], axis=1)
-    jerk = (jnp.diff(sideways, axis=1) ** 2 + jnp.diff(pushed, axis=1) ** 2) / dt**2
-    per_second = (
-        weights.speed * reached
-        - weights.centre * (d - goal) ** 2
-        - weights.acceleration * (controls[..., 1] ** 2 + (lateral - before**2 * _bend(scene, s)) ** 2)
-        - weights.jerk * jerk
-    )
-    x, y, course = bodies(scene, states)
-    left, right = (interpolate(jnp.asarray(scene.edges)[side], s + scene.size[0] / 2) for side in range(2))
-    middle = d + scene.size[0] / 2 * jnp.sin(heading)
-    reach = (scene.size[1] * jnp.cos(heading) + scene.size[0] * jnp.abs(jnp.sin(heading))) / 2
-    beyond = jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)
-    already = jnp.maximum(beyond[:, :1], 0.0)  # what cannot be helped any more does not count
-    leaves = (beyond > already + 0.1).any(axis=1)
-    opened = jax.vmap(lambda lane, s: interpolate(jnp.asarray(scene.open, float)[lane], s))(lanes, s[:, -1])
-    closed = (opened < 0.5) & (lanes != 1)
-    per_plan = (
-        weights.right * (lanes - 1.0)
-        - weights.change * (lanes != 1)
-        - weights.goal * urgency(scene, planning, lanes)
-        - weights.off_road * (leaves.astype(float) + closed)
-    )
-    own_bodies, bodies_of_others = (
-        (x[:, None], y[:, None], course[:, None]),
-        jax.vmap(partial(positions, scene))(rollouts.along, rollouts.across),
-    )
-    clear = separation(own_bodies, scene.size, bodies_of_others, occupied(scene, planning, rollouts))
-    counts = jnp.asarray(scene.present)[:, None] & ~pushes_from_behind(scene, rollouts, s, d, lanes)
-    clear = jnp.where(counts, clear, FAR)
-    touch = counts & (separation(own_bodies, scene.size, bodies_of_others, jnp.asarray(scene.sizes)[:, None]) < 0)
-    impact = _impact(touch, speed[:, None], course[:, None], rollouts.speeds, bodies_of_others[2])
-    hit, fading = clear < MARGIN, FADING ** jnp.arange(planning.steps)
-    later = dt * jnp.arange(planning.steps) > SOON
-    revised = avoidable(scene, ways, rollouts)[..., None]
-    fading = fading * jnp.where(revised & later, weights.avoidable, 1.0)
-    near = jnp.maximum(1 - jnp.maximum(clear, 0.0) / weights.comfortable, 0.0) ** 2
-    closeness = dt * weights.near * jnp.sum(near * fading, axis=-1)
-    speeds = rollouts.speeds
-    first = jnp.broadcast_to(jnp.asarray(scene.states)[:, 3:], (*speeds.shape[:-1], 1))
-    slowed = jnp.diff(speeds, axis=-1, prepend=first) / dt
-    endangered = (rollouts.s < s[:, None]) & (speeds > speed[:, None])  # behind a faster robot, gaps open by themselves
-    imposed = jnp.where(endangered, jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
-    closeness = closeness + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
-    others = closeness + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
-    crossing = weights.blocking * blocks(scene, ways, rollouts) * jnp.where(revised[..., 0], weights.avoidable, 1.0)
-    others = others + crossing
-    answerable = jnp.where(_leads(scene, ways), 0.0, others)
-    missing = missing_room(scene, planning, rollouts, goal[:, -1])
-    slower, charged = prospects(scene, planning, rollouts, lanes, caps)
-    lost = weights.prospect * slower / planning.desired_speed
-    per_plan = per_plan - jnp.where(charged.any(axis=-1), 0.0, lost)
-    others = others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
-    own = dt * per_second.sum(axis=1) + per_plan
-    return Scores(
-        own, jnp.asarray(others), answerable, hit.any(axis=(1, 2)), impact, leaves | closed, missing.max(axis=1)
-    )
+    early = jnp.minimum(EARLY * rollouts.speeds + 0.5, UNSURE * now.planning.times**2 / 2)
+    early = jnp.where((rollouts.cosine < CROSSES) & (rollouts.speeds > STANDING), early, 0.0)
+    lengths, widths = now.scene.sizes.T[..., None]
+    return jnp.stack([lengths + 2 * early, jnp.broadcast_to(widths, early.shape)], axis=-1)
 
 
-def _impact(
-    touch: Bool[jax.Array, "plans traffic steps"],
-    speed: Float[jax.Array, "plans 1 steps"],
-    course: Float[jax.Array, "plans 1 steps"],
-    speeds: Float[jax.Array, "plans traffic steps"],
-    courses: Float[jax.Array, "plans traffic steps"],
-) -> Float[jax.Array, "plans"]:
-    """Return the highest difference of velocities when bodies first touch [m/s]; 0 if they never do."""
-    first = touch & (jnp.cumsum(touch, axis=-1) == 1)
-    squared = speed**2 + speeds**2 - 2 * speed * speeds * jnp.cos(course - courses)
-    return jnp.where(first, jnp.sqrt(jnp.maximum(squared, 1e-4)), 0.0).max(axis=(1, 2))
+def _avoidable(now: Situation, rollouts: Rollouts) -> EachFlag:
+    """Return whether the robot can still stop before where a car crosses its route, soon after a plan has begun."""
+    s, _, _, speed = rollouts.robot[..., DECIDED]
+    left = now.crossings.line - s - now.scene.size[0]
+    return (now.crossings.first < FAR) & (left > speed**2 / (2 * STOPPING))
 
 
-def _leads(scene: RoadScene, ways: Ways) -> Bool[jax.Array, "traffic"]:
-    """Return who is ahead of the robot in its lane, and does not look back."""
-    s, d, cosine = on_route(ways, jnp.asarray(scene.states)[:, 0], jnp.asarray(scene.states)[:, 1])
-    return (s > scene.robot[0]) & (jnp.abs(d - scene.robot[1]) < scene.size[1]) & (cosine > 0.5)
+def blocks(now: Situation, rollouts: Rollouts) -> EachFlag:
+    """Return whether the robot, after a plan, is still where a car crosses its route when that car comes.
 
-
-def _bend(scene: RoadScene, s: jax.Array) -> jax.Array:
-    return interpolate(scene.route.curvature, s)
+    The robot goes on as fast as it is then, and faster; the car at its speed.
+    """
+    scene, ways, across = now.scene, now.ways, now.crossings.across
+    s, _, _, speed = rollouts.robot[..., -1]
+    rear, front = s[..., None] - CLEARANCE, s[..., None] + scene.size[0] + CLEARANCE
+    here, knots = across & (ways.s > rear) & (ways.s < front), way_knots(ways)
+    leaving = (-least(-ways.s, across) + CLEARANCE - s) / (speed + 1.0)
+    along = rollouts.along[..., -1]
+    coming = (least(knots, here) - scene.sizes[:, 0] - along) / jnp.maximum(rollouts.speeds[..., -1], 1.0)
+    comes = (along < -least(-knots, here)) & (coming < leaving + 0.5) & (coming < AWAITED)
+    return scene.present & scene.moving & comes

@@ -1,17 +1,19 @@
-"""What plans on roads may do and want."""
+"""What plans on roads may do, want and cost."""
 
 from dataclasses import dataclass, field
 
 import jax
-from jaxtyping import Float
+from jax import numpy as jnp
 
-from ms_highway.runtime.arrays import Array
+from ms_highway.planning.road.arrays import Scalar, Steps
 
-__all__ = ["CORNERING", "RUNGS", "RoadPlanning"]
-
-RUNGS = ("naive", "idm", "turn", "tom")
+ROAD_MODELS = ("naive", "idm", "turn", "tom")
 """Names of the models that predict traffic, cheapest first: keep the velocity along the lane; follow by IDM; optimise
 the own reward while the robot keeps its velocity; answer the robot's plan optimally (theory of mind)."""
+
+NAIVE, IDM, TURN, TOM = range(len(ROAD_MODELS))
+
+RUNGS = ROAD_MODELS
 
 CORNERING = 0.85
 """Share of the grip that bends may take."""
@@ -30,8 +32,84 @@ class RoadPlanning:
         steps: of plans (static).
     """
 
-    desired_speed: float | Float[Array, ""] = 30.0
-    grip: float | Float[Array, ""] = 5.0
-    curvature: float | Float[Array, ""] = 0.2
-    time_step: float | Float[Array, ""] = 0.2
+    desired_speed: Scalar = 30.0
+    grip: Scalar = 5.0
+    curvature: Scalar = 0.2
+    time_step: Scalar = 0.2
     steps: int = field(default=20, metadata={"static": True})
+
+    @property
+    def times(self) -> Steps:
+        """Time after each step [s]."""
+        return jnp.arange(1, self.steps + 1) * self.time_step
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RoadWeights:
+    """What a proposal or a refined plan is worth, per second unless stated otherwise.
+
+    Attributes:
+        speed: of the share of the desired speed that is reached.
+        prospect: of the share that the car ahead allows after the plan [for the whole plan].
+        centre: of the squared distance to the centre of the lane [1/m^2].
+        change: of leaving the lane, once [for the whole plan].
+        right: of each lane further to the right [for the whole plan].
+        goal: of each change of lane that is left to the goal, where the room for it is short [for the whole plan].
+        acceleration: of squared acceleration [s^4/m^2].
+        jerk: of squared jerk [s^6/m^2].
+        imposed: of the squared braking that cars behind are made to do [s^4/m^2].
+        near: of being nearer than `comfortable` to others, squared share.
+        comfortable: distance between bodies [m].
+        collision: of hitting somebody at once; less, the later [for the whole plan].
+        blocking: of being in the way of a car that crosses, after a plan [for the whole plan].
+        avoidable: share that counts of what can still be avoided by stopping before a crossing.
+        off_road: of leaving the road, and of a lane that is not open [for the whole plan].
+        stopping: of each metre that is missing to stop behind the car ahead [1/m, for the whole plan].
+    """
+
+    speed: Scalar = 1.0
+    prospect: Scalar = 6.0
+    centre: Scalar = 0.005
+    change: Scalar = 0.1
+    right: Scalar = 0.1
+    goal: Scalar = 6.0
+    acceleration: Scalar = 0.01
+    jerk: Scalar = 0.002
+    imposed: Scalar = 0.3
+    near: Scalar = 8.0
+    comfortable: Scalar = 1.0
+    collision: Scalar = 100.0
+    blocking: Scalar = 40.0
+    avoidable: Scalar = 0.02
+    off_road: Scalar = 200.0
+    stopping: Scalar = 1.0
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SmoothWeights:
+    """Costs of the robot's motion that a plan is refined by, all per second.
+
+    Attributes:
+        speed: of a deviation from the speed wished for [s^2/m^2]; linear beyond 5 m/s.
+        excess: of its square above that speed, in addition [s^2/m^2].
+        lateral: of the distance to the lane's centre [1/m^2]; linear beyond 1 m.
+        heading: of the squared angle to the route [1/rad^2].
+        acceleration: of its square [s^4/m^2].
+        jerk: of its square, along and across [s^6/m^2].
+        edges: of each corner's squared intrusion on the 0.3 m beside the road's edge [1/(0.3 m)^2]; linear beyond.
+        collision: of the squared depth in another car's surroundings, 1/4 at 1.5 m along or 0.5 m aside of it.
+        following: of the squared lack of distance to cars ahead [1/(10 m)^2]: of 2 m, 1 s, and what it takes to brake
+            to their speed by 3 m/s^2.
+    """
+
+    speed: Scalar = 0.1
+    excess: Scalar = 0.4
+    lateral: Scalar = 1.0
+    heading: Scalar = 10.0
+    acceleration: Scalar = 0.02
+    jerk: Scalar = 0.01
+    edges: Scalar = 50.0
+    collision: Scalar = 100.0
+    following: Scalar = 10.0

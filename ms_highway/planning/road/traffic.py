@@ -7,26 +7,23 @@ from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
 
-from ms_highway.game.road import BEHIND, SPACING, RoadScene, interpolate, place, project
-
-__all__ = [
-    "FAR",
-    "ROOM",
-    "STANDING",
-    "Crossings",
-    "Ways",
-    "aside",
-    "crossings",
-    "follow",
-    "gaps_to_robot",
-    "headways",
-    "on_route",
-    "positions",
-    "wanted_speeds",
-    "ways_of",
-]
+from ms_highway.game.road import (
+    BEHIND,
+    SPACING,
+    Knots,
+    Number,
+    Pose,
+    RoadScene,
+    Traffic,
+    Traits,
+    interpolate,
+    place,
+    project,
+)
+from ms_highway.planning.road.arrays import EachFlag, EachStep, Scalar, Steps
+from ms_highway.planning.road.motion import speed_caps
+from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
 
 FAR = 1e3
 """Distance to what is not there [m]."""
@@ -44,6 +41,7 @@ SHARED = 0.85  # cosine of the angle from which cars share a lane
 CORRIDOR = 3.0  # m, of the robot's way to each side
 SAME_WAY = 0.7  # cosine of the angle up to which a car behind follows the robot
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
+WAITING = 1.2  # m, between the robot that waits and those who cross
 
 
 class Ways(NamedTuple):
@@ -54,16 +52,9 @@ class Ways(NamedTuple):
         cosine: of the angle between the path and the route.
     """
 
-    s: Float[jax.Array, "traffic knots"]
-    d: Float[jax.Array, "traffic knots"]
-    cosine: Float[jax.Array, "traffic knots"]
-
-
-def ways_of(scene: RoadScene) -> Ways:
-    """Project the paths of traffic on the robot's route."""
-    paths = scene.paths
-    s, d, turn = project(scene.route, *(jnp.asarray(field) for field in (paths.x, paths.y, paths.heading)))
-    return Ways(s, d, jnp.cos(turn))
+    s: Knots
+    d: Knots
+    cosine: Knots
 
 
 class Crossings(NamedTuple):
@@ -72,37 +63,75 @@ class Crossings(NamedTuple):
     Attributes:
         across: at which knots they do.
         first: position on the route where they begin to [m]; far away where they never do.
+        line: position on the route where the front of the robot waits for those who cross it [m].
         begin, last: positions on the path where they begin and end to [m].
     """
 
-    across: Bool[jax.Array, "traffic knots"]
-    first: Float[jax.Array, "traffic"]
-    begin: Float[jax.Array, "traffic"]
-    last: Float[jax.Array, "traffic"]
+    across: EachFlag
+    first: Traffic
+    line: Traffic
+    begin: Traffic
+    last: Traffic
 
 
-def crossings(ways: Ways) -> Crossings:
+class Situation(NamedTuple):
+    """What all plans of a step are made and judged with.
+
+    Attributes:
+        scene: the road.
+        planning: limits and wishes.
+        weights: what counts.
+        ways: of the traffic.
+        crossings: of these ways and the route.
+        caps: see `ms_highway.planning.road.motion.speed_caps`.
+    """
+
+    scene: RoadScene
+    planning: RoadPlanning
+    weights: RoadWeights
+    ways: Ways
+    crossings: Crossings
+    caps: Knots
+
+
+def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights) -> Situation:
+    """Compute what all plans of a step share."""
+    ways = ways_of(scene)
+    return Situation(scene, planning, weights, ways, _crossings(scene, ways), speed_caps(scene, planning))
+
+
+def ways_of(scene: RoadScene) -> Ways:
+    """Project the paths of traffic on the robot's route."""
+    s, d, turn = project(scene.route, scene.paths.x, scene.paths.y, scene.paths.heading)
+    return Ways(s, d, jnp.cos(turn))
+
+
+def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     """Find where paths of traffic cross the robot's route.
 
     Who is in the robot's lane does not cross it where their ways part: one of them follows the other.
     """
-    knots = SPACING * jnp.arange(ways.s.shape[-1]) - BEHIND
-    now = int(BEHIND / SPACING)
-    sharing = (jnp.abs(ways.d[:, now]) < CORRIDOR) & (ways.cosine[:, now] > SHARED)
-    across = (jnp.abs(ways.d) < CORRIDOR) & (ways.cosine < SHARED) & ~sharing[:, None]
-    first = jnp.where(across, ways.s, FAR).min(axis=-1)
-    begin, last = jnp.where(across, knots, FAR).min(axis=-1), jnp.where(across, knots, -FAR).max(axis=-1)
-    return Crossings(across, first, begin, last)
+    now, inside = int(BEHIND / SPACING), jnp.abs(ways.d) < CORRIDOR
+    sharing = inside[:, now] & (ways.cosine[:, now] > SHARED)
+    across = inside & (ways.cosine < SHARED) & ~sharing[:, None]
+    first, knots = least(ways.s, across), way_knots(ways)
+    line = first - scene.sizes[:, 1] / 2 - WAITING
+    return Crossings(across, first, line, least(knots, across), -least(-knots, across))
+
+
+def way_knots(ways: Ways) -> Knots:
+    """Return the positions of the knots on the paths [m]."""
+    return SPACING * jnp.arange(ways.s.shape[-1]) - BEHIND
+
+
+def least(values: Number, where: Number) -> Number:
+    """Return the least of values in the last axis of those that count, `FAR` where none does."""
+    return jnp.where(where, values, FAR).min(axis=-1)
 
 
 def follow(
-    speed: Float[jax.Array, "*shape"],
-    wanted: float | Float[jax.Array, "*shape"],
-    gap: Float[jax.Array, "*shape"],
-    ahead: Float[jax.Array, "*shape"],
-    headway: float | Float[jax.Array, "*shape"] = HEADWAY,
-    standstill: float = STANDSTILL,
-) -> Float[jax.Array, "*shape"]:
+    speed: Number, wanted: Number, gap: Number, ahead: Number, headway: Number = HEADWAY, standstill: float = STANDSTILL
+) -> Number:
     """Return the acceleration of the Intelligent Driver Model, by default with highway-env's parameters.
 
     Args:
@@ -119,58 +148,54 @@ def follow(
     return jnp.clip(COMFORTABLE * (free - (desired / jnp.maximum(gap, 0.5)) ** 2), -HARDEST, COMFORTABLE)
 
 
-def wanted_speeds(scene: RoadScene) -> Float[jax.Array, "traffic"]:
-    """Return the speeds that others desire.
-
-    Where nothing is known of their drivers, these are the present ones, or the limit if they are much slower.
-    """
-    if scene.traits is not None:
-        return jnp.asarray(scene.traits.speed)
-    speed = jnp.asarray(scene.states)[:, 3]
-    return jnp.where(speed < SLOWLY * jnp.asarray(scene.limits), scene.limits, speed)
-
-
-def headways(scene: RoadScene) -> float | Float[jax.Array, "traffic"]:
-    """Return the time gaps that others desire [s]; highway-env's where nothing is known of their drivers."""
-    return HEADWAY if scene.traits is None else jnp.asarray(scene.traits.headway)
-
-
-def gaps_to_robot(
-    s: Float[jax.Array, ""],
-    d: Float[jax.Array, ""],
-    where: tuple[jax.Array, jax.Array, jax.Array],
-    apart: Float[jax.Array, "traffic"],
-) -> Float[jax.Array, "traffic"]:
-    """Return the distances of others to the robot's centre where they follow it [m], `FAR` where they do not.
+def follow_all(
+    scene: RoadScene, traits: Traits, where: Pose, speeds: Traffic, gaps: Traffic, robot: tuple[Scalar, Number, Scalar]
+) -> Traffic:
+    """Return the accelerations of others that follow the car ahead on their path, and the robot in their lane.
 
     Args:
-        s: of the robot's centre [m].
-        d: of the robot [m].
+        scene: the road.
+        traits: of the drivers.
         where: the others are, see `on_route`.
-        apart: lateral distance up to which they follow it [m].
+        speeds: of the others [m/s].
+        gaps: distances of centres to the car ahead on their path, where there is one [m].
+        robot: s of its centre, all d at which it is followed, and its speed.
     """
-    before = (where[0] < s) & (jnp.abs(where[1] - d) < apart) & (where[2] > SAME_WAY)
-    return jnp.where(before, s - where[0], FAR)
+    s, d, speed = robot
+    gaps = jnp.where((scene.leaders >= 0) & scene.present, gaps, FAR)
+    beside = (jnp.abs(where[1] - d[:, None]) < scene.reach[:, 1] + ROOM).any(axis=0)
+    behind = jnp.where((where[0] < s) & beside & (where[2] > SAME_WAY), s - where[0], FAR)
+    by_leader = follow(speeds, traits.speed, gaps, speeds[scene.leaders], traits.headway)
+    return jnp.minimum(by_leader, follow(speeds, traits.speed, behind, speed, traits.headway))
 
 
-def aside(scene: RoadScene, times: Float[jax.Array, "steps"]) -> Float[jax.Array, "traffic steps"]:
+def expected_traits(scene: RoadScene) -> Traits:
+    """Return what drivers are like.
+
+    Where nothing is known of them, they desire the present speeds, or the limit if they are much slower, and
+    highway-env's headway.
+    """
+    if scene.traits is not None:
+        return scene.traits
+    speed = scene.states[:, 3]
+    wanted = jnp.where(speed < SLOWLY * scene.limits, scene.limits, speed)
+    return Traits(wanted, jnp.full_like(wanted, HEADWAY))
+
+
+def aside(scene: RoadScene, times: Steps) -> EachStep:
     """Return the lateral positions of others on their paths, to the middle of which they settle."""
-    now, heading, speed = (jnp.asarray(scene.states)[:, field, None] for field in (1, 2, 3))
+    now, heading, speed = (scene.states[:, field, None] for field in (1, 2, 3))
     rate = 1 / SETTLING
     drift = speed * jnp.sin(heading) + rate * now
     return (now + drift * times) * jnp.exp(-rate * times)
 
 
-def positions(
-    scene: RoadScene, along: Float[jax.Array, "traffic steps"], across: Float[jax.Array, "traffic steps"]
-) -> tuple[Float[jax.Array, "traffic steps"], Float[jax.Array, "traffic steps"], Float[jax.Array, "traffic steps"]]:
+def positions(scene: RoadScene, along: EachStep, across: EachStep) -> Pose:
     """Return x, y and heading of others in world coordinates from where they are on their paths."""
-    return jax.vmap(place)(scene.paths, along, across)
+    return jax.vmap(place, (0, -2, -2), -2)(scene.paths, along, across)
 
 
-def on_route(
-    ways: Ways, along: Float[jax.Array, "traffic"], across: Float[jax.Array, "traffic"]
-) -> tuple[Float[jax.Array, "traffic"], Float[jax.Array, "traffic"], Float[jax.Array, "traffic"]]:
+def on_route(ways: Ways, along: Traffic, across: Traffic) -> Pose:
     """Return s and d on the robot's route of others on their paths, and the cosine of the angle between the two."""
     s, d, cosine = (jax.vmap(interpolate)(field, along) for field in ways)
     return s, d + across * cosine, cosine

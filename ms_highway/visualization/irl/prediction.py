@@ -1,24 +1,24 @@
 """Draw predicted drivers: errors, likelihood, calibration, paths in examples, and feature counts."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
+from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.irl.errors import HORIZONS, LEVELS, MISS
-from ms_highway.irl.moments import Moments
+from ms_highway.irl.arrays import Paths, Steps
+from ms_highway.irl.evaluation import LEVELS, MISS, Evaluation
+from ms_highway.irl.moments import HORIZONS, STEPS, Moments, cut_moments
 from ms_highway.irl.outlook import expected_path
-from ms_highway.irl.predictors import PREDICTORS, Prediction
+from ms_highway.irl.predictors import PREDICTORS, predictions
+from ms_highway.irl.recordings.recording import Recording
 from ms_highway.visualization.road import car_outline, draw_road
 
-__all__ = ["calibration_figure", "counts_figure", "errors_figure", "likelihood_figure", "paths_figure"]
-
+RECORDED, OTHERS = "#111318", "#c4c9d1"
 STYLES = {
     "model": ("#1f5fbf", "o"),
     "constant_velocity": ("#8a93a5", "s"),
@@ -26,176 +26,174 @@ STYLES = {
     "idm": ("#d9822b", "^"),
     "fitted_idm": ("#b8433a", "D"),
     "lane_modes": ("#7d57a8", "P"),
+    "recorded": (RECORDED, "D"),
 }
-"""Colour and marker of each predictor."""
+"""Colour and marker of each predictor, and of what was recorded."""
 
 DRAWN = ("model", "constant_velocity", "fitted_idm")  # of the predictors, in paths
-RECORDED = "#111318"
 BEFORE, AFTER = 15.0, 25.0  # m of road drawn behind and ahead of where cars drive
 NEAR = 0.05  # of what is right, in calibrations
 LIKELY = 0.05  # probability from which on a mode is drawn
 
 
-def paths_figure(moments: Moments, predicted: Mapping[str, Prediction], examples: Mapping[str, int]) -> Figure:
-    """Draw predicted and recorded paths over the lanes, a row per example, seen from above; dots are a second apart.
+def examples(moments: Moments, off: Steps) -> dict[str, int]:
+    """Choose example drivers, by what is special about them; each was recorded for the whole 5 s.
 
-    The driver's left is up. Of the learned drivers, all modes of 5 % or more are drawn, bolder with their probability,
-    of the others the expected path. Cars are drawn at the start; grey paths are those of the others, as recorded.
+    The typical one has the median error of constant velocity. None is chosen by the model's error.
 
     Args:
-        moments: in which the examples are.
-        predicted: of the examples, in their order, by predictor.
-        examples: number of each example among the predicted drivers, by title.
+        moments: of the drivers.
+        off: distance between each driver and its prediction at constant velocity [m].
+
+    Returns:
+        The number of each among the predicted drivers.
+
+    Raises:
+        ValueError: if no driver was recorded for 5 s.
     """
-    where = np.argwhere(np.asarray(moments.predicted))[list(examples.values())]
-    recorded = moments.recorded[list(examples.values())]
-    starts = np.asarray(moments.now)[where[:, 0], where[:, 1]]
-    expected = {name: expected_path(predicted[name].modes) for name in DRAWN if name in predicted}
-    ends = np.concatenate([recorded[..., 0], *(path[..., 0] for path in expected.values())], axis=1)
-    stretch = -BEFORE, float(np.nanmax(ends - starts[:, :1])) + AFTER
+    recorded, start = moments.tracks(moments.future), moments.drivers(moments.now)
+    whole = np.flatnonzero(np.isfinite(recorded).all(axis=(1, 2)))
+    if not len(whole):
+        raise ValueError(f"no driver was recorded for {STEPS / 10:g} s on end; there is no example to be drawn")
+    faster = recorded[whole, -1, 3] - start[whole, 3]
+    kinds = {
+        "a typical case": np.abs(off[whole, -1] - np.median(off[whole, -1])),
+        "the strongest braking": faster,
+        "the strongest acceleration": -faster,
+        "the largest lateral motion": -np.abs(recorded[whole, -1, 1] - start[whole, 1]),
+    }
+    chosen: dict[str, int] = {}
+    for kind, order in kinds.items():
+        rest = [place for place in whole[np.argsort(order)].tolist() if place not in chosen.values()]
+        chosen |= {kind: rest[0]} if rest else {}
+    return chosen
+
+
+def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Figure:
+    """Draw predicted and recorded paths of `examples` over the lanes, a row for each; dots are a second apart.
+
+    Seen from above, the driver's left is up. Of the learned drivers, all modes of 5 % or more are drawn, bolder with
+    their probability, of the others the expected path. Cars are drawn at the start; grey paths are those of the others,
+    as recorded.
+    """
+    moments = cut_moments(recordings)
+    found, starts = predictions(moments, drivers), moments.drivers(moments.now)
+    paths = {"recorded": moments.recorded, **{name: expected_path(found[name].modes) for name in DRAWN}}
+    off = {name: np.linalg.norm(path - moments.recorded, axis=-1) for name, path in paths.items()}
+    chosen = examples(moments, off["constant_velocity"])
+    numbers = list(chosen.values())
+    ends = np.concatenate([path[numbers, :, 0] for path in paths.values()], axis=1) - starts[numbers, :1]
+    stretch = -BEFORE, float(ends.max()) + AFTER
     across = float(np.ptp(moments.lanes, axis=1).max() + 2 * np.max(moments.lane_width))
     height = 10 * across / (stretch[1] - stretch[0]) + 0.6  # inches, at one scale along and across
-    figure = Figure(figsize=(11, 0.6 + height * len(examples)), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(len(examples), 1))
-    for number, (axes, title) in enumerate(zip(panels, examples, strict=True)):
-        moment, car = map(int, where[number])
-        _road(axes, moments, moment, car, stretch)
-        own = {name: path[number] for name, path in expected.items()}
-        _paths(axes, starts[number], recorded[number], own)
-        if "model" in predicted:
-            _modes(axes, starts[number], *(np.asarray(part)[number] for part in predicted["model"].modes))
-        last = int(np.flatnonzero(np.isfinite(recorded[number, :, 0]))[-1])
-        off = {name: float(np.linalg.norm(path[last] - recorded[number, last])) for name, path in own.items()}
-        misses = ", ".join(f"{PREDICTORS[name]} {value:.1f} m" for name, value in off.items())
-        axes.set_title(f"{title}, {starts[number, 3]:.1f} m/s; off after {(last + 1) / 10:g} s: {misses}", loc="left")
-        axes.title.set_fontsize("medium")
+    figure = Figure(figsize=(11, 0.6 + height * len(chosen)), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(chosen), 1))
+    for axes, (title, number) in zip(panels, chosen.items(), strict=True):
+        where = np.argwhere(moments.predicted)[number]
+        _example(axes, moments, where, {name: path[number] for name, path in paths.items()}, stretch)
+        for chance, mode in zip(*(np.asarray(part)[number] for part in found["model"].modes), strict=True):
+            if chance >= LIKELY:
+                style = {"color": STYLES["model"][0], "linewidth": 1 + 5 * chance, "alpha": 0.25, "zorder": 3}
+                axes.plot(mode[:, 0] - starts[number, 0], mode[:, 1], **style)
+        misses = ", ".join(f"{PREDICTORS[name]} {off[name][number, -1]:.1f} m" for name in DRAWN)
+        text = f"{title}, {starts[number, 3]:.1f} m/s; off after {STEPS / 10:g} s: {misses}"
+        axes.set_title(text, loc="left", fontsize="medium")
     panels[-1].set_xlabel("along the road [m]")
-    handles = [Line2D([], [], color=RECORDED, marker="D", markersize=4, label="recorded")]
-    handles += [
-        Line2D([], [], color=STYLES[name][0], marker=STYLES[name][1], markersize=4, label=PREDICTORS[name])
-        for name in expected
+    handles = [
+        Line2D([], [], color=STYLES[name][0], marker=STYLES[name][1], markersize=4, label=PREDICTORS.get(name, name))
+        for name in paths
     ]
-    handles.append(Line2D([], [], color="#c4c9d1", label="others, as recorded"))
+    handles.append(Line2D([], [], color=OTHERS, label="others, as recorded"))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     return figure
 
 
-def _road(axes: Axes, moments: Moments, moment: int, car: int, stretch: tuple[float, float]) -> None:
-    """Draw the road and all cars of a moment on a stretch of road [m], measured from a driver."""
-    draw_road(axes, np.unique(moments.lanes[moment]), float(np.asarray(moments.lane_width)[moment]), stretch)
-    now, sizes = np.asarray(moments.now)[moment], np.asarray(moments.sizes)[moment]
+def _example(
+    axes: Axes, moments: Moments, where: np.ndarray, paths: Mapping[str, Paths], stretch: tuple[float, float]
+) -> None:
+    """Draw a moment's road and cars on a stretch of road [m], measured from a driver, and that driver's paths."""
+    moment, car = where
+    draw_road(axes, np.unique(moments.lanes[moment]), float(moments.lane_width[moment]), stretch)
+    now, sizes = moments.now[moment], moments.sizes[moment]
     origin = np.array([now[car, 0], 0.0, 0.0, 0.0])
     for other in np.flatnonzero(np.isfinite(now).all(axis=1)):
         state = now[other] - origin
         if stretch[0] - 5 < state[0] < stretch[1] + 5:
-            there = np.concatenate([now[None, other], np.asarray(moments.future)[moment, :, other]]) - origin
+            there = np.concatenate([now[None, other], moments.future[moment, :, other]]) - origin
             if other != car:
-                axes.plot(*there[:, :2].T, color="#c4c9d1", linewidth=1, zorder=2)
-            style = {"facecolor": "#ffffff", "edgecolor": RECORDED} if other == car else {"facecolor": "#d9dce2"}
-            axes.add_patch(car_outline(state, sizes[other], zorder=3, **{"edgecolor": "#8a93a5", **style}))
+                axes.plot(*there[:, :2].T, color=OTHERS, linewidth=1, zorder=2)
+            edge, face = (RECORDED, "#ffffff") if other == car else ("#8a93a5", "#d9dce2")
+            axes.add_patch(car_outline(state, sizes[other], zorder=3, edgecolor=edge, facecolor=face))
+    for order, (name, path) in enumerate(paths.items()):
+        color, marker = STYLES[name]
+        line = np.concatenate([now[None, car, :2], path]) - origin[:2]
+        axes.plot(*line.T, color=color, linewidth=1.3, marker=marker, markersize=4, markevery=10, zorder=4 + order)
     axes.set_ylabel("to the\nright [m]")
 
 
-def _paths(
-    axes: Axes,
-    start: Float[np.ndarray, "4"],
-    recorded: Float[np.ndarray, "50 2"],
-    expected: Mapping[str, Float[np.ndarray, "50 2"]],
-) -> None:
-    """Draw a driver's recorded path and those that are expected, measured from where it is."""
-    for order, (name, path) in enumerate({"recorded": recorded, **expected}.items()):
-        color, marker = STYLES.get(name, (RECORDED, "D"))
-        line = np.concatenate([start[None, :2], path]) - [start[0], 0.0]
-        axes.plot(*line.T, color=color, linewidth=1.3, marker=marker, markersize=4, markevery=10, zorder=4 + order)
-
-
-def _modes(
-    axes: Axes,
-    start: Float[np.ndarray, "4"],
-    probability: Float[np.ndarray, "modes"],
-    path: Float[np.ndarray, "modes 50 2"],
-) -> None:
-    """Draw the modes of the learned drivers that are likely enough."""
-    for chance, mode in zip(probability, path, strict=True):
-        if chance >= LIKELY:
-            color = STYLES["model"][0]
-            axes.plot(mode[:, 0] - start[0], mode[:, 1], color=color, linewidth=1 + 5 * chance, alpha=0.25, zorder=3)
-
-
-def errors_figure(evaluation: Mapping[str, Any]) -> Figure:
-    """Draw final displacement and share of misses against the horizon, for all predictors.
-
-    Args:
-        evaluation: of `ms_highway.irl.evaluation`.
-    """
-    figure = Figure(figsize=(9, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for axes, kind in ((left, "fde"), (right, "miss")):
-        _against_horizon(axes, evaluation, kind)
-        axes.set_ylim(bottom=0)
-    most = max(evaluation["predictors"]["constant_velocity"]["fde"].values())  # beyond which is highway-env's IDM
-    left.set(ylabel="mean error at the horizon [m]", ylim=(0, 1.15 * most))
-    right.set(ylabel=f"share of drivers off by more than {MISS:g} m")
-    right.yaxis.set_major_formatter(PercentFormatter(1.0))
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle(f"{evaluation['windows']} predictions of {evaluation['tracks']} drivers")
+def errors_figure(evaluation: Evaluation) -> Figure:
+    """Draw final displacement and share of misses against the horizon, for all predictors."""
+    labels = {"fde": "mean error at the horizon [m]", "miss": f"share of drivers off by more than {MISS:g} m"}
+    figure = _against_horizon(evaluation, labels, (9, 4.2))
+    left, right = figure.axes
+    left.set_ylim(0, 1.15 * max(evaluation.predictors["constant_velocity"]["fde"].values()))  # without IDM's
+    right.set_ylim(bottom=0)
+    figure.suptitle(f"{evaluation.windows} predictions of {evaluation.tracks} drivers")
     return figure
 
 
-def likelihood_figure(evaluation: Mapping[str, Any]) -> Figure:
+def likelihood_figure(evaluation: Evaluation) -> Figure:
     """Draw the mean log density of recorded positions against the horizon, for all predictors."""
-    figure = Figure(figsize=(6, 4.2), layout="constrained")
-    axes = figure.subplots()
-    _against_horizon(axes, evaluation, "log_p")
-    axes.set_ylabel("mean log density of the recorded position [1/m²]")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
-    return figure
+    return _against_horizon(evaluation, {"log_p": "mean log density of the recorded position [1/m²]"}, (6, 4.2))
 
 
-def calibration_figure(evaluation: Mapping[str, Any]) -> Figure:
+def calibration_figure(evaluation: Evaluation) -> Figure:
     """Draw how often drivers are in the predicted regions of 50, 90 and 99 %, against the horizon, a panel for each.
 
     The band is five points to each side of what is right.
     """
-    figure = Figure(figsize=(11, 3.9), layout="constrained")
-    panels = figure.subplots(1, len(LEVELS))
-    for axes, level in zip(panels, LEVELS, strict=True):
-        _against_horizon(axes, evaluation, f"inside {level}")
+    kinds = {f"inside {level}": f"share of drivers in the region of {level} %" for level in LEVELS}
+    figure = _against_horizon(evaluation, kinds, (11, 3.9))
+    for axes, level in zip(figure.axes, LEVELS, strict=True):
         axes.axhline(level / 100, color=RECORDED, linewidth=1, linestyle="--")
         axes.axhspan(level / 100 - NEAR, min(level / 100 + NEAR, 1.0), color="#f1f2f4", zorder=0)
-        axes.set_title(f"region of {level} %")
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    panels[0].set_ylabel("share of drivers in it")
+    return figure
+
+
+def _against_horizon(evaluation: Evaluation, labels: Mapping[str, str], size: tuple[float, float]) -> Figure:
+    """Draw measures of all predictors, a panel for each."""
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(1, len(labels), squeeze=False)[0]
+    for axes, (kind, label) in zip(panels, labels.items(), strict=True):
+        for name, predictor in PREDICTORS.items():
+            color, marker = STYLES[name]
+            values = {int(horizon): value for horizon, value in evaluation.predictors[name][kind].items()}
+            axes.plot(*zip(*sorted(values.items()), strict=True), marker=marker, color=color, label=predictor)
+        axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
+        if kind not in ("fde", "log_p"):
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(axis="y", color="#eeeeee")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 
-def _against_horizon(axes: Axes, evaluation: Mapping[str, Any], kind: str) -> None:
-    for name, (color, marker) in STYLES.items():
-        values = {int(horizon): value for horizon, value in evaluation["predictors"][name][kind].items()}
-        seconds = sorted(values)
-        axes.plot(seconds, [values[at] for at in seconds], marker=marker, color=color, label=PREDICTORS[name])
-    axes.set(xlabel="horizon [s]", xticks=range(1, max(HORIZONS) + 1))
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(axis="y", color="#eeeeee")
-
-
 def counts_figure(learned: LearnedReward) -> Figure:
     """Draw mean sums of the features over a window: the drivers', and those expected under the reward."""
-    human, model = learned.feature_counts["human"], learned.feature_counts["model"]
-    names = list(human)
+    names = list(learned.feature_counts["human"])
+    human, model = (np.array([learned.feature_counts[who][name] for name in names]) for who in ("human", "model"))
+    sizes, places = np.maximum(np.abs(human), np.abs(model)), np.arange(len(names))
     figure = Figure(figsize=(8.5, 1.4 + 0.5 * len(names)), layout="constrained")
     axes = figure.subplots()
-    for shift, label, counts, color in (
+    for shift, label, values, color in (
         (-0.2, "drivers", human, RECORDED),
         (0.2, "expected under the reward", model, STYLES["model"][0]),
     ):
-        sizes = np.array([max(abs(human[name]), abs(model[name])) or 1.0 for name in names])
-        values = np.array([counts[name] for name in names])
-        bars = axes.barh(np.arange(len(names)) + shift, values / sizes, height=0.38, color=color, label=label)
+        shares = values / np.where(sizes == 0, 1.0, sizes)
+        bars = axes.barh(places + shift, shares, height=0.38, color=color, label=label)
         axes.bar_label(bars, [f"{value:.3g}" for value in values], padding=3, fontsize="small")
     axes.axvline(0, color="black", linewidth=0.8)
-    axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
+    axes.set_yticks(places, [name.replace("_", " ") for name in names])
     axes.invert_yaxis()
     axes.margins(x=0.15)
     axes.set(xlabel="mean sum over a window, relative to the larger of the two; labels are the sums")

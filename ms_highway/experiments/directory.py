@@ -1,0 +1,153 @@
+"""A directory of results: the settings that they are resumed under, and what made them."""
+
+import json
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, NotRequired, TypedDict
+
+import msgspec
+
+from ms_highway.runtime.files import PART, read_json, replacing
+from ms_highway.runtime.jax_settings import cores
+
+SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
+EXTENDED = ("measured", "asked")
+"""Keys of the settings that further comparisons in the same directory add to: T(M), and numbers of episodes."""
+
+PACKAGES = ("ms-highway", "jax", "jaxlib", "highway-env", "gymnasium", "numpy")
+
+
+class Run(TypedDict):
+    """What computed results: the command, when, with which versions and flags, and where."""
+
+    command: str
+    time: str
+    versions: dict[str, str]
+    machine: dict[str, Any]
+    xla_flags: NotRequired[str]
+
+
+@dataclass(frozen=True)
+class ResultsDirectory:
+    """A directory of results, or one to be.
+
+    An interrupted run is resumed under the same settings: a piece of the results, an episode or a part of many, is
+    either whole in the directory or computed again.
+    """
+
+    path: Path
+
+    def settings(self) -> dict[str, Any]:
+        """Return what the results were computed with.
+
+        Raises:
+            ValueError: if the file cannot be read.
+        """
+        file = self.path / SETTINGS_FILE
+        try:
+            return dict(read_json(file))
+        except (OSError, ValueError, TypeError) as error:
+            raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
+
+    def take_up(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the settings of results that can begin here, or be resumed: these, or those that are known.
+
+        Raises:
+            ValueError: if it is a file, or holds results of settings that differ beyond `EXTENDED`, or other things.
+        """
+        if self.path.exists() and not self.path.is_dir():
+            raise ValueError(f"--out is {self.path}, which is a file; name a new or existing directory")
+        if not (self.path / SETTINGS_FILE).exists():
+            if self.path.exists() and any(not file.name.startswith(PART) for file in self.path.iterdir()):
+                reason = f"{self.path} is not empty, and has no {SETTINGS_FILE}"
+                raise ValueError(f"{reason}; choose another directory with --out")
+            return dict(settings)
+        known, wanted = self.settings(), json.loads(json.dumps(settings))
+        differing = [
+            f"{key} {known.get(key, 'the default')!r} instead of {wanted.get(key, 'the default')!r}"
+            for key in {**known, **wanted}
+            if key not in EXTENDED and known.get(key) != wanted.get(key)
+        ]
+        if differing:
+            held = ", ".join(differing)
+            raise ValueError(f"{self.path} holds results with {held}; choose another directory with --out")
+        return known
+
+    def write_settings(self, settings: Mapping[str, Any]) -> None:
+        """Write what the results are computed with.
+
+        Raises:
+            OSError: if that cannot be written.
+        """
+        _write(self.path / SETTINGS_FILE, settings)
+
+    def runs(self) -> list[Run]:
+        """Return the runs that made the results, the first one first; none where nothing is recorded.
+
+        Raises:
+            ValueError: if the record cannot be read.
+        """
+        file = self.path / PROVENANCE_FILE
+        try:
+            return msgspec.convert(read_json(file), list[Run]) if file.exists() else []
+        except (OSError, ValueError) as error:
+            remedy = "move it away or choose another directory"
+            raise ValueError(f"{file} cannot be read as a list of runs ({error}); {remedy}") from error
+
+    def record(self, command: str) -> str:
+        """Record this process as one more run, which a line of a shell began.
+
+        Returns:
+            In which versions and flags it differs from the run before; empty if in none.
+
+        Raises:
+            ValueError: if the runs before cannot be read.
+        """
+        runs = [*self.runs(), this_run(command)]
+        _write(self.path / PROVENANCE_FILE, runs)
+        before, now = ({**run["versions"], "XLA_FLAGS": run.get("xla_flags", "")} for run in (runs[-2:][0], runs[-1]))
+        differing = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+        return ", ".join(
+            f"{name} {now.get(name) or 'none'} instead of {before.get(name) or 'none'}" for name in differing
+        )
+
+
+def this_run(command: str = "") -> Run:
+    """Describe this process, which a command started: the time is UTC in ISO 8601, the cores those that it may use."""
+    return {
+        "command": command,
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+        "machine": {"processor": _processor(), "cores": cores(), "platform": platform.platform()},
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+    }
+
+
+def cannot_resume(file: Path, error: Exception, remedy: str) -> ValueError:
+    """Return the error to raise from the one that a file of results has caused."""
+    return ValueError(f"{file} cannot be resumed ({error}); {remedy}")
+
+
+def _write(file: Path, content: Any) -> None:
+    with replacing(file) as path:
+        path.write_text(json.dumps(content, indent=2) + "\n")
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _processor() -> str:
+    """Return the processor's name, which Python knows only on some systems."""
+    information = Path("/proc/cpuinfo")
+    lines = information.read_text().splitlines() if information.exists() else []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or platform.machine())

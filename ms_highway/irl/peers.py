@@ -1,0 +1,183 @@
+"""Predictors of the literature: drivers who keep their motion, and those of the Intelligent Driver Model (IDM).
+
+Under IDM, cars steer to the centre of the lane that they are in at first, as highway-env's do. The part of the desired
+gap that depends on speeds is at least 0 (Treiber et al. 2000); highway-env squares a negative one, of who falls behind.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+
+from ms_highway.game.leaders import leaders
+from ms_highway.game.scenario import TIME_STEP
+from ms_highway.irl.arrays import CarFlags, CarStates, Parameters, Paths, Scalar
+from ms_highway.irl.moments import AT, SCALES, STEPS, Moments, lanes_of
+from ms_highway.irl.outlook import Modes, one_mode
+from ms_highway.optimization.estimation import minimum
+from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.runtime.structures import Finite, Structure, pytree
+
+WINDOW = 3.0
+"""Seconds of the past from which acceleration and turn rate are estimated."""
+
+FADING = (0.5, 0.25)
+"""Seconds, time constants with which acceleration and turn rate fade: those with the least error on NGSIM."""
+
+EXPONENT = 4.0  # of the speed
+STRONGEST = 6.0  # m/s^2, acceleration
+AXLES = 2.5  # m, half the length from which highway-env steers
+SLIP = np.sin(np.arctan(np.tan(np.pi / 3) / 2))  # of the largest slip angle, the sine
+SINE = np.sin(np.pi / 4)  # of the largest heading
+EVALUATIONS = 50
+
+
+def steady_motion(moments: Moments) -> Modes:
+    """Predict drivers who keep their speed and heading."""
+    now = moments.drivers(moments.now)
+    still = np.zeros(len(now))
+    return one_mode(_arc(now, still, still, *FADING))
+
+
+def turn_and_accelerate(moments: Moments, fading: tuple[float, float] = FADING) -> Modes:
+    """Predict drivers by constant turn rate and acceleration (CTRA).
+
+    Both are slopes fitted by least squares to the `WINDOW` before, and 0 where less of it was recorded. Measured slopes
+    are noisy and drivers soon correct them, so both fade exponentially.
+
+    Args:
+        moments: to predict.
+        fading: time constants of acceleration and turn rate [s]; as they grow, the prediction becomes exact CTRA.
+    """
+    steps = round(WINDOW / TIME_STEP)
+    past = moments.tracks(moments.past)[:, -steps - 1 :]
+    times = TIME_STEP * (np.arange(steps + 1) - steps / 2)
+    slopes = np.nan_to_num(np.einsum("t,ntc->nc", times, past[..., 2:]) / np.sum(times**2))
+    return one_mode(_arc(past[:, -1], slopes[:, 1], slopes[:, 0], *fading))
+
+
+@jax.jit
+@partial(jnp.vectorize, signature="(c),(),(),(),()->(t,d)")
+def _arc(now: jax.Array, acceleration: Scalar, turn_rate: Scalar, slowing: Scalar, straightening: Scalar) -> jax.Array:
+    """Return positions [50, 2] after each step, with an acceleration and a turn rate that fade at these constants."""
+    x, y, heading, speed = now
+    middles = TIME_STEP * (jnp.arange(STEPS) + 0.5)
+
+    def effect(fading: Scalar) -> jax.Array:
+        """Return the integral until each time of what begins at 1 and fades."""
+        return -fading * jnp.expm1(-middles / fading)
+
+    distance = TIME_STEP * jnp.maximum(speed + acceleration * effect(slowing), 0.0)
+    direction = heading + turn_rate * effect(straightening)
+    along, across = jnp.cumsum(distance * jnp.cos(direction)), jnp.cumsum(distance * jnp.sin(direction))
+    return jnp.stack([x + along, y + across], axis=-1)
+
+
+@pytree
+class IdmParameters(Structure):
+    """Parameters of the Intelligent Driver Model, and of the lane keeping beside it.
+
+    Attributes:
+        speed: desired [m/s], or that at the start for who drives faster; 0: that at the start for all.
+        headway: desired time headway [s].
+        gap: desired at standstill, from bumper to bumper or from centre to centre, see `lengths` [m].
+        acceleration: from standstill on a free road [m/s^2].
+        braking: comfortable deceleration [m/s^2].
+        settling: time constant with which the offset from the lane's centre decays [s].
+        steering: time constant with which the heading follows [s].
+        lengths: share of the cars' lengths that is subtracted from the distance of their centres: 1 or 0.
+        margin: how far beyond the lane's edge the centre of a leader may be [m].
+    """
+
+    speed: Finite
+    headway: Finite
+    gap: Finite
+    acceleration: Finite
+    braking: Finite
+    settling: Finite
+    steering: Finite
+    lengths: Finite = 1.0
+    margin: Finite = 0.0
+
+
+HIGHWAY_ENV_IDM = IdmParameters(0.0, 1.5, 10.0, 3.0, 5.0, 0.6, 0.2, lengths=0.0, margin=1.0)
+"""As in IDMVehicle of highway-env, whose target is its first speed."""
+
+FIRST_IDM = IdmParameters(20.0, 1.2, 2.0, 1.0, 2.0, 5.0, 0.5)
+"""Parameters that a fit starts from."""
+
+
+def idm(moments: Moments, parameters: IdmParameters) -> Modes:
+    """Predict drivers who follow their leaders by IDM in their present lane, all cars of a moment together."""
+    return one_mode(moments.drivers(np.asarray(_roll_out(parameters, _starts(moments)))))
+
+
+def fit_idm(moments: Moments, evaluations: int = EVALUATIONS) -> IdmParameters:
+    """Fit the parameters that predict best, in closed loop, all cars of a moment together.
+
+    Minimises ``sqrt(1 + (error / scale)^2)`` of the positions along and across the road after 1, 2, 3 and 5 s, by
+    L-BFGS over the logarithms of the parameters.
+
+    Args:
+        moments: to fit to; the only use of their future.
+        evaluations: of the error, at most.
+    """
+    positions = np.moveaxis(moments.future[:, AT, :, :2], 1, 2)
+    known = np.isfinite(positions).all(axis=-1) & moments.predicted[..., None]
+    first = np.log(jax.tree.leaves(FIRST_IDM)[:7])
+    given = map(jnp.asarray, (np.nan_to_num(positions), known))
+    return IdmParameters(*np.exp(minimum(_error, first, _starts(moments), *given, maxfun=evaluations)).tolist())
+
+
+@jit_quickly
+@jax.value_and_grad
+def _error(logarithms: Parameters, moments: Moments, positions: CarStates, known: CarFlags) -> Scalar:
+    """Return the robust error, averaged over all known positions."""
+    paths = _rolled(IdmParameters(*jnp.exp(logarithms)), moments)[:, :, AT]
+    off = jnp.where(known[..., None], paths - positions, 0.0) / jnp.array(SCALES)
+    return jnp.sum(jnp.sqrt(1 + off**2) - 1) / jnp.sum(known)
+
+
+def _starts(moments: Moments) -> Moments:
+    """Return the moments without what IDM does not look at, for JAX."""
+    now = replace(moments, past=moments.past[:, -1:], future=moments.future[:, :0])
+    return jax.tree.map(jnp.asarray, now)
+
+
+def _rolled(parameters: IdmParameters, moments: Moments) -> Paths:
+    """Return the positions of all cars after each step [n, cars, 50, 2]."""
+    start, length = jnp.nan_to_num(moments.now), moments.sizes[..., 0]
+    present = jnp.isfinite(moments.now).all(axis=-1)[:, None]
+    lane = jnp.take_along_axis(moments.lanes, lanes_of(moments.lanes, start[..., 1]), axis=-1)
+    reach = moments.lane_width[:, None, None] / 2 + parameters.margin
+    desired = jnp.clip(jnp.maximum(start[..., 3], parameters.speed), 0.01, moments.speed_limit[:, None])
+
+    def go(state: CarStates, _: None) -> tuple[CarStates, CarStates]:
+        x, y, heading, speed = jnp.moveaxis(state, -1, 0)
+        leader, follows = leaders(x, lane, state, present, reach)
+        ahead = jnp.take_along_axis(state, leader[..., None], axis=1)
+        lengths = (length + jnp.take_along_axis(length, leader, axis=1)) / 2
+        distance = jnp.maximum(ahead[..., 0] - x - parameters.lengths * lengths, 0.01)
+        closing = speed - ahead[..., 3] * jnp.cos(ahead[..., 2] - heading)
+        comfortable = 2 * jnp.sqrt(parameters.acceleration * parameters.braking)
+        gap = parameters.gap + jnp.maximum(speed * (parameters.headway + closing / comfortable), 0.0)
+        interaction = jnp.where(follows, (gap / distance) ** 2, 0.0)
+        acceleration = parameters.acceleration * (1 - (speed / desired) ** EXPONENT - interaction)
+
+        moving = jnp.maximum(speed, 0.01)
+        aim = jnp.arcsin(jnp.clip((lane - y) / (parameters.settling * moving), -SINE, SINE))
+        slip = jnp.arcsin(jnp.clip(AXLES / moving * ((aim - heading) / parameters.steering), -SLIP, SLIP))
+        moved = [
+            x + TIME_STEP * speed * jnp.cos(heading + slip),
+            y + TIME_STEP * speed * jnp.sin(heading + slip),
+            heading + TIME_STEP * speed * jnp.sin(slip) / AXLES,
+            jnp.maximum(speed + TIME_STEP * jnp.clip(acceleration, -STRONGEST, STRONGEST), 0.0),
+        ]
+        return jnp.stack(moved, axis=-1), jnp.stack(moved[:2], axis=-1)
+
+    return jnp.moveaxis(jax.lax.scan(go, start, None, length=STEPS)[1], 0, 2)
+
+
+_roll_out = jit_quickly(_rolled)

@@ -1,1 +1,0 @@
-"""Predictors of the literature, beside which a learned reward is judged."""

@@ -1,0 +1,51 @@
+"""Estimate parameters from data: where a loss is least, and how far the estimate may be off."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import optimize
+
+Parameters = Float[Any, "parameters"]
+Matrix = Float[Any, "parameters parameters"]
+
+
+def minimum(loss: Callable[..., Any], first: Parameters, *arguments: Any, **options: Any) -> Parameters:
+    """Return the parameters at which a loss is least, by L-BFGS.
+
+    Args:
+        loss: of parameters and the arguments; returns its slope as well, in any precision.
+        first: parameters to start from.
+        arguments: of the loss.
+        options: of `scipy.optimize.minimize`.
+    """
+
+    def value(parameters: Parameters) -> tuple[float, Parameters]:
+        found, slope = loss(parameters, *arguments)
+        return float(found), np.asarray(slope, dtype=float)
+
+    return optimize.minimize(value, first, jac=True, method="L-BFGS-B", options=options).x
+
+
+def slope_differences(slope: Callable[[Parameters], Any], parameters: Parameters, step: float) -> Matrix:
+    """Return second derivatives by central differences of a slope, a row per parameter."""
+    steps = step * np.eye(len(parameters))
+    rows = [np.asarray(slope(parameters + each)) - np.asarray(slope(parameters - each)) for each in steps]
+    return np.array(rows, dtype=float) / (2 * step)
+
+
+def grouped_covariance(
+    inverse: Matrix, scores: Float[np.ndarray, "n parameters"], groups: Int[np.ndarray, "n"]
+) -> Matrix:
+    """Return the covariance of estimates from groups of data that depend on each other (Huber 1967).
+
+    With the score s_i, the slope of the loss over all data of group i, it is ``B sum_i s_i s_i^T B``.
+
+    Args:
+        inverse: B, of the loss's Hessian.
+        scores: slopes of each datum's part of the loss.
+        groups: that the data belong to.
+    """
+    summed = np.stack([scores[groups == group].sum(axis=0) for group in np.unique(groups)])
+    return inverse @ (summed.T @ summed) @ inverse

@@ -1,0 +1,50 @@
+"""Structures of numbers: read from JSON with a message that names what is wrong, taken by JAX as arrays."""
+
+import re
+from reprlib import repr as shortened
+from typing import Annotated, Any, TypeVar
+
+import jax
+import msgspec
+import numpy as np
+
+MOST = 1e300
+
+Finite = Annotated[float, msgspec.Meta(gt=-MOST, lt=MOST)]
+"""A number that is neither infinite nor NaN."""
+
+Positive = Annotated[float, msgspec.Meta(gt=0, lt=MOST)]
+
+
+class Structure(msgspec.Struct, **{"frozen": True, "forbid_unknown_fields": True}):
+    """Fields with types, checked by `read`."""
+
+
+Kind = TypeVar("Kind")
+
+
+def pytree(kind: type[Kind]) -> type[Kind]:
+    """Let JAX take a structure's fields as arrays."""
+    return jax.tree_util.register_dataclass(kind, kind.__struct_fields__, ())  # type: ignore[attr-defined]
+
+
+def plain(structure: Kind) -> Kind:
+    """Return a structure with the numbers of its arrays in their place, checked."""
+    content = msgspec.to_builtins(structure, enc_hook=lambda array: np.asarray(array, dtype=float).tolist())
+    return msgspec.convert(content, type(structure))
+
+
+def read(content: Any, kind: type[Kind]) -> Kind:
+    """Return the content of JSON as a structure.
+
+    Raises:
+        ValueError: naming the place, what must stand there and what does.
+    """
+    try:
+        return msgspec.convert(content, kind)
+    except msgspec.ValidationError as error:
+        problem, _, path = str(error).partition(" - at `$")
+        for key, place in re.findall(r"\.(\w+)|\[(\d+)\]", path.partition("[...]")[0]):
+            content = content[key or int(place)]
+        found = "" if problem.startswith("Object") else f" is {shortened(content)}"
+        raise ValueError(f"{path.strip('.`') or 'it'}{found}: {problem}") from error

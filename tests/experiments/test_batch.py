@@ -1,0 +1,134 @@
+"""Many episodes at a time, among one human or several: those of the environments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ms_highway.control.fallback import STATUSES
+from ms_highway.envs import ENVIRONMENTS, DenseMergeEnv, add_scenario
+from ms_highway.experiments.analysis.summary import summary
+from ms_highway.experiments.batch import make_batch, simulated
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.records import CARS, MEASURED, columns, state_columns
+from ms_highway.experiments.runner import episode, make_environment
+
+CONTROLLERS = ["nearest:2", "nearest:1", "random:naive=0.7,tom=0.3"]  # theory of mind about both, one, some
+STEPS = 10
+SHORT = {"humans": 2, "horizon": 5, "costs": {"naive": 0.001, "turn": 0.002, "tom": 0.005}}
+COMPARISON = Comparison({"dense_merge": CONTROLLERS}, seeds=1, config=SHORT)
+STATES = [name for car in CARS for name in state_columns(car)]
+MEANS = ["reward", "counted_seconds", "humans_turn", "humans_tom"]
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return make_batch(COMPARISON, "dense_merge")
+
+
+@pytest.fixture(scope="module")
+def records(batch):
+    return batch.simulate(batch.keys())
+
+
+@pytest.mark.parametrize(
+    ("scenario", "config", "controllers"),
+    [
+        ("merger", {}, ["tom+belief", "switching:0.1", "period:tom=1,naive=3"]),
+        ("merger", {"yielding": "mixed"}, ["tom", "idm"]),
+        pytest.param("dense_merge", SHORT, CONTROLLERS, marks=pytest.mark.slow),
+        pytest.param(
+            "dense_merge", {**SHORT, "yielding": "mixed"}, ["tom+belief", "learned:1"], marks=pytest.mark.slow
+        ),
+        pytest.param("dense_merge", SHORT, ["horizon:1", "schedule:tom/naive=4,turn"], marks=pytest.mark.slow),
+    ],
+)
+def test_an_episode_agrees_with_the_environment_step_by_step(scenario, config, controllers):
+    comparison = Comparison({scenario: controllers}, seeds=1, first_seed=3, config=config)
+    batch = make_batch(comparison, scenario)
+    records = batch.simulate(batch.keys())
+    table = batch.steps_table(batch.keys(), records).set_index("controller")
+    for place, controller in enumerate(controllers):
+        env = make_environment(scenario, controller, **config)
+        steps, states = [], []
+        for step, _ in zip(episode(env, 3), range(STEPS), strict=False):
+            steps.append(step | {"models": env.unwrapped.robot.last_step.models})
+            states.append(env.unwrapped.car_states)
+        expected, found = pd.DataFrame(steps), table.loc[controller].iloc[:STEPS]
+        used = np.array(batch.models)[records.rungs[place, :STEPS]]
+        np.testing.assert_array_equal(used, np.array(expected["models"].tolist()))
+        np.testing.assert_allclose(records.states[place, :STEPS], states, atol=1e-3)
+        np.testing.assert_allclose(found[STATES], expected[STATES], atol=1e-3)
+        np.testing.assert_allclose(found["reward"], expected["reward"], atol=1e-2)
+        for name in {"step", "model", "status", "collision", "counted_seconds", "humans_tom", "success"} & set(
+            expected
+        ):
+            assert found[name].tolist() == pytest.approx(expected[name].tolist()), name
+
+
+def test_scenarios_with_one_human_and_with_several_stand_in_one_table():
+    comparison = Comparison({"merger": ["naive"], "dense_merge": ["naive"]}, seeds=1, config={"costs": SHORT["costs"]})
+    comparison = replace(comparison, config=comparison.config | {"horizon": 5})
+    table = simulated(comparison)
+    assert list(table) == [name for name in comparison.columns() if name not in MEASURED]
+    assert table.groupby("scenario")["humans_tom"].count().to_dict() == {"dense_merge": 80, "merger": 0}
+
+
+@pytest.mark.slow
+def test_rows_of_episodes_and_steps_say_what_the_records_hold(batch, records):
+    keys, status = batch.keys(), np.zeros_like(records.status)
+    status[0, :3], status[1, :2] = STATUSES.index("way out"), STATUSES.index("previous plan")
+    records = records._replace(status=status)
+    steps, episodes = batch.steps_table(keys, records), batch.episodes_table(keys, records)
+    assert set(steps) == set(columns((), ["turn", "tom"])) - set(MEASURED)
+    groups = steps.groupby("controller", sort=False)
+    np.testing.assert_allclose(episodes[MEANS], groups[MEANS].mean(), rtol=1e-5)
+    assert episodes["share_tom"].tolist() == (records.rungs == 2).any(axis=2).mean(axis=1).tolist()
+    assert episodes["humans_tom"].tolist()[:2] == [2, 1]
+    assert episodes["success"].tolist() == groups["success"].last().astype(int).tolist()
+    assert episodes["counted_seconds"].iloc[0] == pytest.approx(0.001 + 2 * 0.004)
+    assert episodes["fallbacks"].tolist() == [0, 2, 0]  # plans that failed, and not ways out
+    kept = ["success", "humans_turn", "humans_tom", "way_out"]
+    assert summary(episodes)[kept].to_numpy().tolist() == episodes[kept].to_numpy().tolist()
+
+
+@pytest.mark.slow
+def test_a_robot_that_collided_does_not_succeed_though_it_ends_in_its_lane(batch, records):
+    states, collision = np.array(records.states), np.zeros_like(records.collision)
+    states[:, :, 0, 1], collision[0, 3] = float(batch.environment.game.scene.target_lane), True
+    table = batch.steps_table(batch.keys(), records._replace(states=states, collision=collision))
+    success = table["success"].to_numpy(bool).reshape(len(CONTROLLERS), -1)
+    assert success[0].tolist() == [True] * 3 + [False] * (batch.steps - 3)
+    assert success[1:].all()
+
+
+class KnowingEnv(DenseMergeEnv):
+    """Dense Merge with a robot that knows every human's reward."""
+
+    scenario = replace(DenseMergeEnv.scenario, name="knowing")
+
+    @classmethod
+    def default_config(cls):
+        return super().default_config() | {"beliefs": "true"}
+
+
+class HurriedEnv(KnowingEnv):
+    """Dense Merge with steps of its own."""
+
+    scenario = replace(DenseMergeEnv.scenario, name="hurried")
+
+    def step(self, action):
+        return super().step(action)
+
+
+@pytest.mark.parametrize(("environment", "message"), [(KnowingEnv, "beliefs 'true'"), (HurriedEnv, "has its own step")])
+def test_what_a_simulation_does_not_do_is_left_to_compare(environment, message):
+    add_scenario(environment)
+    name = environment.scenario.name
+    config = SHORT if environment is KnowingEnv else SHORT | {"beliefs": "learned"}
+    try:
+        with pytest.raises(ValueError, match=message):
+            make_batch(Comparison({name: ["naive"]}, config=config), name)
+    finally:
+        del ENVIRONMENTS[name]

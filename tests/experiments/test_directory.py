@@ -1,0 +1,54 @@
+"""What an interrupted run finds when it is resumed."""
+
+import pytest
+
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.directory import ResultsDirectory
+from ms_highway.experiments.results import read_results
+from ms_highway.experiments.runner import read, run
+
+COMPARISON = Comparison({"merger": ["naive"]}, seeds=1)
+
+
+def test_a_comparison_that_was_stopped_in_its_first_episode_can_be_resumed(tmp_path):
+    assert next(run(COMPARISON, tmp_path)) == 0
+    with pytest.raises(ValueError, match="holds no episodes yet"):
+        read_results(tmp_path)
+    assert list(run(COMPARISON, tmp_path)) == [0, 1]
+    assert len(read_results(tmp_path).records) == len(read(COMPARISON, tmp_path)) == 40
+
+
+def test_settings_that_were_given_as_other_sequences_agree(tmp_path):
+    for limit in ((0.2, 9.0), [0.2, 9.0]):
+        comparison = Comparison({"merger": ["naive"]}, seeds=1, config={"control_limit": limit})
+        assert next(run(comparison, tmp_path)) == 0
+
+
+def test_settings_say_what_is_usual_and_what_was_given():
+    pair = Comparison({"merger": ["naive"]}, config={"horizon": 10, "semantics": "released"})
+    usual = {"semantics": "released", "solver": "gradient", "human_reward": "published", "costs": "published"}
+    assert pair.common_config() == usual | {"horizon": 10}
+    both = Comparison({"merger": ["naive"], "dense_merge": ["naive"]})
+    assert both.common_config() == {"semantics": "paper", "human_reward": "learned"}  # their solvers and costs differ
+
+
+def test_a_directory_that_was_left_while_settings_were_written_can_be_taken_up_and_one_of_other_things_cannot(tmp_path):
+    (tmp_path / ".part.settings.json").write_text("{")
+    assert ResultsDirectory(tmp_path).take_up({"seed": 0}) == {"seed": 0}
+    (tmp_path / "other").touch()
+    with pytest.raises(ValueError, match="is not empty"):
+        ResultsDirectory(tmp_path).take_up({})
+    with pytest.raises(ValueError, match="which is a file"):
+        ResultsDirectory(tmp_path / "other").take_up({})
+
+
+def test_runs_are_recorded_with_what_differs_from_the_one_before(tmp_path, monkeypatch):
+    directory = ResultsDirectory(tmp_path)
+    assert directory.runs() == []
+    assert directory.record("first") == ""
+    monkeypatch.setenv("XLA_FLAGS", "--xla_other")
+    assert "XLA_FLAGS --xla_other instead of" in directory.record("second")
+    assert [run["command"] for run in directory.runs()] == ["first", "second"]
+    (tmp_path / "provenance.json").write_text('[{"command": 1}]')
+    with pytest.raises(ValueError, match=r"provenance.json cannot be read as a list of runs .*command"):
+        directory.runs()

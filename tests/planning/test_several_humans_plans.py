@@ -1,0 +1,116 @@
+"""Plans among several humans: far humans, their order, all assignments in one compilation, efforts, measured times."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.game.game import pair
+from ms_highway.game.planning_settings import PlanningSettings
+from ms_highway.game.scenario import build_game, draw_episode
+from ms_highway.game.scenarios import DENSE_MERGE
+from ms_highway.planning.compiled_plans import CompiledPlans, checked_state, measure_costs, plan_function
+from ms_highway.planning.human_models import MODELS, Turn, ladder
+from ms_highway.planning.plans import cold_start
+from ms_highway.planning.several import plan_for
+from ms_highway.runtime.compilation import jit_quickly
+
+FAR = 2000.0  # m
+LADDER = ladder(["naive", "idm", "turn", "tom@2", "tom"])
+NAIVE, IDM, TURN, BRIEF, TOM = range(len(LADDER))
+
+
+@pytest.fixture(scope="module")
+def three():
+    """Dense Merge with three humans, whose rewards differ, and plans of half a second."""
+    bounds = {"control_limit": DENSE_MERGE.control_limit, "grip": DENSE_MERGE.grip}
+    game = build_game(DENSE_MERGE, humans=3, planning=PlanningSettings(horizon=5), **bounds)
+    starts, weights = draw_episode(DENSE_MERGE, np.random.default_rng(0), game.humans)
+    return replace(game, humans=replace(game.humans, weights=weights)), checked_state(starts)
+
+
+@pytest.fixture(scope="module")
+def plans(three):
+    return CompiledPlans(three[0], LADDER)
+
+
+def test_one_compilation_serves_all_assignments(three, plans):
+    game, state = three
+    plans.warm_up(state)
+    function = plans.call(state, [NAIVE] * 3)[0]
+    sizes = function._cache_size()
+    found = [plans.plan(state, np.random.default_rng(seed).integers(0, 5, 3))[0].robot for seed in range(5)]
+    assert np.isfinite(found).all()
+    assert abs(np.diff(found, axis=0)).max() > 1e-3
+    bolder = CompiledPlans(replace(game, humans=replace(game.humans, weights=game.humans.weights * 1.1)), LADDER)
+    again, _ = bolder.plan(state, [TOM] * 3, plans.plan(state, [TOM] * 3)[0])
+    assert np.isfinite(again.robot).all()
+    assert function is bolder.call(state, [TOM] * 3)[0]
+    assert function._cache_size() == sizes
+
+
+def test_each_human_is_predicted_in_the_robots_game_with_it_alone(three, plans):
+    game, state = three
+    expected = plans.plan(state, [TURN, IDM, NAIVE])[0].humans
+    for human, model in enumerate((Turn(), MODELS["idm"], MODELS["naive"])):
+        alone, seen = pair(game, jnp.asarray(state), human)
+        np.testing.assert_allclose(jit_quickly(model.predict)(alone, seen), expected[human], atol=1e-5)
+
+
+def test_a_human_that_is_far_away_changes_nothing_under_any_model(three, plans):
+    away = three[1].copy()
+    away[3, 0] -= FAR
+    expected, _ = plans.plan(away, [TOM, TURN, NAIVE])
+    for rung in (IDM, TURN, TOM):
+        plan, _ = plans.plan(away, [TOM, TURN, rung])
+        np.testing.assert_allclose(plan.robot, expected.robot, atol=1e-5)
+        np.testing.assert_allclose(plan.humans[:2], expected.humans[:2], atol=1e-5)
+
+
+def test_the_order_of_humans_changes_nothing(three, plans):
+    game, state = three
+    rungs, order = np.array([TOM, TURN, NAIVE]), np.array([2, 0, 1])
+    expected, _ = plans.plan(state, rungs)
+    reordered = CompiledPlans(replace(game, humans=replace(game.humans, weights=game.humans.weights[order])), LADDER)
+    plan, _ = reordered.plan(state[[0, *(1 + order)]], rungs[order])
+    np.testing.assert_allclose(plan.robot, expected.robot, atol=1e-5)
+    np.testing.assert_allclose(plan.humans, expected.humans[order], atol=1e-5)
+
+
+def test_a_plan_takes_as_many_steps_as_the_most_that_a_rung_in_use_asks_for(three, plans):
+    state = three[1]
+    full, brief, mixed = (plans.plan(state, rungs)[0].robot for rungs in ([TOM] * 3, [BRIEF] * 3, [TOM, BRIEF, BRIEF]))
+    np.testing.assert_allclose(mixed, full, atol=1e-6)
+    assert abs(brief - full).max() > 1e-4
+
+
+def test_plans_start_from_zero_controls_or_from_keeping_the_velocity(three):
+    game, state = three
+    kept = np.asarray(cold_start(game, state).humans[2, 4]) * game.planner.control_scale
+    assert kept == pytest.approx([0.0, 0.2 * state[3, 3]], rel=1e-5)
+    papers = replace(game, planner=replace(game.planner, solver="gradient"))
+    assert not np.concatenate([each.ravel() for each in cold_start(papers, state)]).any()
+
+
+@pytest.mark.slow
+def test_the_papers_gradient_steps_serve_several_humans_too(three):
+    game, state = three
+    papers = replace(game, planner=replace(game.planner, solver="gradient"))
+    away = np.array(state)
+    away[2:, 0] -= FAR
+    found, _ = CompiledPlans(papers, LADDER).plan(away, [TOM, NAIVE, NAIVE])
+    alone, _ = pair(papers, jnp.asarray(away), 0)
+    expected = jit_quickly(lambda state: plan_for((MODELS["tom"],), alone, state))(away)
+    np.testing.assert_allclose(found.robot, expected.robot, atol=1e-4)
+    assert plan_function.cache_info().currsize > 0
+
+
+def test_measured_times_are_additive_and_grow_up_the_ladder(three):
+    game, state = three
+    rungs = ladder(["naive", "tom"])
+    costs = measure_costs(game, rungs, state, repeats=9, quantile=0.0)
+    assert costs.base > 0
+    assert costs.each[0] == 0 < costs.each[1]
+    some, _ = min((CompiledPlans(game, rungs).plan(state, [1, 0, 0])[1], 0) for _ in range(9))
+    assert costs.base < some < costs.base + 3 * costs.each[1]

@@ -1,0 +1,71 @@
+"""Compiled functions that are kept: where, and by whom."""
+
+import os
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.cli.main import main
+from ms_highway.runtime.jax_settings import keep_compilations
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """A directory that keeps everything."""
+    directory = keep_compilations(tmp_path / "kept")
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    return directory
+
+
+def computed():
+    """A result that is compiled, or fetched from where it is kept."""
+    jax.clear_caches()
+    return np.asarray(jax.jit(lambda x: 3 * x + 1)(jnp.arange(4.0)))
+
+
+def test_compiled_functions_are_used_again_and_a_damaged_one_is_compiled_anew(kept):
+    expected = computed()
+    before = {file: file.read_bytes() for file in kept.iterdir()}
+    assert before
+    assert kept.stat().st_mode & 0o777 == 0o700
+    np.testing.assert_array_equal(computed(), expected)
+    assert {file: file.read_bytes() for file in kept.iterdir()} == before
+    for file, content in before.items():
+        file.write_bytes(content[: len(content) // 2])
+    with pytest.warns(UserWarning, match="Error reading persistent compilation cache"):
+        np.testing.assert_array_equal(computed(), expected)
+
+
+def test_a_directory_that_others_may_write_to_is_refused(tmp_path):
+    tmp_path.chmod(0o770)
+    with pytest.raises(PermissionError, match=f"chmod go-w {tmp_path}"):
+        keep_compilations(tmp_path)
+    assert jax.config.jax_compilation_cache_dir is None
+    if os.getuid() == 0:  # who may give directories away
+        tmp_path.chmod(0o700)
+        os.chown(tmp_path, 12345, 12345)
+        with pytest.raises(PermissionError, match="choose a directory of your own"):
+            keep_compilations(tmp_path)
+
+
+def test_a_command_goes_on_without_a_directory_that_others_may_write_to(tmp_path, monkeypatch, capsys):
+    tmp_path.chmod(0o777)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    assert main(["bench", "roundabout"]) == 2
+    warning, error = capsys.readouterr().err.splitlines()
+    assert "compiled planners are not kept: others may write to" in warning
+    assert "roundabout" in error
+    assert not list(tmp_path.iterdir())
+
+
+def test_compilations_are_kept_where_the_environment_says(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert keep_compilations() == Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    assert keep_compilations() == tmp_path / "cache" / "ms_highway" / "compiled"
+    monkeypatch.setenv("XDG_CACHE_HOME", "cache")  # a relative path, which the standard has ignored
+    assert keep_compilations() == tmp_path / "home" / ".cache" / "ms_highway" / "compiled"
