@@ -23,6 +23,7 @@ from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import read_own
 from ms_highway.envs.controllers import ControllerSettings, OrderSettings, Start
 from ms_highway.envs.settings import Settings
+from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import (
     CARS,
@@ -122,9 +123,13 @@ class Batch:
         order = np.argsort(np.concatenate(alike))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 
+    def settings(self, controller: str) -> ControllerSettings:
+        """Return the settings of a controller of the comparison, or of an order of its models by any short name."""
+        return self.controllers.get(controller) or named_controller(controller)
+
     def _kind(self, controller: str) -> tuple[ControllerSettings | None, bool]:
         """Return what controllers have in common that are simulated together: no rule, or one at any lambda."""
-        settings = self.controllers[controller]
+        settings = self.settings(controller)
         anyway = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
         return anyway if settings.chooses else None, settings.belief
 
@@ -147,7 +152,7 @@ class Batch:
         Raises:
             ValueError: for a negative seed.
         """
-        drawn = [self._drawn(self.controllers[name], seed) for name, seed in keys]
+        drawn = [self._drawn(self.settings(name), seed) for name, seed in keys]
         starts, prices, schedules, *others = (np.array(part) for part in zip(*drawn, strict=True))
         return Episodes(starts.astype(np.float32), prices.astype(np.float32), schedules.astype(np.int32), *others)
 
@@ -218,7 +223,7 @@ class Batch:
             "scenario": self.scenario,
             "controller": names,
             "seed": seeds,
-            "price": [self.controllers[name].price for name in names],
+            "price": [self.settings(name).price for name in names],
             "reward": np.mean(records.reward, axis=1, dtype=float),
             "counted_seconds": np.mean(counted, axis=1),
             **{share_column(name): np.mean(used == name, axis=1) for name in self.models},
