@@ -1,6 +1,6 @@
 """The environment that all scenarios share: a road, humans, a robot, and who drives it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import nan
 from typing import Any, ClassVar
@@ -11,7 +11,7 @@ from highway_env.road.road import Road
 
 from ms_highway.control.driver import Driver, fixed
 from ms_highway.control.yielding import Unmoved
-from ms_highway.envs.configuration import read_own
+from ms_highway.envs.configuration import Changes, Config, read_own
 from ms_highway.envs.controllers import Start, controller_settings
 from ms_highway.envs.graphics import InteractionViewer, Shown
 from ms_highway.envs.settings import Settings
@@ -46,7 +46,7 @@ class InteractionEnv(StageEnv):
       nearest humans; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom",
       "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
       repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the episode starts. All of
-      them and their short names: `ms_highway.envs.controllers.controller_config`. Any of them with ``"belief": True``
+      them and their short names: `ms_highway.envs.short_names.controller_config`. Any of them with ``"belief": True``
       infers from what a human does which model predicts it (`ms_highway.planning.hypotheses`), and counts on no
       response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
@@ -87,11 +87,12 @@ class InteractionEnv(StageEnv):
     each other nor stop, and ``info["collision_effect"]`` says so.
 
     ``info`` holds after every step: ``models``, the name of every human's model; ``model``, the most expensive of them;
-    ``gains``, the highest estimated gain of each model over all humans; ``status``, ``human_status``, a status for each human; ``timing``, ``counted_seconds``, T of the plan; with a
-    controller's ``belief``, ``belief``, the probability of every model for every human, [humans, 4] in the order
-    naive, idm, turn, tom. In scenarios with streams it also holds ``humans_MODEL``, how many humans each model above
-    the first predicts; ``success``, whether the robot is in the target lane and has not collided so far; and
-    ``distance_to_cones``, from the robot's front to the first cone ahead in its lane, infinite without one [m].
+    ``gains``, the highest estimated gain of each model over all humans; ``status``, ``human_status``, a status for each
+    human; ``timing``, ``counted_seconds``, T of the plan; with a controller's ``belief``, ``belief``, the probability
+    of every model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also
+    holds ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in
+    the target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the first cone
+    ahead in its lane, infinite without one [m].
 
     Attributes:
         settings: of the configuration.
@@ -107,7 +108,7 @@ class InteractionEnv(StageEnv):
     history: list[Shown]
 
     @classmethod
-    def default_config(cls) -> dict[str, Any]:
+    def default_config(cls) -> Config:
         """highway-env's configuration with the scenario's own."""
         scenario, several = cls.scenario, bool(cls.scenario.streams)
         return {
@@ -136,9 +137,7 @@ class InteractionEnv(StageEnv):
         }
 
     @classmethod
-    def checked_config(
-        cls, changes: Mapping[str, Any] | None, config: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
+    def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
         """See `StageEnv.checked_config`; the ladder is spelt out."""
         config = super().checked_config(changes, config)
         settings = read_own(Settings, config)
@@ -258,10 +257,10 @@ class InteractionEnv(StageEnv):
         self._collided |= self.collision
         step = self.robot.last_step
         if isinstance(self.action_type, HumanModelAction) and step:
-            self._terms[COMPUTATION] = -float(self.action_type.price * self.counted_seconds(step.models))
+            self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * self.counted_seconds(step.models))
         self.history.append(Shown(step, sum(self._terms.values())))
 
-    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
+    def _info(self, obs: Any, action: Any = None) -> Config:
         """Describe the last step, see `InteractionEnv`."""
         info, step, streams = super()._info(obs, action), self.robot.last_step, bool(self.scenario.streams)
         if streams:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from inspect import signature
 from os import PathLike, fspath
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_args, get_origin
 
 import numpy as np
 from highway_env.envs.common.observation import (
@@ -17,11 +17,14 @@ from highway_env.envs.common.observation import (
     LidarObservation,
     OccupancyGridObservation,
 )
-from msgspec import NODEFAULT, Meta, Struct, ValidationError, convert, field
+from msgspec import NODEFAULT, Meta, Struct, ValidationError, convert, field, to_builtins
 from msgspec.structs import fields
 
 from ms_highway.game.scenario import TIME_STEP
 
+Config: TypeAlias = dict[str, Any]
+Changes: TypeAlias = Mapping[str, Any]
+Types: TypeAlias = Mapping[str, Mapping[str, set[str]]]
 Kind = TypeVar("Kind", bound=Struct)
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -33,21 +36,29 @@ NotNegative = Annotated[float, Meta(ge=0, le=LARGEST, description=f"it must be a
 
 RANGES = {"acceleration_range", "steering_range", "longitudinal", "lateral", "clip"}
 STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
-ACTIONS: dict[str, set[str]] = {
-    "Autopilot": set(),
-    "HumanModelAction": {"lambda"},
-    "ContinuousAction": RANGES,
-    "DiscreteAction": RANGES | {"actions_per_axis"},
+
+
+def _keys(kind: type[Any]) -> set[str]:
+    return {*signature(kind).parameters} - {"env", "kwargs"}
+
+
+TYPES: Types = {
+    "action": {
+        "Autopilot": set(),
+        "HumanModelAction": {"lambda"},
+        "ContinuousAction": RANGES,
+        "DiscreteAction": RANGES | {"actions_per_axis"},
+    },
+    "observation": {
+        "CarStates": set(),
+        "Kinematics": _keys(KinematicObservation),
+        "OccupancyGrid": _keys(OccupancyGridObservation),
+        "LidarObservation": _keys(LidarObservation),
+        "GrayscaleObservation": _keys(GrayscaleObservation),
+    },
 }
-STOCK_OBSERVATIONS = {
-    "Kinematics": KinematicObservation,
-    "OccupancyGrid": OccupancyGridObservation,
-    "LidarObservation": LidarObservation,
-    "GrayscaleObservation": GrayscaleObservation,
-}
-OBSERVATIONS: dict[str, set[str]] = {"CarStates": set(), "CarTracks": set()} | {
-    name: set(signature(kind).parameters) - {"env", "kwargs"} for name, kind in STOCK_OBSERVATIONS.items()
-}
+"""Types of actions and observations, and the keys that they have."""
+
 REPLACED = ("human_reward",)  # mappings that are not merged: weights of two rewards do not belong together
 
 
@@ -82,7 +93,7 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
     Raises:
         ValueError: naming key, value, place and remedy, for anything unknown, missing or impossible.
     """
-    values = _plain(values)
+    values = to_builtins(values, enc_hook=_builtin)
     if not isinstance(values, dict):
         raise ValueError(f"{place} is {values!r}; it must be a dictionary")
     known, tag = {each.encode_name: each for each in fields(kind)}, kind.__struct_config__.tag_field
@@ -98,15 +109,13 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
         raise (error.__cause__ or error) from None
 
 
-def _plain(values: Any) -> Any:
-    """Return values without NumPy, and paths as texts."""
-    if isinstance(values, Mapping):
-        return {key: _plain(value) for key, value in values.items()}
-    if isinstance(values, (list, tuple)):
-        return [_plain(value) for value in values]
-    if isinstance(values, (np.ndarray, np.generic)):
-        return values.tolist()
-    return fspath(values) if isinstance(values, PathLike) else values
+def _builtin(value: Any) -> Any:
+    """Return in Python's own types what is of NumPy, a mapping or a path; anything else as a text, to be refused."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    return fspath(value) if isinstance(value, PathLike) else repr(value)
 
 
 def _check(place: str, value: Any, annotation: Any) -> None:
@@ -133,12 +142,12 @@ def _remedy(annotation: Any, message: str) -> str:
     return "it must be True or False" if annotation is bool else message[:1].lower() + message[1:]
 
 
-def read_own(kind: type[Kind], config: Mapping[str, Any]) -> Kind:
+def read_own(kind: type[Kind], config: Changes) -> Kind:
     """Return a struct of those keys of a whole configuration that highway-env does not have, see `read`."""
     return read(kind, "config", {each.encode_name: config[each.encode_name] for each in fields(kind)})
 
 
-def merged(kind: type[Struct], defaults: Mapping[str, Any], changes: Mapping[str, Any] | None) -> dict[str, Any]:
+def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes | None) -> Config:
     """Apply changes to a configuration, and check all of it.
 
     A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
@@ -146,6 +155,7 @@ def merged(kind: type[Struct], defaults: Mapping[str, Any], changes: Mapping[str
 
     Args:
         kind: a struct of the keys that highway-env does not have.
+        types: of actions and observations that the environment has, see `TYPES`.
         defaults: the whole configuration.
         changes: of some of it.
 
@@ -161,18 +171,24 @@ def merged(kind: type[Struct], defaults: Mapping[str, Any], changes: Mapping[str
     for key in defaults.keys() - {each.encode_name for each in fields(kind)}:
         scalar = {bool: bool, int: Positive, float: Positive}.get(type(defaults[key]))
         if scalar is not None:
-            _check(f"config[{key!r}]", _plain(config[key]), scalar)
-    _set_frequencies(config, changes)
-    for key, known in (("action", ACTIONS), ("observation", OBSERVATIONS)):
+            _check(f"config[{key!r}]", to_builtins(config[key], enc_hook=_builtin), scalar)
+    frequency = 1 / config.get("time_step", TIME_STEP)  # cars act, and the road moves, once in each of the plans' steps
+    frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
+    for key in ("simulation_frequency", "policy_frequency"):
+        if not np.isclose(changes.get(key, frequency), frequency):
+            message = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
+            raise ValueError(f"config[{key!r}] is {config[key]!r}; {message}")
+        config[key] = frequency
+    for key, known in types.items():
         values = config[key]
         if not isinstance(values, Mapping) or values.get("type") not in list(known):
             raise ValueError(f"config[{key!r}] is {values!r}; its 'type' must be one of {', '.join(known)}")
         refuse_unknown(f"config[{key!r}]", values, {"type"} | known[values["type"]])
-    action = config["action"]
-    if "lambda" in ACTIONS[action["type"]]:
-        read(ModelAction, "config['action']", action)
-    if "steering_range" in ACTIONS[action["type"]]:
-        config["action"] = {"steering_range": STEERING_RANGE, **action}
+    keys = types["action"][config["action"]["type"]]
+    if "lambda" in keys:
+        read(ModelAction, "config['action']", config["action"])
+    if "steering_range" in keys:
+        config["action"] = {"steering_range": STEERING_RANGE, **config["action"]}
     return config
 
 
@@ -181,13 +197,3 @@ def _merged_value(key: str, default: Any, value: Any) -> Any:
         return value
     same_type = value.get("type", default.get("type")) == default.get("type")
     return {**default, **value} if same_type else dict(value)
-
-
-def _set_frequencies(config: dict[str, Any], changes: Mapping[str, Any]) -> None:
-    """Let the road move, and cars act, once in every time step of the plans."""
-    frequency = 1 / config.get("time_step", TIME_STEP)
-    for key in ("simulation_frequency", "policy_frequency"):
-        if key in changes and not np.isclose(config[key], frequency):
-            message = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
-            raise ValueError(f"config[{key!r}] is {config[key]!r}; {message}")
-        config[key] = round(frequency) if np.isclose(frequency, round(frequency)) else frequency

@@ -75,7 +75,7 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
         return None
 
     def rule(self, start: Start) -> Any:
-        """Return the `Rule` of an episode, or its `Order`."""
+        """Return the `ms_highway.metareasoning.rule.Rule` of an episode, or its `Order`."""
         raise NotImplementedError
 
 

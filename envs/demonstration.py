@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from math import atan, pi
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from highway_env.road.road import Road
 from msgspec import Struct
 
-from ms_highway.envs.configuration import Positive
+from ms_highway.envs.configuration import RANGES, Config, Positive
 from ms_highway.envs.routes import DENSITIES, draw_routes
 from ms_highway.envs.stage import StageEnv, straight_road
 from ms_highway.game.arrays import Car, State
@@ -89,10 +89,11 @@ class DemonstrationEnv(StageEnv):
     """
 
     settings_type = DemonstrationSettings
+    types = {"action": {"ContinuousAction": RANGES}, "observation": {"CarTracks": set()}}  # noqa: RUF012
     cars = 1 + OTHERS
 
     @classmethod
-    def default_config(cls) -> dict[str, Any]:
+    def default_config(cls) -> Config:
         """highway-env's configuration with this environment's own."""
         return super().default_config() | {
             "observation": {"type": "CarTracks"},
@@ -105,30 +106,9 @@ class DemonstrationEnv(StageEnv):
             "centering_position": [0.35, 0.5],
         }
 
-    def __init__(self, config: dict[str, Any] | None = None, render_mode: str | None = None) -> None:
+    def __init__(self, config: Config | None = None, render_mode: str | None = None) -> None:
         self.game = demonstration_game()
         super().__init__(config, render_mode)
-
-    @classmethod
-    def checked_config(
-        cls, changes: Mapping[str, Any] | None, config: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
-        """See `StageEnv.checked_config`; the types of action and observation stay."""
-        checked, usual = super().checked_config(changes, config), cls.default_config()
-        for key in ("action", "observation"):
-            only = usual[key]["type"]
-            if checked[key]["type"] != only:
-                raise ValueError(f"config[{key!r}] has type {checked[key]['type']!r}; here it must be {only!r}")
-        return checked
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode, see `StageEnv.reset`."""
-        observation, info = super().reset(seed=seed, options=options)
-        if self.config["manual_control"]:
-            self.action_type.act(self.action_type.last_action)  # keys that nobody touches also mean something
-        return observation, info
 
     def _reset(self) -> None:
         """Build the road and place the cars."""

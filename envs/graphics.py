@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache, partial
 from itertools import accumulate
 from pathlib import Path
@@ -26,7 +27,6 @@ from ms_highway.metareasoning.rule import Order
 from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.effort import Effort, base_of
 from ms_highway.planning.human_models import MODELS, PACKAGE_MODELS, human_model, is_model, known_models
-from ms_highway.runtime.arrays import Vector
 
 Color = tuple[int, int, int]
 
@@ -193,22 +193,21 @@ class InteractionViewer(Viewer):
         if not history:
             self._write(f"{title(env.scenario.name)}: the episode starts", MEDIUM, topleft=(MARGIN, top + MARGIN))
             return
-        chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, (self.panel_height - 66) // 2)
-        edges = np.linspace(chart.left, chart.right, 1 + max(env.episode_steps, len(history)))  # of the steps
         arrived = env.scenario.streams and env.success
         happened = "COLLISION" if env.collision else "in the target lane" if arrived else ""
         lines = [f"step {len(history)}    reward {history[-1].reward:+.2f}    {happened}"]
+        chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, (self.panel_height - 66) // 2)
+        self._draw_curve(chart.move(0, chart.height + 28), [shown.reward for shown in history])
         if step:
-            self._draw_models(step, MARGIN, top + 10)
             lines += [self._times(step), self._remarks(step)]
-            self._draw_bars(chart, edges, [shown.step for shown in history])
+            self._draw_models(step, MARGIN, top + 10)
+            self._draw_bars(chart, [shown.step for shown in history])
+            if step.belief is not None:
+                self._draw_beliefs(step.belief, top + 122)
         else:
             self._write("the agent drives", LARGE, topleft=(MARGIN, top + 10))
         for place, line in enumerate(lines):
             self._write(line, MEDIUM, topleft=(MARGIN, top + 46 + 24 * place))
-        if step and step.belief is not None:
-            self._draw_beliefs(step.belief, top + 122)
-        self._draw_curve(chart.move(0, chart.height + 28), edges, [shown.reward for shown in history])
 
     def _draw_models(self, step: ControlStep, left: int, top: int) -> None:
         """Draw the model with what it means; of several humans, how many each model predicts."""
@@ -236,8 +235,8 @@ class InteractionViewer(Viewer):
 
     def _draw_beliefs(self, belief: Belief, top: int) -> None:
         """Draw the probabilities of the models of every human, side by side, behind its number."""
-        width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
         for place, shares in enumerate(belief):
+            width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
             left = start = MARGIN + place * width
             if len(belief) > 1:
                 start = self._write(str(place + 1), SMALL, topleft=(left, top)).right + 3
@@ -247,40 +246,42 @@ class InteractionViewer(Viewer):
                 if part.width > NAMED:
                     self._write(name, SMALL, PAPER, center=part.center)
 
-    def _draw_chart(self, box: pygame.Rect, heading: str, low: str, high: str) -> None:
-        """Draw the frame of a chart: a heading above, a line below, and the values of its ends on the left."""
+    def _draw_chart(
+        self, box: pygame.Rect, heading: str, values: Sequence[float], low: float, high: float
+    ) -> list[pygame.Rect]:
+        """Draw a heading above, a line below, and both ends on the left; return the bar of every step's value."""
         self._write(heading, SMALL, FAINT, topleft=(box.left, box.top - 20))
+        self._write(f"{high:.3g}", SMALL, FAINT, midright=(box.left - 8, box.top))
+        self._write(f"{low:.3g}", SMALL, FAINT, midright=(box.left - 8, box.bottom))
         pygame.draw.line(self.sim_surface, FAINT, box.bottomleft, box.bottomright)
-        self._write(high, SMALL, FAINT, midright=(box.left - 8, box.top))
-        self._write(low, SMALL, FAINT, midright=(box.left - 8, box.bottom))
+        width, bars = box.width / max(self.env.episode_steps, len(values)), []
+        for place, height in enumerate(np.interp(values, [low, high], [3, box.height])):
+            bars.append(pygame.Rect(box.left + place * width, box.bottom - height, max(1, width - 2), height))
+        return bars
 
-    def _draw_bars(self, box: pygame.Rect, edges: Vector, steps: Sequence[ControlStep]) -> None:
+    def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
         """Draw a bar per step in the colours of the humans' models: its height is the time of planning for one."""
-        values, heading = np.full(len(steps), len(steps[0].models)), "humans that each model predicts"
-        if len(steps[0].models) == 1:
-            values = np.array([1e3 * step.planning_seconds for step in steps])
+        humans = len(steps[0].models)
+        values, heading = [float(humans)] * len(steps), "humans that each model predicts"
+        if humans == 1:
+            values = [1e3 * step.planning_seconds for step in steps]
             heading = "planning time of each step [ms], in the colour of its model"
-        heights = np.maximum(3, box.height * values / values.max())
-        for step, height, left, right in zip(steps, heights, edges, edges[1:], strict=False):
-            part = height / len(step.models)
-            for place, model in enumerate(sorted(step.models, key=known_models(step.models).index, reverse=True)):
-                bar = (left, box.bottom - part * (1 + place), max(1, right - left - 2), part + 1)
-                self.sim_surface.fill(model_color(model), bar)
-        self._draw_chart(box, heading, "0", f"{values.max():.3g}")
+        for step, bar in zip(steps, self._draw_chart(box, heading, values, 0.0, max(values)), strict=True):
+            for place, model in enumerate(sorted(step.models, key=known_models(step.models).index)):
+                top = bar.top + bar.height * place / humans
+                self.sim_surface.fill(model_color(model), (bar.left, top, bar.width, bar.bottom - top))
 
-    def _draw_curve(self, box: pygame.Rect, edges: Vector, rewards: Sequence[float]) -> None:
+    def _draw_curve(self, box: pygame.Rect, rewards: Sequence[float]) -> None:
         """Draw the reward of each step, cut at its `WORST`; the line at 0 is drawn where it lies within."""
         low = max(min(rewards), WORST)
         high = max(*rewards, low + 1.0)
-        zero, *heights = np.interp([0.0, *rewards], [low, high], [box.bottom, box.top])
+        heading = f"reward of each step, {np.mean(rewards):+.2f} on average"
+        points = [bar.midtop for bar in self._draw_chart(box, heading, rewards, low, high)]
         if low < 0 < high:
+            zero = np.interp(0.0, [low, high], [box.bottom, box.top])
             pygame.draw.line(self.sim_surface, GRID, (box.left, zero), (box.right, zero))
-        points = list(zip((edges[1:] + edges[:-1]) / 2, heights, strict=False))
-        if len(points) > 1:
-            pygame.draw.lines(self.sim_surface, INK, False, points, 2)
+        pygame.draw.lines(self.sim_surface, INK, False, [points[0], *points], 2)
         pygame.draw.circle(self.sim_surface, INK, points[-1], 3)
-        least = f"{low:.1f}" if min(rewards) >= WORST else f"below {WORST:.0f}"
-        self._draw_chart(box, f"reward of each step, {np.mean(rewards):+.2f} on average", least, f"{high:.1f}")
 
     def _write(
         self, text: str, size: int, color: Color = INK, ground: Color | None = None, **place: Any
@@ -310,11 +311,9 @@ def check_display() -> None:
     Raises:
         OSError: without a display.
     """
-    unseen = False
-    try:
+    driver = "dummy"
+    with suppress(pygame.error):
         pygame.display.init()
-        unseen = pygame.display.get_driver() in ("dummy", "offscreen") and "SDL_VIDEODRIVER" not in os.environ
-    except pygame.error:
-        unseen = True
-    if unseen:
+        driver = pygame.display.get_driver()
+    if driver in ("dummy", "offscreen") and "SDL_VIDEODRIVER" not in os.environ:
         raise OSError("there is no display for a person to drive at; use a desktop, or let a program drive")

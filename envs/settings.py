@@ -18,7 +18,7 @@ from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
 from ms_highway.metareasoning.rule import PUBLISHED_COSTS
 from ms_highway.optimization.solvers import Solver
-from ms_highway.planning.effort import BEST, seconds_of
+from ms_highway.planning.effort import seconds_of
 from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
 
 PLANNING = ("horizon", "time_step", "iterations", "step_size", "control_limit", "grip")
@@ -27,6 +27,7 @@ PLANNING = ("horizon", "time_step", "iterations", "step_size", "control_limit", 
 HUMAN_REWARDS = {"paper": "learned", "released": "published"}
 """The humans' reward that belongs to each semantics."""
 
+LADDER = "give a list of human models, cheapest first, or say 'best'"
 COSTS = "say 'published', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
 REWARD = (
     "say 'learned', 'published', or give finite weights by name, such as {'speed': 2, 'lane_alignment': 75}; weights "
@@ -42,7 +43,7 @@ class Settings(Struct, frozen=True):
     """The keys of an `ms_highway.envs.base.InteractionEnv` that highway-env does not have, see there."""
 
     controller: Any
-    ladder: Any
+    ladder: Annotated[Literal["best"] | tuple[str, ...], Meta(description=LADDER)]
     costs: Annotated[Literal["published", "measured"] | dict[str, NotNegative], Meta(description=COSTS)]
     semantics: Semantics
     human_reward: Annotated[Literal["learned", "published"] | dict[str, Number] | None, Meta(description=REWARD)]
@@ -109,12 +110,9 @@ class Settings(Struct, frozen=True):
         Raises:
             ValueError: if it is none.
         """
-        names = self.ladder
         try:
-            if isinstance(names, str) and names != BEST:
-                raise ValueError(f"{names!r} is one name; give a list of names, or say {BEST!r}")
-            return ladder(names)
-        except (ValueError, TypeError) as error:
+            return ladder(self.ladder)
+        except ValueError as error:
             raise ValueError(f"config['ladder']: {error}") from None
 
     @property

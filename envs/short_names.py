@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from ms_highway.envs.configuration import Config
 from ms_highway.envs.controllers import controller_settings
 from ms_highway.planning.human_models import is_model, model_names
 
@@ -24,7 +25,7 @@ SHORT_NAMES = {
 
 
 def named_controller(text: str) -> Any:
-    """Return the `ControllerSettings` that a controller's short name stands for, see `controller_config`.
+    """Return the settings that a controller's short name stands for, see `controller_config`.
 
     Raises:
         ValueError: if it stands for none.
@@ -32,7 +33,7 @@ def named_controller(text: str) -> Any:
     return controller_settings(controller_config(text))
 
 
-def controller_config(text: str) -> dict[str, Any]:
+def controller_config(text: str) -> Config:
     """Return the configuration that a controller's short name stands for.
 
     These are the human models, such as ``tom`` or ``tom@8+warm``; ``switching:0.1``, ``horizon:0.1`` and
@@ -49,7 +50,7 @@ def controller_config(text: str) -> dict[str, Any]:
     """
     name = text.removesuffix(BELIEF)
     kind, _, rest = name.partition(":")
-    config: dict[str, Any] = {"type": "fixed", "model": name}
+    config: Config = {"type": "fixed", "model": name}
     if not is_model(name):
         if kind not in SHORT_NAMES:
             examples = ", ".join(example for _, example in SHORT_NAMES.values())
@@ -68,7 +69,7 @@ def controller_config(text: str) -> dict[str, Any]:
     return config
 
 
-def _parts(kind: str, key: str, rest: str) -> dict[str, Any]:
+def _parts(kind: str, key: str, rest: str) -> Config:
     """Return what the second part of a short name says of a controller."""
     if key not in ("models", "shares"):
         number, _, values = rest.partition(":")

@@ -1,6 +1,5 @@
 """What an agent sees and does: all cars in the order of their roles, and who drives the robot."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ from highway_env.envs.common.observation import ObservationType
 
 from ms_highway.envs.configuration import LARGEST
 from ms_highway.metareasoning.rule import Order
-from ms_highway.vehicle import RobotVehicle
 
 SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
 
@@ -23,15 +21,13 @@ class CarStates(ObservationType):
     further than 100 m still sees where it is.
     """
 
-    def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
-        super().__init__(env)
-        self.shape = env.cars, 6
-
     def space(self) -> spaces.Box:
-        high = np.tile(np.array([LARGEST] * 4 + [1, 1], np.float32), (self.shape[0], 1))
+        """Return the space."""
+        high = np.tile(np.array([LARGEST] * 4 + [1, 1], np.float32), (self.env.cars, 1))
         return spaces.Box(-high, high, dtype=np.float32)
 
     def observe(self) -> np.ndarray:
+        """Return what is observed now."""
         x, y, heading, speed = self.env.car_states.T
         cosine, sine = np.cos(heading), np.sin(heading)
         rows = np.array([x, y, speed * cosine, speed * sine, cosine, sine]).T
@@ -48,15 +44,13 @@ class CarTracks(ObservationType):
 
     BOUND = 1e4  # m, rad or m/s; never reached
 
-    def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
-        super().__init__(env)
-        self.shape = env.cars, 5
-
     def space(self) -> spaces.Box:
-        high = np.tile(np.array([1, *[self.BOUND] * 4], np.float32), (self.shape[0], 1))
+        """Return the space."""
+        high = np.tile(np.array([1, *[self.BOUND] * 4], np.float32), (self.env.cars, 1))
         return spaces.Box(high * np.array([0, -1, -1, -1, -1], np.float32), high, dtype=np.float32)
 
     def observe(self) -> np.ndarray:
+        """Return what is observed now."""
         present = self.env.present
         tracks = np.concatenate([present[:, None], self.env.car_states], axis=-1) * present[:, None]
         return tracks.clip(-self.BOUND, self.BOUND).astype(np.float32)
@@ -73,15 +67,9 @@ def finite(space: spaces.Space) -> spaces.Space:
 class Autopilot(ActionType):
     """The robot drives itself, as ``config["controller"]`` says; the only action, 0, lets it."""
 
-    def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
-        super().__init__(env)
-
     def space(self) -> spaces.Space:
+        """Return the space."""
         return spaces.Discrete(1)
-
-    @property
-    def vehicle_class(self) -> type[RobotVehicle]:
-        return RobotVehicle
 
     def act(self, action: int) -> None:
         """Nothing to do: the robot plans when the road asks all vehicles to act.
@@ -89,7 +77,7 @@ class Autopilot(ActionType):
         Raises:
             ValueError: if the action is not 0.
         """
-        if not self.space().contains(action):
+        if action != 0:
             raise ValueError(f"action {action!r} is not 0, the only action of the autopilot")
 
 
@@ -100,11 +88,8 @@ class HumanModelAction(Autopilot):
     action's configuration and T from ``config["costs"]``.
     """
 
-    def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
-        super().__init__(env, config)
-        self.price = config["lambda"]
-
     def space(self) -> spaces.Space:
+        """Return the space."""
         rungs, humans = len(self.env.settings.models), self.env.settings.humans
         return spaces.Discrete(rungs) if humans == 1 else spaces.MultiDiscrete([rungs] * humans)
 

@@ -1,7 +1,6 @@
 """What the environments share: configuration, road and cones, car 0's reward by feature, and what a step took."""
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -17,7 +16,7 @@ from highway_env.vehicle.objects import Obstacle
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.envs.configuration import merged, read_own, refuse_unknown
+from ms_highway.envs.configuration import TYPES, Changes, Config, Types, merged, read_own, refuse_unknown
 from ms_highway.envs.graphics import Viewer
 from ms_highway.envs.spaces import Autopilot, CarStates, CarTracks, HumanModelAction, finite
 from ms_highway.game.arrays import State
@@ -28,7 +27,7 @@ from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT
 from ms_highway.game.scene import Scene
 
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
-TYPES = {kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks)}
+OWN_TYPES = {kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks)}
 
 
 @jax.jit
@@ -83,26 +82,25 @@ class StageEnv(AbstractEnv):
     """
 
     settings_type: ClassVar[Any]
+    types: ClassVar[Types] = TYPES
     viewer_type: ClassVar[type[Viewer]] = Viewer
     reset_options: ClassVar[tuple[str, ...]] = ("config",)
-    config: dict[str, Any]
-    metadata: dict[str, Any]
+    config: Config
+    metadata: Config
     action_space: spaces.Space | None
     viewer: Viewer | None
     game: Game
 
     @classmethod
-    def checked_config(
-        cls, changes: Mapping[str, Any] | None, config: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
+    def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
         """Return the whole configuration, by default the default one, after changes.
 
         Raises:
             ValueError: for an unknown key or an impossible value.
         """
-        return merged(cls.settings_type, cls.default_config() if config is None else config, changes)
+        return merged(cls.settings_type, cls.types, cls.default_config() if config is None else config, changes)
 
-    def configure(self, config: dict[str, Any] | None) -> None:
+    def configure(self, config: Config | None) -> None:
         """Change the configuration, all of it or nothing.
 
         Raises:
@@ -131,13 +129,11 @@ class StageEnv(AbstractEnv):
         self.observation_type = self._type(observation_factory, self.config["observation"])
         self.observation_space = finite(self.observation_type.space())
 
-    def _type(self, factory: Any, config: dict[str, Any]) -> Any:
-        kind = TYPES.get(config["type"])
-        return kind(self, config) if kind else factory(self, dict(config))
+    def _type(self, factory: Any, config: Config) -> Any:
+        kind = OWN_TYPES.get(config["type"])
+        return kind(self, **config) if kind else factory(self, config)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Config | None = None) -> tuple[np.ndarray, Config]:
         """Start an episode.
 
         Args:
@@ -150,11 +146,14 @@ class StageEnv(AbstractEnv):
         self.options, before = options or {}, self.config
         refuse_unknown("the reset options", self.options, self.reset_options)
         try:
-            return super().reset(seed=seed, options=options)
+            start = super().reset(seed=seed, options=options)
         except ValueError:
             self.config = before
             self._read()
             raise
+        if self.config["manual_control"]:
+            self.action_type.act(self.action_type.last_action)  # keys that nobody touches also mean something
+        return start
 
     def _place(self, cars: list[Any]) -> None:
         """Put cars on the road, the first of them to be driven."""
@@ -194,7 +193,7 @@ class StageEnv(AbstractEnv):
     def _is_terminated(self) -> bool:
         return bool(self.config.get("terminate_on_collision") and self.collision)
 
-    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
+    def _info(self, obs: Any, action: Any = None) -> Config:
         """Describe the last step; after a reset, only the speed of car 0 and what collisions do."""
         info = {"speed": self.vehicle.speed, "collision_effect": "reward only"}
         if self.steps == 0:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +13,8 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.game.game import Game
-from ms_highway.game.scenario import PAPER_UNIT, build_game, draw_episode
+from ms_highway.game.planning_settings import PlanningSettings
+from ms_highway.game.scenario import PAPER_UNIT, Scenario, build_game, draw_episode
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MERGER, STAY_BACK
 from ms_highway.runtime.jax_settings import keep_compilations
 
@@ -101,12 +103,24 @@ def scenario(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session")
 def played() -> Callable[..., tuple[Game, jax.Array]]:
-    """A scenario's game, with anything that `build_game` takes, and a drawn start in the game's unit."""
+    """A scenario's game, with anything that `build_game` takes, and a drawn start in the game's unit.
 
-    def make(scenario: str, seed: int = 0, **options: object) -> tuple[Game, jax.Array]:
-        game = build_game(SCENARIOS[scenario], **options)
-        start, _ = draw_episode(SCENARIOS[scenario], np.random.default_rng(seed), game.humans)
+    Scenarios with streams have two humans and plans of five steps within their limits, unless the options say
+    otherwise. In the others, further humans follow the first one, 30 m apart.
+    """
+
+    def make(which: str | Scenario, seed: int = 0, **options: object) -> tuple[Game, jax.Array]:
+        scenario = SCENARIOS[which] if isinstance(which, str) else which
+        small = {"humans": 2, "planning": PlanningSettings(horizon=5)}
+        limits = {"control_limit": scenario.control_limit, "grip": scenario.grip}
+        game = build_game(scenario, **(small | limits if scenario.streams else {}) | options)
+        start, _ = draw_episode(scenario, np.random.default_rng(seed), game.humans)
+        followers = 0 if scenario.streams else game.number - 1
+        behind = [start[1] - [30.0 * (1 + place), 0, 0, 0] for place in range(followers)]
+        if behind:
+            start, leader = np.insert(start, 2, behind, axis=0), game.scene.leader
+            game = replace(game, scene=replace(game.scene, leader=leader and leader + followers))
         unit = float(game.scene.length_unit) / PAPER_UNIT
-        return game, jnp.asarray(start * [unit, unit, 1.0, unit], dtype=jnp.float32)
+        return game, jnp.asarray(start * [unit, unit, 1, unit], dtype=jnp.float32)
 
     return make

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.bench_road import add_bench_road
 from ms_highway.cli.console import add_command, print_tables, telling
 from ms_highway.cli.options import SCENARIO_NAMES, add_devices, add_keys, add_number, configuration
 
@@ -24,7 +23,7 @@ switching. MiB is the most memory that the batches have taken until then.
 
 For scenarios with several humans, measure plans by number of humans (--crowd), a process each.
 
-`ms-highway bench road` measures how drivers fare in stock scenes of highway-env; it has its own --help."""
+`ms-highway bench road` measures how drivers fare in stock scenes of highway-env."""
 
 EXAMPLES = """\
 examples:
@@ -33,6 +32,27 @@ examples:
   ms-highway bench merger --batches 1 16 64 256 1024 8192
   ms-highway bench dense_merge --crowd 1 2 4 6 8 12
   ms-highway bench road merge --drivers switching idm"""
+
+
+PEER = {"C us": "{peer_us[p50]:.0f}", "ratio": "{ratio:.2f}"}
+PLANS = {
+    "plan us": "{plan_us[p50]:.0f}",
+    "p99": "{plan_us[p99]:.0f}",
+    "decision us": "{decision_us:.0f}",
+    "of mean plan": "{of_mean_plan:.0%}",
+    "step us": "{step_us:.0f}",
+    "compile s": "{compile_s[cold]:.1f}",
+    "cached": "{compile_s[cached]:.1f}",
+}
+SEVERAL = {
+    "all naive": "{plan_ms[naive][0]:.2f} ({plan_ms[naive][1]:.2f})",
+    "one tom": "{plan_ms[tom_one][0]:.2f} ({plan_ms[tom_one][1]:.2f})",
+    "all turn": "{plan_ms[turn][0]:.2f} ({plan_ms[turn][1]:.2f})",
+    "all tom": "{plan_ms[tom][0]:.2f} ({plan_ms[tom][1]:.2f})",
+    "compile s": "{compile_s:.1f}",
+    "MiB": "{memory_mib:.0f}",
+}
+"""Headings of tables, and how their texts are made of what was measured."""
 
 
 def add_bench(commands: Any) -> None:
@@ -47,7 +67,6 @@ def add_bench(commands: Any) -> None:
     add_keys(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
     parser.set_defaults(run=_bench)
-    add_bench_road(parser)
 
 
 def _bench(options: argparse.Namespace) -> None:
@@ -77,69 +96,35 @@ def _bench(options: argparse.Namespace) -> None:
             for name, result in measured:
                 tell(f"measured {scenario}, {name}")
                 results.setdefault(scenario, {})[name] = result
-    print_tables(*_tables(results))
+    print_tables(*map(_table, results, results.values()))
     if options.json:
         with replacing(options.json) as path:
             path.write_text(json.dumps(results, indent=2) + "\n")
 
 
-def _tables(results: Mapping[str, dict[str, Any]]) -> "list[Table]":
-    """Tabulate what was measured in each scenario."""
+def _table(scenario: str, measured: Mapping[str, Any]) -> "Table":
+    """Tabulate what was measured in a scenario."""
     from ms_highway.visualization.tables import grid
 
-    return [grid(*_rows(scenario, measured)) for scenario, measured in results.items()]
-
-
-def _rows(scenario: str, measured: Mapping[str, Any]) -> tuple[str, list[dict[str, str]]]:
-    """Return the title and the rows of a scenario's table."""
-    first = next(iter(measured.values()))
-    if "batch" in first:
-        title = f"{scenario}: steps of the closed loop per second; batches on {first['devices']}"
-        return title, [_loops("environment", None, measured)] + [
-            _loops(f"batch of {size}", size, measured) for size in first["batch"]
+    results = list(measured.values())
+    if "batch" in results[0]:
+        devices = results[0]["devices"]
+        rows = [
+            {"": "environment", **{name: f"{one['environment']:,.0f}" for name, one in measured.items()}, "MiB": ""}
         ]
-    if "plan_ms" in first:
-        title = f"{scenario}: ms of a plan on one core, median (p99)"
-        return title, [_crowd(name, result) for name, result in measured.items()]
-    mean = sum(result["plan_us"]["p50"] for result in measured.values()) / len(measured)
-    title = f"{scenario}: medians, on one core; us: microseconds"
-    return title, [_plan(name, result, mean) for name, result in measured.items()]
-
-
-def _plan(model: str, result: dict[str, Any], mean: float) -> dict[str, str]:
-    """Return the texts of what a plan, a decision and a step of the environment take."""
-    ours, theirs = result["plan_us"], result.get("peer_us", {}).get("p50")
-    return {
-        "model": model,
-        "plan us": f"{ours['p50']:.0f}",
-        "p99": f"{ours['p99']:.0f}",
-        "C us": f"{theirs:.0f}" if theirs else "",
-        "ratio": f"{ours['p50'] / theirs:.2f}" if theirs else "",
-        "decision us": f"{result['decision_us']:.0f}",
-        "of mean plan": f"{result['decision_us'] / mean:.0%}",
-        "step us": f"{result['step_us']:.0f}",
-        "compile s": f"{result['compile_s']['cold']:.1f}",
-        "cached": f"{result['compile_s']['cached']:.1f}",
-    }
-
-
-def _crowd(name: str, result: dict[str, Any]) -> dict[str, str]:
-    """Return the texts of what plans among several humans take."""
-    names = {"naive": "all naive", "tom_one": "one tom", "turn": "all turn", "tom": "all tom"}
-    times = {names[kind]: "{:.2f} ({:.2f})".format(*result["plan_ms"][kind]) for kind in names}
-    return {"": name, **times, "compile s": f"{result['compile_s']:.1f}", "MiB": f"{result['memory_mib']:.0f}"}
-
-
-def _loops(name: str, size: str | None, measured: Mapping[str, Any]) -> dict[str, str]:
-    """Return the texts of steps per second, in the environment or in batches and over the environment's."""
-    if size is None:
-        return {
-            "": name,
-            **{controller: f"{result['environment']:,.0f}" for controller, result in measured.items()},
-            "MiB": "",
-        }
-    cells = {
-        controller: f"{result['batch'][size]:,.0f} ({result['batch'][size] / result['environment']:.1f}x)"
-        for controller, result in measured.items()
-    }
-    return {"": name, **cells, "MiB": f"{max(result['memory_mib'][size] for result in measured.values()):,.0f}"}
+        for size in results[0]["batch"]:
+            row = {"": f"batch of {size}"}
+            for name, one in measured.items():
+                row[name] = f"{one['batch'][size]:,.0f} ({one['batch'][size] / one['environment']:.1f}x)"
+            rows.append({**row, "MiB": f"{max(one['memory_mib'][size] for one in results):,.0f}"})
+        return grid(f"{scenario}: steps of the closed loop per second; batches on {devices}", rows)
+    forms, what = SEVERAL, "ms of a plan on one core, median (p99)"
+    if "plan_us" in results[0]:
+        forms, what = (PEER if "peer_us" in results[0] else {}) | PLANS, "medians, on one core; us: microseconds"
+        mean = sum(one["plan_us"]["p50"] for one in results) / len(results)
+        for one in results:
+            if "peer_us" in one:
+                one["ratio"] = one["plan_us"]["p50"] / one["peer_us"]["p50"]
+            one["of_mean_plan"] = one["decision_us"] / mean
+    rows = [{"": name, **{key: form.format(**one) for key, form in forms.items()}} for name, one in measured.items()]
+    return grid(f"{scenario}: {what}", rows)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway.benchmarks.road.names import DRIVERS, SCENES, TRAFFIC, known_scenes
-from ms_highway.cli.console import Command, count_episodes, draw_unseen, print_tables
+from ms_highway.cli.console import add_command, count_episodes, draw_unseen, print_tables
 from ms_highway.cli.options import MOST_PROCESSES, MOST_SEEDS, add_number
 
 HELP = """\
@@ -49,9 +49,9 @@ COLUMNS = {
 """What tables show of a driver's figures, by heading."""
 
 
-def add_bench_road(bench: Command) -> None:
-    """Add the command ``road`` to the command ``bench``."""
-    parser = bench.add_branch("road", HELP, EXAMPLES)
+def add_bench_road(commands: Any) -> None:
+    """Add the command ``bench road`` to a parser's subparsers."""
+    parser = add_command(commands, "bench road", "measure drivers in highway-env's own scenes", HELP, EXAMPLES)
     parser.add_argument(
         "scenes", nargs="*", metavar="SCENE", help=f"stock environments, -v0 if not said (default: {' '.join(SCENES)})"
     )

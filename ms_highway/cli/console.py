@@ -3,8 +3,9 @@
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
@@ -13,34 +14,24 @@ if TYPE_CHECKING:
 
 TABLE_WIDTH = 120  # characters
 
-FORM: dict[str, Any] = {
-    "formatter_class": argparse.RawDescriptionHelpFormatter,
-    "allow_abbrev": False,  # --seed is no short form of --seeds
-}
-"""What the parsers of all commands have in common."""
-
 
 class Command(argparse.ArgumentParser):
-    """Parse the arguments of a command, or of a command of its own that its first argument names.
+    """Parse arguments, of which one word or two name a command.
 
-    argparse's subparsers do the latter only where such a name is required; here, the first argument may also be the
-    first of many.
+    Attributes:
+        names: of all commands, where this parser is that of several.
     """
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        self._branches: dict[str, argparse.ArgumentParser] = {}
-
-    def add_branch(self, name: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
-        """Add a command of its own; its description and epilog are printed as they are."""
-        self._branches[name] = Command(prog=f"{self.prog} {name}", description=description, epilog=epilog, **FORM)
-        return self._branches[name]
+    names: Collection[str] = ()
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse arguments, without the first if that names a command of its own."""
-        if args and args[0] in self._branches:
-            return self._branches[args[0]].parse_known_args(args[1:], namespace)
-        return super().parse_known_args(args, namespace)
+        """Parse arguments; two words that name a command become one."""
+        words = list(args)
+        for place, pair in enumerate(pairwise(words)):
+            if " ".join(pair) in self.names:
+                words[place : place + 2] = [" ".join(pair)]
+                break
+        return super().parse_known_args(words, namespace)
 
     def error(self, message: str) -> NoReturn:
         """Refuse arguments in one line.
@@ -53,7 +44,9 @@ class Command(argparse.ArgumentParser):
 
 def add_command(commands: Any, name: str, summary: str, description: str, epilog: str = "") -> Command:
     """Add a command to a parser's subparsers; its description and epilog are printed as they are."""
-    return commands.add_parser(name, help=summary, description=description, epilog=epilog, **FORM)
+    form = argparse.RawDescriptionHelpFormatter
+    own = {"help": summary, "description": description, "epilog": epilog}
+    return commands.add_parser(name, formatter_class=form, allow_abbrev=False, **own)  # --seed is not short for --seeds
 
 
 def draw_unseen() -> None:

@@ -12,10 +12,13 @@ from importlib.metadata import version
 from typing import Any
 
 from ms_highway.cli.bench import add_bench
+from ms_highway.cli.bench_road import add_bench_road
 from ms_highway.cli.compare import add_compare
 from ms_highway.cli.console import Command, printing
 from ms_highway.cli.frontier import add_frontier
-from ms_highway.cli.irl import add_irl
+from ms_highway.cli.irl.evaluate import add_evaluate
+from ms_highway.cli.irl.fit import add_fit
+from ms_highway.cli.irl.record import add_record
 from ms_highway.cli.report import add_report
 from ms_highway.cli.sweep import add_sweep
 from ms_highway.cli.validate import add_validate
@@ -105,7 +108,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")
     parser.set_defaults(simulates=False)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=Command)
-    everyday = add_compare, add_sweep, add_frontier, add_video, add_report, add_bench, add_validate
-    for add in (*everyday, add_irl, add_values):
+    parser.names = commands.choices
+    driving = add_compare, add_sweep, add_frontier, add_video, add_report, add_bench, add_bench_road, add_validate
+    for add in (*driving, add_values, add_record, add_fit, add_evaluate):
         add(commands)
     return parser

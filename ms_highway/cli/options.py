@@ -6,6 +6,7 @@ Only the functions that run a command import what computes: help needs neither J
 import argparse
 import json
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,7 +71,7 @@ def number(least: float, most: float = MOST, kind: type = int) -> Callable[[str]
             value = float("nan")
         if not least <= value <= most:
             whole = "whole " if kind is int else ""
-            raise argparse.ArgumentTypeError(f"{text!r} is no {whole}number from {least:g} to {most:g}")
+            raise argparse.ArgumentTypeError(f"{text!r} is no {whole}number from {least:,} to {most:,}")
         return value
 
     return read
@@ -209,7 +210,7 @@ def comparison(
 
 
 def lambdas(text: str) -> list[float]:
-    """Return the lambdas that an option gives: a range, or several with commas between them.
+    """Return the lambdas that a word of an option gives: one, or a range.
 
     A range is ``LOW:HIGH:COUNT``, evenly spaced in the logarithm and rounded to three significant digits, which make
     short names of controllers.
@@ -220,46 +221,17 @@ def lambdas(text: str) -> list[float]:
     """
     import numpy as np
 
-    try:
-        if ":" in text:
-            low, high, count = text.split(":")
-            if not 0 < float(low) < float(high) < np.inf or not 2 <= int(count) <= MOST_LAMBDAS:
-                raise ValueError
+    values = []
+    with suppress(ValueError):
+        low, _, rest = text.partition(":")
+        high, _, count = rest.partition(":")
+        if not rest:
+            values = [abs(float(low)) if float(low) == 0 else float(low)]
+        elif 1 < int(count) <= MOST_LAMBDAS:
             values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
-            if len(set(values)) < int(count):
-                raise ValueError
-        else:
-            values = [float(part) for part in text.split(",")]
-            if not all(0 <= value < np.inf for value in values):
-                raise ValueError
-    except ValueError:
+    if not values or len(set(values)) < len(values) or not all(0 <= value < np.inf for value in values):
         remedy = (
-            "give LOW:HIGH:COUNT with 0 < LOW < HIGH and two or more that differ in three digits, such as 0.001:10:25, "
-            "or lambdas like 0.1,0.5"
+            "give a number like 0.1, or LOW:HIGH:COUNT with numbers that differ in three digits, such as 0.001:10:25"
         )
-        raise argparse.ArgumentTypeError(f"lambdas are {text!r}; {remedy}") from None
-    return list(dict.fromkeys(abs(value) for value in values))  # also of -0
-
-
-def check_least(options: argparse.Namespace, **least: int) -> None:
-    """Check numbers that options give, by name, against the least that they may be.
-
-    Raises:
-        ValueError: naming an option whose number is smaller.
-    """
-    for name, bound in least.items():
-        value = getattr(options, name)
-        if value is not None and value < bound:
-            raise ValueError(f"--{name.replace('_', '-')} is {value}; it must be {bound} or more")
-
-
-def check_most(options: argparse.Namespace, **most: int) -> None:
-    """Check numbers that options give, by name, against the most that they may be.
-
-    Raises:
-        ValueError: naming an option whose number is larger.
-    """
-    for name, bound in most.items():
-        value = getattr(options, name)
-        if value is not None and value > bound:
-            raise ValueError(f"--{name.replace('_', '-')} is {value}; it must be {bound} or less")
+        raise argparse.ArgumentTypeError(f"lambdas are {text!r}; {remedy}")
+    return values

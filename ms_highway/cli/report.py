@@ -19,8 +19,8 @@ further such directories, the page has the outcomes beside those of the first. I
 
 With --values, a section shows what a file of learned values holds, and what the values see: what each model is worth
 along an episode that they choose for at a price of 1, and by where the human starts; in the scenarios of the page, or
-in those that they were learned in. With --evaluation, --theta and --data, a section shows how well drivers that were
-learned from recordings predict: errors, likelihood and calibration by horizon, and paths. DIR may then be left out.
+in those that they were learned in. With --drivers, a section shows how well drivers that were learned from recordings
+predict: errors, likelihood and calibration by horizon, and paths. DIR may then be left out.
 
 With --markdown, print the table of the directories in Markdown instead."""
 
@@ -31,7 +31,7 @@ examples:
   ms-highway report results/merger --no-videos --out merger.html
   ms-highway report results/compare results/released --markdown
   ms-highway report --values shipped --out values.html
-  ms-highway report --evaluation evaluation.json --theta us101 --data recordings --out drivers.html"""
+  ms-highway report --drivers evaluation.json us101 recordings --out drivers.html"""
 
 
 def add_report(commands: Any) -> None:
@@ -39,9 +39,13 @@ def add_report(commands: Any) -> None:
     parser = add_command(commands, "report", "make a page of results", HELP, EXAMPLES)
     parser.add_argument("directories", nargs="*", type=Path, metavar="DIR", help="results of `ms-highway compare`")
     parser.add_argument("--values", metavar="FILE", help="of `ms-highway values learn`, or: shipped")
-    parser.add_argument("--evaluation", type=Path, metavar="FILE", help="what `ms-highway irl evaluate --json` prints")
-    parser.add_argument("--theta", metavar="FILE", help="a reward learned by `ms-highway irl fit`, or: us101")
-    parser.add_argument("--data", metavar="DIR", help="the recordings that paths are drawn of")
+    parser.add_argument(
+        "--drivers",
+        nargs=3,
+        metavar=("EVALUATION", "THETA", "DATA"),
+        help="what `ms-highway irl evaluate --json` printed, the reward that `irl fit` wrote (or: us101), and the "
+        "recordings, of which a few paths are drawn",
+    )
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="an .html file (default: report.html in the first DIR)"
     )
@@ -64,13 +68,10 @@ def _report(options: argparse.Namespace) -> None:
     from ms_highway.visualization.video import check_format
 
     directories = options.directories
-    drivers = options.evaluation, options.theta, options.data
     if not (options.out or directories):
         raise ValueError("there is neither DIR nor --out; name a directory of results, or a page to write")
-    if any(drivers) and not all(drivers):
-        raise ValueError("--evaluation, --theta and --data go together")
     out = options.out or directories[0] / "report.html"
-    if options.markdown and (options.out or options.values or any(drivers)):
+    if options.markdown and (options.out or options.values or options.drivers):
         raise ValueError("--markdown prints the table of the directories; leave the other options out")
     if out.suffix != ".html" or out.is_dir():
         raise ValueError(f"--out is {out}; name an .html file")
@@ -104,7 +105,7 @@ def _further(options: argparse.Namespace, several: "list[Results]", progress: "P
     if options.values:
         scenarios = dict.fromkeys(scenario for results in several for scenario in results.scenarios)
         further["Values of computation"] = drawn_values(options.values, list(scenarios), progress)
-    if options.evaluation:
-        section = drawn_drivers(options.evaluation, options.theta, options.data, progress)
-        further["Drivers learned from recordings"] = section
+    if options.drivers:
+        evaluation, theta, data = options.drivers
+        further["Drivers learned from recordings"] = drawn_drivers(Path(evaluation), theta, data, progress)
     return further

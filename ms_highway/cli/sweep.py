@@ -62,7 +62,7 @@ def _sweep(options: argparse.Namespace) -> None:
     except ModuleNotFoundError as error:
         raise ImportError(f"{error}; install the extra with: pip install 'ms-highway[sweep]'") from error
     from ms_highway.cli.results_directory import own_results, save_figures, write_table
-    from ms_highway.experiments.analysis.summary import sweep_summary
+    from ms_highway.experiments.analysis.summary import summary
     from ms_highway.runtime.peers import together
     from ms_highway.simulation.devices import use_devices
     from ms_highway.visualization.comparison import table
@@ -92,7 +92,7 @@ def _sweep(options: argparse.Namespace) -> None:
         count_episodes(counts, already, job.size(*job.own))
         episodes = module.read_sweep(job)
         if place == 0:
-            summaries = sweep_summary(episodes)
+            summaries = summary(episodes)
             write_table(summaries, options.out / "summary.csv")
             save_figures({f"{job.scenario}_curve": curve(summaries, job.scenario)}, options.out)
             print_tables(table(summaries, job.scenario))

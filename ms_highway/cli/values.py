@@ -1,4 +1,4 @@
-"""The command ``ms-highway values``: learn values of computation."""
+"""The command ``ms-highway values learn``."""
 
 import argparse
 from pathlib import Path
@@ -11,11 +11,7 @@ if TYPE_CHECKING:
     from ms_highway.experiments.values.learning import Learning
     from ms_highway.experiments.values.rollouts import Course
 
-HELP = (
-    "Learn when it pays to think: the value of planning with a more expensive model, for the controller learned:LAMBDA."
-)
-
-LEARN = """\
+HELP = """\
 Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. From states that episodes
 come through, every model of the ladder plans a step, and the rule that was learned so far chooses from there on;
 networks are fitted to what was earned and planned, and so on for some rounds. One file serves all lambdas from 0.001
@@ -29,7 +25,7 @@ starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts a
 of environments: all of those are held out. The same --seed gives the same values. Rollouts are kept beside the file
 until it is written: a run that was stopped or killed goes on when it is started again."""
 
-LEARN_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   ms-highway values learn merger give_way --out values.npz
   ms-highway compare merger --controllers tom learned:1:values.npz
@@ -45,14 +41,12 @@ SEVERAL: dict[str, Any] = {
     "states": (100, 100),
     "horizon": 25,
 }
-"""How values are learned among several humans, where that differs from the defaults of `Learning`."""
+"""How values are learned among several humans, where that differs from the defaults of ``Learning``."""
 
 
 def add_values(commands: Any) -> None:
-    """Add the command ``values`` with its subcommand to a parser's subparsers."""
-    values = commands.add_parser("values", help="learn when it pays to think", description=HELP)
-    subcommands = values.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    parser = add_command(subcommands, "learn", "learn values of computation", LEARN, LEARN_EXAMPLES)
+    """Add the command ``values learn`` to a parser's subparsers."""
+    parser = add_command(commands, "values learn", "learn values of computation: when it pays to think", HELP, EXAMPLES)
     names = ", ".join(SCENARIO_NAMES)
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: the paper's)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the values, such as values.npz")
@@ -61,7 +55,7 @@ def add_values(commands: Any) -> None:
     add_number(parser, "--states", None, states + "among several humans 100 in every round)")
     add_number(parser, "--rounds", None, "of rollouts and fits (default: 5; among several humans 2)", most=100)
     steps = "of a rollout (default: 20; among several humans 25)"
-    add_number(parser, "--horizon-steps", None, steps, most=100, metavar="STEPS")
+    add_number(parser, "--horizon-steps", None, steps, most=100, metavar="STEPS", dest="horizon")
     parser.add_argument(
         "--without",
         nargs="+",
@@ -129,22 +123,23 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     names, config = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS)), configuration(options)
     for name in names:
         environment_id(name)
-    alone = [name for name in names if not ENVIRONMENTS[name].scenario.streams]
-    several = not alone
-    if alone and len(alone) < len(names):
+    scenarios = [ENVIRONMENTS[name].scenario for name in names]
+    alone = [scenario.name for scenario in scenarios if not scenario.streams]
+    if 0 < len(alone) < len(names):
         raise ValueError(f"{alone[0]} has one human, other scenarios several; learn them in a file each")
-    if several and (options.generated or options.without):
-        raise ValueError("--generated and --without are for scenarios with one human")
-    if several:
+    if not alone:
+        if options.generated or options.without:
+            raise ValueError("--generated and --without are for scenarios with one human")
         given = config.get("costs", {})
         config["costs"] = given if isinstance(given, str) else {**COSTS, **given}
-    controllers = {name: [ENVIRONMENTS[name].scenario.ladder[0]] for name in names}
-    first = Comparison(controllers, 1, config=config)
-    solvers = list(dict.fromkeys(options.solvers or []))
-    comparisons = [replace(first, config={**config, "solver": solver}) for solver in solvers] or [first]
-    batches = [make_batch(comparison, name) for comparison in comparisons for name in names]
-    ladders = [batch.rungs for batch in batches]
-    models = [name for name in known_models(sum(ladders, [])) if any(name in ladder for ladder in ladders)]
+    solvers = [{"solver": solver} for solver in dict.fromkeys(options.solvers or [])]
+    batches = [
+        make_batch(Comparison({scenario.name: scenario.ladder[:1]}, 1, config={**config, **solver}), scenario.name)
+        for solver in solvers or [{}]
+        for scenario in scenarios
+    ]
+    used = {name for batch in batches for name in batch.rungs}
+    models = [name for name in known_models(used) if name in used]
     if any(starts_warm(human_model(name)) for name in models):
         why = f"the ladder {' '.join(models)} plans from the rest of the last plan"
         raise ValueError(f"{why}, which rollouts do not have; leave +warm out of the ladder")
@@ -154,27 +149,31 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
             batch.scenario if len(solvers) < 2 else f"{batch.scenario} ({batch.comparison.config['solver']})",
             batch.loop,
             batch.environment.draw_episode,
-            round(DECIDED * batch.steps) if several else batch.steps,
+            batch.steps if alone else round(DECIDED * batch.steps),
             tuple(map(models.index, batch.rungs)),
         )
         for batch in batches
     ]
-    settings = {**first.common_config(), **({"solver": solvers} if solvers else {}), "scenarios": names}
-    settings |= {name: getattr(options, name) for name in ("generated", "seed", "without")}
-    own = dict(SEVERAL) if several else {}
+    own = {"rounds": options.rounds, "horizon": options.horizon, "states": None}
     if options.states:
-        own |= {"states": (options.states, options.states if several else -(-options.states * 5 // 8))}
-    own |= {"rounds": options.rounds} if options.rounds else {}
-    own |= {"horizon": options.horizon_steps} if options.horizon_steps else {}
+        own["states"] = options.states, -(-options.states * 5 // 8) if alone else options.states
+    settings = batches[0].comparison.common_config() | {"versions": this_run()["versions"]}
+    settings |= {"solver": [each["solver"] for each in solvers]} if solvers else {}
+    settings |= {name: getattr(options, name) for name in ("scenarios", "generated", "seed", "without")}
     learning = Learning(
         {name: costs[name] for name in models},
         without=tuple(options.without),
         seed=options.seed,
-        settings={**settings, "versions": this_run()["versions"]},
-        **own,
+        settings=settings | {"scenarios": names},
+        **({} if alone else SEVERAL) | {name: value for name, value in own.items() if value},
     )
     if options.generated:
-        environment = batches[0].environment.settings
-        build = lambda scenario: replace(batches[0].loop, game=environment.game(scenario))
-        courses += generated_courses(build, tuple(range(len(models))), options.generated, learning.stream(0))
+        game = batches[0].environment.settings.game
+        generated = generated_courses(
+            lambda scenario: replace(batches[0].loop, game=game(scenario)),
+            tuple(range(len(models))),
+            options.generated,
+            learning.stream(0),
+        )
+        courses += generated
     return learning, courses

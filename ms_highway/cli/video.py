@@ -38,19 +38,19 @@ def add_video(commands: Any) -> None:
 
 def _video(options: argparse.Namespace) -> None:
     from ms_highway.envs import ENVIRONMENTS, environment_id
+    from ms_highway.envs.short_names import controller_config
     from ms_highway.experiments.comparison import paper_controllers
     from ms_highway.visualization import video
     from ms_highway.visualization.side_by_side import side_by_side
 
     environment_id(options.scenario)
-    environment = ENVIRONMENTS[options.scenario]
     if options.width is not None:
-        video.check_width(options.width, environment.default_config()["screen_width"])
+        video.check_width(options.width, ENVIRONMENTS[options.scenario].default_config()["screen_width"])
     video.check_format(options.out)
     controllers = [options.controller or paper_controllers(options.scenario)[-1]]
     controllers += [options.against] if options.against else []
     for controller in controllers:
-        environment.controller_config(controller)
+        controller_config(controller)
     draw_unseen()
     config = configuration(options)
     films = [video.film(options.scenario, controller, options.seed, **config) for controller in controllers]

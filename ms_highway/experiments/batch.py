@@ -23,6 +23,7 @@ from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import read_own
 from ms_highway.envs.controllers import ControllerSettings, OrderSettings, Start
 from ms_highway.envs.settings import Settings
+from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import (
     CARS,
@@ -36,6 +37,7 @@ from ms_highway.game.scenario import REACHED
 from ms_highway.metareasoning.rule import Order, Rule, highest_gains
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import human_model, known_models
+from ms_highway.runtime.arrays import Array
 from ms_highway.simulation.devices import usual_chunk
 from ms_highway.simulation.loop import simulate
 from ms_highway.simulation.records import ALWAYS_YIELDS, DECIDES, NEVER_YIELDS, USUAL, Episodes, Loop, Records
@@ -111,17 +113,25 @@ class Batch:
         """
         if not keys:
             raise ValueError("there are no episodes to simulate; give one at least")
-        alike: dict[Any, list[int]] = {}
-        for place, (name, _) in enumerate(keys):
-            settings = self.controllers[name]
-            kind = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
-            alike.setdefault((kind if settings.chooses else None, settings.belief), []).append(place)
+        kinds = [self._kind(name) for name, _ in keys]
+        alike = [[place for place, other in enumerate(kinds) if other == kind] for kind in dict.fromkeys(kinds)]
         parts = []
-        for (kind, belief), places in alike.items():
-            loop = replace(self.loop, rule=self.rule(kind) if kind else self.loop.rule, belief=belief)
+        for places in alike:
+            settings, belief = kinds[places[0]]
+            loop = replace(self.loop, rule=self.rule(settings) if settings else self.loop.rule, belief=belief)
             parts.append(simulate(loop, self.episodes([keys[place] for place in places]), mesh))
-        order = np.argsort(np.concatenate(list(alike.values())))
+        order = np.argsort(np.concatenate(alike))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
+
+    def settings(self, controller: str) -> ControllerSettings:
+        """Return the settings of a controller of the comparison, or of an order of its models by any short name."""
+        return self.controllers.get(controller) or named_controller(controller)
+
+    def _kind(self, controller: str) -> tuple[ControllerSettings | None, bool]:
+        """Return what controllers have in common that are simulated together: no rule, or one at any lambda."""
+        settings = self.settings(controller)
+        anyway = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
+        return anyway if settings.chooses else None, settings.belief
 
     def rule(self, settings: ControllerSettings) -> Rule:
         """Return the rule of a controller that chooses models from the ladder.
@@ -142,7 +152,7 @@ class Batch:
         Raises:
             ValueError: for a negative seed.
         """
-        drawn = [self._drawn(self.controllers[name], seed) for name, seed in keys]
+        drawn = [self._drawn(self.settings(name), seed) for name, seed in keys]
         starts, prices, schedules, *others = (np.array(part) for part in zip(*drawn, strict=True))
         return Episodes(starts.astype(np.float32), prices.astype(np.float32), schedules.astype(np.int32), *others)
 
@@ -158,7 +168,7 @@ class Batch:
             rungs = np.broadcast_to(table[np.minimum(np.arange(self.steps), len(table) - 1)], shape)
         return start, np.nan_to_num(settings.price), rungs, self.loop.game.robot.weights, weights, yielding
 
-    def _cells(self, records: Records) -> dict[str, np.ndarray]:
+    def _cells(self, records: Records) -> dict[str, Array]:
         """Return columns of steps that episodes are summarised by, arrays [episodes, steps].
 
         These are ``model``, the name of the most expensive model in use; ``counted_seconds``, NaN where T is not
@@ -213,7 +223,7 @@ class Batch:
             "scenario": self.scenario,
             "controller": names,
             "seed": seeds,
-            "price": [self.controllers[name].price for name in names],
+            "price": [self.settings(name).price for name in names],
             "reward": np.mean(records.reward, axis=1, dtype=float),
             "counted_seconds": np.mean(counted, axis=1),
             **{share_column(name): np.mean(used == name, axis=1) for name in self.models},
@@ -254,7 +264,8 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     orders = [each for each in controllers.values() if isinstance(each, OrderSettings)]
     used = {name for order in orders for name in order.names()} - {model.name for model in settings[0].models}
     others = tuple(human_model(name) for name in known_models(used) if name in used)
-    order, yielding = Order(np.zeros((1, 1), np.int32), settings[0].models), settings[0].yielding != "usual"
+    order: Any = Order(np.zeros((1, 1), np.int32), settings[0].models)
+    yielding = settings[0].yielding != "usual"
     loop = Loop(environment.game, order, others, settings[0].way_out, yielding=yielding, chunk=usual_chunk())
     batch = Batch(comparison, environment, controllers, costs, loop)
     for each in controllers.values():

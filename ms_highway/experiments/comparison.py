@@ -58,7 +58,7 @@ class Comparison:
 
     def common_config(self) -> dict[str, Any]:
         """Return what all environments have in common and results are resumed under: `USUAL` and what was given."""
-        defaults = [ENVIRONMENTS[name].default_config() | {**self.config} for name in self.controllers]
+        defaults = [{**ENVIRONMENTS[name].default_config(), **self.config} for name in self.controllers]
         for config in defaults:
             config["human_reward"] = config["human_reward"] or HUMAN_REWARDS[config["semantics"]]
         usual = {key: value for key, value in defaults[0].items() if all(value == each[key] for each in defaults)}

@@ -15,6 +15,7 @@ from jax.sharding import Mesh
 
 from ms_highway.experiments.batch import Batch, Key
 from ms_highway.experiments.directory import cannot_resume
+from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.files import replacing
 
 ELITE = 0.15  # of the population: how many of the best orders the next ones are drawn like
@@ -70,7 +71,7 @@ class Outcomes:
         return self.table.loc[list(keys)]
 
 
-def controller_name(models: Sequence[str], order: np.ndarray) -> str:
+def controller_name(models: Sequence[str], order: Array) -> str:
     """Return the short name of the controller that plans with these models: ``schedule:tom=6,naive``, ``tom``.
 
     Models that differ between humans are named one by one: ``schedule:tom/naive=6,naive``.
@@ -123,7 +124,7 @@ def search(
     )
     even = np.full((shape[0], len(models)), 1 / len(models))
     tables = {(seed, price): even for seed in seeds for price in prices}
-    orders = dict[str, np.ndarray]()
+    orders = dict[str, Array]()
     tried: dict[int, dict[str, tuple[float, float]]] = {seed: {} for seed in seeds}  # reward, seconds per step
     leaders: dict[tuple[int, float], list[str]] = {}
     ascending = sorted(set(prices))
@@ -155,7 +156,7 @@ def search(
     yield rounds + 1
 
 
-def _first(shape: tuple[int, int], rungs: int) -> list[np.ndarray]:
+def _first(shape: tuple[int, int], rungs: int) -> list[Array]:
     """Return the orders of one rung up to some step and another one from there on."""
     ends = np.unique(np.round(np.geomspace(1, shape[0], SWITCHES)).astype(int))
     orders = []
@@ -165,7 +166,7 @@ def _first(shape: tuple[int, int], rungs: int) -> list[np.ndarray]:
     return orders
 
 
-def _next(random: np.random.Generator, table: np.ndarray, leader: np.ndarray, population: int) -> Iterator[np.ndarray]:
+def _next(random: np.random.Generator, table: Array, leader: Array, population: int) -> Iterator[Array]:
     """Yield orders that are drawn from a table of probabilities, and mutants of the best one so far."""
     steps, humans = leader.shape
     mutants, bounds = round(MUTANTS * population), table.cumsum(axis=-1)[:, :-1]

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Sequence
 
-import numpy as np
 import pandas as pd
 
 from ms_highway.envs import ENVIRONMENTS
@@ -111,9 +110,3 @@ def common_seeds(records: pd.DataFrame, scenario: str, controllers: Sequence[str
     rows = records[records["scenario"] == scenario]
     driven = (set(rows.loc[rows["controller"] == name, "seed"].tolist()) for name in controllers)
     return sorted(set.intersection(*driven))
-
-
-def switches(episode: pd.DataFrame) -> list[int]:
-    """Return the first step of an episode, and those that were planned with another model than the step before."""
-    models = episode["model"].to_numpy()
-    return [0, *(np.flatnonzero(models[1:] != models[:-1]) + 1).tolist()]

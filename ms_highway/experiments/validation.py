@@ -26,6 +26,7 @@ from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switchi
 from ms_highway.planning.compiled_plans import CompiledPlans, Costs
 from ms_highway.planning.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, ladder
 from ms_highway.planning.plans import Plan
+from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import jit_quickly
 
 SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY)}
@@ -82,7 +83,7 @@ def validate_file(file: Path) -> dict[str, Any]:
     return report
 
 
-def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
+def read_episodes(file: Path) -> tuple[str, dict[str, Array]]:
     """Return scenario and arrays of a reference file, checked.
 
     Raises:
@@ -124,7 +125,7 @@ def read_episodes(file: Path) -> tuple[str, dict[str, np.ndarray]]:
     return scenario, episodes
 
 
-def _arrays(file: Path) -> dict[str, np.ndarray]:
+def _arrays(file: Path) -> dict[str, Array]:
     """Return the arrays of a reference file, as far as they can be read safely."""
     if not file.is_file():
         raise ValueError("it is a directory or a device")
@@ -139,12 +140,12 @@ def _arrays(file: Path) -> dict[str, np.ndarray]:
 _rewards = jit_quickly(reward)
 
 
-def _first_controls(model: HumanModel, game: Game, states: State) -> np.ndarray:
+def _first_controls(model: HumanModel, game: Game, states: State) -> Array:
     plans = CompiledPlans(game, (model,))
     return np.array([plans.plan(state, [0])[0].robot[0] for state in states])
 
 
-def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> dict[str, int]:
+def _decisions(game: Game, episodes: Mapping[str, Array], price: float) -> dict[str, int]:
     """Count the choices that agree with the logged ones, each taken from the logged step before it."""
     names = [PAPER_MODELS[index] for index in episodes["ladder"]]
     costs = Costs.of([PUBLISHED_COSTS[name] for name in names], 1)
@@ -159,10 +160,10 @@ def _decisions(game: Game, episodes: Mapping[str, np.ndarray], price: float) -> 
 
 
 @jit_quickly
-def _choices(switching: Switching, game: Game, rungs: Any, *happened: Any) -> jax.Array:
+def _choices(switching: Switching, game: Game, rungs: Any, *happened: Any) -> Array:
     """Return the rung that is chosen after each step, each of which was driven with the logged one."""
 
-    def choose(memory: Memory, step: tuple[jax.Array, ...]) -> tuple[Memory, jax.Array]:
+    def choose(memory: Memory, step: tuple[Array, ...]) -> tuple[Memory, Array]:
         rung, state, robot, human, earned = step
         plan = Plan(robot[None], human[None, None])  # not looked at
         outcome = Outcome(state, state, robot, human[None], earned, plan)
@@ -173,5 +174,5 @@ def _choices(switching: Switching, game: Game, rungs: Any, *happened: Any) -> ja
     return jax.lax.scan(choose, first, (rungs, *happened))[1]
 
 
-def _quantiles(errors: np.ndarray) -> dict[str, float]:
+def _quantiles(errors: Array) -> dict[str, float]:
     return {name: float(np.quantile(errors, share)) for name, share in QUANTILES.items()}

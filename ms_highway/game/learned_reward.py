@@ -130,7 +130,7 @@ def commuter_weights() -> dict[str, float]:
     """Return weights, by name, of who drives with the traffic: learned on US-101, in units of log-probability.
 
     Those that matter in a lane are learned seconds ahead, see `ms_highway.irl.seconds_ahead`. Those of leaving the
-    lane, the road, and of collisions are the paper's: the recordings tell little about them.
+    lane, the road, and of collisions are the paper's: the recordings say little about them.
     """
     learned = shipped("us101")
     kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}

@@ -8,8 +8,6 @@ from jaxtyping import Float
 
 from ms_highway.game.reward import COMFORT, weight_names
 
-__all__ = ["NO_GRADIENT", "PENALTIES", "RewardModel"]
-
 PENALTIES = ("collision_risk", "collision", "off_road")
 """Features with negative weights; all others are positive."""
 

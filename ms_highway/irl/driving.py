@@ -125,8 +125,8 @@ def shown_traits(drivers: Drivers, moment: Moments) -> Traits:
     prior, past, seen = drivers.prior, _seen(moment.past), jnp.isfinite(moment.past).all(axis=-1)
     speeds = past[..., 3]
     leader = jax.vmap(lambda states: _leader(moment, states, states, states[:, 1]))(past)
-    traits = Gaussian(jnp.zeros(3), jnp.diag(jnp.asarray(prior.deviations) ** 2))
-    traits = jax.tree.map(lambda part: jnp.broadcast_to(part, (past.shape[1], *part.shape)), traits)
+    cars = past.shape[1]
+    traits = Gaussian(jnp.zeros((cars, 3)), jnp.tile(jnp.diag(jnp.asarray(prior.deviations) ** 2), (cars, 1, 1)))
 
     def expected(logarithms: Traits, speed: Cars, leader: Leader) -> Scalar:
         usual = prior.traits(logarithms, moment.speed_limit)
@@ -147,7 +147,7 @@ def shown_traits(drivers: Drivers, moment: Moments) -> Traits:
 
 
 def lane_advantages(moment: Moments) -> tuple[CarStates, CarFlags]:
-    """Return `Intention`'s lane_advantages of the lanes to the left and right [cars, 2, 6], and whether these exist."""
+    """Return the ``lane_advantages`` of the lanes to the left and right [cars, 2, 6], and whether these exist."""
     states, centre = _seen(moment.past[-1]), _centre(moment, 0)
     _, y, heading, speed = states.T
     drift = speed * jnp.sin(heading)

@@ -31,7 +31,7 @@ MISS = 2.0  # m
 LEVELS = (50, 90, 99)
 """Percentages of probability in the predicted regions whose calibration is measured."""
 
-HORIZON = 3  # s, at which regimes are told apart
+HORIZON = 3  # s, at which regimes are distinguished
 LANE_CHANGE = 1.5  # m to the side
 HARD = 1.0  # m/s^2, on average
 SLOW = 5.0  # m/s

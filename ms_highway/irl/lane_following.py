@@ -126,12 +126,11 @@ def _past(moments: Moments) -> _Past:
     x, y, heading, speed = np.moveaxis(np.where(seen[..., None], past, past[:, -1:]), -1, 0)
     lanes = moments.lanes[moments.which]
     lane = lanes_of(lanes, y[:, -1:])
-    beside = np.clip(lane + SIDES, 0, lanes.shape[1] - 1)
-    centres, own = np.take_along_axis(lanes, beside, axis=1), np.take_along_axis(lanes, lane, axis=1)
-    exists = (SIDES == 0) | (np.sign(centres - own) == SIDES)
+    centres = np.take_along_axis(lanes, np.clip(lane + SIDES, 0, lanes.shape[1] - 1), axis=1)
+    exists = (SIDES == 0) | (centres != centres[:, :1])
     along = np.stack([x - x[:, -1:], speed * np.cos(heading)], axis=-1)
     across = np.stack([y, speed * np.sin(heading)], axis=-1)
-    parts = seen, along, across, np.where(exists, centres, own), exists, x[:, -1]
+    parts = seen, along, across, centres, exists, x[:, -1]
     return _Past(*(jnp.asarray(np.moveaxis(part, 0, -1)) for part in parts))
 
 

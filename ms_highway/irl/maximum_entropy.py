@@ -78,7 +78,7 @@ class Fit:
         model: the weights that were learned and those given.
         logarithms: of the learned weights' sizes, of the temperature T and, in a model with tails, of nu.
         covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior; if drivers are
-            told apart, `grouped_covariance`, as the windows of one driver are not independent.
+            given, `grouped_covariance`, as the windows of one driver are not independent.
         iterations: of the optimiser.
         log_likelihood: mean over the windows.
         weights: all of them, by name.

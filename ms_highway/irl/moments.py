@@ -110,16 +110,14 @@ def cut_moments(recordings: Sequence[Recording]) -> Moments:
         missing = cars - recording.states.shape[1]
         states = np.pad(recording.states, ((PAST, STEPS), (0, missing), (0, 0)), constant_values=np.nan)
         sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
-        road = np.float64(recording.lane_width), np.float64(recording.speed_limit)
+        road = lanes, recording.lane_width, recording.speed_limit
         begins = np.zeros((len(recording.states), cars), dtype=bool)
         for car in recording.drivers:
             seen = np.flatnonzero(recording.seen[:, car])
             begins[seen[0] : max(seen[-1] - SHORTEST + 1, 0) : APART, car] = True
         for time in np.flatnonzero(begins.any(axis=1)):
             past, future = np.split(states[time : time + PAST + 1 + STEPS], [PAST + 1])
-            rows.append(
-                Moments(past, future, sizes, lanes, *road, begins[time], track, np.int64(groups[recording.group]))
-            )
+            rows.append(Moments(past, future, sizes, *road, begins[time], track, groups[recording.group]))
     if not rows:
         raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {SHORTEST / 10:g} s")
     return jax.tree.map(lambda *parts: np.stack(parts), *rows)

@@ -79,28 +79,26 @@ def cut_windows(recordings: Sequence[Recording], steps: int) -> Windows:
     groups, rows, numbers = number_groups(recordings), [], itertools.count()
     for recording, lanes in zip(recordings, padded_lanes(recordings), strict=True):
         everyone = _coasting(recording.states)
-        for driver in map(int, recording.drivers):
-            track, number = track_of(recording, driver, PAPER_DYNAMICS), next(numbers)
-            seen_first = int(recording.seen[:, driver].argmax())
+        for driver in recording.drivers:
+            track, marks = track_of(recording, driver, PAPER_DYNAMICS), (next(numbers), groups[recording.group])
             scene = Scene(
                 lanes=lanes,
-                lane_width=float(recording.lane_width),
+                lane_width=recording.lane_width,
                 obstacles=np.empty((0, 2)),
                 obstacle_size=np.ones(2),
-                car_size=np.asarray(recording.sizes[driver], dtype=float),
+                car_size=recording.sizes[driver],
                 corner=0.5,
-                target_lane=float(lanes[0]),
+                target_lane=lanes[0],
                 length_unit=PAPER_UNIT,
             )
             for first in range(0, len(track.controls) - steps + 1, steps):
-                start, now = track.states[first], seen_first + first
+                start, now = track.states[first], recording.seen[:, driver].argmax() + first
                 present = recording.seen[now] & (np.arange(recording.states.shape[1]) != driver)
                 cars, taken = places(start, everyone[now], present, recording.lane_width)
                 paths = np.moveaxis(everyone[now + 1 : now + steps + 1, cars], 0, 1)
                 others = np.where(taken[:, None, None], paths, far_behind(start))
-                limit, controls = np.float64(recording.speed_limit), track.controls[first : first + steps]
-                marks = np.int64(number), np.int64(groups[recording.group])
-                rows.append(Windows(scene, limit, start, controls, others, *marks))
+                controls = track.controls[first : first + steps]
+                rows.append(Windows(scene, recording.speed_limit, start, controls, others, *marks))
     if not rows:
         raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {steps + 1} samples on end")
     return jax.tree.map(lambda *parts: np.stack(parts), *rows)

@@ -179,11 +179,12 @@ def check_rule(rule: "Rule | Order") -> None:
     strange = [model for model in rule.ladder if not hasattr(model, "plan")]
     if strange:
         raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
-    if isinstance(rule, Order) or not hasattr(rule, "costs"):
+    if isinstance(rule, Order) or getattr(rule, "costs", None) is None:
         return
     each = np.asarray(rule.costs.each)
     check_costs(rule)
-    if (np.asarray(rule.price) < 0).any() or (each < 0).any():
+    decides = any(part.name == "price" for part in fields(rule))
+    if (decides and not (np.asarray(rule.price) >= 0).all()) or (each < 0).any():
         message = f"the price is {rule.price} and the costs are {each.tolist()}"
         raise ValueError(f"{message}; neither may be negative")
 

@@ -12,8 +12,6 @@ from ms_highway.runtime.arrays import Matrix, Numbers, Scalar, Vector
 
 Influence: TypeAlias = Literal["exact", "damped"]
 
-"""Motion of one car over the steps of a plan, the fields of its `ms_highway.game.dynamics.Motion` stacked."""
-
 
 class Expansion(NamedTuple):
     """Expansion of a trajectory's reward to second order in its n ravelled controls.

@@ -144,7 +144,7 @@ def plan_function(ladder: tuple[HumanModel, ...], layout: Layout, fuses: bool = 
     Args:
         ladder: human models; with one human, the one that predicts it.
         layout: of the game.
-        fuses: whether to compile one kernel, of which calls of LAPACK (`eigh`, `solve`, `cholesky`) cannot be part.
+        fuses: whether to compile one kernel, of which calls of LAPACK (``eigh``, ``solve``) cannot be part.
     """
 
     def plan(numbers: Array, state: State, start: Array, rungs: Rungs | None = None) -> Array:

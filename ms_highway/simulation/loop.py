@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 from jax.sharding import Mesh
 from jaxtyping import Bool, Float, Int
@@ -176,9 +177,10 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
     """Plan every episode; with one human, compute only the models that some episode uses."""
 
     def planned(models: tuple[HumanModel, ...], now: _Now, own: _Own) -> Plan:
-        game = own.robots(loop.game)
-        warm = game.planner.persistent or any(map(starts_warm, models))
-        start = _warm_plan(now.robot, cold_start(game, now.state)) if warm else None
+        game, start, warm = own.robots(loop.game), None, np.array([starts_warm(model) for model in models])
+        if game.planner.persistent or warm.any():
+            left = game.planner.persistent | jnp.asarray(warm)[now.memory.rungs if len(warm) > 1 else 0].any()
+            start = _warm_plan(now.robot._replace(steps=left * now.robot.steps), cold_start(game, now.state))
         return plan_for(models, game, now.state, now.memory.rungs, start)
 
     if loop.game.number > 1:

@@ -45,7 +45,7 @@ class RoadView:
     Attributes:
         scene: `MAX_LANES` lanes, missing ones repeat the rightmost, and `MAX_OBSTACLES` obstacles, missing ones are far
             behind. The target lane is that of the route or else the nearest.
-        states: of the driver and its `neighbours`.
+        states: of the driver and its neighbours.
         cars: the neighbours, None where there is none.
         speed_limit: of the lane, reduced before bends [m/s].
         route: the driver's, from its present road on; without a route, this road only.

@@ -7,7 +7,7 @@ from matplotlib.colors import ListedColormap
 
 from ms_highway.envs.controllers import CHOOSING
 from ms_highway.envs.graphics import Color, model_color
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.short_names import controller_config
 from ms_highway.planning.human_models import is_model
 
 SHADES = {
@@ -39,7 +39,7 @@ def choosing_shades(kind: str) -> list[str]:
 
 def controller_colors(controllers: Sequence[str]) -> list[str]:
     """Return a model's own colour for a fixed model, shades of its kind's for one that chooses online, else greys."""
-    kinds = [kind if (kind := named_controller(name).type) in CHOOSING else "switching" for name in controllers]
+    kinds = [kind if (kind := controller_config(name)["type"]) in CHOOSING else "switching" for name in controllers]
     shades = {kind: cycle(choosing_shades(kind)) for kind in kinds}
     pairs = zip(controllers, kinds, strict=True)
     return [color_of(name) if is_model(name) else next(shades[kind]) for name, kind in pairs]

@@ -11,10 +11,10 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from rich.table import Table
 
 from ms_highway.envs.controllers import CHOOSING
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
-from ms_highway.planning.human_models import known_models
+from ms_highway.planning.human_models import PAPER_MODELS, known_models
 from ms_highway.visualization.colors import color_of, controller_colors, model_colors
 from ms_highway.visualization.tables import grid
 
@@ -44,18 +44,22 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     Planning has two columns: as decisions count it, at T(M), and as it was measured, if it was. Steps driven by
     fallback have a column if there are any, and success where there are several humans.
     """
-    rows, models = summaries[summaries["scenario"] == scenario], models_of(summaries, share_column)
+    rows = summaries[summaries["scenario"] == scenario]
+    models = [
+        name
+        for name in models_of(summaries, share_column)
+        if name in PAPER_MODELS or summaries[share_column(name)].any()
+    ]
     percent = [name for name in (*PERCENT, *map(share_column, models)) if name in rows]
     rows = rows.assign(**{name: 100 * rows[name] for name in percent})
     filled = {str(name) for name in rows if rows[name].notna().any()} | {"reward_low", "reward_high"}
-    if "fallbacks" in filled and not rows["fallbacks"].any():
-        filled.remove("fallbacks")
+    filled -= set() if "success" in filled else {"late", "cycle_ms_p50"}  # of interest where plans take long
+    filled -= set() if rows.get("fallbacks", rows["episodes"]).any() else {"fallbacks"}
     shares = f"{' / '.join(models)} %", " / ".join(f"{{{share_column(name)}:.0f}}" for name in models)
-    forms = [(heading, form) if form else shares for heading, form in FORMS.items()]
-    used = {
-        heading: form for heading, form in forms if {part[1] for part in Formatter().parse(form)} - {None} <= filled
-    }
-    texts = [{heading: form.format(**row) for heading, form in used.items()} for row in rows.to_dict("records")]
+    texts: dict[str, list[str]] = {}
+    for heading, form in ((heading, form) if form else shares for heading, form in FORMS.items()):
+        if {part[1] for part in Formatter().parse(form)} - {None} <= filled:
+            texts[heading] = [form.format(**row) for row in rows.to_dict("records")]
     return pd.DataFrame(texts).replace({"nan": "", "nan, nan": "one episode"})
 
 
@@ -104,7 +108,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     """
     rows = records[records["scenario"] == scenario]
     controllers = list(dict.fromkeys(rows["controller"]))
-    choosing = [name for name in controllers if named_controller(name).type in CHOOSING]
+    choosing = [name for name in controllers if controller_config(name)["type"] in CHOOSING]
     figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")
     heights = [2.5] + [1] * len(choosing)
     above, *panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from ms_highway.envs.controllers import FIXED_ORDERS
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.short_names import controller_config, named_controller
 from ms_highway.experiments.analysis.regret import frontier_curve
 from ms_highway.experiments.analysis.tradeoff import best_schedules, choosing, reference
 from ms_highway.game.scenario import title
@@ -68,7 +68,7 @@ def frontier(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Se
     rows, figure = behind[behind["scenario"] == scenario], Figure(figsize=(7, 4.4), layout="constrained")
     axes, means = figure.subplots(), ["reward", "counted_seconds"]
     shared = pd.DataFrame({name: table[name].unstack("seed")[list(seeds)].dropna().mean(axis=1) for name in means})
-    orders = shared[[named_controller(str(name)).type in FIXED_ORDERS for name in shared.index]]
+    orders = shared[[controller_config(str(name))["type"] in FIXED_ORDERS for name in shared.index]]
     found = rows[rows["kind"] == "search"].sort_values("counted_seconds", ascending=False)
     for points, form, color, label in (
         (orders, ".", SCHEDULE_COLOR, "other orders"),
@@ -112,5 +112,5 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
 def _points(axes: Axes, rows: pd.DataFrame, measure: str, form: str, color: str, label: str) -> None:
     """Draw controllers, with the intervals of their rewards where they have any."""
     reward = rows["reward"]
-    errors = [(rows.get(end, reward) - reward).abs().fillna(0) for end in ("reward_low", "reward_high")]
+    errors = [(rows.get(end, reward) - reward).abs().fillna(0).to_list() for end in ("reward_low", "reward_high")]
     axes.errorbar(rows[measure], reward, errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2)

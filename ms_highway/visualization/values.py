@@ -111,8 +111,10 @@ def drawn(
     """
     values = load_values(which)
     facts = {
-        "ladder": ", ".join(f"{name} {seconds:g} s" for name, seconds in zip(values.ladder, values.costs, strict=True)),
-        "lambda": f"{values.prices[0]:g} to {values.prices[1]:g}",
+        "ladder": ", ".join(values.ladder),
+        "over the": f"{values.baseline} model",
+        "costs, s": ", ".join(f"{seconds:g}" for seconds in values.costs),
+        "lambda": " to ".join(f"{price:g}" for price in values.prices),
     }
     facts |= {name: str(value) for name, value in values.provenance.items() if name not in facts}
     figures = {}

@@ -11,7 +11,6 @@ import re
 from pathlib import Path
 
 import pandas as pd
-from ms_highway.visualization.tables import markdown
 
 from ms_highway.benchmarks.road.names import DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.controllers import FIXED_ORDERS
@@ -19,6 +18,7 @@ from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.visualization.overview import overview
+from ms_highway.visualization.tables import markdown
 
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
@@ -68,6 +68,7 @@ def comparison(run: str) -> Results:
     return Results(Path(run), pd.DataFrame(), kept_table("summary", run), made["settings"], made["provenance"])
 
 
+def kept_table(name: str, run: str) -> pd.DataFrame:
     """A run's rows of a kept table."""
     table = pd.read_csv(KEPT / f"{name}.csv")
     own = table[table["run"] == run].drop(columns="run").reset_index(drop=True)
@@ -76,20 +77,21 @@ def comparison(run: str) -> Results:
 
 def tables() -> dict[str, str]:
     """The tables of the pages in Markdown, by the name that stands in the comment above each."""
+    compare = comparison("compare")
+    rows, limits = overview([compare]), overview([comparison(run) for run in LIMITS])
+    shown = [name in SHOWN[scenario] for scenario, name in zip(rows["scenario"], rows["controller"], strict=True)]
+    cells = {
+        "shown": rows[shown],
+        "semantics": overview([compare, comparison("released")]),
+        "human rewards": overview([compare, comparison("published")]),
+        "worth": overview([comparison("worth")]),
+        "crowd": overview([comparison("crowd")]),
+        "crowd peers": overview([comparison("crowd_peers")]),
+        "limits": limits.drop(columns=[name for name in limits if "collision" not in name][2:]),
+        "regrets": regret_cells(kept_table("regrets", "frontier")),
+        **{name: road_cells(json.loads((KEPT / f"{name}.json").read_text())) for name in ROADS},
     }
     return {name: markdown(table) for name, table in cells.items()}
-
-
-def safety_cells(counts: pd.DataFrame) -> pd.DataFrame:
-    """Texts, a row per scenario and controller: episodes with a collision under each limit."""
-    bounds = zip(counts["omega"], counts["acceleration"], strict=True)
-    hits = counts["collision_episodes"].astype(str) + " of " + counts["episodes"].astype(str)
-    limits = [f"{omega:g} 1/m and {acceleration:g} m/s²" for omega, acceleration in bounds]
-    wide = counts.assign(hits=hits, limit=limits).pivot(
-        index=["scenario", "controller"], columns="limit", values="hits"
-    )
-    rows = list(dict.fromkeys(zip(counts["scenario"], counts["controller"], strict=True)))
-    return wide.loc[rows, list(dict.fromkeys(limits))].fillna("").reset_index()
 
 
 def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:

@@ -223,7 +223,12 @@ def test_without_controllers_the_ladder_and_switching_are_compared_at_the_lambda
         return comparison(build_parser().parse_args(["compare", "merger", *arguments])).controllers["merger"]
 
     assert names() == ["naive", "turn", "tom", "switching:0.6", "switching:0.1"]
-    assert names("--set", "ladder=naive,tom", "--lambdas", "0.5,1") == ["naive", "tom", "switching:0.5", "switching:1"]
+    assert names("--set", "ladder=naive,tom", "--lambdas", "0.5", "1") == [
+        "naive",
+        "tom",
+        "switching:0.5",
+        "switching:1",
+    ]
     assert names("--controllers", "tom", "learned", "--lambdas", "0.01:1:3") == [
         "tom",
         *(f"learned:{price}" for price in ("0.01", "0.1", "1")),

@@ -12,12 +12,11 @@ from ms_highway.cli.irl import options as irl_options
 from ms_highway.cli.main import main
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.routes import DENSITIES
-from ms_highway.game.learned_reward import SHIPPED
 from ms_highway.irl.driving import Others
 from ms_highway.irl.learning import REAL, SIMULATED
 from ms_highway.planning.human_models import PAPER_MODELS
 
-COMMANDS = ["compare", "sweep", "frontier", "video", "report", "bench", "validate", "irl"]
+COMMANDS = ["compare", "sweep", "frontier", "video", "report", "bench", "validate"]
 SUBCOMMANDS = [["bench", "road"], ["values", "learn"], *(["irl", name] for name in ("record", "fit", "evaluate"))]
 
 
@@ -55,7 +54,6 @@ def test_the_names_in_help_texts_are_those_that_are_known():
     assert tuple(ENVIRONMENTS) == options.SCENARIO_NAMES
     assert get_args(Others) == irl_options.OTHERS
     assert tuple(DENSITIES) == irl_options.DENSITY_NAMES
-    assert irl_options.REAL_DRIVERS_HELP.split()[-1] in SHIPPED
     assert REAL.learned == irl_options.REAL_WEIGHTS
     assert SIMULATED.learned == irl_options.SIMULATED_WEIGHTS
     assert tuple(options.CONTROLLERS.split(", ")[: len(PAPER_MODELS)]) == tuple(PAPER_MODELS)

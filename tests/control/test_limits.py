@@ -1,21 +1,22 @@
 """Limits hold for what is executed, whoever planned it: bounds of each control, and what tyres hold in all."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import ClassVar
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
-from ms_highway.control.fixed import FixedModel
-from ms_highway.envs.merger import MergerEnv
-from ms_highway.experiments.simulated import simulated
 
-from ms_highway.envs import SCENARIOS
-from ms_highway.envs.settings import Settings, merged
+from ms_highway.control.driver import fixed
+from ms_highway.envs import PAPER_SCENARIOS, MergerEnv
+from ms_highway.envs.configuration import read_own
+from ms_highway.envs.settings import Settings
+from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.planning.human_models import MODELS, JointPlan, Naive, plan_within_limits, register
+from ms_highway.planning.human_models import MODELS, Naive, register
+from ms_highway.planning.plans import Plan, within_limits
 from ms_highway.runtime.compilation import jit_quickly
 
 GRIP = 8.0  # m/s^2
@@ -31,7 +32,7 @@ class Reckless(Naive):
 
     def plan(self, game, state, start=None):
         plan = super().plan(game, state, start)
-        return JointPlan(plan.robot + self.excess, plan.human)
+        return Plan(plan.robot + self.excess, plan.humans)
 
 
 @pytest.fixture
@@ -44,7 +45,7 @@ def reckless():
 @pytest.mark.parametrize("grip", [None, GRIP])
 def test_a_plan_of_a_users_model_is_executed_within_the_limits(played, grip):
     game, state = played("merger", control_limit=(0.05, 6.0), grip=grip)
-    step = FixedModel(game, Reckless()).step(np.asarray(state))
+    step = fixed(game, Reckless()).step(np.asarray(state))
     assert step.status == "planned"
     assert (abs(step.plan) <= np.array([0.05, 6.0]) * 1.0001).all()
     assert grip is None or held_by(step.control, float(state[0, 3])) <= GRIP * 1.0001
@@ -63,29 +64,35 @@ class Paired(Naive):
 
 def test_a_users_model_may_return_a_plain_pair(played):
     game, state = played("merger")
-    plans = [FixedModel(game, model).step(np.asarray(state)).plan for model in (Paired(), Naive())]
+    plans = [fixed(game, model).step(np.asarray(state)).plan for model in (Paired(), Naive())]
     np.testing.assert_allclose(*plans, rtol=1e-6)
 
 
 def test_a_users_plan_that_is_not_finite_fails_as_any_other_does(played):
     game, state = played("merger", control_limit=(0.05, 6.0))
     for excess in (np.inf, np.nan):
-        assert FixedModel(game, Reckless(excess=excess)).step(np.asarray(state)).status == "braking"
+        assert fixed(game, Reckless(excess=excess)).step(np.asarray(state)).status == "braking"
 
 
 @pytest.mark.parametrize("name", ["naive", "turn", pytest.param("tom", marks=pytest.mark.slow)])
 def test_plans_of_the_papers_models_are_left_as_they_are(played, name):
     game, state = played("merger", control_limit=(0.05, 6.0), grip=GRIP)
-    plans = [jit_quickly(plan)(game, state) for plan in (MODELS[name].plan, partial(plan_within_limits, MODELS[name]))]
-    np.testing.assert_array_equal(*plans)
+
+    def held(game, state):
+        return within_limits(game, state, MODELS[name].plan(game, state))
+
+    plans = [jit_quickly(plan)(game, state) for plan in (MODELS[name].plan, held)]
+    jax.tree.map(np.testing.assert_array_equal, *plans)
 
 
 @pytest.mark.slow
 def test_batches_keep_to_the_limits_as_environments_do(reckless):
     planning = {"control_limit": [0.05, 6.0], "grip": GRIP}
     costs, controllers = {"naive": 0.1, "reckless": 0.1}, ["naive", "reckless"]
-    comparison = Comparison({"merger": controllers}, seeds=2, costs=costs, ladder=["naive"], planning=planning)
-    envs = [make_environment("merger", name, costs=costs, **comparison.common_config()) for name in controllers]
+    comparison = Comparison(
+        {"merger": controllers}, seeds=2, config={"costs": costs, "ladder": ["naive"], "planning": planning}
+    )
+    envs = [make_environment("merger", name, **comparison.config) for name in controllers]
     expected = pd.DataFrame([record for env in envs for seed in range(2) for record in episode(env, seed)])
     found = simulated(comparison)
     np.testing.assert_allclose(found[STATES], expected[STATES], atol=0.05, rtol=0)
@@ -96,8 +103,9 @@ def test_batches_keep_to_the_limits_as_environments_do(reckless):
 @pytest.mark.parametrize("semantics", ["paper", "released"])
 def test_with_a_grip_no_car_of_the_papers_scenes_leaves_the_friction_circle(semantics):
     """From places and speeds: the path's curvature times v^2, and the change of speed."""
-    free = Comparison({"merger": ["naive", "tom"]}, 5, semantics, ladder=["naive", "tom"])
-    records = simulated(replace(free, planning={"grip": GRIP}))
+    config = {"semantics": semantics, "ladder": ["naive", "tom"]}
+    free = Comparison({"merger": ["naive", "tom"]}, 5, config=config)
+    records = simulated(replace(free, config=config | {"planning": {"grip": GRIP}}))
     for car in ("robot", "human"):
         assert accelerations(records, car).max() <= GRIP * 1.01
     if semantics == "paper":
@@ -119,11 +127,11 @@ def held_by(control, speed):
 
 
 def test_the_papers_scenes_do_not_look_at_the_grip_unless_they_are_asked_to():
-    for scenario in SCENARIOS:
+    for scenario in PAPER_SCENARIOS:
         env = make_environment(scenario, "naive").unwrapped
         assert env.game.planner.grip is None
-    asked = Settings.read(merged(MergerEnv.default_config(), {"grip": GRIP})).game(MergerEnv.scenario)
+    asked = read_own(Settings, MergerEnv.checked_config({"grip": GRIP})).game(MergerEnv.scenario)
     assert asked.planner.grip == np.float32(GRIP)
     for wrong in (0, -8, "much", np.nan, True, [8.0]):
         with pytest.raises(ValueError, match=r"config\['grip'\] is .*such as 8 on a dry road"):
-            merged(MergerEnv.default_config(), {"grip": wrong})
+            MergerEnv.checked_config({"grip": wrong})

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from roads import scene_of
 
-from ms_highway.control.drivers_seen import DriversSeen, _update_function
+from ms_highway.control.drivers_seen import DriversSeen, _functions
 from ms_highway.control.road import RoadDriver, _look_function, _plan_function
 from ms_highway.game.road import TRAFFIC
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
-from ms_highway.planning.road.scoring import RoadWeights
-from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+from ms_highway.planning.road.settings import RUNGS, RoadPlanning, RoadWeights
 
 PLANNING = RoadPlanning()
 COSTS = RoadCosts(0.004, np.array([0.0, 0.0001, 0.001, 0.003]))
@@ -144,7 +143,7 @@ def test_traits_are_learned_from_step_to_step_and_compiled_once():
     path = np.zeros((PLANNING.steps, 3), np.float32)
     seen = DriversSeen(traits=True, time_step=0.2)
     seen.prepare(SCENE, PLANNING.steps)
-    compiled = _update_function()._cache_size()
+    compiled = _functions()[1]._cache_size()
     first = seen.look(SCENE)
     seen.planned(first, path)
     second = seen.look(slower)
@@ -155,4 +154,4 @@ def test_traits_are_learned_from_step_to_step_and_compiled_once():
     assert third.traits.speed[1] != second.traits.speed[1]
     seen.planned(third, path[:0])  # a plan that failed
     np.testing.assert_array_equal(seen.look(SCENE).traits.speed, first.traits.speed)
-    assert _update_function()._cache_size() == compiled
+    assert _functions()[1]._cache_size() == compiled

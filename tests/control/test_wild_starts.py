@@ -5,16 +5,16 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
-from ms_highway.control.fixed import FixedModel
-from ms_highway.control.switching import ModelSwitching
 
+from ms_highway.control.driver import Driver, fixed
 from ms_highway.control.fallback import DECELERATION, brake, braking_control
 from ms_highway.envs import SCENARIOS
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import PHYSICAL_LIMIT
 from ms_highway.metareasoning.rule import PUBLISHED_COSTS
 from ms_highway.metareasoning.switching import Switching
-from ms_highway.planning.human_models import MODELS, ladder
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import ladder
 
 STARTS = 100
 LIMIT = np.array(PHYSICAL_LIMIT)
@@ -35,7 +35,7 @@ def wild(scenario, played):
 def check(step):
     assert step.status == "planned"
     assert np.isfinite(step.plan).all()
-    assert np.isfinite(step.human).all()
+    assert np.isfinite(step.humans).all()
     assert (abs(step.plan) <= LIMIT * (1 + 1e-6)).all()
 
 
@@ -43,7 +43,7 @@ def check(step):
 def test_every_model_plans_finite_controls_within_the_limits_from_wild_starts(scenario, wild):
     game, starts = wild
     for model in ladder(SCENARIOS[scenario].ladder):
-        controller = FixedModel(game, model)
+        controller = fixed(game, model)
         for start in starts:
             check(controller.step(start))
 
@@ -53,18 +53,20 @@ def test_switching_goes_on_from_wild_starts(scenario, wild):
     """Five steps from every start, the human driving at random: enough to go up and all the way down."""
     game, starts = wild
     rungs = ladder(SCENARIOS[scenario].ladder)
-    controller = ModelSwitching(game, Switching(np.array([PUBLISHED_COSTS[model.name] for model in rungs]), 0.1, rungs))
+    controller = Driver(
+        game, Switching(Costs(0.0, np.array([PUBLISHED_COSTS[model.name] for model in rungs])), 0.1, rungs)
+    )
     random, models, estimated = np.random.default_rng(1), set(), set()
     for state in starts:
         controller.reset()
         for _ in range(5):
             step = controller.step(state)
             check(step)
-            models.add(step.model)
-            estimated |= set(step.gains)
+            models |= {*step.models}
+            estimated |= {name for name, gain in zip(step.ladder, step.gains[0], strict=True) if np.isfinite(gain)}
             controls = np.zeros((len(state), 2))
             controls[:2] = step.control, random.normal(0, LIMIT / 3)
-            state = move(game.world, state, controls)
+            state = move(game.dynamics, state, controls)
     assert models == set(SCENARIOS[scenario].ladder)
     assert estimated == models
 
@@ -94,13 +96,13 @@ def test_braking_is_finite_and_within_the_limits_in_any_finite_state(played, sem
 
 def test_controls_are_finite_in_any_state_that_is_so_in_single_precision_and_others_are_refused(played, semantics):
     game, state = played("merger", semantics=semantics)
-    controller, random = FixedModel(game, MODELS["naive"]), np.random.default_rng(3)
+    controller, random = fixed(game), np.random.default_rng(3)
     for states in absurd_states(300, len(state), 38):
         wild = np.where(random.random(states.shape) < 0.3, states, np.asarray(state))
         controller.reset()
         step = controller.step(wild)
         assert np.isfinite(step.plan).all()
-        assert np.isfinite(step.human).all()
+        assert np.isfinite(step.humans).all()
     for value in (1e39, -1e308):
         states = np.array(state, dtype=float)
         states[1, 3] = value

@@ -1,5 +1,6 @@
 """What configurations say, and what is said of wrong ones."""
 
+import re
 from dataclasses import replace
 
 import gymnasium as gym
@@ -47,7 +48,7 @@ WRONG = [
     ({"controller": {"type": "learned", "lambda": 1, "values": "none.npz"}}, "none.npz cannot be read"),
     ({"ladder": ["tom", "naive"]}, "cheapest first"),
     ({"ladder": []}, "impossible ladder"),
-    ({"ladder": "tom"}, "'tom' is one name"),
+    ({"ladder": "tom"}, "config['ladder'] is 'tom'; give a list of human models"),
     ({"costs": "free"}, "config['costs'] is 'free'; say 'published', 'measured', or give seconds"),
     ({"costs": {"naive": 0.1}}, "config['costs'] has no seconds for 'turn'"),
     ({"costs": {"naive": -0.1, "turn": 1, "tom": 1}}, "config['costs']['naive'] is -0.1; say 'published'"),
@@ -93,9 +94,8 @@ def make(scenario=PAIR, **config):
 @pytest.mark.parametrize(("config", "message"), WRONG)
 def test_a_wrong_configuration_is_refused_with_key_value_and_remedy(config, message):
     for scenario in (PAIR, SEVERAL):
-        with pytest.raises(ValueError) as refused:
+        with pytest.raises(ValueError, match=re.escape(message)):
             ENVIRONMENTS[scenario].checked_config(config)
-        assert message in str(refused.value)
 
 
 def test_one_human_is_one_and_streams_have_several():
@@ -114,7 +114,7 @@ def test_numpys_numbers_count_as_numbers():
 def test_the_demonstration_refuses_what_it_has_not():
     for config, message in (
         ({"density": "empty"}, "choose one of 'sparse', 'medium', 'dense'"),
-        ({"action": {"type": "Autopilot"}}, "'action'.* here it must be 'ContinuousAction'"),
+        ({"action": {"type": "Autopilot"}}, "'action'.*its 'type' must be one of ContinuousAction"),
     ):
         with pytest.raises(ValueError, match=message):
             DemonstrationEnv.checked_config(config)
@@ -191,9 +191,8 @@ def test_a_short_name_stands_for_a_configuration(text, config):
     ],
 )
 def test_what_is_no_short_name_is_refused_with_an_example(text, message):
-    with pytest.raises(ValueError) as refused:
+    with pytest.raises(ValueError, match=re.escape(message)):
         controller_config(text)
-    assert message in str(refused.value)
 
 
 @pytest.mark.parametrize("name", ["merger", "dense_merge", "Zipper", "two words"])

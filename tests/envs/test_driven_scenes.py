@@ -12,7 +12,13 @@ from ms_highway.vehicle.road_robot import RoadRobot
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
-UNDRIVABLE = ("parking-v0", "parking-ActionRepeat-v0", "parking-parked-v0", "lane-keeping-v0", "ms-highway/merger-v0")
+VALUES = "DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN"
+
+
+def made(name, **config):
+    env = gym.make(name, config=config)
+    env.reset(seed=0)
+    return env
 
 
 @pytest.mark.parametrize(
@@ -28,25 +34,21 @@ UNDRIVABLE = ("parking-v0", "parking-ActionRepeat-v0", "parking-parked-v0", "lan
     ],
 )
 def test_where_to_and_how_fast_is_what_the_scene_asks_for(name, destination, speed):
-    env = gym.make(name)
-    env.reset(seed=0)
-    assert (destination_of(env), desired_speed_of(env)) == (destination, speed)
+    assert (destination_of(made(name)), desired_speed_of(made(name))) == (destination, speed)
 
 
 def test_a_destination_that_is_drawn_is_the_end_of_the_route():
-    env = gym.make("intersection-v0", config={"destination": None})
-    found = set()
+    env, found = made("intersection-v0", destination=None), set()
     for seed in range(6):
         env.reset(seed=seed)
-        assert destination_of(env) == env.unwrapped.vehicle.route[-1][1]
         found.add(destination_of(env))
+        assert destination_of(env) == env.unwrapped.vehicle.route[-1][1]
     assert len(found) > 1
 
 
 @pytest.mark.parametrize("config", [{}, {"action": {"type": "ContinuousAction"}}])
 def test_another_vehicle_takes_the_place_of_the_controlled_one(config):
-    env = gym.make("intersection-v0", config=config).unwrapped
-    env.reset(seed=0)
+    env = made("intersection-v0", **config).unwrapped
     old, place, observed = env.vehicle, env.road.vehicles.index(env.vehicle), env.observation_type.observe()
     new = replace_ego(env, RoadRobot.create_from)
     assert env.vehicle is env.road.vehicles[place] is env.action_type.controlled_vehicle is new
@@ -57,13 +59,9 @@ def test_another_vehicle_takes_the_place_of_the_controlled_one(config):
 
 
 def test_what_an_intersection_does_to_highway_envs_drivers_is_undone_in_other_scenes():
-    values = "DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN"
-    env = ms_highway.drive(gym.make("intersection-v0"))
-    env.reset(seed=0)
-    assert [getattr(IDMVehicle, value) for value in values] == [7, 6, -3]
-    merge = ms_highway.drive(gym.make("merge-v0"))
-    merge.reset(seed=0)
-    assert [getattr(IDMVehicle, value) for value in values] == [10.0, 3.0, -5.0]
+    for name, expected in (("intersection-v0", [7, 6, -3]), ("merge-v0", [10.0, 3.0, -5.0])):
+        ms_highway.drive(gym.make(name)).reset(seed=0)
+        assert [getattr(IDMVehicle, value) for value in VALUES] == expected
 
 
 def test_what_others_have_set_in_highway_envs_drivers_is_left_alone(monkeypatch):
@@ -77,17 +75,20 @@ def test_what_others_have_set_in_highway_envs_drivers_is_left_alone(monkeypatch)
     ("config", "message"),
     [
         ({"prize": 1.0}, "unknown key 'prize' in config; did you mean 'price'"),
-        ({"driver": "switching:cheap"}, "needs its price"),
+        ({"driver": "priced:cheap"}, "'priced:cheap'; it needs its price, such as priced:0.1"),
         ({"driver": "budget:-1"}, "needs its milliseconds"),
-        ({"driver": "fixed:nobody"}, "choose one of 'switching'"),
+        ({"driver": "fixed:nobody"}, "'fixed:nobody'; choose one of 'priced'"),
+        ({"driver": 3}, "is 3; choose one of 'priced'"),
+        ({"driver": "switching:2"}, "on roads, the choice by price is called 'priced:2'"),
         ({"driver": "fixed:tom", "ladder": ("naive", "idm")}, "add 'tom' to it"),
-        ({"driver": 3}, "choose one of 'switching'"),
-        ({"driver": "fixed:tom", "budget": 5}, "say 'switching'"),
+        ({"driver": "fixed:tom", "budget": 5}, "say 'priced'"),
         ({"ladder": ("tom", "naive")}, "in this order"),
-        ({"ladder": "naive"}, "in this order"),
-        ({"price": -1}, "from 0"),
-        ({"acceleration": 0}, "above 0"),
-        ({"desired_speed": float("nan")}, "above 0"),
+        ({"ladder": "naive"}, "'naive'; give rungs of naive, idm, turn, tom in this order"),
+        ({"costs": {"tim": 1}}, r"unknown key 'tim' in config\['costs'\]; did you mean 'tom'"),
+        ({"costs": {"naive": 1, "tom": -1}}, r"config\['costs'\]\['tom'\] is -1; give milliseconds from 0"),
+        ({"price": -1}, r"config\['price'\] is -1; it must be a number from 0"),
+        ({"acceleration": 0}, r"config\['acceleration'\] is 0; it must be a positive number"),
+        ({"desired_speed": float("nan")}, "is nan; it must be a positive number, or None"),
         ({"traits": "yes"}, r"config\['traits'\] is 'yes'; it must be True or False"),
         ({"belief": 1}, r"config\['belief'\] is 1; it must be True or False"),
         ("fast", "must be a dictionary"),
@@ -98,7 +99,7 @@ def test_an_impossible_configuration_is_refused(config, message):
         ms_highway.drive(gym.make("merge-v0"), config)
 
 
-@pytest.mark.parametrize("name", UNDRIVABLE)
+@pytest.mark.parametrize("name", ["parking-v0", "parking-ActionRepeat-v0", "lane-keeping-v0", "ms-highway/merger-v0"])
 def test_where_there_is_no_road_to_follow_the_error_says_what_works(name):
     with pytest.raises(ValueError, match=f"{name}.*the robot drives highway, merge, roundabout"):
         ms_highway.drive(gym.make(name))

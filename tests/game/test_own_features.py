@@ -1,45 +1,48 @@
-"""Features of one's own: in plans, decisions, environments, batches and commands, without a change of the package."""
+"""Features of one's own: in rewards, plans and decisions, without a change of the package."""
 
 import pickle
-import subprocess
-import sys
 from dataclasses import replace
-from importlib import import_module
-from pathlib import Path
 
-import gymnasium as gym
 import jax
 import numpy as np
-import pandas as pd
 import pytest
-from gymnasium.vector import AsyncVectorEnv
+from driving import simulated
 from jax import numpy as jnp
 
-from ms_highway import plan
-from ms_highway.envs import ENVIRONMENTS, SCENARIOS
-from ms_highway.envs.stage import evaluate
-from ms_highway.experiments.batch import simulated
-from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.game.features import features
 from ms_highway.game.game import move, swap_players, total_reward, trajectory_reward
 from ms_highway.game.reward import FEATURES, OWN_FEATURES, PAPER_FEATURES, add_feature, linear_reward, weight_names
 from ms_highway.game.scenario import build_game, driving_game
-from ms_highway.metareasoning.switching import _expand
+from ms_highway.game.scenarios import MERGER
+from ms_highway.metareasoning.rule import always
+from ms_highway.metareasoning.switching import Switching
 from ms_highway.optimization.second_derivatives import response
-from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
-from ms_highway.planning.human_models import TheoryOfMind
+from ms_highway.planning.compiled_plans import Costs, plan
+from ms_highway.planning.human_models import Naive, TheoryOfMind, ladder
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.packing import pack
+from ms_highway.simulation.records import Loop
 
 STEP = 1e-2  # of scaled controls, for differences in single precision
 
 
+def room(scene, own, others):
+    """Squared distance to the nearest car or cone in length units, softly: nearer ones count more."""
+    x, y = (
+        jnp.concatenate([ours, theirs])
+        for ours, theirs in ((others.x, scene.obstacles[:, 0]), (others.y, scene.obstacles[:, 1]))
+    )
+    squares = ((own.x - x) ** 2 + (own.y - y) ** 2) / scene.length_unit**2
+    return -jnp.log(jnp.sum(jnp.exp(-squares)))
+
+
 @pytest.fixture(scope="module")
 def roomy():
-    """The module of a user's, whose scenario and feature are forgotten afterwards."""
-    module = import_module("roomy")
-    yield module
-    del ENVIRONMENTS["roomy"], SCENARIOS["roomy"], OWN_FEATURES["room"], sys.modules["roomy"]
+    """Merger with a cone beside the road, and a robot that likes to have room."""
+    add_feature("room", room)
+    weights = {**MERGER.robot_weights, "room": 30.0}
+    yield build_game(replace(MERGER, cones=((0.4, 0.08),), robot_weights=weights))
+    del OWN_FEATURES["room"]
 
 
 @pytest.fixture(autouse=True)
@@ -49,6 +52,12 @@ def forgotten(roomy):
     yield
     OWN_FEATURES.clear()
     OWN_FEATURES.update(before)
+
+
+@pytest.fixture
+def close_cars(played):
+    """A start of Merger with the cars close to each other."""
+    return played("merger")[1].at[0, 0].add(-3.0)
 
 
 def differences(function, point):
@@ -62,103 +71,55 @@ def close(found, expected, tolerance):
     np.testing.assert_allclose(found, expected, atol=tolerance * np.abs(expected).max(), rtol=0)
 
 
-def started(played, horizon):
-    """The game of the user's scenario, a start with the cars close to each other, and controls of both."""
-    game, state = played("roomy")
-    controls = np.random.default_rng(0).normal(0, 0.3, (2, horizon, 2)).astype(np.float32)
-    return game, state.at[0, 0].add(-3.0), controls
+def slopes_in(game, state):
+    """The slope of the robot's reward in the controls of robot and human."""
+    return jit_quickly(jax.grad(lambda both: total_reward(game, state, both[0], both[1:])))
 
 
-def test_the_slope_of_a_plan_is_that_of_differences(played):
-    game, state, controls = started(played, 5)
-    assert game.robot.names == game.humans.names == (*PAPER_FEATURES, "room")
-
-    def earned(both):
-        return total_reward(game, state, both[0], both[1:])
-
-    room = replace(game.robot, weights=jnp.zeros(11).at[-1].set(30.0))
-    of_room = replace(game, robot=room)
-    alone = jit_quickly(jax.grad(lambda both: total_reward(of_room, state, both[0], both[1:])))(controls)
-    assert np.abs(alone).max() > 0.1, "the feature should matter here"
-    close(jit_quickly(jax.grad(earned))(controls), differences(jit_quickly(earned), controls), 5e-3)
+def drawn(steps):
+    return np.random.default_rng(0).normal(0, 0.3, (2, steps, 2)).astype(np.float32)
 
 
-def test_decisions_expand_a_feature_that_looks_at_everything_at_once(played):
+def test_the_slope_of_a_plan_is_that_of_differences(roomy, close_cars):
+    assert roomy.robot.names == roomy.humans.names == (*PAPER_FEATURES, "room")
+    of_room = replace(roomy, robot=replace(roomy.robot, weights=np.float32([*[0] * 10, 30.0])))
+    earned = jit_quickly(lambda both: total_reward(of_room, close_cars, both[0], both[1:]))
+    slopes = slopes_in(of_room, close_cars)(drawn(5))
+    assert np.abs(slopes).max() > 0.1, "the feature should matter here"
+    close(slopes, differences(earned, drawn(5)), 5e-3)
+
+
+def test_decisions_expand_a_feature_that_looks_at_everything_at_once(roomy, close_cars):
     """Other cars and cones, which are left out of the package's own, change how the feature depends on the human."""
-    game, state, controls = started(played, 1)
-    robot, human = controls[:, 0]
-
-    @jit_quickly
-    def slopes(both):
-        return jax.grad(lambda both: total_reward(game, state, both[:1], both[None, 1:]))(both)
-
-    both = controls[:, 0]
-    slope, bend = slopes(both), differences(slopes, both)
-    expansion = jit_quickly(_expand)(game, state, robot, human)
+    both = drawn(1)
+    slopes = slopes_in(roomy, close_cars)
+    slope, bend = slopes(both)[:, 0], differences(slopes, both)[:, 0, :, :, 0]
+    expand = jit_quickly(Switching(Costs.of([0.1], 1), 0.1, ladder(["naive"])).expand)
+    expansion = expand(roomy, close_cars, both[0, 0], both[1, 0])
     close([expansion.robot, expansion.human], slope, 1e-3)
     close(expansion.robot_robot, bend[0, :, 0], 5e-3)
     close(expansion.robot_human, bend[0, :, 1], 5e-3)
     close(expansion.human_human, bend[1, :, 1], 5e-3)
 
 
-@pytest.mark.slow
-def test_theory_of_mind_steps_along_differences_of_both_slopes(played):
-    game, state, _ = started(played, 5)
-    still = np.zeros((5, 2), np.float32)
-    mirrored, mirrored_state = swap_players(game, state)
-    slope_robot, slope_human = jit_quickly(jax.grad(total_reward, argnums=(2, 3)))(game, state, still, still[None])
-
-    @jit_quickly
-    def slope_of_human(robot, human):
-        return jax.grad(total_reward, argnums=2)(mirrored, mirrored_state, human, robot[None])
-
-    own = differences(lambda human: slope_of_human(still, human), still).reshape(10, 10)
-    mixed = differences(lambda robot: slope_of_human(robot, still), still).reshape(10, 10)
+def test_theory_of_mind_steps_along_differences_of_both_slopes(roomy, close_cars):
+    still = np.zeros((2, 5, 2), np.float32)
+    slope_robot, slope_human = slopes_in(roomy, close_cars)(still)
+    bend = differences(slopes_in(*swap_players(roomy, close_cars)), still)[0].reshape(10, 2, 10)
+    own, mixed = bend[:, 0], bend[:, 1]  # of the human, who is first there
     pushed = response("damped", jnp.asarray((own + own.T) / 2), slope_human.ravel())
     expected = 0.03 * (np.asarray(slope_robot) + (mixed.T @ np.asarray(pushed)).reshape(5, 2))
-    once = replace(game, planner=replace(game.planner, iterations=1))
-    step, _ = CompiledPlans(once, [TheoryOfMind()]).plan(checked_state(state), [0])
-    close(step.robot, expected, 2e-2)
+    once = replace(roomy, planner=replace(roomy.planner, iterations=1))
+    close(plan(once, close_cars, TheoryOfMind()).robot / roomy.planner.control_scale, expected, 2e-2)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("controller", ["tom", "switching:0.1"])
-def test_a_robot_that_is_paid_for_it_drives_for_it(roomy, controller):
-    rooms = {}
-    for weight in (30.0, 0.0):
-        env = make_environment("roomy", controller).unwrapped
-        env.game = replace(
-            env.game, robot=replace(env.game.robot, weights=jnp.asarray(env.game.robot.weights).at[-1].set(weight))
-        )
-        env.reset(seed=0)
-        scene, rooms[weight], gains = env.game.scene, [], set()
-        for _ in range(40):
-            _, reward, _, _, info = env.step(0)
-            near = np.concatenate([env.car_states[1:, :2], scene.obstacles])
-            squares = np.sum((env.car_states[0, :2] - near) ** 2, axis=-1) / float(scene.length_unit) ** 2
-            rooms[weight].append(-np.log(np.exp(-squares).sum()))
-            assert info["rewards"]["room"] == pytest.approx(weight * rooms[weight][-1], abs=1e-3)
-            assert reward == pytest.approx(sum(info["rewards"].values()))
-            gains |= info["gains"].keys()
-        assert ("tom" in gains) == (controller != "tom")
-    assert rooms[30.0][-1] > rooms[0.0][-1] + 0.01
-
-
-@pytest.mark.slow
-def test_batches_earn_what_the_environment_does(roomy):
-    comparison = Comparison({"roomy": ["naive"]}, seeds=2, config={"ladder": ["naive"]})
-    found = simulated(comparison)
-    env = make_environment("roomy", "naive", ladder=["naive"])
-    expected = [record["reward"] for seed in range(2) for record in episode(env, seed)]
-    np.testing.assert_allclose(found["reward"], expected, atol=1e-3)
-
-
-def test_humans_can_drive_for_it(roomy):
-    weights = {"speed": 1.0, "lane_alignment": 10.0, "room": 5.0}
-    env = gym.make("ms-highway/merger-v0", config={"human_reward": weights}).unwrapped
-    assert env.game.humans.names[-1] == "room"
-    assert env.game.humans.weights[0, -1] == 5.0
-    assert env.game.robot.weights[-1] == 0.0
+def test_a_robot_that_is_paid_for_it_drives_for_it_in_batches(roomy, played):
+    start, names = np.asarray(played("merger")[1]), roomy.robot.names
+    records = simulated(Loop(roomy, always(Naive())), [start], 40, schedule=0)
+    unpaid = replace(roomy, robot=replace(roomy.robot, weights=np.append(roomy.robot.weights[:-1], np.float32(0))))
+    other = simulated(Loop(unpaid, always(Naive())), [start], 40, schedule=0)
+    rooms = [features(roomy.scene, roomy.robot, each.states[0, -1])[names.index("room")] for each in (records, other)]
+    assert rooms[0] > rooms[1] + 0.01
 
 
 def test_what_nobody_weighs_is_not_computed(played):
@@ -168,12 +129,9 @@ def test_what_nobody_weighs_is_not_computed(played):
 
     def lowered():
         game, state = played("merger")
-        paths = (jax.eval_shape(move, game, car, jnp.zeros((5, 2))) for car in state[:2])
-        return (
-            jax.jit(trajectory_reward.__wrapped__)
-            .lower(game, state, next(paths), jax.ShapeDtypeStruct((1, 5, 5), jnp.float32))
-            .as_text()
-        )
+        own, other = (jax.eval_shape(move, game, car, jnp.zeros((5, 2))) for car in state[:2])
+        others = jax.ShapeDtypeStruct((1, *other.shape), other.dtype)
+        return jax.jit(trajectory_reward.__wrapped__).lower(game, state, own, others).as_text()
 
     calls, before = [], lowered()
     add_feature("counted", counted)
@@ -189,10 +147,8 @@ def test_a_feature_that_is_added_again_is_computed_anew(played):
     found = []
     for sign in (1.0, -1.0):
         add_feature("haste", lambda scene, own, others, sign=sign: sign * own.speed)
-        haste = linear_reward({"haste": 1.0}, 20.0)
         plays = driving_game(game.scene, 20.0, {"haste": 1.0, "lane_alignment": 1.0})
-        planned = plan(plays, np.asarray(state), "naive").robot
-        found.append((float(evaluate(game.scene, haste, state)[1, -1]), planned[0, 1]))
+        found.append((float(features(game.scene, plays.robot, state)[-1]), plan(plays, state, "naive").robot[0, 1]))
     (one, faster), (other, slower) = found
     assert one == -other > 10
     assert slower < 0 < faster
@@ -202,28 +158,26 @@ def test_a_feature_that_is_added_again_is_computed_anew(played):
 def test_a_feature_sees_one_moment_at_a_time(played, shape):
     game, state = played("merger")
     add_feature("nearby", lambda scene, own, others: jnp.max(others.x) > own.x)  # over cars, not over times
-    reward = linear_reward({"nearby": 3.0}, 20.0)
     ahead = jnp.linspace(-40.0, 40.0, max(1, np.prod(shape, dtype=int))).reshape(shape)
     states = jnp.broadcast_to(state, (*shape, *state.shape)).at[..., 0, 0].set(ahead)
-    terms = jax.vmap(evaluate, in_axes=(None, None, 0))(game.scene, reward, states.reshape(-1, *state.shape))[:, 1, -1]
-    np.testing.assert_array_equal(terms.reshape(shape), 3.0 * (ahead < float(state[1:, 0].max())))
+    found = features(game.scene, linear_reward({"nearby": 3.0}, 20.0), states)[..., -1]
+    np.testing.assert_array_equal(found, ahead < float(state[1:, 0].max()))
+
+
+def speed(scene, own, others):
+    return own.speed
 
 
 @pytest.mark.parametrize(
     ("name", "function", "message"),
     [
-        ("speed", lambda scene, own, others: own.speed, "cannot be called 'speed'; choose one word other than"),
-        ("comfort_steering", lambda scene, own, others: own.speed, "cannot be called 'comfort_steering'"),
-        ("computation", lambda scene, own, others: own.speed, "cannot be called 'computation'"),
-        ("two words", lambda scene, own, others: own.speed, "cannot be called 'two words'"),
-        (3, lambda scene, own, others: own.speed, "cannot be called 3"),
-        (
-            "own",
-            lambda scene, own, others: others.speed,
-            r"'own' returns float32 of shape \(3,\) .* must return one number",
-        ),
+        ("speed", speed, "cannot be called 'speed'; choose one word other than"),
+        ("comfort_steering", speed, "cannot be called 'comfort_steering'"),
+        ("computation", speed, "cannot be called 'computation'"),
+        ("two words", speed, "cannot be called 'two words'"),
+        (3, speed, "cannot be called 3"),
+        ("own", lambda scene, own, others: others.speed, r"'own' returns float32 of shape \(3,\) .* must return one"),
         ("own", lambda scene, own, others: None, "'own' returns NoneType .* it must return one number"),
-        ("own", lambda scene, own, others: own, "'own' returns Motion.* it must return one number"),
         ("own", lambda scene, own, others: 1j * own.speed, "'own' returns complex64 of shape"),
         ("own", lambda scene, own: own.speed, "'own' cannot be computed: TypeError: .*give a function of"),
         ("own", lambda scene, own, others: float(own.speed), "'own' cannot be computed: Concretization.* jax.numpy"),
@@ -246,32 +200,6 @@ def test_a_weight_of_a_feature_that_is_not_known_or_not_computed_is_refused():
 
 
 def test_a_game_with_it_is_pickled_and_equal(roomy):
-    game = build_game(roomy.RoomyEnv.scenario)
-    again = pickle.loads(pickle.dumps(game))
-    assert pack(again).layout == pack(game).layout
-    assert again.robot.own == (roomy.room,)
-
-
-@pytest.mark.slow
-def test_a_spawned_worker_finds_it_by_the_module_in_the_id(roomy):
-    config = {"controller": {"type": "fixed", "model": "naive"}}
-    envs = AsyncVectorEnv([lambda: gym.make("roomy:ms-highway/roomy-v0", config=config)], context="spawn")
-    try:
-        envs.reset(seed=[0])
-        rewards, infos = envs.step(np.zeros(1, dtype=int))[1::3]
-    finally:
-        envs.close()
-    env = gym.make("ms-highway/roomy-v0", config=config)
-    env.reset(seed=0)
-    reward, info = env.step(0)[1::3]
-    assert rewards[0] == pytest.approx(reward, abs=1e-5)
-    assert infos["rewards"]["room"][0] == pytest.approx(info["rewards"]["room"], abs=1e-5) != 0
-
-
-@pytest.mark.slow
-def test_a_command_finds_it_in_a_module_that_it_imports(roomy, tmp_path):
-    controllers = ["--controllers", "naive", "--seeds", "1", "--set", "ladder=naive", "--set", "costs=naive=0.1"]
-    command = [sys.executable, "-m", "ms_highway", "--import", "roomy", "compare", "roomy", *controllers]
-    subprocess.run([*command, "--out", str(tmp_path)], cwd=Path(__file__).parent, check=True, capture_output=True)
-    earned = [record["reward"] for record in episode(make_environment("roomy", "naive"), 0)]
-    assert pd.read_csv(tmp_path / "summary.csv")["reward"].item() == pytest.approx(np.mean(earned), abs=1e-3)
+    again = pickle.loads(pickle.dumps(roomy))
+    assert pack(again).layout == pack(roomy).layout
+    assert again.robot.own == (room,)

@@ -2,7 +2,6 @@
 
 import gzip
 import re
-import shutil
 import subprocess
 import sys
 
@@ -89,13 +88,6 @@ def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right(tmp_path):
     still = np.zeros(STEPS)
     expected = [[20 + x, still, still, still + SPEED], [40 + x, still + 3.0, still, still + SPEED]]
     np.testing.assert_allclose(recording.states, np.transpose(expected, (2, 0, 1)), atol=1e-6)
-
-
-def test_places_beyond_the_ends_of_the_road_are_extrapolated(tmp_path):
-    (recording,) = read(tmp_path, scenario(cars=car(100, -50, 2.0) + car(101, 190, 2.0)))
-    np.testing.assert_allclose(recording.states[0, :, 0], [-50, 190], atol=1e-6)
-    np.testing.assert_allclose(recording.states[-1, :, 0], np.array([-50, 190]) + SPEED * 0.1 * (STEPS - 1), atol=1e-6)
-    np.testing.assert_allclose(recording.states[..., 1], 2.0, atol=1e-6)
 
 
 def test_headings_turn_to_the_right_on_a_curved_road(tmp_path):
@@ -189,16 +181,6 @@ def test_the_first_files_are_read_where_that_is_asked_for(tmp_path):
     assert len(read_directory(tmp_path, 2)) == 2
     with pytest.raises(ValueError, match=r"c\.xml is no CommonRoad scenario"):
         read_directory(tmp_path, 3)
-
-
-def test_a_us101_file_under_another_name_adds_no_drivers(us101_directory, tmp_path):
-    source = us101_directory / "USA_US101-29_1_T-1.xml.gz"
-    for name in ("first.xml.gz", "second.xml.gz"):
-        shutil.copy(source, tmp_path / name)
-    first, second = read_directory(tmp_path)
-    assert len(first.drivers) == 27
-    assert len(second.drivers) == 0
-    np.testing.assert_array_equal(first.states, second.states)
 
 
 def test_a_scenario_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):

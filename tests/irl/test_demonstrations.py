@@ -97,17 +97,6 @@ def test_gymnasiums_checker_passes_without_a_warning():
         check_env(make(render_mode="rgb_array").unwrapped)
 
 
-def test_the_same_seed_gives_the_same_episode_and_another_one_another():
-    env = make()
-    first, again, other = driven(env, 3), driven(env, 3), driven(env, 4)
-    for one, same in zip(first[:3], again[:3], strict=True):
-        np.testing.assert_array_equal(one, same)
-    assert len(first[1]) == 50
-    assert abs(first[0] - other[0]).max() > 0.1
-    for reward, info in zip(first[2], first[3], strict=True):
-        assert sum(info["rewards"].values()) == pytest.approx(reward)
-
-
 @pytest.mark.parametrize("density", DENSITIES)
 def test_routes_are_many_as_the_density_says_near_the_driver_and_never_collide(density):
     env, changes, number = make(density).unwrapped, 0, DENSITIES[density]
@@ -129,15 +118,6 @@ def test_routes_are_many_as_the_density_says_near_the_driver_and_never_collide(d
     assert 0.2 < changes / 30 / number < 0.6
 
 
-def test_one_driver_in_five_starts_off_the_road():
-    env = make("sparse").unwrapped
-    starts = np.array([env.reset(seed=seed)[0][0] for seed in range(300)])
-    depth = abs(starts[:, 2] - 10 / 3) + 1.25 - 5
-    assert 0.1 < (depth > 0.3).mean() < 0.3
-    assert depth.max() < 2.0
-    np.testing.assert_allclose(np.std(starts[:, 3:], axis=0), [0.04, 2.5], rtol=0.15)
-
-
 def test_collisions_are_noted_and_without_effect():
     env = make("dense").unwrapped
     env.reset(seed=0)
@@ -150,21 +130,6 @@ def test_collisions_are_noted_and_without_effect():
     assert reward < -90
     assert env.vehicle.speed == pytest.approx(before, rel=1e-5)
     np.testing.assert_array_equal(ahead.state, env.routes[0, 1])
-
-
-@pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        ({"densty": "dense"}, "density"),
-        ({"density": "empty"}, "density.*empty"),
-        ({"action": {"type": "DiscreteMetaAction"}}, "'type'"),
-        ({"observation": {"type": "Kinematics"}}, "must be 'CarTracks'"),
-        ({"duration": -1}, "'duration'"),
-    ],
-)
-def test_a_wrong_configuration_is_refused_with_the_remedy(config, message):
-    with pytest.raises(ValueError, match=message):
-        gym.make(DEMONSTRATION_ID, config=config)
 
 
 # Those who drive
@@ -282,14 +247,6 @@ def test_an_episode_that_the_metadata_do_not_count_yet_is_not_lost(files):
     assert list(record("mpc", 4, NAME)) == [3, 4]
     assert minari.load_dataset(NAME).total_steps == 200
     assert [path.name for path in files.parent.iterdir()] == ["data"]
-
-
-def test_a_disk_without_room_for_another_episode_is_named_before_it_is_driven(files):
-    with (files / "padding").open("wb") as padding:
-        padding.truncate(10**13)  # takes no room, but a copy of it would
-    with pytest.raises(OSError, match="mpc-v0/data needs 10000002 MB for another episode; its disk has"):
-        list(record("mpc", 4, NAME))
-    assert len(load_demonstrations(NAME)) == 3
 
 
 def test_two_recordings_into_one_data_set_do_not_mix_and_a_complete_one_is_left_alone(files):

@@ -1,20 +1,25 @@
 """Learning a reward: derivatives, likelihoods, and weights that are known because demonstrators drove for them."""
 
 from dataclasses import replace
-from functools import partial
 
 import gymnasium as gym
 import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from scipy import optimize, stats
+from scipy import special, stats
 
 from ms_highway.envs import DEMONSTRATION_ID
 from ms_highway.game.reward import COMFORT, FEATURES, OWN_FEATURES
 from ms_highway.game.reward_model import NO_GRADIENT, RewardModel
 from ms_highway.irl.learning import SIMULATED, best_controls, curvatures, expected_features
-from ms_highway.irl.maximum_entropy import FeatureDerivatives, differentiate, fit_weights, log_likelihoods
+from ms_highway.irl.maximum_entropy import (
+    FeatureDerivatives,
+    differentiate,
+    fit_weights,
+    log_likelihoods,
+    window_log_likelihoods,
+)
 from ms_highway.irl.recordings import TEMPERATURE
 from ms_highway.irl.recordings.demonstrations import actions
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
@@ -85,22 +90,22 @@ def test_the_likelihood_of_a_driver_after_comfort_alone_is_that_of_a_normal_or_a
     np.testing.assert_allclose(student, stats.multivariate_t.logpdf(uneasy, shape=np.eye(6) / 4, df=3), rtol=1e-12)
 
 
-def sampled_weights(windows, found, number=256):
-    """The weights that are most likely if the integral of maximum entropy is estimated by importance sampling.
+def sampled_log_likelihoods(windows, found, number=256):
+    """Log p of the controls in windows, with the integral of maximum entropy estimated by importance sampling.
 
     Ziebart et al. (2008) normalise over all trajectories; over continuous ones, with M candidates u_j from a density q
     around the best controls (Finn et al. 2016): log p(u) = R(u) / T - log (1 / M) sum_j exp(R(u_j) / T) / q(u_j).
     """
     model, game = found.model, driver_game(windows, {}, found.model.names)
     columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in model.names])
-    best = best_controls(windows, {name: weight / found.temperature for name, weight in found.weights.items()})
+    sharp = np.array([found.weights[name] / found.temperature for name in model.names])
+    best = best_controls(windows, dict(zip(model.names, sharp, strict=True)))
     values, vectors = curvatures(differentiate(replace(windows, controls=best), model.names), found)
     normal = np.random.default_rng(0).normal(size=(len(windows), number, values.shape[-1]))
     deviations, scale = WIDER / np.sqrt(values), np.asarray(game.planner.control_scale)
-    drawn = np.einsum("nde,ne,nme->nmd", vectors, deviations, normal)
-    candidates = (best / scale).reshape(len(windows), 1, -1) + drawn
+    done, centres = ((controls / scale).reshape(len(windows), 1, -1) for controls in (windows.controls, best))
+    candidates = centres + np.einsum("nde,ne,nme->nmd", vectors, deviations, normal)
     density = -np.sum(normal**2 / 2 + np.log(2 * np.pi) / 2, axis=-1) - np.log(deviations).sum(axis=-1)[:, None]
-    everything = np.concatenate([(windows.controls / scale).reshape(len(windows), 1, -1), candidates], axis=1)
 
     @jit_quickly
     @jax.vmap
@@ -108,20 +113,9 @@ def sampled_weights(windows, found, number=256):
         window, controls = items
         return jax.vmap(lambda u: features_along(game, window, u.reshape(-1, 2)))(controls)
 
-    phi = in_batches(features, (windows, everything))[..., columns].astype(float)
-
-    @jax.jit
-    @jax.value_and_grad
-    def loss(logarithms):
-        sizes = jnp.exp(logarithms)
-        theta = jnp.concatenate([jnp.asarray(model.signs()) * sizes[:-1], jnp.array(list(model.given.values()))])
-        earned = phi @ theta / sizes[-1]
-        return -jnp.mean(earned[:, 0] - jax.scipy.special.logsumexp(earned[:, 1:] - density, axis=1))
-
-    with jax.enable_x64(True):
-        value = partial(jax.tree.map, np.asarray)
-        top = optimize.minimize(lambda logs: value(loss(logs)), found.logarithms, jac=True, method="BFGS").x
-    return model.weights(top)
+    phi = in_batches(features, (windows, np.concatenate([done, candidates], axis=1)))[..., columns].astype(float)
+    earned = phi @ sharp
+    return earned[:, 0] - special.logsumexp(earned[:, 1:] - density, axis=1) + np.log(number)
 
 
 @pytest.mark.slow
@@ -133,23 +127,14 @@ def test_weights_that_demonstrators_drove_for_are_recovered_with_and_without_der
         ratio = found.weights[name] / DRIVER_WEIGHTS[name]
         assert 1 / 1.25 < ratio < 1.25, name
         assert abs(np.log(ratio)) < 3.5 * np.sqrt(found.covariance[place, place]), name
-    sampled = sampled_weights(demonstrated, found)
-    for name in SIMULATED.learned:
-        assert sampled[name] == pytest.approx(found.weights[name], rel=0.15), name
+    for wrong in (0.5, 1.0, 2.0):  # times the temperature; sampling agrees that the fitted one is most likely
+        case = replace(found, temperature=wrong * found.temperature)
+        sampled = sampled_log_likelihoods(demonstrated, case)
+        assert np.median(np.abs(sampled - window_log_likelihoods(derivatives, case))) < 0.1
     human, model = derivatives.features.mean(axis=0), expected_features(demonstrated, found)
     for place, name in enumerate(SIMULATED.names):
         if name not in ("collision_risk", "off_road"):
             assert model[place] == pytest.approx(human[place], rel=0.1), name
-
-
-@pytest.mark.slow
-def test_the_best_controls_of_a_window_earn_more_than_what_was_done(demonstrated):
-    few, weights = some(demonstrated, 20), {name: weight / TEMPERATURE for name, weight in DRIVER_WEIGHTS.items()}
-    best = replace(few, controls=best_controls(few, weights))
-    theta = np.array([weights[name] for name in SIMULATED.names])
-    gain = (differentiate(best, SIMULATED.names).features - differentiate(few, SIMULATED.names).features) @ theta
-    assert (gain > -0.01).all()
-    assert np.median(gain) == pytest.approx(10 / 2, rel=0.5)  # half a unit of log p for each of ten noisy controls
 
 
 def test_drivers_that_tell_nothing_about_a_weight_leave_its_prior(demonstrated):

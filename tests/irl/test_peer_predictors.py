@@ -92,12 +92,6 @@ def test_highway_envs_own_idm_vehicles_are_reproduced():
     np.testing.assert_allclose(found, np.moveaxis(path, 0, 1), atol=2e-3)
 
 
-def test_idm_stops_behind_a_standing_car():
-    path = expected_path(idm(moment(driving(0, 3.4, 10), driving(45, 3.4, 0)), structs.replace(FIRST_IDM, speed=0.0)))
-    assert 30.0 < path[0, -1, 0] < 40.0 - 2.0
-    assert 45.0 <= path[1, -1, 0] < 45.5
-
-
 def test_drivers_made_by_idm_are_predicted_by_its_fit():
     truth = structs.replace(FIRST_IDM, speed=18.0, headway=0.8, gap=3.0)
     moments = moment(*(driving(-18.0 * n, 3.4, 14 + n % 2) for n in range(8)))
@@ -126,14 +120,6 @@ def test_a_lane_that_does_not_exist_is_never_entered():
     assert (np.asarray(modes.probability)[:, [1, 2]].max(axis=1) > 0.0).all()  # to the lane that does exist
     ends = np.asarray(modes.path)[:, :, -1, 1]
     assert ((ends > -1.7) & (ends < 8.5)).all()
-
-
-def test_the_filter_settles_on_the_speed_behind_noise():
-    car = driving(0, 3.4, 15)
-    car[:, 3] += np.random.default_rng(0).normal(scale=1.0, size=91)
-    noisy, settings = moment(car), structs.replace(FIRST_KALMAN, pace=1.0, push=0.05)
-    filtered, last = (expected_path(modes)[0, -1, 0] for modes in (lane_modes(noisy, settings), steady_motion(noisy)))
-    assert abs(filtered - 75.0) < 0.5 * abs(last - 75.0)
 
 
 def test_fitted_parameters_are_plain_numbers():

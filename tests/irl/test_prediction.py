@@ -6,14 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from msgspec import structs
-from scipy import stats
 
 from ms_highway.cli.main import main
-from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.learned_drivers import Spread
 from ms_highway.game.learned_reward import load, shipped
 from ms_highway.game.reward_model import RewardModel
-from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl.driving import predict
 from ms_highway.irl.evaluation import (
     KINDS,
@@ -22,7 +19,6 @@ from ms_highway.irl.evaluation import (
     cross_validate,
     driving_regimes,
     evaluate_reward,
-    kept_log_likelihoods,
     measures,
     outcomes,
 )
@@ -31,7 +27,6 @@ from ms_highway.irl.outlook import Modes, expected_path, fit_spread, log_density
 from ms_highway.irl.peers import steady_motion
 from ms_highway.irl.predictors import PREDICTORS, Prediction, predictions
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.windows import cut_windows
 
 DRIVERS = shipped("us101").drivers
 
@@ -165,15 +160,6 @@ def test_cross_validation_predicts_every_group_by_what_was_learned_from_the_othe
         cross_validate(recordings[:1], model, 5, 2)
 
 
-def test_controls_around_those_that_keep_the_velocity_are_more_likely_the_nearer_they_are():
-    recording = following(20.0)
-    recording.states[:, 0, 3] += np.random.default_rng(0).normal(scale=0.3, size=61)
-    windows = cut_windows([replace(recording, measured=False)], 5)
-    kept = keep_velocity(PAPER_DYNAMICS, windows.start)[:, None]
-    off = np.square(windows.controls - kept)[..., 1].sum(axis=1)
-    assert stats.spearmanr(kept_log_likelihoods(windows), -off).statistic == 1.0
-
-
 def test_situations_are_told_apart_by_what_drivers_did_and_counted():
     def which(recording):
         return {name for name, chosen in driving_regimes(cut_moments([recording])).items() if chosen[0]}
@@ -250,11 +236,9 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["fit", "--data", "nowhere", "--out", "{out}"], "nowhere is not a directory"),
         (["fit", "--data", "minari:ms-highway/none-v0", "--out", "{out}"], "there is no data set ms-highway/none-v0"),
         (["evaluate", "--theta", "us102", "--data", "{empty}"], "us102 cannot be read as a learned reward"),
         (["evaluate", "--theta", "demonstrations", "--data", "{empty}"], "--theta demonstrations has no drivers"),
-        (["evaluate", "--theta", "us101", "--data", "{empty}"], "holds no CommonRoad scenarios"),
         (["evaluate", "--theta", "us101", "--horizon", "9", "--data", "{empty}"], "leave them out"),
         (["fit", "--data", "{empty}", "--out", "{empty}"], "a directory; name a .json file"),
     ],

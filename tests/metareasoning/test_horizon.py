@@ -7,38 +7,46 @@ import numpy as np
 import pandas as pd
 import pytest
 from jax import numpy as jnp
-from ms_highway.experiments.simulated import simulated
 
+from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
 from ms_highway.game.game import swap_players, total_reward
 from ms_highway.metareasoning.horizon import WholeHorizon
-from ms_highway.metareasoning.rule import Outcome, decide_by, first_memory
+from ms_highway.metareasoning.rule import Outcome, decide, first_memory
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.optimization.second_derivatives import response
-from ms_highway.planning.human_models import JointPlan, ladder
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import ladder
+from ms_highway.planning.plans import Plan
 from ms_highway.runtime.compilation import jit_quickly
 
-decide_quickly = jit_quickly(decide_by)
+decide_quickly = jit_quickly(decide)
 
 
 def made(kind, price=0.1, **numbers):
     rungs = ladder(("naive", "turn", "tom"))
-    return jax.tree.map(jnp.asarray, kind(np.array([0.09, 0.17, 0.37]), price, rungs, **numbers))
+    return jax.tree.map(jnp.asarray, kind(Costs(0.0, np.array([0.09, 0.17, 0.37])), price, rungs, **numbers))
+
+
+def on(rule, rung=0):
+    memory = first_memory(rule, 1)
+    return memory._replace(rungs=memory.rungs + rung, step=np.ones((), np.int32))
 
 
 def outcome(game, state, plan):
     """Of a step in which both follow a plan."""
-    controls = jnp.stack([plan.robot[0], plan.human[0]]) * game.planner.control_scale
-    after = step(game.world, state, jnp.concatenate([controls, keep_velocity(game.world, state[2:])]))
-    return Outcome(state, after, plan.robot[0], plan.human[0], reward(game.scene, game.robot, after), plan)
+    controls = jnp.stack([plan.robot[0], plan.humans[0, 0]]) * game.planner.control_scale
+    after = step(game.dynamics, state, jnp.concatenate([controls, keep_velocity(game.dynamics, state[2:])]))
+    return Outcome(state, after, plan.robot[0], plan.humans[:, 0], reward(game.scene, game.robot, after), plan)
 
 
 def any_plan(steps, seed=0):
     drawn = np.random.default_rng(seed).normal(0, 0.2, (2, steps, 2))
-    return JointPlan(*jnp.asarray(drawn, dtype=jnp.float32))
+    robot, human = jnp.asarray(drawn, dtype=jnp.float32)
+    return Plan(robot, human[None])
 
 
 def shortened(game):
@@ -49,15 +57,15 @@ def shortened(game):
     ("scenario", "influence"), [("merger", "damped"), pytest.param("give_way", "exact", marks=pytest.mark.slow)]
 )
 def test_the_expansion_is_that_of_the_rewards_of_the_whole_plan(played, scenario, influence):
-    game, state = played(scenario, seed=2, influence=influence)
-    robot, human = any_plan(5)
-    both = jnp.concatenate([robot.ravel(), human.ravel()])
+    game, state = played(scenario, seed=2)
+    game = replace(game, influence=influence)
+    both = jnp.concatenate([part.ravel() for part in any_plan(5)])
 
     def robot_reward(both):
-        return total_reward(game, state, both[:10].reshape(5, 2), both[10:].reshape(5, 2))
+        return total_reward(game, state, both[:10].reshape(5, 2), both[10:].reshape(1, 5, 2))
 
     def human_reward(both):
-        mirrored = both[10:].reshape(5, 2), both[:10].reshape(5, 2)
+        mirrored = both[10:].reshape(5, 2), both[:10].reshape(1, 5, 2)
         return total_reward(*swap_players(game, state), *mirrored)
 
     def derivatives(both):
@@ -71,7 +79,7 @@ def test_the_expansion_is_that_of_the_rewards_of_the_whole_plan(played, scenario
     np.testing.assert_allclose(expansion.robot_robot, bend[:10, :10], rtol=1e-3, atol=scale)
     np.testing.assert_allclose(expansion.robot_human, bend[:10, 10:], rtol=1e-3, atol=scale)
     np.testing.assert_allclose(expansion.human_human, bend[10:, 10:], rtol=1e-3, atol=scale)
-    human_bend = humans[10:, 10:] - np.diag(np.tile(np.asarray(game.human.comfort), 5))
+    human_bend = humans[10:, 10:] - np.diag(np.tile(np.asarray(game.humans.comfort), 5))
     expected = response(influence, jnp.asarray(human_bend), jnp.asarray(humans[10:, :10]))
     np.testing.assert_allclose(expansion.influence, expected, rtol=1e-2, atol=1e-3 * abs(expected).max())
 
@@ -82,8 +90,8 @@ def test_over_a_horizon_of_one_step_the_gains_are_those_of_algorithm_1(played, r
     near, whole = made(Switching), made(WholeHorizon)
     for seed in range(5):
         seen = outcome(game, state, any_plan(1, seed))
-        expected = decide_quickly(near, shortened(game), first_memory(near, rung), seen)
-        found = decide_quickly(whole, shortened(game), first_memory(whole, rung), seen)
+        expected = decide_quickly(near, shortened(game), on(near, rung), seen)
+        found = decide_quickly(whole, shortened(game), on(whole, rung), seen)
         assert np.isfinite(np.asarray(expected.gains)).any()
         np.testing.assert_allclose(found.gains, expected.gains, rtol=1e-3, atol=1e-3)
         jax.tree.map(np.testing.assert_array_equal, found.memory, expected.memory)
@@ -92,24 +100,22 @@ def test_over_a_horizon_of_one_step_the_gains_are_those_of_algorithm_1(played, r
 def test_a_gain_pays_for_a_plan_at_every_step_of_the_horizon(played):
     game, state = played("merger")
     seen = outcome(game, state, any_plan(5))
-    free, dear = (
-        decide_quickly(made(WholeHorizon, price), game, first_memory(made(WholeHorizon)), seen) for price in (0.0, 2.0)
-    )
-    assert free.gains[2] - dear.gains[2] == pytest.approx(5 * 2.0 * (0.37 - 0.09), rel=1e-3)
+    free, dear = (decide_quickly(made(WholeHorizon, price), game, on(made(WholeHorizon)), seen) for price in (0.0, 2.0))
+    assert free.gains[0, 2] - dear.gains[0, 2] == pytest.approx(5 * 2.0 * (0.37 - 0.09), rel=1e-3)
 
 
 def test_without_trust_nothing_changes_and_the_gain_is_what_computation_costs(played):
     game, state = played("merger")
     rule = made(WholeHorizon, 1.0, trust_radius=1e-6)
-    decision = decide_quickly(rule, game, first_memory(rule), outcome(game, state, any_plan(5)))
-    assert decision.gains[2] == pytest.approx(-5 * (0.37 - 0.09), abs=1e-3)
+    decision = decide_quickly(rule, game, on(rule), outcome(game, state, any_plan(5)))
+    assert decision.gains[0, 2] == pytest.approx(-5 * (0.37 - 0.09), abs=1e-3)
 
 
 def test_a_wider_trust_region_gains_more_where_the_expansion_is_good(played):
     game, state = played("merger")
     rules = [made(WholeHorizon, 0.0, trust_radius=radius) for radius in (0.01, 0.02, 0.04)]
     seen = outcome(game, state, any_plan(5))
-    gains = [float(decide_quickly(rule, game, first_memory(rule), seen).gains[2]) for rule in rules]
+    gains = [float(decide_quickly(rule, game, on(rule), seen).gains[0, 2]) for rule in rules]
     assert 0 < gains[0] < gains[1] < gains[2]
 
 
@@ -117,7 +123,7 @@ def test_it_drives_in_the_environment_and_in_batches():
     """Step by step they may part: gains jump where a changed plan merges or not, and the last digits decide."""
     comparison = Comparison({"merger": ["horizon:0.1"]}, seeds=2)
     batched = simulated(comparison)
-    env = make_environment("merger", "horizon:0.1", costs=comparison.costs, **comparison.common_config())
+    env = make_environment("merger", "horizon:0.1", **comparison.common_config())
     live = pd.DataFrame([record for seed in range(2) for record in episode(env, seed)])
     for driven in (batched, live):
         assert {"naive", "tom"} <= set(driven["model"]) <= {"naive", "turn", "tom"}

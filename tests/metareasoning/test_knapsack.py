@@ -5,8 +5,9 @@ from itertools import product
 import jax
 import numpy as np
 import pytest
-from ms_highway.metareasoning.crowd.knapsack import best_rungs
 from scipy.optimize import Bounds, LinearConstraint, milp
+
+from ms_highway.metareasoning.knapsack import best_rungs
 
 solve = jax.jit(best_rungs)
 

@@ -1,28 +1,37 @@
-"""The learned value of computation: what it looks at, what it chooses, and its file."""
+"""Learned values of computation, over the top rung or the cheapest: what they look at, choose, and their files."""
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import gymnasium as gym
 import jax
 import numpy as np
 import pytest
-from ms_highway.control.switching import ModelSwitching
-from ms_highway.experiments.simulated import simulated
 
+from ms_highway.control.driver import Driver
 from ms_highway.envs import SCENARIOS
+from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.game.scenario import PAPER_UNIT, build_game, draw_starts
-from ms_highway.metareasoning.rule import PUBLISHED_COSTS, first_memory
+from ms_highway.game.scenario import PAPER_UNIT, build_game, draw_episode
+from ms_highway.game.scenarios import DENSE_MERGE
+from ms_highway.metareasoning.learned_value import LearnedValue
+from ms_highway.metareasoning.rule import PUBLISHED_COSTS, Outcome, decide, first_memory
 from ms_highway.metareasoning.situation import describe, description_names
-from ms_highway.metareasoning.values import load_values, save_values
+from ms_highway.metareasoning.values import Values, load_values, save_values
+from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import ladder
+from ms_highway.planning.plans import Plan
 
 describe_quickly = jax.jit(describe)
 SHIPPED = load_values("shipped")
 LADDER = ladder(("naive", "turn", "tom"))
 COSTS = np.array([PUBLISHED_COSTS[model.name] for model in LADDER])
+SEVERAL = Costs(0.003, np.array([0.0, 0.0006, 0.002], np.float32))  # s, over naive
+INPUTS = description_names(surroundings=True)
+describe_around = jax.jit(partial(describe, surroundings=True))
+decide_quickly = jax.jit(decide)
 
 
 def learned(price, **changes):
@@ -43,10 +52,11 @@ def models_of(config, scenario="merger", seed=0):
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_description_does_not_know_units_or_places(name):
     scenario = SCENARIOS[name]
-    start = draw_starts(scenario, np.random.default_rng(1), unit=1.0)
+    small = build_game(scenario, unit=1.0)
+    start, _ = draw_episode(scenario, np.random.default_rng(1), small.humans)
     start[:, 2] += 0.02
-    described = describe_quickly(build_game(scenario, unit=1.0), start)
-    assert described.shape == (len(description_names()),)
+    described = describe_quickly(small, start)
+    assert described.shape == (small.number, len(description_names()))
     assert np.isfinite(described).all()
     metres = start * [PAPER_UNIT, PAPER_UNIT, 1, PAPER_UNIT]
     np.testing.assert_allclose(describe_quickly(build_game(scenario), metres), described, rtol=1e-3, atol=2e-3)
@@ -84,7 +94,7 @@ def test_values_that_are_not_finite_are_not_chosen_by_and_info_says_so():
     env.reset(seed=0)
     robot = env.unwrapped.robot
     rule = robot.controller.rule
-    robot.controller = ModelSwitching(robot.controller.game, replace(rule, spread=np.full_like(rule.spread, np.nan)))
+    robot.controller = Driver(robot.controller.game, replace(rule, spread=np.full_like(rule.spread, np.nan)))
     *_, info = env.step(0)
     assert info["choice_failed"]
     assert info["model"] == "tom"
@@ -107,18 +117,18 @@ def test_a_file_is_read_as_it_was_written(tmp_path):
 
 def test_values_of_another_ladder_or_other_costs_are_refused_with_the_remedy():
     with pytest.raises(ValueError, match=r"costs of naive=0.09,turn=0.17,tom=0.37, not naive=0.1.*values learn"):
-        SHIPPED.rule(LADDER, np.array([0.1, 0.2, 0.4]), 1.0)
+        SHIPPED.rule(LADDER, Costs(0.0, np.array([0.1, 0.2, 0.4])), 1.0)
     with pytest.raises(ValueError, match="costs of"):
         gym.make("ms-highway/merger-v0", config={"controller": learned(1.0), "costs": "measured"}).reset(seed=0)
-    part = SHIPPED.rule(LADDER[::2], COSTS[::2], 1.0)
+    part = SHIPPED.rule(LADDER[::2], Costs(0.0, COSTS[::2]), 1.0)
     assert [model.name for model in part.ladder] == ["naive", "tom"]
 
 
 def test_a_part_of_the_ladder_weighs_rewards_as_the_whole_ladder_does(played):
     game, state = played("merger")
-    whole, part = (SHIPPED.rule(LADDER[:size], COSTS[:size], 10.0) for size in (3, 2))
+    whole, part = (SHIPPED.rule(LADDER[:size], Costs(0.0, COSTS[:size]), 10.0) for size in (3, 2))
     seen = describe_quickly(game, state)
-    gains = [float(rule.choose(first_memory(rule), seen).gains[1]) for rule in (whole, part)]
+    gains = [float(rule.choose(first_memory(rule, 1), seen).gains[0, 1]) for rule in (whole, part)]
     assert gains[0] == pytest.approx(gains[1], rel=1e-4)  # of turn over naive
 
 
@@ -147,3 +157,73 @@ def test_a_file_that_cannot_be_used_is_refused_by_name(tmp_path, damage):
         np.savez(file, **arrays)
     with pytest.raises(ValueError, match=r"values\.npz.*`ms-highway values learn` --out"):
         make_environment("merger", f"learned:1:{file}")
+
+
+def over_naive(gains, price=0.0):
+    """A rule whose networks expect the same gains of turn and tom everywhere."""
+    expected = np.zeros((2, 4), np.float32) + np.array([*gains, 0, 0], np.float32)
+    network = ((np.zeros((2, len(INPUTS), 4), np.float32), expected),)
+    standard = np.zeros(len(INPUTS), np.float32), np.ones(len(INPUTS), np.float32)
+    prices = np.array([0.0, np.inf])
+    return LearnedValue(SEVERAL, price, prices, 0.0, network, *standard, LADDER, "cheapest")
+
+
+def file_of(rule, provenance=None):
+    return Values(
+        rule.network, rule.centre, rule.spread, ("naive", "turn", "tom"), (), (), "cheapest", INPUTS, provenance or {}
+    )
+
+
+@pytest.fixture(scope="module")
+def two():
+    """A game with two humans, and a start."""
+    game = build_game(DENSE_MERGE, humans=2)
+    return game, draw_episode(DENSE_MERGE, np.random.default_rng(0), game.humans)[0]
+
+
+def chosen(rule, game, state):
+    still = np.zeros((10, 2), np.float32)
+    outcome = Outcome(state, state, still[0], still[:2], 0.0, Plan(still, np.stack([still] * 2)))
+    return decide_quickly(rule, game, first_memory(rule, 2), outcome)
+
+
+def test_surroundings_describe_every_human_by_finite_numbers_and_change_places_with_the_humans(two):
+    game, state = two
+    described = describe_around(game, state)
+    assert described.shape == (2, len(INPUTS))
+    assert np.isfinite(described).all()
+    assert not np.array_equal(described[0], described[1])
+    np.testing.assert_allclose(describe_around(game, state[[0, 2, 1]])[::-1], described, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(("price", "rung"), [(0.0, "tom"), (500.0, "turn"), (5000.0, "naive")])
+def test_over_the_cheapest_rung_dearer_planning_chooses_cheaper_models(two, price, rung):
+    decision = chosen(over_naive((0.5, 1.0), price), *two)
+    np.testing.assert_allclose(decision.gains, [[0.0, 0.5, 1.0]] * 2, atol=1e-6)
+    assert decision.memory.rungs.tolist() == [("naive", "turn", "tom").index(rung)] * 2
+    assert decision.memory.step == 1
+    assert not decision.failed
+
+
+def test_over_the_cheapest_rung_doubts_and_failed_estimates_choose_it(two):
+    game, state = two
+    rule = over_naive((0.0, 0.1))
+    ((weights, biases),) = rule.network
+    apart = replace(rule, network=((weights, biases + np.array([[0, 1, 0, 0], [0, -1, 0, 0]], np.float32)),))
+    assert chosen(rule, game, state).memory.rungs.tolist() == [2, 2]
+    assert chosen(apart, game, state).memory.rungs.tolist() == [0, 0]
+    failed = chosen(rule, game, np.full_like(state, np.nan))
+    assert failed.failed
+    assert failed.memory.rungs.tolist() == [0, 0]
+
+
+def test_values_over_the_cheapest_rung_are_read_as_they_were_written(tmp_path):
+    rule, file = over_naive((0.5, 1.0)), tmp_path / "values.npz"
+    save_values(file_of(rule, {"rounds": 2}), file)
+    read = load_values(file)
+    assert read.provenance == {"rounds": 2}
+    assert all(jax.tree.leaves(jax.tree.map(np.array_equal, read.rule(LADDER, SEVERAL, 0.0), rule)))
+    with pytest.raises(ValueError, match="over 'naive'; begin the ladder with it"):
+        read.rule(LADDER[1:], SEVERAL, 0.0)
+    with pytest.raises(ValueError, match="shapes"):
+        replace(read, network=rule.network[:0])

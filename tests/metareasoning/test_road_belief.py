@@ -29,7 +29,7 @@ def after(acceleration, path, lane=0.0, seconds=2.0, speed=20.0):
         speed += acceleration * STEP
         before, scene = scene, scene_of(robot=(0.0, lane, 0.0, 20.0), cars=[(-12.0, 1, speed)])
         belief = update(belief, before, path, scene)
-    return np.asarray(belief.probabilities)[0]
+    return np.asarray(belief)[0]
 
 
 def test_who_brakes_where_the_robots_plan_leads_into_its_lane_makes_way():
@@ -55,8 +55,8 @@ def test_whom_the_robot_does_not_concern_tells_nothing_of_how_it_answers():
 def test_belief_follows_the_car_and_starts_anew_for_others():
     before, now = scene_of(cars=[(-12.0, 1, 20.0), (40.0, 0, 20.0)]), scene_of(cars=[(40.0, 0, 20.0), (60.0, 1, 20.0)])
     now = replace(now, names=np.where(now.names == 0, 1, np.where(now.names == 1, 5, -1)))
-    told = first_belief(before)._replace(probabilities=jnp.full((TRAFFIC, 4), 0.25).at[1].set(jnp.eye(4)[TOM]))
-    found = np.asarray(update(told, before, AHEAD, now).probabilities)
+    told = jnp.full((TRAFFIC, 4), 0.25).at[1].set(jnp.eye(4)[TOM])
+    found = np.asarray(update(told, before, AHEAD, now))
     assert found[0, TOM] > 0.8
     np.testing.assert_allclose(found[1], 0.25)
     np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-6)

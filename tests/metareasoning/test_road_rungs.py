@@ -10,8 +10,7 @@ from ms_highway.control.road import _look_function
 from ms_highway.game.road import TRAFFIC
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
 from ms_highway.planning.road.plan import first_memory
-from ms_highway.planning.road.scoring import RoadWeights
-from ms_highway.planning.road.settings import RUNGS, RoadPlanning
+from ms_highway.planning.road.settings import RUNGS, RoadPlanning, RoadWeights
 
 PLANNING = RoadPlanning()
 TOP = len(RUNGS) - 1

@@ -1,20 +1,23 @@
 """How humans answer the robot on any road."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from ms_highway.game.crowd import along_others
 from roads import arc, keeping_velocity, scene_of
 
+from ms_highway.game.dynamics import Motion
+from ms_highway.game.features import motion_reward
 from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.road import place, project
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
-from ms_highway.planning.road.answers import UNIT, Driver, answer, cruise, driver_of, follow, within_reach
+from ms_highway.planning.road.answers import UNIT, Driver, driver_among, driver_of
+from ms_highway.planning.road.motion import cruise
 from ms_highway.planning.road.settings import RoadPlanning
 
 PLANNING = RoadPlanning()
@@ -27,11 +30,21 @@ def robot_at(s, speed, d=0.0):
     return jnp.stack(jnp.broadcast_arrays(*map(jnp.float32, (s, d, 0.0)), jnp.asarray(speed, jnp.float32)))
 
 
+@jax.jit
+def answer(scene, robot, others, start):
+    return driver_among(scene, PLANNING, 0, robot, others).answer(start)
+
+
+@jax.jit
+def follow(scene, accelerations):
+    return driver_of(scene, PLANNING, 0).drive(accelerations)
+
+
 AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)
 
 
 def answered(scene, robot, start=NOTHING):
-    return np.asarray(jax.jit(answer)(scene, PLANNING, 0, robot, keeping_velocity(scene, PLANNING), start))
+    return np.asarray(answer(scene, robot, keeping_velocity(scene, PLANNING), start))
 
 
 @pytest.mark.parametrize("bend", [0.0, 1 / 30, -1 / 60])
@@ -67,7 +80,7 @@ BUSY = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1
 
 def busy_driver():
     cut_in = robot_at(8 + 20 * TIMES, 20.0 + 0 * TIMES, jnp.asarray(np.minimum(-4 + 2 * TIMES, 0)))
-    return jax.jit(driver_of)(BUSY, PLANNING, 0, cut_in, keeping_velocity(BUSY, PLANNING))
+    return jax.jit(driver_among)(BUSY, PLANNING, 0, cut_in, keeping_velocity(BUSY, PLANNING))
 
 
 def test_the_reward_is_the_commuters_on_a_straight_road():
@@ -79,9 +92,9 @@ def test_the_reward_is_the_commuters_on_a_straight_road():
         a = scaled * UNIT
         speed = 22 + jnp.cumsum(a) * 0.2
         s = jnp.cumsum(jnp.concatenate([jnp.full(1, 22.0), speed[:-1]]) + speed) * 0.1
-        own = jnp.stack([s, 0 * s, 0 * s + 1, 0 * s, speed])
+        own = Motion(s, 0 * s, 0 * s + 1, 0 * s, speed)
         comfort = learned.comfort[1] * jnp.sum((a / PAPER_UNIT) ** 2) / 2
-        return along_others(scene, learned, own, jnp.moveaxis(driver.others, 1, 0)) - comfort
+        return jnp.sum(motion_reward(scene, learned, own, Motion(*driver.others))) - comfort
 
     random = np.random.default_rng(0)
     first, second = (jnp.asarray(random.normal(size=PLANNING.steps) / 10, jnp.float32) for _ in range(2))
@@ -121,7 +134,7 @@ def test_a_human_behind_a_braking_robot_brakes_and_one_beside_a_cut_in_slows():
 def test_a_human_stops_behind_a_standing_car_even_from_a_start_that_drives_through_it():
     scene = scene_of(cars=[(-30.0, 0, 15.0), (2.0, 0, 0.0)])
     found = answered(scene, AWAY)
-    x, _, _, speed = jax.jit(follow)(scene, PLANNING, 0, jnp.asarray(found))
+    x, _, _, speed = follow(scene, jnp.asarray(found))
     assert float(x[-1]) < 2.0 - 5.0
     assert float(speed.min()) >= 0.0
 
@@ -135,14 +148,15 @@ def test_a_human_does_not_look_at_itself_nor_at_its_other_way():
 
 
 def test_humans_stop_and_never_reverse():
-    held = np.asarray(within_reach(PLANNING, jnp.float32(2.0), jnp.array([[-9.0, -9, -9, 9], [-1, -20, 5, -1]])))
+    driver = driver_of(scene_of(cars=[(0.0, 0, 2.0)]), replace(PLANNING, steps=4), 0)
+    held = jax.jit(Driver.held)(driver, jnp.array([[-9.0, -9, -9, 9], [-1, -20, 5, -1]]))
     np.testing.assert_allclose(held, [[-6, -4, 0, 3], [-1, -6, 3, -1]], atol=1e-5)
 
 
 def test_a_human_follows_its_path_and_comes_to_its_middle():
     scene = scene_of(bend=1 / 30, cars=[(0.0, 1, 8.0)])
     scene.states[0, 1] = 1.0
-    x, y, heading, speed = jax.jit(follow)(scene, PLANNING, 0, NOTHING)
+    x, y, heading, speed = follow(scene, NOTHING)
     distance = np.hypot(x, y - 30)
     np.testing.assert_allclose(np.diff(distance) > -0.02, True)  # chords between knots lie 2 cm inside the circle
     assert abs(distance[-1] - 26.0) < 0.05
@@ -154,7 +168,7 @@ def test_many_trajectories_are_answered_at_once():
     scene = scene_of(cars=[(0.0, 0, 20.0), (40.0, 0, 20.0)])
     robots = jnp.stack([robot_at(ahead + 20 * TIMES, 20.0 + 0 * TIMES) for ahead in (12.0, 30.0)])
     others = keeping_velocity(scene, PLANNING)
-    together = jax.jit(jax.vmap(partial(answer, scene, PLANNING, 0), (0, None, None)))(robots, others, NOTHING)
+    together = jax.jit(jax.vmap(partial(answer, scene), (0, None, None)))(robots, others, NOTHING)
     np.testing.assert_allclose(together, [answered(scene, robot) for robot in robots], atol=0.01)
 
 

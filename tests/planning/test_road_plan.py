@@ -11,18 +11,24 @@ from roads import scene_of
 from ms_highway.control.road import _plan_function
 from ms_highway.game.road import TRAFFIC
 from ms_highway.planning.road.motion import bodies, drive
-from ms_highway.planning.road.plan import LAST_PLAN, REFINED, Memory, first_memory, propose
-from ms_highway.planning.road.proposals import Manners, as_given, simulate, speed_caps
-from ms_highway.planning.road.scoring import RoadWeights, score
-from ms_highway.planning.road.settings import RUNGS, RoadPlanning
-from ms_highway.planning.road.traffic import ways_of
+from ms_highway.planning.road.plan import REFINED, Memory, first_memory, propose
+from ms_highway.planning.road.proposals import LAST_PLAN, Manners, as_given, simulate
+from ms_highway.planning.road.scoring import score
+from ms_highway.planning.road.settings import RUNGS, RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 GRIP, STEPS = float(PLANNING.grip), PLANNING.steps
 MEMORY = first_memory(PLANNING)
 planned = _plan_function(True)
-proposed = jit_quickly(propose)
+
+
+@jit_quickly
+def proposed(scene, rungs, memory):
+    return propose(situation_of(scene, PLANNING, WEIGHTS), rungs, memory)
+
+
 driven = jax.jit(drive)
 
 
@@ -80,7 +86,7 @@ def test_all_models_scenes_limits_and_weights_share_one_compiled_function():
 def test_a_plan_breaks_no_constraint_where_some_proposal_breaks_none(seed):
     scene = busy(seed)
     for name in ("naive", "idm"):
-        scores = proposed(scene, PLANNING, WEIGHTS, everybody(name), MEMORY).scores
+        scores = proposed(scene, everybody(name), MEMORY).scores
         assert not np.asarray(scores.broken).all()
         assert not plan_of(scene, name).broken
 
@@ -88,18 +94,17 @@ def test_a_plan_breaks_no_constraint_where_some_proposal_breaks_none(seed):
 @jit_quickly
 def earned(scene, controls, lane):
     """Total and broken constraints of a plan whose controls are given, while others keep their speed."""
-    ways, nobody = ways_of(scene), jnp.zeros(TRAFFIC, bool)
+    now, nobody = situation_of(scene, PLANNING, WEIGHTS), jnp.zeros(TRAFFIC, bool)
     plans = as_given(controls[None], lane[None])
-    caps, manners = speed_caps(scene, PLANNING), Manners(nobody, nobody, jnp.zeros((1, TRAFFIC, STEPS)))
-    rollouts = simulate(scene, PLANNING, ways, caps, manners, plans)
-    scores = score(scene, PLANNING, WEIGHTS, ways, rollouts, plans.lane, caps)
+    manners = Manners(nobody, nobody, jnp.zeros((1, TRAFFIC, STEPS)))
+    scores = score(now, simulate(now, manners, plans), plans.lane)
     return scores.total[0], scores.broken[0]
 
 
 def test_a_refined_plan_drives_only_if_it_breaks_nothing_and_earns_as_much_as_all_proposals():
     refined = 0
     for scene in (*SCENES.values(), busy(1), busy(2), busy(3)):
-        proposals, plan = proposed(scene, PLANNING, WEIGHTS, everybody("naive"), MEMORY), plan_of(scene)
+        proposals, plan = proposed(scene, everybody("naive"), MEMORY), plan_of(scene)
         best = int(np.argmax(proposals.scores.total))
         if plan.chosen == REFINED:
             found = [earned(scene, plan.controls, jnp.asarray(lane)) for lane in range(3)]
@@ -115,7 +120,7 @@ def test_a_refined_plan_drives_only_if_it_breaks_nothing_and_earns_as_much_as_al
 def test_the_rest_of_the_last_plan_is_among_the_proposals():
     last = (np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.001, 0.5]).astype(np.float32)
     memory = Memory(last, np.array([80.0, 4.0], np.float32))
-    proposals = proposed(SCENES["free"], PLANNING, WEIGHTS, everybody("naive"), memory)
+    proposals = proposed(SCENES["free"], everybody("naive"), memory)
     np.testing.assert_allclose(proposals.rollouts.controls[LAST_PLAN], last, atol=1e-5)
 
 

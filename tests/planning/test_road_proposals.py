@@ -11,13 +11,13 @@ from jax import numpy as jnp
 from roads import scene_of, winding
 
 from ms_highway.game.road import KNOTS, SPACING, TRAFFIC, interpolate
-from ms_highway.planning.road.motion import drive
-from ms_highway.planning.road.proposals import PROPOSALS, Manners, as_given, profiles, simulate, speed_caps
-from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import follow, positions, ways_of
+from ms_highway.planning.road.motion import drive, speed_caps
+from ms_highway.planning.road.proposals import PROPOSALS, Manners, as_given, profiles, simulate
+from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import follow, positions, situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
-PLANNING = RoadPlanning()
+PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
 NAIVE, IDM = np.zeros(TRAFFIC, bool), np.ones(TRAFFIC, bool)
 NOTHING = np.zeros((TRAFFIC, STEPS), np.float32)
@@ -30,7 +30,7 @@ def proposed(scene, follows=NAIVE, last=STRAIGHT_ON, told=NAIVE, accelerations=N
     """All proposals, and how they turn out."""
     plans = profiles(jnp.asarray(last), jnp.asarray(1))
     manners = Manners(follows, told, jnp.broadcast_to(accelerations, (PROPOSALS, *accelerations.shape)))
-    return plans, simulate(scene, PLANNING, ways_of(scene), speed_caps(scene, PLANNING), manners, plans)
+    return plans, simulate(situation_of(scene, PLANNING, WEIGHTS), manners, plans)
 
 
 @jit_quickly
@@ -38,7 +38,7 @@ def given(scene, controls, lane, follows):
     """How a plan turns out whose controls are given."""
     manners = Manners(follows, jnp.zeros(TRAFFIC, bool), jnp.zeros((1, TRAFFIC, STEPS)))
     plans = as_given(jnp.asarray(controls)[None], jnp.asarray(lane)[None])
-    rollouts = simulate(scene, PLANNING, ways_of(scene), speed_caps(scene, PLANNING), manners, plans)
+    rollouts = simulate(situation_of(scene, PLANNING, WEIGHTS), manners, plans)
     return jax.tree.map(lambda field: field[0], rollouts)
 
 

@@ -6,38 +6,42 @@ import numpy as np
 from roads import scene_of
 
 from ms_highway.game.road import TRAFFIC
-from ms_highway.planning.road.plan import IDM, first_memory, propose
-from ms_highway.planning.road.proposals import PROFILES, profiles, speed_caps
+from ms_highway.planning.road.plan import first_memory, propose
+from ms_highway.planning.road.proposals import IN_EACH_LANE, profiles
 from ms_highway.planning.road.prospects import missing_room, prospects
-from ms_highway.planning.road.scoring import RoadWeights
-from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.settings import IDM, RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
-PLANNING = RoadPlanning()
+PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
+PROFILES = len(IN_EACH_LANE)
 MEMORY = first_memory(PLANNING)
 LANES = np.asarray(profiles(MEMORY.controls, 1).lane)
 CLOSING_UP, KEEPING_SPEED = PROFILES + 4, PROFILES + 8  # in the own lane
 
 
 propose_quickly = jit_quickly(propose)
-lost_after = jit_quickly(
-    lambda scene, rollouts: prospects(scene, PLANNING, rollouts, LANES, speed_caps(scene, PLANNING))[0]
-)
+lost_after = jit_quickly(lambda now, rollouts: prospects(now, rollouts, LANES)[0])
 room_missing = jit_quickly(missing_room)
 
 
+@jit_quickly
+def now_in(scene):
+    return situation_of(scene, PLANNING, WEIGHTS)
+
+
 def proposed(scene):
-    return propose_quickly(scene, PLANNING, RoadWeights(), np.full(TRAFFIC, IDM), MEMORY)
+    return propose_quickly(now_in(scene), np.full(TRAFFIC, IDM), MEMORY)
 
 
 def lost(scene):
     """Loss of speed after each proposal [m/s]."""
-    return np.asarray(lost_after(scene, proposed(scene).rollouts))
+    return np.asarray(lost_after(now_in(scene), proposed(scene).rollouts))
 
 
 def missing(scene, goals=(-4.0, 0.0, 4.0)):
     found = proposed(scene)
-    return np.asarray(room_missing(scene, PLANNING, found.rollouts, np.asarray(goals, np.float32)[LANES]))
+    return np.asarray(room_missing(now_in(scene), found.rollouts, np.asarray(goals, np.float32)[LANES]))
 
 
 def test_on_a_free_road_no_speed_is_lost_after_a_plan_at_the_desired_speed():

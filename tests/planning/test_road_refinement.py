@@ -10,21 +10,22 @@ from jax import numpy as jnp
 from roads import keeping_velocity, scene_of
 
 from ms_highway.game.road import TRAFFIC
-from ms_highway.planning.road.answers import answer, follow
+from ms_highway.planning.road.answers import driver_among, driver_of
 from ms_highway.planning.road.motion import bodies, drive
-from ms_highway.planning.road.refinement import refine, total_slope
-from ms_highway.planning.road.reward import RoadReward, stage_rewards
-from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.refinement import Climb, Plan, refine
+from ms_highway.planning.road.reward import Aim, motion_of
+from ms_highway.planning.road.reward import earned as reward_of
+from ms_highway.planning.road.settings import RoadPlanning, SmoothWeights
 from ms_highway.runtime.compilation import jit_quickly
 
-PLANNING, WEIGHTS, OWN = RoadPlanning(), RoadReward(), 1
+PLANNING, WEIGHTS, OWN = RoadPlanning(), SmoothWeights(), 1
 NOBODY, NOTHING = np.zeros(TRAFFIC, bool), np.zeros((TRAFFIC, PLANNING.steps), np.float32)
 STRAIGHT_ON = np.zeros((PLANNING.steps, 2), np.float32)
 
 
 @jit_quickly
 def refined_by(weights, scene, start, others, tom, answers, lane):
-    return refine(scene, PLANNING, start, others, tom, answers, lane, weights)
+    return refine(Aim(scene, PLANNING, lane, weights), start, others, tom, answers)
 
 
 refined = partial(refined_by, WEIGHTS)
@@ -32,13 +33,15 @@ refined = partial(refined_by, WEIGHTS)
 
 @jax.jit
 def slope(scene, controls, others, tom, answers):
-    return total_slope(scene, PLANNING, controls, others, tom, answers, OWN)
+    climb = Climb(Aim(scene, PLANNING, OWN), tom)
+    return climb.expand(Plan(controls, answers, others)).gradient.reshape(-1, 2) / climb.scale
 
 
 @jax.jit
 def earned(scene, controls, others, lane=OWN):
+    aim = Aim(scene, PLANNING, lane)
     states, held = drive(scene, PLANNING, controls)
-    return jnp.sum(stage_rewards(scene, PLANNING, WEIGHTS, states, held, others, lane))
+    return reward_of(aim, motion_of(aim, states, held), others)
 
 
 @jit_quickly
@@ -128,8 +131,8 @@ def settled(controls, first):
     states = drive(MERGING, PLANNING, controls)[0]
     robot = jnp.stack([*bodies(MERGING, states), states[:, 3]])
     others = keeping_velocity(MERGING, PLANNING)
-    found = jax.lax.fori_loop(0, 6, lambda _, a: answer(MERGING, PLANNING, 0, robot, others, a), first)
-    return found, others.at[0].set(follow(MERGING, PLANNING, 0, found))
+    found = jax.lax.fori_loop(0, 6, lambda _, a: driver_among(MERGING, PLANNING, 0, robot, others).answer(a), first)
+    return found, others.at[0].set(driver_of(MERGING, PLANNING, 0).drive(found))
 
 
 def test_the_slope_through_an_answer_is_that_of_answering_again():

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
-from ms_highway.planning.road.junctions import blocks
 from roads import SPACING, TRAFFIC_KNOTS, scene_of
 
 from ms_highway.game.road import BEHIND, LANES, TRAFFIC
-from ms_highway.planning.road.proposals import Manners, as_given, simulate, speed_caps
+from ms_highway.planning.road.proposals import Manners, as_given, simulate
 from ms_highway.planning.road.prospects import missing_room, urgency
-from ms_highway.planning.road.scoring import RoadWeights, score, separation
-from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import ways_of
+from ms_highway.planning.road.scoring import blocks, score, separation
+from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
@@ -25,15 +24,21 @@ KEEPING = (0.0, 0.0)
 @jit_quickly
 def judged(scene, controls, lanes):
     """Rollouts and scores of plans whose controls are given [plans, steps, 2], while others keep their speed."""
-    ways, nobody = ways_of(scene), jnp.zeros(TRAFFIC, bool)
+    now, nobody = situation_of(scene, PLANNING, WEIGHTS), jnp.zeros(TRAFFIC, bool)
     plans = as_given(jnp.asarray(controls), jnp.asarray(lanes))
     manners = Manners(nobody, nobody, jnp.zeros((len(controls), TRAFFIC, STEPS)))
-    rollouts = simulate(scene, PLANNING, ways, speed_caps(scene, PLANNING), manners, plans)
-    return rollouts, score(scene, PLANNING, WEIGHTS, ways, rollouts, plans.lane, speed_caps(scene, PLANNING))
+    rollouts = simulate(now, manners, plans)
+    return rollouts, score(now, rollouts, plans.lane)
 
 
-room_missing = jit_quickly(missing_room)
-in_the_way = jit_quickly(lambda scene, rollouts: blocks(scene, ways_of(scene), rollouts))
+@jit_quickly
+def room_missing(scene, rollouts, goals):
+    return missing_room(situation_of(scene, PLANNING, WEIGHTS), rollouts, goals)
+
+
+@jit_quickly
+def in_the_way(scene, rollouts):
+    return blocks(situation_of(scene, PLANNING, WEIGHTS), rollouts)
 
 
 def scores_of(scene, *plans, lanes=(OWN, OWN)):
@@ -114,7 +119,7 @@ def test_room_to_stop_is_missing_where_the_robot_is_too_close_and_too_fast():
     for place in np.arange(95.0, 220.0, 5.0):
         scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(place, 0, 0.0)])
         rollouts, scores = judged(scene, plans, np.array([OWN, OWN]))
-        lacking = np.asarray(room_missing(scene, PLANNING, rollouts, jnp.zeros(2)))
+        lacking = np.asarray(room_missing(scene, rollouts, jnp.zeros(2)))
         s, speed = np.asarray(rollouts.states[:, -1, 0]), np.asarray(rollouts.states[:, -1, 3])
         gap = place - s - 7.5
         assert ((lacking[:, 0] > 0) | (speed**2 / (2 * PLANNING.grip) < gap)).all()
@@ -188,9 +193,9 @@ def test_a_car_that_crosses_is_given_room_in_time():
 def test_changes_of_lane_that_are_left_get_urgent_as_their_room_shrinks():
     rooms, lanes = [500.0, 150.0, 60.0, 0.0], jnp.arange(LANES)
     scene = replace(scene_of(), changes=np.array([2.0, 1.0, 0.0], np.float32))
-    found = np.array([urgency(replace(scene, room=room), PLANNING, lanes) for room in rooms])
+    found = np.array([urgency(replace(scene, room=room), lanes) for room in rooms])
     assert (np.diff(found[:, :2], axis=0) >= 0).all()
     assert (found[-1] > found[0])[:2].all()
     assert (found[:, LEFT] >= found[:, OWN]).all()
     np.testing.assert_allclose(found[:, RIGHT], 0.0)
-    assert not np.asarray(urgency(scene_of(), PLANNING, lanes)).any()
+    assert not np.asarray(urgency(scene_of(), lanes)).any()

@@ -11,9 +11,9 @@ from roads import scene_of
 
 from ms_highway.game.road import TRAFFIC, Traits
 from ms_highway.planning.road.answers import driver_of
-from ms_highway.planning.road.proposals import Manners, as_given, simulate, speed_caps
-from ms_highway.planning.road.settings import RoadPlanning
-from ms_highway.planning.road.traffic import follow, ways_of
+from ms_highway.planning.road.proposals import Manners, as_given, simulate
+from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import follow, situation_of
 from ms_highway.planning.road.traits import prior, traits_of, updated_traits
 
 STEP = 0.2
@@ -44,7 +44,7 @@ def learned(desired, headway, seconds, leader, speed=20.0, gap=45.0):
         places, speeds = places + speeds * STEP, np.array([leader(step * STEP), speeds[1] + acceleration * STEP])
         before, scene = scene, road(places, speeds)
         estimates = update(estimates, before, scene)
-    traits = traits_of(estimates)
+    traits = traits_of(estimates.mean)
     return float(traits.speed[1]), float(traits.headway[1])
 
 
@@ -64,19 +64,20 @@ def test_a_car_behind_the_robot_is_seen_to_follow_it():
     robot = (0.0, 4.0, 0.0, 15.0)  # in the lane of the car
     before, now = (road([-30.0], [speed], robot=robot) for speed in (20.0, 19.3))
     blind = [replace(scene, robot=np.asarray(FAR_BEHIND, np.float32)) for scene in (before, now)]
-    followed, free = (traits_of(update(prior(first), first, second)) for first, second in ((before, now), tuple(blind)))
+    followed, free = (
+        traits_of(update(prior(first), first, second).mean) for first, second in ((before, now), tuple(blind))
+    )
     assert free.speed[0] < followed.speed[0] - 1.0  # who brakes without a reason wants to be slow
 
 
 def test_estimates_belong_to_cars_and_not_to_places():
     before = road([0.0, -100.0], [22.0, 22.0], names=[7, 8])
     now = road([4.4, 100.0, -95.6], [22.0, 25.0, 22.0], names=[8, 9, 7])
-    estimates = prior(before)._replace(mean=jnp.log(jnp.tile(jnp.array([[20.0, 1.0]]), (TRAFFIC, 1))).at[1, 0].set(3.4))
+    estimates = prior(before)._replace(mean=jnp.log(jnp.tile(jnp.array([[20.0], [1.0]]), TRAFFIC)).at[0, 1].set(3.4))
     found = update(estimates, before, now)
-    np.testing.assert_array_equal(found.names[:3], [8, 9, 7])
-    assert found.mean[0, 0] > found.mean[2, 0] + 0.1
-    np.testing.assert_array_equal(found.mean[1], prior(now).mean[1])
-    np.testing.assert_array_equal(found.covariance[1], prior(now).covariance[1])
+    assert found.mean[0, 0] > found.mean[0, 2] + 0.1
+    np.testing.assert_array_equal(found.mean[:, 1], prior(now).mean[:, 1])
+    np.testing.assert_array_equal(found.covariance[..., 1], prior(now).covariance[..., 1])
 
 
 def test_what_cannot_move_teaches_nothing():
@@ -92,8 +93,8 @@ def test_covariances_stay_symmetric_and_positive_whatever_cars_do():
     for _ in range(60):
         before, scene = scene, road([50.0, 20.0, -20.0], random.uniform(0.0, 40.0, 3))
         estimates = update(estimates, before, scene)
-        np.testing.assert_allclose(estimates.covariance, jnp.swapaxes(estimates.covariance, 1, 2), atol=1e-6)
-        assert np.linalg.eigvalsh(estimates.covariance).min() > 0
+        np.testing.assert_allclose(estimates.covariance, jnp.swapaxes(estimates.covariance, 0, 1), atol=1e-6)
+        assert np.linalg.eigvalsh(np.moveaxis(estimates.covariance, -1, 0)).min() > 0
         assert np.isfinite(estimates.mean).all()
 
 
@@ -105,12 +106,11 @@ def test_predictions_by_idm_and_rewards_of_drivers_take_their_traits():
     def along(scene):
         manners = Manners(scene.moving, jnp.zeros(TRAFFIC, bool), jnp.zeros((1, TRAFFIC, PLANNING.steps)))
         plans = as_given(jnp.zeros((1, PLANNING.steps, 2)), jnp.ones(1, int))
-        return simulate(scene, PLANNING, ways_of(scene), speed_caps(scene, PLANNING), manners, plans).along[0, 0, -1]
+        return simulate(situation_of(scene, PLANNING, RoadWeights()), manners, plans).along[0, 0, -1]
 
     calm, eager = (float(along(one)) for one in known)
     assert calm == pytest.approx(float(along(scene)), abs=1e-3)  # without traits the present speed is the desired one
     assert eager > calm + 5.0
-    still = jnp.zeros((4, PLANNING.steps))
-    driver = driver_of(known[1], PLANNING, 0, still, jnp.zeros((TRAFFIC, 4, PLANNING.steps)))
+    driver = driver_of(known[1], PLANNING, 0)
     assert float(driver.reward.speed_limit) == 30.0
-    assert float(driver.headway) == 1.5
+    assert float(driver.reward.headway) == 1.5

@@ -41,6 +41,6 @@ def test_the_robot_drives_and_plans(name, config):
 
 def test_the_command_simulates_episodes(tmp_path):
     pytest.importorskip("pyarrow")
-    controllers = ["--controllers", "naive", "--episodes", "2", "--devices", "1"]
+    controllers = ["--controllers", "naive", "--seeds", "2", "--devices", "1"]
     assert not main(["sweep", "merger", *controllers, "--out", str(tmp_path)])
     assert (tmp_path / "summary.csv").read_text().count("\n") == 2

@@ -116,4 +116,4 @@ def resolves(name: str) -> bool:
         resolve_name(name)
     except (AttributeError, ImportError, ValueError):
         return False
-    return ":" in name or name.startswith("ms_highway.")
+    return ":" in name or "." in name

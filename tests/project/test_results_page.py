@@ -7,11 +7,15 @@ from types import SimpleNamespace
 import pytest
 from test_pages import README, RESULTS, ROOT, TEXTS
 
-from ms_highway.experiments.analysis.tradeoff import meta_rewards, shares
+from ms_highway.experiments.analysis.tradeoff import meta_rewards
 
 KEPT = RESULTS.parent
 COLLECTED = SimpleNamespace(**runpy.run_path(str(KEPT / "collect.py")))
 FLOWING = " ".join((TEXTS[README] + TEXTS[RESULTS]).split())
+
+
+def summaries(run, scenario):
+    return COLLECTED.comparison(run).summaries.query(f"scenario == '{scenario}'").set_index("controller")
 
 
 def test_every_table_with_a_name_is_that_of_the_files():
@@ -45,12 +49,13 @@ def test_every_run_has_its_settings_and_its_commands_and_is_kept_until_it_is_mad
     ],
 )
 def test_shares_of_reward_and_planning_are_those_of_the_summary_they_come_from(scenario, controller):
-    share = shares(COLLECTED.comparison("curve").summaries, scenario).loc[controller]
-    assert f"{100 * share['reward']:.0f} % at {100 * share['computation']:.0f} %" in FLOWING
+    rows = summaries("curve", scenario)
+    share = 100 * rows.loc[controller, ["reward", "counted_ms"]] / rows.loc["tom", ["reward", "counted_ms"]]
+    assert f"{share['reward']:.0f} % at {share['counted_ms']:.0f} %" in FLOWING
 
 
 def test_the_sentences_on_switching_are_those_of_the_summaries_they_come_from():
-    merger = COLLECTED.comparison("compare").summaries.query("scenario == 'merger'").set_index("controller")
+    merger = summaries("compare", "merger")
     gains = merger["reward"] - merger["reward"]["naive"]
     kept, used = 100 * gains["switching:0.1"] / gains["tom"], 100 * merger["share_tom"]["switching:0.1"]
     text = f"{kept:.0f} % of what always-`tom` gains over `naive`, with theory of mind in {used:.0f} % of"
@@ -63,7 +68,7 @@ def test_the_sentences_on_switching_are_those_of_the_summaries_they_come_from():
 
 
 def test_learned_values_stay_behind_the_best_orders_by_as_little_as_the_text_says():
-    behind = COLLECTED.kept_table("regrets", "frontier").set_index(["scenario", "price", "controller"])
+    behind = COLLECTED.kept_table("regrets", "frontier").set_index(["scenario", "price", "controller"]).sort_index()
     for scenario in ("merger", "give_way"):
         for price, share in ((0.1, 0.01), (1.0, 0.01), (10.0, 0.03)):
             own = behind.loc[scenario, price]
@@ -74,9 +79,9 @@ def test_learned_values_stay_behind_the_best_orders_by_as_little_as_the_text_say
 
 
 def test_collisions_in_the_text_are_those_that_were_counted():
-    counts = COLLECTED.safety().set_index(["scenario", "controller", "acceleration"])["collision_episodes"]
-    assert f"in {counts['merger', 'tom', 9.0]} of 300 episodes of Merger" in FLOWING
-    assert not counts[["merger", "give_way"]].xs(50.0, level="acceleration").any()
+    assert f"in {summaries('limit_9', 'merger')['collision_episodes']['tom']:.0f} of 300 episodes of Merger" in FLOWING
+    for scenario in ("merger", "give_way"):
+        assert not summaries("limit_50", scenario)["collision_episodes"].any()
 
 
 def test_no_figure_is_without_a_page():

@@ -15,7 +15,7 @@ import pytest
 from ms_highway.runtime.interrupt import INTERRUPTED
 from ms_highway.simulation.devices import CHUNK, device_mesh, share_among
 
-SWEEP = ["sweep", "merger", "--episodes", "100000", "--part", "1024", "--devices", "1"]
+SWEEP = ["sweep", "merger", "--seeds", "100000", "--part", "1024", "--devices", "1"]
 ENDED = "ms-highway: stopped; started again in the same way, it resumes", INTERRUPTED
 COMMANDS = {"module": ["-m", "ms_highway"], "script": [str(Path(sys.executable).with_name("ms-highway"))]}
 

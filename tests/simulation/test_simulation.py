@@ -6,18 +6,17 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
-from ms_highway.experiments.simulated import columns_simulated, episodes_of, make_batch, run_episodes, simulated, start
-from ms_highway.simulation.following import Rest, warm_plan
 
 from ms_highway.benchmarks.throughput import throughput
 from ms_highway.control.fallback import STATUSES
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
 from ms_highway.experiments.analysis.summary import interval
+from ms_highway.experiments.batch import make_batch, simulated
 from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.records import MEASURED
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
-from ms_highway.planning.human_models import JointPlan
 from ms_highway.simulation.devices import use_devices
 from ms_highway.simulation.loop import simulate
 
@@ -31,7 +30,7 @@ COMPARISON = Comparison({"merger": CONTROLLERS}, seeds=6)
 
 def driven(comparison, scenario, controller):
     """The records of the environment."""
-    env = make_environment(scenario, controller, costs=comparison.costs, **comparison.common_config())
+    env = make_environment(scenario, controller, **comparison.config)
     seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
     rows = [{"controller": controller, "seed": seed, **record} for seed in seeds for record in episode(env, seed)]
     return pd.DataFrame(rows).set_index(KEYS)
@@ -43,7 +42,7 @@ def records():
 
 
 def test_records_are_those_of_an_experiment_without_measured_times(records):
-    assert list(records) == columns_simulated()
+    assert list(records) == [name for name in COMPARISON.columns() if name not in MEASURED]
     assert len(records) == len(CONTROLLERS) * 6 * 40
     assert records["controller"].drop_duplicates().tolist() == CONTROLLERS
     assert set(records["status"]) == {"planned"}
@@ -71,7 +70,7 @@ def test_a_random_controller_draws_the_models_of_each_seed_anew_with_its_shares_
     assert set(np.unique(models)) == {"naive", "turn"}
     assert abs((models == "turn").to_numpy().mean() - 0.75) < 3 * np.sqrt(0.75 * 0.25 / 240)
     batch = make_batch(COMPARISON, "merger")
-    np.testing.assert_array_equal(*(episodes_of(batch, [(name, 5)]).starts for name in (COIN, "naive")))
+    np.testing.assert_array_equal(*(batch.episodes([(name, 5)]).starts for name in (COIN, "naive")))
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS[5:])
@@ -90,12 +89,13 @@ def test_means_of_theory_of_mind_and_switching_lie_in_the_intervals_of_the_envir
 
 @pytest.mark.slow
 def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(reference):
-    comparison = Comparison({"give_way": ["naive", "turn"]}, seeds=10, semantics="released", ladder=["naive", "turn"])
+    config = {"semantics": "released", "ladder": ["naive", "turn"]}
+    comparison = Comparison({"give_way": ["naive", "turn"]}, seeds=10, config=config)
     batch = make_batch(comparison, "give_way")
     units = np.array([PAPER_UNIT, PAPER_UNIT, 1, PAPER_UNIT])
     for controller in ("naive", "turn"):
         _, logged = read_episodes(reference / f"give_way__{controller}.npz")
-        given = episodes_of(batch, [(controller, seed) for seed in range(10)])
+        given = batch.episodes([(controller, seed) for seed in range(10)])
         records = simulate(batch.loop, replace(given, starts=np.float32(logged["states"][:, 0] * units)))
         np.testing.assert_allclose(records.states[:, :-1] / units, logged["states"][:, 1:], atol=1e-3)
         assert records.reward.mean() == pytest.approx(logged["rewards"].mean(), abs=0.01)
@@ -103,7 +103,7 @@ def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(ref
 
 def test_a_plan_that_is_not_finite_gives_way_to_braking_and_leaves_the_other_episodes_alone(records):
     batch = make_batch(COMPARISON, "merger")
-    given = episodes_of(batch, [("naive", 0), ("naive", 1)])
+    given = batch.episodes([("naive", 0), ("naive", 1)])
     weights = given.robot_weights.copy()
     weights[0] = np.nan
     found = simulate(batch.loop, replace(given, robot_weights=weights))
@@ -117,7 +117,7 @@ def test_starts_are_those_of_the_environment(scenario):
     env = make_environment(scenario, "naive")
     env.reset(seed=3)
     batch = make_batch(Comparison({scenario: ["naive"]}), scenario)
-    np.testing.assert_array_equal(start(batch, 3), env.unwrapped.car_states)
+    np.testing.assert_array_equal(batch.episodes([("naive", 3)]).starts[0], np.float32(env.unwrapped.car_states))
 
 
 class NearsightedEnv(MergerEnv):
@@ -155,7 +155,7 @@ def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(nearsighted, monkey
 @pytest.mark.slow
 def test_a_batch_plans_as_far_ahead_and_as_often_as_the_environment():
     planning = {"horizon": 3, "time_step": 0.2, "control_limit": [0.2, 9.0]}
-    comparison = Comparison({"merger": ["turn"]}, seeds=2, planning=planning)
+    comparison = Comparison({"merger": ["turn"]}, seeds=2, config={"planning": planning})
     expected, found = driven(comparison, "merger", "turn"), simulated(comparison).set_index(KEYS)
     assert len(found) == 2 * 20
     np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
@@ -165,11 +165,11 @@ def test_a_batch_without_controllers_episodes_known_costs_or_devices_is_refused(
     with pytest.raises(ValueError, match="no controllers for 'give_way'"):
         make_batch(COMPARISON, "give_way")
     with pytest.raises(ValueError, match="no episodes to simulate"):
-        run_episodes(make_batch(COMPARISON, "merger"), [])
+        make_batch(COMPARISON, "merger").simulate([])
     with pytest.raises(ValueError, match="cannot measure plans"):
-        make_batch(Comparison({"merger": ["naive"]}, costs="measured"), "merger")
+        make_batch(Comparison({"merger": ["naive"]}, config={"costs": "measured"}), "merger")
     with pytest.raises(ValueError, match="the seed is -1"):
-        start(make_batch(COMPARISON, "merger"), -1)
+        make_batch(COMPARISON, "merger").episodes([("naive", -1)])
     with pytest.raises(ValueError, match="1000 devices are wanted"):
         use_devices(1000)
 
@@ -187,7 +187,7 @@ def test_the_throughput_of_environment_and_batches_is_measured(monkeypatch):
 def test_a_scenario_whose_environment_ends_early_is_not_simulated(monkeypatch):
     config = {**ENVIRONMENTS["merger"].default_config(), "terminate_on_collision": True}
     monkeypatch.setattr(ENVIRONMENTS["merger"], "default_config", classmethod(lambda cls: config))
-    with pytest.raises(ValueError, match=r"terminate_on_collision True.*runs all steps"):
+    with pytest.raises(ValueError, match=r"terminate_on_collision True, which a simulation does not do"):
         make_batch(COMPARISON, "merger")
 
 
@@ -195,20 +195,10 @@ def test_a_scenario_whose_environment_ends_early_is_not_simulated(monkeypatch):
 @pytest.mark.parametrize(
     ("controller", "warm_start"), [("schedule:naive=5,turn@4+warm=30,naive@6", False), ("turn", True)]
 )
-def test_warm_starts_and_efforts_agree_with_the_environment_step_by_step(controller, warm_start, monkeypatch):
-    config = {**ENVIRONMENTS["merger"].default_config(), "warm_start": warm_start}
-    monkeypatch.setattr(ENVIRONMENTS["merger"], "default_config", classmethod(lambda cls: config))
-    comparison = Comparison({"merger": [controller]}, seeds=3, ladder=["naive", "turn"])
+def test_warm_starts_and_efforts_agree_with_the_environment_step_by_step(controller, warm_start):
+    config = {"warm_start": warm_start, "ladder": ["naive", "turn"]}
+    comparison = Comparison({"merger": [controller]}, seeds=3, config=config)
     expected, found = driven(comparison, "merger", controller), simulated(comparison).set_index(KEYS)
     np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
     for name in ("model", "counted_seconds"):
         assert (found[name] == expected[name]).all()
-
-
-def test_a_warm_start_goes_on_from_what_is_left_of_the_last_plan_and_from_zero_after_braking():
-    plan = JointPlan(np.arange(10.0).reshape(5, 2), -np.arange(10.0).reshape(5, 2))
-    for steps, coming in ((5, [1, 2, 3, 4, 4]), (3, [1, 2, 2, 2, 2]), (1, [0, 0, 0, 0, 0])):
-        start = warm_plan(Rest(plan, np.int32(steps)))
-        np.testing.assert_array_equal(start.robot, plan.robot[coming])
-        np.testing.assert_array_equal(start.human, plan.human[coming])
-    assert not np.any(warm_plan(Rest(plan, np.int32(0))))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.records import one_episode, switches
+from ms_highway.experiments.records import one_episode
 from ms_highway.experiments.runner import read, run
 from ms_highway.planning.human_models import MODELS, TheoryOfMind, register
 from ms_highway.visualization.colors import color_of
@@ -25,7 +25,6 @@ def records(tmp_path_factory):
 def test_a_schedule_plans_with_the_models_in_its_order_and_goes_on_with_the_last(records):
     episode = one_episode(records, "merger", "schedule:tom=3,turn=1,naive", 0)
     assert episode["model"].tolist() == ["tom"] * 3 + ["turn"] + ["naive"] * 36
-    assert switches(episode) == [0, 3, 4]
     assert episode["counted_seconds"].tolist() == [0.37] * 3 + [0.17] + [0.09] * 36
     assert (episode["decision_seconds"] == 0).all()
 

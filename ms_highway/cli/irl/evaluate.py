@@ -24,7 +24,7 @@ examples:
 
 def add_evaluate(commands: Any) -> None:
     """Add the command ``evaluate`` to a parser's subparsers."""
-    parser = add_command(commands, "evaluate", "predict recorded drivers", HELP, EXAMPLES)
+    parser = add_command(commands, "irl evaluate", "predict recorded drivers", HELP, EXAMPLES)
     add_data(parser)
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument(

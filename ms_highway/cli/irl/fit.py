@@ -25,7 +25,7 @@ examples:
 
 def add_fit(commands: Any) -> None:
     """Add the command ``fit`` to a parser's subparsers."""
-    parser = add_command(commands, "fit", "learn a reward", HELP, EXAMPLES)
+    parser = add_command(commands, "irl fit", "learn a reward", HELP, EXAMPLES)
     add_data(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="a .json file for the learned reward")
     parser.set_defaults(run=_fit_reward)

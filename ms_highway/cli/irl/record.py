@@ -24,7 +24,7 @@ MOST_SEED = 2**32 - 1  # that JAX's random numbers take
 
 def add_record(commands: Any) -> None:
     """Add the command ``record`` to a parser's subparsers."""
-    parser = add_command(commands, "record", "record demonstrations", HELP, EXAMPLES)
+    parser = add_command(commands, "irl record", "record demonstrations", HELP, EXAMPLES)
     drivers = "; ".join(f"{name}: {meaning}" for name, meaning in DRIVERS.items())
     parser.add_argument("--driver", choices=list(DRIVERS), required=True, help=drivers)
     add_number(parser, "--episodes", None, "episodes that the data set is to have", required=True, metavar="N")

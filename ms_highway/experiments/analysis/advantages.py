@@ -1,12 +1,12 @@
 """Evaluate what a learned value of computation sees: in every state of an episode, and around its start."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from ms_highway.envs.base import InteractionEnv
+from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.learned_value import LearnedValue
@@ -72,15 +72,14 @@ def see(scenario: str, price: float, values: str, seed: int = 0, cells: int = CE
     Raises:
         ValueError: for an unknown scenario, an impossible price, or values of another ladder.
     """
-    learned = load_values(values)
-    env = make_environment(
-        scenario, f"learned:{price}:{values}", costs=dict(zip(learned.ladder, learned.costs, strict=True))
-    )
-    inner = env.unwrapped
-    assert isinstance(inner, InteractionEnv)
+    environment_id(scenario)
+    learned = load_values(values, ENVIRONMENTS[scenario].scenario.humans)
+    costs: Any = dict(zip(learned.ladder, learned.costs, strict=True)) if learned.costs else "measured"
+    env = make_environment(scenario, f"learned:{price}:{values}", costs=costs)
+    inner: Any = env.unwrapped
     env.reset(seed=seed)
     start = np.asarray(inner.car_states, float)
-    rule, states, records = learned.rule(inner.models, inner.costs(start), price), [start], []
+    rule, states, records = inner.robot.controller.rule, [start], []
     for record in episode(env, seed):
         records.append(record)
         states.append(inner.car_states)
@@ -101,19 +100,19 @@ def see(scenario: str, price: float, values: str, seed: int = 0, cells: int = CE
 
 
 def estimate(rule: LearnedValue, game: Game, states: np.ndarray) -> Advantages:
-    """Estimate the advantages in some states, an array [..., cars, 4]."""
+    """Estimate the advantages for the first human in some states, an array [..., cars, 4]."""
     found = _estimate(rule, game, np.asarray(states, np.float32).reshape(-1, *states.shape[-2:]))
     return jax.tree.map(lambda part: np.reshape(part, (*states.shape[:-2], *part.shape[1:])), found)
 
 
 @jax.jit
 def _estimate(rule: LearnedValue, game: Game, states: Array) -> Advantages:
-    memory, alone = first_memory(rule, 1), jax.tree.map(lambda part: part[:, None], rule.network)
+    memory, alone = first_memory(rule, game.number), jax.tree.map(lambda part: part[:, None], rule.network)
 
     def one(state: Array) -> Advantages:
-        seen = describe(game, state)
+        seen = describe(game, state, surroundings=rule.baseline == "cheapest")
         decision = rule.choose(memory, seen)
-        each = jax.vmap(lambda network: replace(rule, network=network).choose(memory, seen).gains)(alone)
-        return Advantages(decision.gains, each.std(axis=0), decision.memory.rungs[0])
+        each = jax.vmap(lambda network: replace(rule, network=network).choose(memory, seen).gains[0])(alone)
+        return Advantages(decision.gains[0], each.std(axis=0), decision.memory.rungs[0])
 
     return jax.vmap(one)(states)

@@ -1,19 +1,17 @@
 """Summarise records: a row per scenario and controller, with intervals."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from scipy import stats
 
 from ms_highway.control.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
 from ms_highway.envs.short_names import controller_config
-from ms_highway.experiments.records import count_column, models_of, share_column
+from ms_highway.experiments.records import KEYS, count_column, models_of, share_column
 from ms_highway.planning.human_models import known_models
 
 CONFIDENCE = 0.9
 FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
+MILLISECONDS = {"planning_ms": "planning_seconds", "counted_ms": "counted_seconds", "decision_ms": "decision_seconds"}
 
 
 def summary(records: pd.DataFrame) -> pd.DataFrame:
@@ -30,65 +28,21 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     ``humans_MODEL``, how many each rung above the first predicts in a step.
 
     Args:
-        records: a row per step, see `ms_highway.experiments.records.columns`.
+        records: a row per step, see `ms_highway.experiments.records.columns`; or per simulated episode, see
+            `ms_highway.experiments.batch.Batch.episodes_table`, of which nothing was measured.
 
     Raises:
         ValueError: for an unknown controller.
     """
-    models = known_models(records["model"].unique())
-    counts = [count_column(name) for name in models_of(records, count_column)]
-
-    def row(steps: pd.DataFrame) -> dict[str, Any]:
-        episodes = steps.groupby("seed")
-        cycles = 1e3 * (steps["planning_seconds"] + steps["decision_seconds"])
-        row = {
-            "planning_ms": 1e3 * steps["planning_seconds"].mean(),
-            "counted_ms": 1e3 * steps["counted_seconds"].mean(skipna=False),
-            "decision_ms": 1e3 * steps["decision_seconds"].mean(),
-            **{share_column(model): (steps["model"] == model).mean() for model in models},
-            "collision_episodes": int(episodes["collision"].any().sum()),
-            "fallbacks": int(steps["status"].isin(FAILED).sum()),
-        }
-        if counts:
-            last = steps.sort_values("step").groupby("seed")["success"].last()
-            row |= {"success": last.astype(float).mean(), **{name: steps[name].mean() for name in counts}}
-        return row | {
-            "cycle_ms_p50": cycles.median(),
-            "cycle_ms_p99": cycles.quantile(0.99),
-            "late": (steps["status"] == STATUSES[LATE]).mean(),
-            "way_out": (steps["status"] == STATUSES[WAY_OUT]).mean(),
-        }
-
-    return _by_controller(records, row)
-
-
-def sweep_summary(episodes: pd.DataFrame) -> pd.DataFrame:
-    """Return one row per scenario and controller: the columns of `summary` that are not measured.
-
-    Args:
-        episodes: a row per episode, see `ms_highway.experiments.batch.Batch.episodes_table`.
-    """
-    means = [column(name) for column in (share_column, count_column) for name in models_of(episodes, column)]
-    means += [name for name in ("success", "way_out") if name in episodes]
-
-    def row(some: pd.DataFrame) -> dict[str, Any]:
-        return {
-            "counted_ms": 1e3 * some["counted_seconds"].mean(skipna=False),
-            **{name: some[name].mean() for name in means},
-            "collision_episodes": int((some["collisions"] > 0).sum()),
-            "fallbacks": int(some["fallbacks"].sum()),
-        }
-
-    return _by_controller(episodes, row)
-
-
-def _by_controller(table: pd.DataFrame, row: Callable[[pd.DataFrame], dict[str, Any]]) -> pd.DataFrame:
-    """Return what all controllers have earned, and what a function summarises of the rows of each."""
+    table = _marked(records) if "step" in records else records
+    means = [column(name) for column in (share_column, count_column) for name in models_of(table, column)]
+    means += [name for name in ("success", "late", "way_out") if name in table]
     rows = []
     for (scenario, controller), some in table.groupby(["scenario", "controller"], sort=False):
-        config, rewards = controller_config(controller), some.groupby("seed")["reward"].mean()
+        config, episodes = controller_config(controller), some.groupby("seed")
+        rewards = episodes["reward"].mean()
         low, high = interval(rewards)
-        earned = {
+        row = {
             "scenario": scenario,
             "controller": controller,
             "kind": config["type"],
@@ -98,9 +52,32 @@ def _by_controller(table: pd.DataFrame, row: Callable[[pd.DataFrame], dict[str, 
             "reward_low": low,
             "reward_high": high,
             "reward_std": rewards.std(),
+            **{name: 1e3 * some[column].mean(skipna=False) for name, column in MILLISECONDS.items() if column in some},
+            "collision_episodes": int((episodes["collisions"].sum() > 0).sum()),
+            "fallbacks": int(some["fallbacks"].sum()),
+            **some[means].mean(),
         }
-        rows.append({**earned, **row(some)})
+        if "cycle_ms" in some:
+            row |= {f"cycle_ms_p{share}": some["cycle_ms"].quantile(share / 100) for share in (50, 99)}
+        rows.append(row)
     return pd.DataFrame(rows)
+
+
+def _marked(steps: pd.DataFrame) -> pd.DataFrame:
+    """Return steps with columns whose means and sums a summary has."""
+    statuses = {name: steps["status"] == STATUSES[number] for name, number in (("late", LATE), ("way_out", WAY_OUT))}
+    models = known_models(steps["model"].unique())
+    table = steps.assign(
+        **{share_column(model): steps["model"] == model for model in models},
+        **statuses,
+        fallbacks=steps["status"].isin(FAILED),
+        collisions=steps["collision"],
+        cycle_ms=1e3 * (steps["planning_seconds"] + steps["decision_seconds"]),
+    )
+    if "success" in table:
+        last = table["step"] == table.groupby(KEYS)["step"].transform("max")
+        table["success"] = table["success"].where(last).astype(float)
+    return table
 
 
 def interval(values: pd.Series) -> tuple[float, float]:

@@ -10,8 +10,9 @@ import numpy as np
 import optax
 from jax import numpy as jnp
 
-from ms_highway.experiments.values.rollouts import Rollouts, draw_prices
+from ms_highway.experiments.values.rollouts import Random, Rollouts, draw_prices
 from ms_highway.metareasoning.learned_value import Network, network_inputs, noise, outputs, scale
+from ms_highway.runtime.arrays import Array
 
 NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
 HIDDEN = (32, 32)
@@ -23,7 +24,7 @@ DECAY = 0.5  # of weights, times the rate and per step
 LARGEST_TARGET = 30.0  # in units of the scale of advantages: not even a crash counts more
 
 
-def new_network(random: np.random.Generator, inputs: int, means: int) -> Network:
+def new_network(random: Random, inputs: int, means: int) -> Network:
     """Draw weights with the variance that keeps the size of what tanh layers pass on (LeCun et al. 1998)."""
     return tuple(
         (
@@ -37,11 +38,11 @@ def new_network(random: np.random.Generator, inputs: int, means: int) -> Network
 def fit(
     network: Network,
     rollouts: Rollouts,
-    costs: np.ndarray,
+    costs: Array,
     prices: tuple[float, float] | None,
-    centre: np.ndarray,
-    spread: np.ndarray,
-    random: np.random.Generator,
+    centre: Array,
+    spread: Array,
+    random: Random,
 ) -> Network:
     """Fit what rungs are worth, and its spread, by AdamW and the likelihood of normal errors.
 
@@ -58,25 +59,22 @@ def fit(
         spread: of the inputs, standard deviations likewise.
         random: draws rollouts and prices.
     """
-    over_top = prices is not None
-    chosen = random.integers(len(rollouts.descriptions), size=(STEPS[over_top], NETWORKS, BATCH))
-    drawn = draw_prices(random, prices, chosen.size).reshape(chosen.shape) if prices else np.zeros(chosen.shape)
+    labels = _over_the_cheapest if prices is None else _over_the_top
+    shape = STEPS[prices is not None], NETWORKS, BATCH
+    chosen = random.integers(len(rollouts.descriptions), size=shape)
+    drawn = np.zeros(shape) if prices is None else draw_prices(random, prices, chosen.size).reshape(shape)
     numbers = jax.tree.map(np.float32, (rollouts, costs, centre, spread, drawn))
-    return jax.tree.map(np.asarray, _fit(_over_the_top if over_top else _over_the_cheapest, network, chosen, *numbers))
+    return jax.tree.map(np.asarray, _fit(labels, network, chosen, *numbers))
 
 
-def _over_the_cheapest(
-    means: jax.Array, rollouts: Rollouts, costs: jax.Array, prices: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _over_the_cheapest(means: Array, rollouts: Rollouts, costs: Array, prices: Array) -> tuple[Array, Array]:
     """Return the errors of gains, and where they count."""
     gains = rollouts.rewards[..., 1:, 0]
     known = jnp.isfinite(gains)
     return means - jnp.where(known, gains, 0), known
 
 
-def _over_the_top(
-    means: jax.Array, rollouts: Rollouts, costs: jax.Array, prices: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _over_the_top(means: Array, rollouts: Rollouts, costs: Array, prices: Array) -> tuple[Array, Array]:
     """Return the errors of advantages in units of `scale`, and where they count."""
     earned, size = jnp.asarray(rollouts.best(prices)), scale(prices, costs[-1] - costs[0])[..., None]
     known = jnp.isfinite(earned)
@@ -89,21 +87,21 @@ def _over_the_top(
 
 @partial(jax.jit, static_argnums=0)
 def _fit(
-    labels: Callable[..., tuple[jax.Array, jax.Array]],
+    labels: Callable[..., tuple[Array, Array]],
     network: Network,
-    chosen: jax.Array,
+    chosen: Array,
     rollouts: Rollouts,
-    costs: jax.Array,
-    centre: jax.Array,
-    spread: jax.Array,
-    prices: jax.Array,
+    costs: Array,
+    centre: Array,
+    spread: Array,
+    prices: Array,
 ) -> Network:
 
-    def one(network: Network, inputs: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def one(network: Network, inputs: Array) -> tuple[Array, Array]:
         means, spreads = outputs(jax.tree.map(lambda part: part[None], network), inputs)
         return means[0], noise(spreads[0])
 
-    def loss(network: Network, chosen: jax.Array, prices: jax.Array) -> jax.Array:
+    def loss(network: Network, chosen: Array, prices: Array) -> Array:
         picked = Rollouts(*(part[chosen] for part in rollouts))
         described = jnp.asarray(picked.descriptions)
         inputs = described if labels is _over_the_cheapest else network_inputs(described, prices)
@@ -115,7 +113,7 @@ def _fit(
 
     optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY)
 
-    def step(carry: Any, batch: tuple[jax.Array, jax.Array]) -> tuple[Any, None]:
+    def step(carry: Any, batch: tuple[Array, Array]) -> tuple[Any, None]:
         network, state = carry
         updates, state = optimizer.update(jax.grad(loss)(network, *batch), state, network)
         return (optax.apply_updates(network, updates), state), None

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from ms_highway.experiments.values.rollouts import Course
+from ms_highway.experiments.values.rollouts import Course, Random
 from ms_highway.game.scenario import COMMON_WEIGHTS, Scenario, draw_episode
 from ms_highway.simulation.records import Loop
 
@@ -19,7 +19,7 @@ SHORTEST_GAP = 0.19  # paper units between the centres of cars in one lane
 STEPS = 40
 
 
-def draw_scenario(random: np.random.Generator) -> Scenario:
+def draw_scenario(random: Random) -> Scenario:
     """Draw lanes, cars, cones, and what both drivers are after."""
     while True:
         count = int(random.choice([1, 2, 3], p=[0.1, 0.6, 0.3]))
@@ -56,7 +56,7 @@ def draw_scenario(random: np.random.Generator) -> Scenario:
     )
 
 
-def _robot_weights(random: np.random.Generator, leads: bool) -> dict[str, float]:
+def _robot_weights(random: Random, leads: bool) -> dict[str, float]:
     """Draw weights: the common ones, each within a third of its own, as collisions cost what they do, and aims."""
     weights = {
         name: weight if name == "collision" else weight * _between(random, 0.75, 1.33)
@@ -71,17 +71,17 @@ def _robot_weights(random: np.random.Generator, leads: bool) -> dict[str, float]
     return weights
 
 
-def _human_weights(random: np.random.Generator, leads: bool) -> dict[str, float]:
+def _human_weights(random: Random, leads: bool) -> dict[str, float]:
     weights = {"target_lane": _between(random, 60, 1000)} if random.random() < 0.75 else {}
     return weights | ({"gap": _between(random, 10, 90)} if leads and random.random() < 0.4 else {})
 
 
-def _between(random: np.random.Generator, low: float, high: float) -> float:
+def _between(random: Random, low: float, high: float) -> float:
     return float(np.exp(random.uniform(np.log(low), np.log(high))))
 
 
 def generated_courses(
-    loop: Callable[[Scenario], Loop], rungs: tuple[int, ...], count: int, random: np.random.Generator
+    loop: Callable[[Scenario], Loop], rungs: tuple[int, ...], count: int, random: Random
 ) -> list[Course]:
     """Draw courses, which share the states of not quite three whole ones.
 

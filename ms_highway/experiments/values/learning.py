@@ -18,11 +18,12 @@ from jax.sharding import Mesh
 
 from ms_highway.experiments.directory import ResultsDirectory, cannot_resume
 from ms_highway.experiments.values.fitting import fit, new_network
-from ms_highway.experiments.values.rollouts import Course, Driving, Rollouts
+from ms_highway.experiments.values.rollouts import Course, Driving, Random, Rollouts
 from ms_highway.metareasoning.learned_value import Baseline
 from ms_highway.metareasoning.values import Values, input_names
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import human_model
+from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.files import replacing
 from ms_highway.runtime.packing import pack
 from ms_highway.simulation.records import DECIDES
@@ -74,7 +75,8 @@ class Learning:
     def values(self, done: Sequence[Rollouts], number: int) -> Values:
         """Fit values to rollouts in round ``number``, from 1."""
         over_top, names = self.baseline == "top", input_names(self.baseline)
-        random, costs = self.stream(number, EVALUATION if over_top else HELD_OUT), tuple(self.costs.values())
+        random = self.stream(number, EVALUATION if over_top else HELD_OUT)
+        costs: tuple[float, ...] = tuple(self.costs.values())
         centre, spread = np.zeros(len(names), np.float32), np.ones(len(names), np.float32)
         shape = len(names), len(costs) - (not over_top)
         network = new_network(random, *shape)
@@ -96,10 +98,10 @@ class Learning:
             "rounds": number,
             "horizon": self.horizon,
         }
-        known, prices = (costs, self.prices) if over_top else ((), ())
-        return Values(network, centre, spread, tuple(self.costs), known, prices, self.baseline, names, provenance)
+        costs, prices = (costs, self.prices) if over_top else ((), ())
+        return Values(network, centre, spread, tuple(self.costs), costs, prices, self.baseline, names, provenance)
 
-    def stream(self, *place: int) -> np.random.Generator:
+    def stream(self, *place: int) -> Random:
         """Return the random numbers of a place, such as a round and the number of a course."""
         return np.random.default_rng([self.seed, *place])
 
@@ -170,7 +172,7 @@ def rollouts_directory(out: Path) -> Path:
 
 def _read(file: Path) -> Rollouts:
     try:
-        with np.load(file, allow_pickle=False) as archive:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as archive:
             return Rollouts(**archive)
     except (BadZipFile, EOFError, OSError, TypeError, ValueError) as error:
         raise cannot_resume(file, error, "remove it, or choose another --out") from error
@@ -196,16 +198,13 @@ class _HeldOut:
         """Return how far the learned rule stays behind the best of the orders, per step."""
         prices = np.array(HELD_OUT_PRICES)[:, None]
         reward, seconds = self._outcomes(values, np.full((len(prices), self.course.steps), DECIDES), prices[:, 0])
-        best = np.max([found - prices * spent for found, spent in zip(*self.orders, strict=True)], axis=0)
+        best = np.max([earned - prices * planned for earned, planned in zip(*self.orders, strict=True)], axis=0)
         return float(np.mean(np.maximum(best - (reward - prices * seconds), 0)))
 
-    def _outcomes(self, values: Values | None, orders: np.ndarray, prices: np.ndarray) -> list[np.ndarray]:
+    def _outcomes(self, values: Values | None, orders: Array, prices: Array) -> list[Array]:
         """Return what orders earn and plan from every start, means over the steps [orders, starts]."""
         count, each = len(orders), HELD_OUT_STARTS
         starts, weights = (np.tile(part, (count, 1, 1)) for part in (self.starts, self.weights))
-        driving, prices = (
-            self.learning.driving(self.course, values, self.mesh),
-            np.repeat(prices, each).astype(np.float32),
-        )
+        driving, prices = self.learning.driving(self.course, values, self.mesh), np.float32(np.repeat(prices, each))
         records, planned = driving.drive(starts, weights, np.repeat(orders, each, axis=0), prices)
         return [np.mean(part, axis=1).reshape(count, each) for part in (records.reward, planned)]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -18,8 +18,11 @@ from ms_highway.game.arrays import HumansWeights, State
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.situation import describe
+from ms_highway.runtime.arrays import Array
 from ms_highway.simulation.loop import simulate
 from ms_highway.simulation.records import DECIDES, USUAL, Episodes, Loop, Records
+
+Random: TypeAlias = np.random.Generator
 
 MOST_NOISE = 4.0  # see `noisy_starts`
 STATES_OF_AN_EPISODE = 4, 6  # with one human, and among several
@@ -67,7 +70,7 @@ class Course:
 
     name: str
     loop: Loop
-    draw: Callable[[np.random.Generator], tuple[State, HumansWeights]]
+    draw: Callable[[Random], tuple[State, HumansWeights]]
     steps: int
     rungs: tuple[int, ...]
     share: float = 1.0
@@ -82,13 +85,13 @@ class Course:
         """Whether there are several humans."""
         return self.game.number > 1
 
-    def starts(self, random: np.random.Generator, count: int) -> list[np.ndarray]:
+    def starts(self, random: Random, count: int) -> list[Array]:
         """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features]."""
         drawn = [self.draw(random) for _ in range(count)]
         return [np.array(part, np.float32) for part in zip(*drawn, strict=True)]
 
 
-def noisy_starts(course: Course, random: np.random.Generator, count: int) -> list[np.ndarray]:
+def noisy_starts(course: Course, random: Random, count: int) -> list[Array]:
     """Draw starts with one to five times the noise of the course's own.
 
     A start is ``a + c (b - a)`` with two draws a and b, which has their mean and ``sqrt(c^2 + (1 - c)^2)`` times their
@@ -100,7 +103,7 @@ def noisy_starts(course: Course, random: np.random.Generator, count: int) -> lis
     return [starts.astype(np.float32), np.array([weights for (_, weights), _ in pairs])]
 
 
-def draw_prices(random: np.random.Generator, prices: Sequence[float], count: int) -> np.ndarray:
+def draw_prices(random: Random, prices: Sequence[float], count: int) -> Array:
     """Draw lambdas whose logarithms are uniform."""
     return np.exp(random.uniform(np.log(prices[0]), np.log(prices[1]), count)).astype(np.float32)
 
@@ -125,7 +128,7 @@ class Driving:
     horizon: int
     mesh: Mesh
 
-    def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> tuple[Records, np.ndarray]:
+    def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> tuple[Records, Array]:
         """Simulate episodes, with models by schedule or by the rule.
 
         Whatever their length, they are simulated as many steps at a time as a rollout has, so that a course is compiled
@@ -135,25 +138,26 @@ class Driving:
             starts: of all cars [episodes, cars, 4].
             weights: of the humans' rewards [episodes, humans, features].
             schedules: the rung of all humans [episodes, steps], or of every human [episodes, steps, humans].
-            prices: lambdas [episodes].
+            prices: lambdas [episodes], or the same for all.
 
         Returns:
             Records, and the seconds of planning at T(M) [episodes, steps].
         """
         game, (count, steps, *_) = self.course.game, np.shape(schedules)
         schedules = np.broadcast_to(np.reshape(schedules, (count, steps, -1)), (count, steps, game.number))
+        lambdas = np.broadcast_to(np.float32(prices), count)
         robot = np.broadcast_to(np.asarray(game.robot.weights, np.float32), (count, len(game.robot.weights)))
         own, loop, parts = np.full((count, game.number), USUAL), replace(self.course.loop, rule=self.rule), []
         for first in range(0, steps, self.horizon):
             part = np.asarray(schedules[:, first : first + self.horizon], np.int32)
             part = np.pad(part, ((0, 0), (0, self.horizon - part.shape[1]), (0, 0)), mode="edge")
-            parts.append(simulate(loop, Episodes(starts, prices, part, robot, weights, own), self.mesh))
+            parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, own), self.mesh))
             starts = np.asarray(parts[-1].states[:, -1])
         records = jax.tree.map(lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts)
         costs = self.rule.costs
         return records, costs.base + np.asarray(costs.each, float)[records.rungs].sum(axis=-1)
 
-    def roll_out(self, random: np.random.Generator, count: int, rungs: int) -> Rollouts:
+    def roll_out(self, random: Random, count: int, rungs: int) -> Rollouts:
         """Visit so many states and roll out from them, on a ladder of as many rungs as are learned."""
         states, weights = self._visited(random, count)
         described = np.asarray(_describe(self.course.game, states))
@@ -165,7 +169,7 @@ class Driving:
         picked = described[np.arange(len(states))[:, None], chosen]
         return Rollouts(picked.reshape(len(rewards), -1), *whole)
 
-    def _visited(self, random: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw states that episodes come through, planned by random orders and by the rule, and the humans' weights.
 
         With one human, a learned rule takes over at the first step in half of the episodes, later in the others; among
@@ -175,7 +179,7 @@ class Driving:
         course, steps, several = self.course, self.course.steps, self.course.several
         number = -(-count // STATES_OF_AN_EPISODE[several])
         starts, weights = course.starts(random, number) if several else noisy_starts(course, random, number)
-        orders, prices = _random_orders(random, number, course), np.full(number, self.prices[0], np.float32)
+        orders, prices = _random_orders(random, number, course), self.prices[0]
         if self.learned and several:
             orders[::2] = DECIDES
         elif self.learned:
@@ -194,7 +198,7 @@ class Driving:
         visited = states[np.arange(len(states))[:, None], places].reshape(-1, *states.shape[2:])
         return visited[:count], np.repeat(weights, places.shape[1], axis=0)[:count]
 
-    def _each_way(self, random: np.random.Generator, states: Any, weights: Any) -> tuple[Any, Any, Any]:
+    def _each_way(self, random: Random, states: Any, weights: Any) -> tuple[Any, Any, Any]:
         """Plan one step with each rung; go on with each rung, or with a learned rule, by the rule or with the top."""
         count, own = len(states), len(self.course.rungs)
         ways = [(rung, np.ones(count, np.float32)) for rung in range(own)]  # from the second step on, and prices
@@ -204,13 +208,14 @@ class Driving:
         first, then = np.repeat(np.arange(own), len(ways)), np.tile([rung for rung, _ in ways], own)
         schedules = np.where(np.arange(self.horizon) == 0, first[:, None], then[:, None])  # [own * ways, steps]
         prices = np.tile(np.stack([price for _, price in ways], axis=1), (1, own)).ravel()
-        states, weights = (np.repeat(part, len(schedules), axis=0) for part in (states, weights))
-        records, planned = self.drive(states, weights, np.tile(schedules, (count, 1)), prices)
+        starts, drivers = (np.repeat(part, len(schedules), axis=0) for part in (states, weights))
+        records, planned = self.drive(starts, drivers, np.tile(schedules, (count, 1)), prices)
         earned = np.nan_to_num(np.sum(records.reward, axis=1, dtype=float), nan=-WORST)
-        sums = np.clip(earned, -WORST, WORST), planned.sum(axis=1)
-        return np.zeros((count, 1), int), *(part.reshape(count, own, len(ways)) for part in sums)
+        rewards, seconds = np.clip(earned, -WORST, WORST), planned.sum(axis=1)
+        shape = count, own, len(ways)
+        return np.zeros((count, 1), int), rewards.reshape(shape), seconds.reshape(shape)
 
-    def _each_human(self, random: np.random.Generator, states: Any, weights: Any) -> tuple[Any, Any, Any]:
+    def _each_human(self, random: Random, states: Any, weights: Any) -> tuple[Any, Any, Any]:
         """Choose humans in each state, near ones rather, and predict each of them by all rungs."""
         rungs, humans = len(self.course.rungs), self.course.game.number
         distances = np.linalg.norm(states[:, 1 : 1 + humans, :2] - states[:, :1, :2], axis=-1)
@@ -220,20 +225,18 @@ class Driving:
         orders = np.full((*chosen.shape, rungs, humans), DECIDES if self.learned else 0)
         for rung in range(rungs):
             np.put_along_axis(orders[:, :, rung], chosen[..., None], rung, axis=-1)
-        wanted = np.ones(orders.shape[:-1], bool)
-        wanted[:, 1:, 0] = self.learned  # without a rule, all naive is the same for every human
-        which, schedules = np.nonzero(wanted)[0], np.repeat(orders[wanted][:, None], self.horizon, axis=1)
-        prices = np.full(len(which), self.prices[0], np.float32)
-        records, _ = self.drive(states[which], weights[which], schedules, prices)
-        earned = np.full(wanted.shape, np.nan)
-        earned[wanted] = np.clip(np.nan_to_num(records.reward, nan=-WORST_STEP), -WORST_STEP, None).mean(axis=1)
-        if not self.learned:
-            earned[:, 1:, 0] = earned[:, :1, 0]
-        gains = (earned - earned[..., :1]).reshape(-1, rungs, 1)
+        which = np.broadcast_to(np.arange(len(states))[:, None, None, None], (*orders.shape[:-1], 1))
+        every = np.concatenate([which, orders], axis=-1).reshape(-1, 1 + humans)
+        different, places = np.unique(every, axis=0, return_inverse=True)  # all naive is the same for every human
+        own, schedules = different[:, 0], np.repeat(different[:, None, 1:], self.horizon, axis=1)
+        rewards = self.drive(states[own], weights[own], schedules, self.prices[0])[0].reward
+        earned = np.clip(np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None).mean(axis=1).astype(float)
+        gains = earned[places].reshape(-1, rungs, 1)
+        gains -= gains[:, :1]
         return chosen, gains, np.zeros_like(gains)
 
 
-def _random_orders(random: np.random.Generator, count: int, course: Course) -> np.ndarray:
+def _random_orders(random: Random, count: int, course: Course) -> Array:
     """Draw orders that keep their rungs for some steps, with frequencies of rungs that differ from order to order.
 
     Among several humans, all change at once, each to a rung of its own.
@@ -242,15 +245,14 @@ def _random_orders(random: np.random.Generator, count: int, course: Course) -> n
     orders = np.zeros((count, steps, course.game.number), np.int32)
     for order, share in zip(orders, random.dirichlet(np.ones(rungs), count), strict=True):
         draw = partial(random.choice, rungs, p=share)
-        changes, drawn = (
-            (np.zeros(0), np.zeros(0)) if several else (random.random(steps) > STAYS[0], np.asarray(draw(steps)))
-        )
+        uniform: Any = None if several else random.random(steps)
+        drawn: Any = None if several else draw(steps)
         for step in range(steps):
-            changed = step == 0 or (random.random() >= STAYS[1] if several else changes[step])
-            order[step] = order[step - 1] if not changed else draw(course.game.number) if several else drawn[step]
+            stays = step > 0 and (random.random() < STAYS[1] if several else uniform[step] <= STAYS[0])
+            order[step] = order[step - 1] if stays else draw(course.game.number) if several else drawn[step]
     return orders
 
 
 @jax.jit
-def _describe(game: Game, states: Any) -> jax.Array:
+def _describe(game: Game, states: Any) -> Array:
     return jax.vmap(partial(describe, game, surroundings=game.number > 1))(states)

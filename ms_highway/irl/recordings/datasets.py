@@ -72,10 +72,10 @@ def _recording(name: str, tracks: np.ndarray, expected: tuple[int, ...]) -> Reco
         group=name,
         states=np.where(tracks[..., :1] == 1, tracks[..., 1:], np.nan),
         drivers=np.array([0]),
-        sizes=np.tile(np.asarray(game.scene.car_size, dtype=float), (tracks.shape[1], 1)),
-        lanes=np.asarray(game.scene.lanes, dtype=float),
-        lane_width=float(game.scene.lane_width),
-        speed_limit=float(game.robot.speed_limit),
+        sizes=np.tile(game.scene.car_size, (tracks.shape[1], 1)),
+        lanes=game.scene.lanes,
+        lane_width=game.scene.lane_width,
+        speed_limit=game.robot.speed_limit,
         measured=False,
     )
 

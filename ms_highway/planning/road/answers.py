@@ -44,7 +44,7 @@ FAR_ALONG = 5.0  # m along the path that count like one aside
 class Commuter:
     """A human on its path, and the motion of others in the path's coordinates.
 
-    Its reward is that of `ms_highway.game.crowd.along_others` on a straight road of one lane, less what does not depend
+    Its reward is that of `ms_highway.game.game.trajectory_reward` on a straight road of one lane, less what does not depend
     on its accelerations. Accelerations are scaled, in units of `UNIT`.
 
     Attributes:

@@ -1,7 +1,7 @@
 """Refine the robot's controls on a road by damped Newton steps, among cars that keep to predictions or answer.
 
 Car i under theory of mind answers the robot's plan with accelerations u_i: ``J_i = -H_i^-1 d2R_i / du_i du_R``, and the
-robot climbs along ``dR_R/du_R + sum_i J_i^T dR_R/du_i``, as in `ms_highway.planning.several`. Its reward is smooth;
+robot climbs along ``dR_R/du_R + sum_i J_i^T dR_R/du_i``, as in `ms_highway.planning.climb`. Its reward is smooth;
 `ms_highway.planning.road.scoring` judges what comes of it.
 """
 

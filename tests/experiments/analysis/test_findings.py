@@ -6,7 +6,6 @@ import pytest
 
 from ms_highway.experiments.analysis.findings import answer
 from ms_highway.experiments.analysis.summary import summary
-from ms_highway.experiments.sweep import sweep_summary
 from ms_highway.visualization.comparison import cells
 
 COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185, "learned:0.1": 0.111}
@@ -90,13 +89,14 @@ def test_a_sweep_tells_them_as_well():
     rows = [
         {
             "controller": name,
+            "seed": seed,
             "reward": 1.0,
             "counted_seconds": 0.1,
             "share_naive": 1.0,
             "collisions": 0,
             "fallbacks": count,
         }
-        for name, count in (("naive", 0), ("naive", 3), ("turn", 0))
+        for seed, (name, count) in enumerate((("naive", 0), ("naive", 3), ("turn", 0)))
     ]
-    summaries = sweep_summary(pd.DataFrame(rows).assign(scenario="merger"))
+    summaries = summary(pd.DataFrame(rows).assign(scenario="merger"))
     assert cells(summaries, "merger")["fallback steps"].tolist() == ["3", "0"]

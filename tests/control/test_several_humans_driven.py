@@ -1,0 +1,92 @@
+"""Drivers among several humans: what they record, how they decide, and what they do when a plan fails or is late."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ms_highway.control.driver import Driver, fixed
+from ms_highway.game.game import swap_roles
+from ms_highway.metareasoning.compiled_decision import decide_function
+from ms_highway.metareasoning.rankings import Nearest
+from ms_highway.metareasoning.rule import always
+from ms_highway.planning.compiled_plans import Costs, plan_function
+from ms_highway.planning.human_models import MODELS, ladder
+
+RUNGS = ladder(("naive", "turn", "tom"))
+COSTS = Costs(0.09, np.array([0.0, 0.08, 0.28]))
+
+
+def nearest(count):
+    return Nearest(count, COSTS, RUNGS)
+
+
+@pytest.fixture
+def two(played):
+    """Merger with a second human, 30 m behind the first."""
+    game, state = played("merger", humans=2)
+    return game, np.asarray(state)
+
+
+def test_a_step_tells_what_was_planned_for_every_human(two):
+    game, state = two
+    step = Driver(game, nearest(1)).step(state)
+    assert step.models == ("tom", "naive")
+    assert step.status == "planned"
+    assert step.plan.shape == (5, 2)
+    assert step.humans.shape == (2, 5, 2)
+    np.testing.assert_array_equal(step.control, step.plan[0])
+    assert step.humans[1, 0] == pytest.approx([0.0, 0.2 * state[2, 3]], rel=1e-4)  # only makes up for friction
+    assert 0 < step.planning_seconds < 1
+    assert 0 < step.decision_seconds < 1
+    assert np.isnan(step.gains).all()
+
+
+def test_nothing_compiles_after_the_first_step(two):
+    game, state = two
+    driver = Driver(game, nearest(0))
+    driver.step(state)
+    compiled = [function.cache_info().currsize for function in (plan_function, decide_function)]
+    heavier = replace(game, humans=replace(game.humans, weights=np.asarray(game.humans.weights) * 1.5))
+    for count in range(3):
+        driver = Driver(heavier, nearest(count))
+        assert driver.step(state).compile_seconds == 0
+        driver.game = game
+        assert driver.step(state).compile_seconds == 0
+    assert compiled == [function.cache_info().currsize for function in (plan_function, decide_function)]
+
+
+def test_plans_that_fail_fall_back_to_the_rest_of_the_last_one_and_then_brake(two):
+    game, state = two
+    driver = fixed(game)
+    first = driver.step(state)
+    driver.game = replace(game, robot=replace(game.robot, weights=game.robot.weights * np.nan))
+    steps = [driver.step(state) for _ in range(6)]
+    assert [step.status for step in steps] == ["previous plan"] * 4 + ["braking"] * 2
+    np.testing.assert_allclose(steps[0].plan, first.plan[1:], rtol=1e-6)
+    np.testing.assert_allclose(steps[3].control, first.plan[4], rtol=1e-6)
+    np.testing.assert_allclose(steps[4].control, [0.0, -8.0], atol=0.01)
+
+
+def test_a_plan_that_is_late_is_followed_from_the_next_step_on(two):
+    game, state = two
+    driver, punctual = (Driver(game, always(MODELS["tom"]), budget=limit) for limit in (0.0, None))
+    first, second = driver.step(state), driver.step(state)
+    planned = [punctual.step(state), punctual.step(state)]
+    assert [first.status, second.status] == ["late", "late"]
+    assert first.control[1] < 0  # brakes, as there is no plan yet
+    np.testing.assert_allclose(second.plan, planned[0].plan[1:], rtol=1e-6)
+    driver.budget = None
+    third = driver.step(state)
+    assert third.status == "planned"
+    np.testing.assert_allclose(third.plan, punctual.step(state).plan, rtol=1e-6)
+
+
+def test_humans_drive_by_their_own_rewards(two):
+    game, state = two
+    timid = replace(game, humans=replace(game.humans, weights=game.humans.weights * np.array([[1.0], [0.5]])))
+    others = [2, 0, 1, *range(3, len(state))]
+    plans = [fixed(swap_roles(each, 1)).step(state[others]) for each in (game, timid)]
+    assert [step.status for step in plans] == ["planned"] * 2
+    assert swap_roles(timid, 1).robot.weights == pytest.approx(timid.humans.weights[1])
+    assert abs(plans[0].plan - plans[1].plan).max() > 1e-3

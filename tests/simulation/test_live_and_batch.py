@@ -1,0 +1,179 @@
+"""With one human and with two, live drives do what batches do: models, rules, beliefs, ways out."""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar
+
+import jax
+import numpy as np
+import pytest
+from driving import SCENES, drive, simulated
+from jax import numpy as jnp
+
+from ms_highway.control.driver import Driver
+from ms_highway.control.fallback import STATUSES, WAY_OUT
+from ms_highway.control.yielding import Unmoved
+from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.game import swap_roles
+from ms_highway.metareasoning.belief import RESPONDING
+from ms_highway.metareasoning.budget import Budget, OneStepGains
+from ms_highway.metareasoning.horizon import WholeHorizon
+from ms_highway.metareasoning.rankings import Influence, Nearest, TimeToCollision
+from ms_highway.metareasoning.rule import Decision, Memory, Order, decide, unestimated
+from ms_highway.metareasoning.switching import Switching
+from ms_highway.metareasoning.values import load_values
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import Naive, PredictedHuman, TheoryOfMind, ladder
+from ms_highway.simulation.records import ALWAYS_YIELDS, NEVER_YIELDS, USUAL, Loop
+
+STEPS, SEEDS = 5, 2
+PAPERS = ladder(["naive", "turn", "tom"])
+decided = jax.jit(decide)  # traced once for both of its uses in a batch
+
+
+@dataclass(frozen=True)
+class Timid(PredictedHuman):
+    """A model of a user's: the human brakes by 2 m/s^2, whatever happens."""
+
+    name: ClassVar[str] = "timid"
+
+    def predict(self, game, state, start=None):
+        control = keep_velocity(game.dynamics, state[1]) - jnp.array([0.0, 2.0])
+        return jnp.tile(control / game.planner.control_scale, (game.planner.horizon, 1))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Ahead:
+    """A rule of a user's: humans ahead of the robot are predicted by the top rung, others by the first one."""
+
+    distance: Any
+    ladder: tuple = field(metadata={"static": True})
+    network: ClassVar[None] = None
+    in_one_kernel: ClassVar[bool] = False
+
+    def look(self, game, memory, outcome):
+        return outcome.after[1 : 1 + game.number, :1] - outcome.after[0, 0]
+
+    def choose(self, memory, seen):
+        return unestimated(memory, jnp.where(seen[:, 0] > self.distance, len(self.ladder) - 1, 0))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class OneOf:
+    """Some rules of the same ladder, one of which decides: a batch of each takes a single compilation."""
+
+    rules: tuple
+    which: Any
+    ladder: tuple = field(metadata={"static": True})
+    network: ClassVar[None] = None
+    in_one_kernel: ClassVar[bool] = False
+
+    def look(self, game, memory, outcome):
+        decision = jax.lax.switch(self.which, [partial(decided, rule) for rule in self.rules], game, memory, outcome)
+        after, gains, _ = jax.tree.map(jnp.float32, decision)
+        return jnp.concatenate([after.rungs[:, None], after.last_check, gains], axis=1)
+
+    def choose(self, memory, seen):
+        chosen, checks, gains = jnp.split(seen, [1, 1 + len(self.ladder)], axis=1)
+        after = Memory(chosen[:, 0].astype(jnp.int32), memory.step + 1, checks.astype(jnp.int32))
+        return Decision(after, gains, jnp.bool(False))
+
+
+def rules(humans):
+    """All rules at which models are chosen, by name."""
+    costs = Costs.of([0.09, 0.17, 0.37], humans)
+    values = load_values("shipped", humans)
+    one_step = OneStepGains(Switching(costs, 0.0, PAPERS), costs, PAPERS)
+    return {
+        "switching": Switching(costs, 0.1, PAPERS),
+        "whole horizon": WholeHorizon(costs, 0.1, PAPERS),
+        "learned": values.rule(PAPERS, costs, 1.0),
+        "budget": Budget(one_step, costs, seconds=0.6, deciding=0.01),
+        "budget of values": Budget(values.rule(PAPERS, costs, 0.0), costs, seconds=0.7, deciding=0.01),
+        "nearest": Nearest(1, costs, PAPERS),
+        "time to collision": TimeToCollision(1, costs, PAPERS),
+        "influence": Influence(1, costs, PAPERS),
+    }
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def scene(request, played):
+    """A game, and starts; the number of humans is that of the game."""
+    games, starts = zip(*(played(SCENES[request.param], seed) for seed in range(SEEDS)), strict=True)
+    return games[0], np.array(starts)
+
+
+@pytest.fixture(scope="module")
+def records_of(scene):
+    """The records of a batch under each of the rules."""
+    game, starts = scene
+    named = rules(game.number)
+    return {
+        name: simulated(Loop(game, OneOf(tuple(named.values()), np.int32(which), PAPERS)), starts)
+        for which, name in enumerate(named)
+    }
+
+
+def agree(records, episode, live, models):
+    """Check states, models and statuses of one episode of a batch against a live drive."""
+    states, driven = live
+    np.testing.assert_allclose(records.states[episode], states[1:], atol=1e-3, rtol=0)
+    assert [tuple(models[rung].name for rung in rungs) for rungs in records.rungs[episode]] == [
+        step.models for step in driven
+    ]
+    assert [STATUSES[number] for number in records.status[episode]] == [step.status for step in driven]
+
+
+@pytest.mark.parametrize("humans", SCENES)
+def test_models_and_efforts_on_schedules(played, humans):
+    """With several humans, too, plans go on from what is left of the last one only where a model in use says so."""
+    game, start = played("merger", humans=humans)
+    models = ladder(["naive", "idm", "turn", "tom@3+warm"])
+    schedule = np.array([[0, 2], [1, 0], [2, 3], [3, 3], [3, 1]])[:, :humans]
+    records = simulated(Loop(game, Order(schedule, models)), [start], schedule=schedule)
+    agree(records, 0, drive(Driver(game, Order(schedule, models)), start, STEPS), models)
+
+
+@pytest.mark.parametrize("name", rules(1))
+def test_rules(scene, records_of, name):
+    game, starts = scene
+    records = records_of[name]
+    _, driven = live = drive(Driver(game, rules(game.number)[name]), starts[0], STEPS)
+    agree(records, 0, live, PAPERS)
+    assert not any(step.choice_failed for step in driven)
+    for gains, step in zip(records.gains[0], driven, strict=True):
+        known = np.isfinite(step.gains)
+        np.testing.assert_allclose(gains[known], step.gains[known], atol=1e-2)
+
+
+def test_rules_decide_differently_here(records_of):
+    assert len({records.rungs.tobytes() for records in records_of.values()}) > 3
+
+
+def test_a_rule_and_a_model_of_ones_own(scene):
+    game, starts = scene
+    models = Naive(), TheoryOfMind(), Timid()
+    rule = Ahead(np.float32(np.median(starts[:, 1 : 1 + game.number, 0] - starts[:, :1, 0])), models)
+    records = simulated(Loop(game, rule), starts)
+    assert set(records.rungs.ravel()) == {0, 2}
+    for episode, start in enumerate(starts):
+        agree(records, episode, drive(Driver(game, rule), start, STEPS), models)
+
+
+def test_beliefs_ways_out_and_humans_who_yield_never_or_always(scene):
+    game, starts = scene
+    models = ladder(["naive", "tom"])
+    loop = Loop(game, Order(np.array([[1]]), models), way_out=True, belief=True, yielding=True)
+    yielding = np.repeat([[USUAL], [NEVER_YIELDS], [ALWAYS_YIELDS]], game.number, axis=1)
+    records = simulated(loop, starts[[0, 0, 0]], 8, schedule=1, yielding=yielding)
+    assert (records.status[0] == WAY_OUT).any()
+    for episode, yields in enumerate([None, False, True]):
+        humans = None if yields is None else [Unmoved(swap_roles(game, i), yields) for i in range(game.number)]
+        driver = Driver(game, loop.rule, belief=True, way_out=True)
+        live = drive(driver, starts[0], 8, humans=humans)
+        agree(records, episode, live, models)
+        ignored = live[1][-1].belief[:, RESPONDING].sum(axis=1) < 0.3
+        assert ignored.any() if humans else not ignored.any()
+        assert {name for name, alone in zip(live[1][-1].models, ignored, strict=True) if alone} <= {"naive"}
