@@ -1,14 +1,18 @@
 """Stretches of road for tests: three lanes, straight or on a circle, with traffic placed in road coordinates."""
 
-from functools import partial
-
 import jax
 import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.road import BEHIND, KNOTS, LANES, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path, RoadScene, place
+from ms_highway.planning.road.proposals import Manners, as_given, simulate_plans
+from ms_highway.planning.road.scoring import score
+from ms_highway.planning.road.settings import LANE, RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import situation_of
+from ms_highway.runtime.compilation import jit_quickly
 
-LANE_WIDTH = 4.0
+PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
+NOBODY = np.zeros(TRAFFIC, bool)
 
 
 def arc(knots, bend=0.0, d=0.0, start=0.0):
@@ -42,17 +46,17 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         limit: speed limit [m/s].
         applied: last control of the robot.
     """
-    paths = [arc(TRAFFIC_KNOTS, bend, lane * LANE_WIDTH, s) for s, lane, _ in cars]
+    paths = [arc(TRAFFIC_KNOTS, bend, lane * LANE, s) for s, lane, _ in cars]
     paths += [arc(TRAFFIC_KNOTS)] * (TRAFFIC - len(cars))
     present = np.arange(TRAFFIC) < len(cars)
     states = np.zeros((TRAFFIC, 4), np.float32)
     states[: len(cars), 3] = [speed for *_, speed in cars]
-    lanes = np.array([-LANE_WIDTH, 0.0, LANE_WIDTH])
+    lanes = np.array([-LANE, 0.0, LANE])
     return RoadScene(
         route=arc(KNOTS, bend),
         lanes=np.tile(lanes[:, None], KNOTS).astype(np.float32),
         open=np.ones((LANES, KNOTS), bool),
-        edges=np.tile([[-1.5 * LANE_WIDTH], [1.5 * LANE_WIDTH]], KNOTS).astype(np.float32),
+        edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
         speed_limit=np.full(KNOTS, limit, np.float32),
         changes=np.zeros(LANES, np.float32),
         room=np.inf,
@@ -75,15 +79,21 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
     )
 
 
-@partial(jax.jit, static_argnums=1)
-def _kept(scene, steps, time_step):
+@jax.jit
+def keeping_velocity(scene):
+    """World trajectories [TRAFFIC, 4, steps] of traffic that keeps its velocity along its path."""
+
     def one(path, state):
-        s = state[0] + state[3] * jnp.arange(1, steps + 1) * time_step
+        s = state[0] + state[3] * PLANNING.times
         return jnp.stack([*place(path, s, jnp.zeros_like(s)), jnp.full_like(s, state[3])])
 
     return jax.vmap(one)(scene.paths, scene.states)
 
 
-def keeping_velocity(scene, planning):
-    """World trajectories [TRAFFIC, 4, steps] of traffic that keeps its velocity along its path."""
-    return _kept(scene, planning.steps, planning.time_step)
+@jit_quickly
+def judged(scene, controls, lanes, follows):
+    """Plans whose controls are given [plans, steps, 2], driven and judged; the others follow or keep their speed."""
+    now, plans = situation_of(scene, PLANNING, WEIGHTS), as_given(jnp.asarray(controls), jnp.asarray(lanes))
+    manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((len(controls), TRAFFIC, PLANNING.steps)))
+    driven = simulate_plans(now, manners, plans)
+    return driven, score(now, driven, plans.lane)

@@ -14,7 +14,6 @@ from ms_highway.metareasoning.road_belief import updated_road_belief
 from ms_highway.optimization.kalman import Gaussian
 from ms_highway.planning.road.traits import prior, traits_of, updated_traits
 from ms_highway.runtime.compilation import jit_quickly
-from ms_highway.runtime.timing import warm_up
 
 Known = tuple[Gaussian, Belief]
 Path = Float[Any, "steps 3"]
@@ -25,44 +24,47 @@ def _updated(known: Known, before: RoadScene, path: Path, now: RoadScene, time_s
     return traits, updated_road_belief(known[1], before, path, now, time_step)
 
 
-_first, _update = jit_quickly(prior), jit_quickly(_updated)
+_prior, _update = jit_quickly(prior), jit_quickly(_updated)
 
 
 class DriversSeen:
     """Estimates and belief about the drivers in sight, updated in every step of a robot.
 
     Args:
-        traits: whether plans use the estimates of what drivers are like.
+        traits: whether what drivers are like is estimated.
+        belief: whether the model that each follows is inferred.
         time_step: between two steps [s].
     """
 
-    def __init__(self, traits: bool, time_step: float) -> None:
-        self.traits, self.time_step = traits, time_step
+    def __init__(self, traits: bool, belief: bool, time_step: float) -> None:
+        self.traits, self.belief, self.time_step = traits, belief, time_step
         self._before: tuple[RoadScene, Path] | None = None
         self._known: Known | None = None
 
     def prepare(self, scene: RoadScene, steps: int) -> None:
         """Compile, with a look at the road and the number of steps of plans."""
-        warm_up(_first, scene)
-        seen = DriversSeen(self.traits, self.time_step)
-        before, path = seen.look(scene), np.zeros((steps, 3), np.float32)
-        warm_up(_update, seen._known, before, path, scene, self.time_step)
+        seen = DriversSeen(self.traits, self.belief, self.time_step)
+        seen.planned(seen.look(scene)[0], np.zeros((steps, 3), np.float32))
+        seen.look(scene)
 
-    def look(self, scene: RoadScene) -> RoadScene:
-        """Learn from a look at the road; return it, with the traits of the drivers if plans use them."""
+    def look(self, scene: RoadScene) -> tuple[RoadScene, Belief | None]:
+        """Learn from a look at the road.
+
+        Returns:
+            The road, with the traits of the drivers if they are estimated; and the probability of each model for the
+            car on each path, None if it is not inferred.
+        """
+        if not self.traits and not self.belief:
+            return scene, None
         if self._before is None:
-            self._known = _first(scene), first_belief(len(scene.names))
+            self._known = _prior(scene), first_belief(len(scene.names))
         else:
             self._known = _update(self._known, *self._before, scene, self.time_step)
-        return replace(scene, traits=jax.tree.map(np.asarray, traits_of(self._known[0].mean))) if self.traits else scene
+        estimates, belief = jax.tree.map(np.asarray, self._known)
+        if self.traits:
+            scene = replace(scene, traits=jax.tree.map(np.asarray, traits_of(estimates.mean)))
+        return scene, belief if self.belief else None
 
     def planned(self, scene: RoadScene, path: Path) -> None:
         """Remember the robot's plan on the road that it looked at last; an empty one ends all learning until now."""
         self._before = (scene, path) if len(path) else None
-
-    @property
-    def belief(self) -> Belief:
-        """Probability of each model for the car on each path, after the last look."""
-        if self._known is None:
-            raise RuntimeError("nobody has been seen yet; look at the road first")
-        return np.asarray(self._known[1])

@@ -16,6 +16,7 @@ from ms_highway.game.arrays import Rungs
 from ms_highway.game.road import TRAFFIC, Places, RoadScene, Traits
 from ms_highway.metareasoning.road import RungChoice
 from ms_highway.metareasoning.road_belief import counted_rungs
+from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.plan import REFINED, LastPlan, RoadPlan, no_plan, plan_road, worth_of_answers
@@ -63,10 +64,11 @@ class RoadStep(ControlStep):
         return self.status != "planned"
 
 
+@dataclass
 class RoadDriver:
     """Drive a robot on any road, one step at a time.
 
-    Args:
+    Attributes:
         planning: limits and wishes; may be replaced between steps.
         choice: of the models that predict others.
         refines: whether the best proposal is refined.
@@ -77,64 +79,54 @@ class RoadDriver:
             shown one.
     """
 
-    def __init__(
-        self,
-        planning: RoadPlanning,
-        choice: RungChoice,
-        refines: bool = True,
-        weights: RoadWeights | None = None,
-        costs: Costs | None = None,
-        traits: bool = False,
-        belief: bool = False,
-    ) -> None:
-        self.planning, self.choice, self.refines = planning, choice, refines
-        self.weights, self.costs = weights or RoadWeights(), costs
-        self.traits, self.belief = traits, belief
+    planning: RoadPlanning
+    choice: RungChoice
+    refines: bool = True
+    weights: RoadWeights = RoadWeights()
+    costs: Costs | None = None
+    traits: bool = False
+    belief: bool = False
+
+    def __post_init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
         """Forget the last plan, before a new episode."""
         self._last = no_plan(self.planning)
         self._left = 0  # controls of the last plan that are left, the executed one included
-        self._seen = DriversSeen(self.traits, float(self.planning.time_step)) if self.traits or self.belief else None
+        self._seen = DriversSeen(self.traits, self.belief, float(self.planning.time_step))
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Return what to do now."""
         refuse_after_fork()
-        start = perf_counter()
-        compiling = 0.0
-        if self._seen is not None:
-            if self._left == 0:
-                _, compiling = timed(self._seen.prepare, scene, self.planning.steps)
-            scene = self._seen.look(scene)
+        start, compiling = perf_counter(), 0.0
+        if self._left == 0:
+            _, compiling = timed(self._seen.prepare, scene, self.planning.steps)
+        scene, belief = self._seen.look(scene)
         costs, preparing = timed(self._prepared, scene)
         compiling += preparing
-        start += compiling
-        worth, belief = np.zeros(TRAFFIC), self._seen.belief if self._seen is not None and self.belief else None
+        worth = np.full(TRAFFIC, np.nan)
         if self.choice.looks:
             worth = np.asarray(worth_of(scene, self.planning, self.weights, self._last))
         if belief is not None:
             worth = worth * belief[:, TOM]
-        rungs = self.choice.choose(worth, costs, perf_counter() - start)
-        rungs = np.where(scene.moving & scene.present, rungs, NAIVE).astype(np.int32)
+        chosen = self.choice.choose(worth, costs, perf_counter() - start - compiling)
+        rungs = np.where(scene.moving & scene.present, chosen, NAIVE).astype(np.int32)
         if belief is not None:
             rungs = counted_rungs(rungs, belief)
-        deciding = perf_counter() - start
+        deciding = perf_counter() - start - compiling
         plan, planning = self._planned(scene, rungs)
         controls, status, source = self._followed(plan)
-        finite = status == PLANNED
-        gains = np.full((TRAFFIC, len(PACKAGE_MODELS)), np.nan)
-        gains[:, 1:] = worth[:, None] if self.choice.looks else np.nan
-        if self._seen is not None:
-            self._seen.planned(scene, plan.path if finite else plan.path[:0])
+        path = plan.path[: len(controls) if status == PLANNED else 0]
+        self._seen.planned(scene, path)
+        predicted = scene.present & (status == PLANNED)
+        gains = np.tile(worth[:, None], len(PACKAGE_MODELS))
+        gains[:, NAIVE] = np.nan
         return RoadStep(
             controls[0].astype(float),
             controls,
-            plan.predictions if finite else plan.predictions[:, :0],
-            tuple(
-                PACKAGE_MODELS[rung] if there and finite else ""
-                for rung, there in zip(rungs, scene.present, strict=True)
-            ),
+            plan.predictions[:, : len(path)],
+            tuple(np.where(predicted, np.array(PACKAGE_MODELS)[rungs], "").tolist()),
             planning,
             deciding,
             compiling,
@@ -142,7 +134,7 @@ class RoadDriver:
             gains,
             status=STATUSES[status],
             belief=belief,
-            path=plan.path if finite else plan.path[:0],
+            path=path,
             owners=np.asarray(scene.owners),
             source=source,
             broken=bool(plan.broken),
@@ -153,27 +145,27 @@ class RoadDriver:
         plan, seconds = timed(plan_of[self.refines], scene, self.planning, self.weights, rungs, self._last)
         return jax.tree.map(np.asarray, plan), seconds
 
-    def _followed(self, plan: RoadPlan) -> tuple[Float[Any, "steps 2"], int, str]:
+    def _followed(self, plan: RoadPlan) -> tuple[Controls, int, str]:
         """Return the controls to follow, the number of their status and their source; keep what is left of them."""
-        controls, hardest = plan.controls, -HARDEST * self.planning.grip
-        source = "braking" if plan.broken and controls[0, 1] < hardest else SOURCES.get(int(plan.chosen), "proposal")
+        controls, grip = plan.controls, self.planning.grip
+        hardest = plan.broken and controls[0, 1] < -HARDEST * grip
+        source = "braking" if hardest else SOURCES.get(int(plan.chosen), "proposal")
         status, self._left = fallback_status(bool(np.isfinite(controls).all()), self._left, len(controls))
         if status == PREVIOUS_PLAN:
             controls, source = np.asarray(self._last.controls), "last plan"
         elif status != PLANNED:
-            controls = np.tile(np.array([0.0, -self.planning.grip], np.float32), (len(controls), 1))
-            source = "braking"
+            controls, source = np.full_like(controls, [0.0, -grip]), "braking"
         self._last = LastPlan(np.concatenate([controls[1:], controls[-1:]]), plan.path[-1, :2])
         return controls, status, source
 
     def _prepared(self, scene: RoadScene) -> Costs:
         """Compile, and return what models cost, measured once there are others if the choice looks at it."""
         given, others = (scene, self.planning, self.weights), np.asarray(scene.moving & scene.present)
-        warm_up(plan_of[self.refines], *given, np.zeros(TRAFFIC, np.int32), self._last)
+        rungs = np.outer(range(len(PACKAGE_MODELS)), others).astype(np.int32)
+        warm_up(plan_of[self.refines], *given, rungs[0], self._last)
         if self.choice.looks:
             warm_up(worth_of, *given, self._last)
         if self.costs is None and self.choice.looks and others.any():
-            rungs = np.outer(range(len(PACKAGE_MODELS)), others).astype(np.int32)
             seconds = np.median([[self._planned(scene, each)[1] for _ in range(REPEATS)] for each in rungs], axis=1)
             more = np.where(seconds > (1 + NOTICEABLE) * seconds[0], seconds - seconds[0], 0.0)
             self.costs = Costs(float(seconds[0]), more / others.sum())

@@ -35,3 +35,9 @@ def unrolled_reduce(function: Callable[[jax.Array, jax.Array], jax.Array], value
 def unrolled_sum(values: Numbers, axis: int = -1) -> Array:
     """Sum the values along an axis."""
     return unrolled_reduce(jnp.add, values, axis)
+
+
+def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], start: Any) -> Any:
+    """Loop over the places that are chosen, in as many rounds as there are: time is additive in them."""
+    order = jnp.argsort(~chosen, stable=True)
+    return jax.lax.fori_loop(0, jnp.sum(chosen), lambda place, found: function(order[place], found), start)

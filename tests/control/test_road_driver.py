@@ -2,18 +2,20 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
-from roads import scene_of
+from roads import PLANNING, scene_of
 
-from ms_highway.control.drivers_seen import DriversSeen, _functions
-from ms_highway.control.road import RoadDriver, _look_function, _plan_function
+from ms_highway.control.drivers_seen import DriversSeen
+from ms_highway.control.road import RoadDriver
 from ms_highway.game.road import TRAFFIC
-from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RoadCosts
-from ms_highway.planning.road.settings import RUNGS, RoadPlanning, RoadWeights
+from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import PACKAGE_MODELS
+from ms_highway.planning.road.settings import RoadWeights
 
-PLANNING = RoadPlanning()
-COSTS = RoadCosts(0.004, np.array([0.0, 0.0001, 0.001, 0.003]))
+COSTS = Costs(0.004, np.array([0.0, 0.0001, 0.001, 0.003]))
 SCENE = scene_of(robot=(0.0, 0.0, 0.0, 18.0), cars=[(45.0, 0, 12.0), (-12.0, 1, 22.0), (30.0, -1, 15.0)])
 BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
 PLANS = ("refined", "proposal", "last plan")
@@ -27,10 +29,10 @@ def test_a_step_tells_what_was_planned_and_predicted():
     step = driver(FixedRung("idm")).step(SCENE)
     assert step.control.shape == (2,)
     assert step.path.shape == (PLANNING.steps, 3)
-    assert step.predictions.shape == (TRAFFIC, PLANNING.steps, 2)
-    assert step.rungs == ("idm",) * 3 + ("",) * (TRAFFIC - 3)
+    assert step.humans.shape == (TRAFFIC, PLANNING.steps, 2)
+    assert step.models == ("idm",) * 3 + ("",) * (TRAFFIC - 3)
     np.testing.assert_array_equal(step.owners, SCENE.owners)
-    assert step.gains.shape == (TRAFFIC,)
+    assert step.gains.shape == (TRAFFIC, len(PACKAGE_MODELS))
     assert step.source in PLANS
     assert np.isfinite(step.control).all()
     assert np.hypot(18.0**2 * step.control[0], step.control[1]) <= PLANNING.grip + 1e-3
@@ -42,37 +44,37 @@ def test_a_step_tells_what_was_planned_and_predicted():
 
 def test_obstacles_are_predicted_by_the_cheapest_model():
     standing = replace(SCENE, moving=np.arange(TRAFFIC) == 1)
-    assert driver(FixedRung("tom")).step(standing).rungs[:3] == ("naive", "tom", "naive")
+    assert driver(FixedRung("tom")).step(standing).models[:3] == ("naive", "tom", "naive")
 
 
 def test_models_are_chosen_by_gains_and_costs():
     eager, thrifty = (driver(PricedRungs(price)).step(SCENE) for price in (0.0, 1e9))
     np.testing.assert_array_equal(eager.gains, thrifty.gains)
-    assert set(eager.rungs[:3]) == {"tom"}
-    assert set(thrifty.rungs[:3]) == {"naive"}
+    assert set(eager.models[:3]) == {"tom"}
+    assert set(thrifty.models[:3]) == {"naive"}
     hurried = driver(BudgetedRungs(0.0)).step(SCENE)
-    assert set(hurried.rungs[:3]) == {"naive"}
+    assert set(hurried.models[:3]) == {"naive"}
 
 
 def test_costs_are_measured_where_a_choice_looks_at_them_and_nobody_tells():
     measured = RoadDriver(PLANNING, PricedRungs(1.0))
     first, second = measured.step(SCENE), measured.step(SCENE)
     assert measured.costs.base > 0
-    assert measured.costs.each.shape == (len(RUNGS),)
+    assert measured.costs.each.shape == (len(PACKAGE_MODELS),)
     assert measured.costs.each.min() >= 0
     assert second.compile_seconds < first.compile_seconds
 
 
-def test_nothing_compiles_after_the_first_step():
-    first = driver(PricedRungs(1.0))
-    first.step(SCENE)
-    functions = _plan_function(True), _look_function()
-    compiled = [function._cache_size() for function in functions]
-    for choice in (*map(FixedRung, RUNGS), PricedRungs(0.0), BudgetedRungs(20.0)):
-        other = RoadDriver(replace(PLANNING, desired_speed=22.0, grip=4.0), choice, True, RoadWeights(speed=2.0), COSTS)
-        other.step(scene_of(cars=[(20.0, 0, 10.0)]))
-        other.step(scene_of(bend=1 / 50, robot=(0.0, 0.0, 0.0, 10.0)))
-    assert [function._cache_size() for function in functions] == compiled
+def test_nothing_compiles_after_the_first_step(caplog):
+    driver(PricedRungs(1.0)).step(SCENE)
+    caplog.clear()
+    with jax.log_compiles():
+        for choice in (*map(FixedRung, PACKAGE_MODELS), PricedRungs(0.0), BudgetedRungs(20.0)):
+            planning = replace(PLANNING, desired_speed=22.0, grip=4.0)
+            other = RoadDriver(planning, choice, True, RoadWeights(speed=2.0), COSTS)
+            other.step(scene_of(cars=[(20.0, 0, 10.0)]))
+            other.step(scene_of(bend=1 / 50, robot=(0.0, 0.0, 0.0, 10.0)))
+    assert not [record for record in caplog.records if "compilation" in record.getMessage()]
 
 
 @pytest.mark.parametrize(
@@ -83,13 +85,12 @@ def test_nothing_compiles_after_the_first_step():
 def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_brakes(blind):
     robot = driver()
     first = robot.step(SCENE)
-    planned = np.asarray(robot._memory.controls)
     steps = [robot.step(blind) for _ in range(PLANNING.steps + 2)]
     assert first.source in PLANS
     assert [step.source for step in steps] == ["last plan"] * (PLANNING.steps - 1) + ["braking"] * 3
     assert not first.failed
-    assert all(step.failed and not any(step.rungs) and len(step.path) == 0 for step in steps)
-    for step, control in zip(steps, planned[:-1], strict=False):
+    assert all(step.failed and not any(step.models) and len(step.path) == 0 for step in steps)
+    for step, control in zip(steps, first.plan[1:], strict=False):
         np.testing.assert_allclose(step.control, control, atol=1e-6)
     np.testing.assert_array_equal(steps[-1].control, [0.0, -PLANNING.grip])
     again = robot.step(SCENE)
@@ -106,11 +107,6 @@ def test_without_a_last_plan_a_failure_brakes_at_once_and_a_reset_forgets():
     assert robot.step(BLIND).source == "braking"
     robot.reset()
     np.testing.assert_array_equal(robot.step(SCENE).control, first.control)
-
-
-def test_gains_that_are_not_finite_stop_no_step():
-    for choice in (PricedRungs(1.0), BudgetedRungs(20.0)):
-        assert driver(choice).step(BLIND).source == "braking"
 
 
 def test_costs_are_not_measured_where_there_is_nobody():
@@ -133,17 +129,16 @@ def test_before_a_wall_of_cars_the_robot_brakes_hardest_and_says_that_no_plan_ho
 def test_a_driver_with_a_belief_counts_on_nobody_who_has_not_shown_that_it_makes_way():
     steps = {belief: driver(FixedRung("tom"), belief=belief).step(SCENE) for belief in (False, True)}
     assert steps[False].belief is None
-    assert set(steps[False].rungs[:3]) == {"tom"}
-    np.testing.assert_allclose(steps[True].belief, 1 / len(RUNGS))
-    assert set(steps[True].rungs[:3]) == {"idm"}
+    assert set(steps[False].models[:3]) == {"tom"}
+    np.testing.assert_allclose(steps[True].belief, 1 / len(PACKAGE_MODELS))
+    assert set(steps[True].models[:3]) == {"idm"}
 
 
-def test_traits_are_learned_from_step_to_step_and_compiled_once():
+def test_traits_are_learned_from_step_to_step():
     slower = replace(SCENE, states=SCENE.states - np.array([0, 0, 0, 0.3], np.float32))
     path = np.zeros((PLANNING.steps, 3), np.float32)
     seen = DriversSeen(traits=True, time_step=0.2)
     seen.prepare(SCENE, PLANNING.steps)
-    compiled = _functions()[1]._cache_size()
     first = seen.look(SCENE)
     seen.planned(first, path)
     second = seen.look(slower)
@@ -154,4 +149,3 @@ def test_traits_are_learned_from_step_to_step_and_compiled_once():
     assert third.traits.speed[1] != second.traits.speed[1]
     seen.planned(third, path[:0])  # a plan that failed
     np.testing.assert_array_equal(seen.look(SCENE).traits.speed, first.traits.speed)
-    assert _functions()[1]._cache_size() == compiled

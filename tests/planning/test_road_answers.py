@@ -1,27 +1,24 @@
 """How humans answer the robot on any road."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import arc, keeping_velocity, scene_of
+from roads import PLANNING, arc, keeping_velocity, scene_of
 
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import motion_reward
 from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import linear_reward
-from ms_highway.game.road import place, project
+from ms_highway.game.road import locate, place
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
-from ms_highway.planning.road.answers import UNIT, Driver, driver_among, driver_of
+from ms_highway.planning.road.answers import UNIT, Commuter, commuter_among, commuter_of
 from ms_highway.planning.road.motion import cruise
-from ms_highway.planning.road.settings import RoadPlanning
 
-PLANNING = RoadPlanning()
-TIMES = np.arange(1, PLANNING.steps + 1) * PLANNING.time_step
+TIMES = np.asarray(PLANNING.times)
 NOTHING = jnp.zeros(PLANNING.steps)
 
 
@@ -31,20 +28,20 @@ def robot_at(s, speed, d=0.0):
 
 
 @jax.jit
-def answer(scene, robot, others, start):
-    return driver_among(scene, PLANNING, 0, robot, others).answer(start)
+def answer(scene, robot, others):
+    return UNIT * commuter_among(scene, PLANNING, 0, robot, others).answer()
 
 
 @jax.jit
 def follow(scene, accelerations):
-    return driver_of(scene, PLANNING, 0).drive(accelerations)
+    return commuter_of(scene, PLANNING, 0).drive(accelerations / UNIT)
 
 
 AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)
 
 
-def answered(scene, robot, start=NOTHING):
-    return np.asarray(answer(scene, robot, keeping_velocity(scene, PLANNING), start))
+def answered(scene, robot):
+    return np.asarray(answer(scene, robot, keeping_velocity(scene)))
 
 
 @pytest.mark.parametrize("bend", [0.0, 1 / 30, -1 / 60])
@@ -55,7 +52,7 @@ def test_projecting_undoes_placing(bend):
     s = s + 40.0 * (np.arange(500) % 2)
     x, y, along = jax.jit(place)(path, s, d)
     for found, true, within in zip(
-        project(path, x, y, along + turned), (s, d, turned), (0.02, 0.02, 0.005), strict=True
+        locate(path, x, y, along + turned), (s, d, turned), (0.02, 0.02, 0.005), strict=True
     ):
         np.testing.assert_allclose(found, true, atol=within)
 
@@ -64,7 +61,7 @@ def test_beyond_its_ends_a_path_goes_straight_on_in_both_directions_of_conversio
     path = arc(64, 1 / 30)
     s, d = jnp.array([-60.0, 150.0]), jnp.array([3.0, -5.0])
     x, y, along = jax.jit(place)(path, s, d)
-    for found, true in zip(jax.jit(project)(path, x, y, along), (s, d, 0 * s), strict=True):
+    for found, true in zip(jax.jit(locate)(path, x, y, along), (s, d, 0 * s), strict=True):
         np.testing.assert_allclose(found, true, atol=1e-3)
 
 
@@ -72,19 +69,19 @@ def test_headings_are_relative_to_the_path_and_wrapped():
     path = arc(64, 1 / 10)
     x, y, along = jax.jit(place)(path, jnp.float32(80.0), jnp.float32(0.0))
     assert float(along) > 2 * np.pi
-    assert abs(float(jax.jit(project)(path, x, y, along - 2 * np.pi + 0.1)[2]) - 0.1) < 1e-4
+    assert abs(float(jax.jit(locate)(path, x, y, along - 2 * np.pi + 0.1)[2]) - 0.1) < 1e-4
 
 
 BUSY = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1, 20.0)])
 
 
-def busy_driver():
+def busy_human():
     cut_in = robot_at(8 + 20 * TIMES, 20.0 + 0 * TIMES, jnp.asarray(np.minimum(-4 + 2 * TIMES, 0)))
-    return jax.jit(driver_among)(BUSY, PLANNING, 0, cut_in, keeping_velocity(BUSY, PLANNING))
+    return jax.jit(commuter_among)(BUSY, PLANNING, 0, cut_in, keeping_velocity(BUSY))
 
 
 def test_the_reward_is_the_commuters_on_a_straight_road():
-    driver = busy_driver()
+    human = busy_human()
     learned = linear_reward(commuter_weights(), 30.0)
     scene = Scene(jnp.zeros(1), 4.0, jnp.zeros((0, 2)), jnp.ones(2), jnp.array([5.0, 2.0]), 0.5, 0.0, PAPER_UNIT)
 
@@ -94,24 +91,24 @@ def test_the_reward_is_the_commuters_on_a_straight_road():
         s = jnp.cumsum(jnp.concatenate([jnp.full(1, 22.0), speed[:-1]]) + speed) * 0.1
         own = Motion(s, 0 * s, 0 * s + 1, 0 * s, speed)
         comfort = learned.comfort[1] * jnp.sum((a / PAPER_UNIT) ** 2) / 2
-        return jnp.sum(motion_reward(scene, learned, own, Motion(*driver.others))) - comfort
+        return jnp.sum(motion_reward(scene, learned, own, Motion(*human.others))) - comfort
 
     random = np.random.default_rng(0)
     first, second = (jnp.asarray(random.normal(size=PLANNING.steps) / 10, jnp.float32) for _ in range(2))
     difference = float(earned(first) - earned(second))
     assert abs(difference) > 10
-    assert float(driver.earned(first) - driver.earned(second)) == pytest.approx(difference, rel=1e-3)
+    assert float(human.earned(first) - human.earned(second)) == pytest.approx(difference, rel=1e-3)
 
 
 def test_its_derivatives_are_exact():
-    driver, at = busy_driver(), jnp.full(PLANNING.steps, -0.1)
-    expansion = jax.jit(Driver.expand)(driver, at)
-    gradient, hessian = (jax.jit(of(driver.earned))(at) for of in (jax.grad, jax.hessian))
-    np.testing.assert_allclose(expansion.gradient, gradient, atol=1e-4 * np.abs(gradient).max())
-    np.testing.assert_allclose(expansion.hessian, hessian, atol=1e-4 * np.abs(hessian).max())
+    human, at = busy_human(), jnp.full(PLANNING.steps, -0.1)
+    found = jax.jit(Commuter.expand)(human, at)
+    gradient, hessian = (jax.jit(of(human.earned))(at) for of in (jax.grad, jax.hessian))
+    for part, exact in zip(found, (gradient, hessian), strict=True):
+        np.testing.assert_allclose(part, exact, atol=1e-4 * np.abs(exact).max())
     for k in (0, 7):
         moved = at.at[k].add(1e-2), at.at[k].add(-1e-2)
-        change = float(driver.earned(moved[0]) - driver.earned(moved[1])) / 2e-2
+        change = float(human.earned(moved[0]) - human.earned(moved[1])) / 2e-2
         assert float(gradient[k]) == pytest.approx(change, rel=0.02, abs=0.01 * float(jnp.abs(gradient).max()))
 
 
@@ -131,7 +128,7 @@ def test_a_human_behind_a_braking_robot_brakes_and_one_beside_a_cut_in_slows():
     assert -6.0 < answered(scene, cut_in)[:5].mean() < answered(scene, beside)[:5].mean() - 0.5
 
 
-def test_a_human_stops_behind_a_standing_car_even_from_a_start_that_drives_through_it():
+def test_a_human_stops_behind_a_standing_car_that_it_would_drive_through():
     scene = scene_of(cars=[(-30.0, 0, 15.0), (2.0, 0, 0.0)])
     found = answered(scene, AWAY)
     x, _, _, speed = follow(scene, jnp.asarray(found))
@@ -148,9 +145,9 @@ def test_a_human_does_not_look_at_itself_nor_at_its_other_way():
 
 
 def test_humans_stop_and_never_reverse():
-    driver = driver_of(scene_of(cars=[(0.0, 0, 2.0)]), replace(PLANNING, steps=4), 0)
-    held = jax.jit(Driver.held)(driver, jnp.array([[-9.0, -9, -9, 9], [-1, -20, 5, -1]]))
-    np.testing.assert_allclose(held, [[-6, -4, 0, 3], [-1, -6, 3, -1]], atol=1e-5)
+    human = commuter_of(scene_of(cars=[(0.0, 0, 2.0)]), replace(PLANNING, steps=4), 0)
+    held = jax.jit(Commuter.held)(human, jnp.array([[-9.0, -9, -9, 9], [-1, -20, 5, -1]]) / UNIT)
+    np.testing.assert_allclose(UNIT * held, [[-6, -4, 0, 3], [-1, -6, 3, -1]], atol=1e-5)
 
 
 def test_a_human_follows_its_path_and_comes_to_its_middle():
@@ -162,14 +159,6 @@ def test_a_human_follows_its_path_and_comes_to_its_middle():
     assert abs(distance[-1] - 26.0) < 0.05
     np.testing.assert_allclose(speed, 8.0)
     np.testing.assert_allclose(heading, 8 * TIMES / 26, atol=1e-3)
-
-
-def test_many_trajectories_are_answered_at_once():
-    scene = scene_of(cars=[(0.0, 0, 20.0), (40.0, 0, 20.0)])
-    robots = jnp.stack([robot_at(ahead + 20 * TIMES, 20.0 + 0 * TIMES) for ahead in (12.0, 30.0)])
-    others = keeping_velocity(scene, PLANNING)
-    together = jax.jit(jax.vmap(partial(answer, scene), (0, None, None)))(robots, others, NOTHING)
-    np.testing.assert_allclose(together, [answered(scene, robot) for robot in robots], atol=0.01)
 
 
 def test_the_robot_cruises_along_a_circle():

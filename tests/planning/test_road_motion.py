@@ -7,22 +7,20 @@ import numpy as np
 import pytest
 from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
-from roads import scene_of
+from roads import PLANNING, scene_of
 
-from ms_highway.planning.road.motion import advance, bodies, drive, within_limits
-from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.motion import advance, bodies, execute, within_tyres
 from ms_highway.vehicle.road_robot import steering_of
 
-PLANNING = RoadPlanning()
 GRIP, LENGTH = float(PLANNING.grip), Vehicle.LENGTH
 
-limited = jax.jit(within_limits)
+limited = jax.jit(within_tyres)
 
 
 @jax.jit
 def driven(scene, planning, controls):
     """States, controls within limits, and x, y and heading of the centre [steps, 3]."""
-    states, held = drive(scene, planning, controls)
+    states, held = execute(scene, planning, controls)
     return states, held, jnp.stack(bodies(scene, states), axis=-1)
 
 
@@ -66,7 +64,7 @@ def test_in_fine_steps_the_robot_goes_where_highway_envs_car_goes_on_any_road(be
 
 def test_controls_are_held_within_the_friction_circle_and_the_sharpest_curve_at_any_speed():
     random = np.random.default_rng(1)
-    speed = np.concatenate([[0.0, 40.0], random.uniform(0, 40, 5000), random.uniform(0, 2, 5000)]).astype(np.float32)
+    speed = np.concatenate([[0.0, 40.0], random.uniform(0, 40, 500), random.uniform(0, 2, 500)]).astype(np.float32)
     curvature, acceleration = np.asarray(limited(PLANNING, speed, wild(len(speed)))).T
     assert np.hypot(speed**2 * curvature, acceleration).max() <= GRIP + 1e-5
     assert np.abs(curvature).max() <= PLANNING.curvature
@@ -79,28 +77,11 @@ def test_the_acceleration_gives_way_to_the_curve():
     assert abs(acceleration) < 0.01
 
 
-def test_controls_within_limits_stay_as_they_are():
-    speed = np.linspace(0, 40, 2000).astype(np.float32)
-    held = limited(PLANNING, speed, wild(2000))
-    np.testing.assert_allclose(limited(PLANNING, speed, held), held, atol=2e-3)
-    gentle = wild(2000, (0.002, 1.0)) * [1.0, 1.0]
-    fast = np.maximum(speed, 1.0)
-    np.testing.assert_array_equal(limited(PLANNING, fast, gentle), gentle.astype(np.float32))
-
-
 def test_a_braking_robot_stops_and_stays():
     states, held, _ = driven(scene_of(robot=(0.0, 0.0, 0.0, 8.0)), PLANNING, np.tile([0.0, -9.0], (20, 1)))
     assert np.min(states[:, 3]) > -1e-6
     np.testing.assert_allclose(states[-5:], np.tile(states[-1], (5, 1)))
     assert float(held[0, 1]) == -GRIP
-
-
-def test_the_centre_is_half_a_length_ahead_of_the_rear_axle():
-    scene = scene_of(bend=1 / 30)
-    x, y, heading = jax.jit(bodies)(scene, jnp.array([[15 * np.pi, 2.0, 0.3, 9.0]]))  # a quarter of the circle
-    expected = np.array([28.0, 30.0]) + LENGTH / 2 * np.array([np.cos(np.pi / 2 + 0.3), np.sin(np.pi / 2 + 0.3)])
-    np.testing.assert_allclose([x[0], y[0]], expected, atol=0.03)
-    assert float(heading[0]) == pytest.approx(np.pi / 2 + 0.3, abs=1e-3)
 
 
 def test_a_car_that_keeps_beside_the_route_gets_on_faster_inside_the_bend():

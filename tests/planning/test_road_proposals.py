@@ -8,38 +8,33 @@ import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from jax import numpy as jnp
-from roads import scene_of, winding
+from roads import NOBODY, PLANNING, WEIGHTS, judged, scene_of, winding
 
 from ms_highway.game.road import KNOTS, SPACING, TRAFFIC, interpolate
-from ms_highway.planning.road.motion import drive, speed_caps
-from ms_highway.planning.road.proposals import PROPOSALS, Manners, as_given, profiles, simulate
-from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
-from ms_highway.planning.road.traffic import follow, positions, situation_of
+from ms_highway.planning.car_following import idm_acceleration
+from ms_highway.planning.road.motion import execute, speed_caps
+from ms_highway.planning.road.proposals import PROPOSALS, Manners, profiles, simulate_plans
+from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
-PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
-NAIVE, IDM = np.zeros(TRAFFIC, bool), np.ones(TRAFFIC, bool)
+FOLLOWING = np.ones(TRAFFIC, bool)
 NOTHING = np.zeros((TRAFFIC, STEPS), np.float32)
 STRAIGHT_ON = np.zeros((STEPS, 2), np.float32)
 LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
 
 
 @jit_quickly
-def proposed(scene, follows=NAIVE, last=STRAIGHT_ON, told=NAIVE, accelerations=NOTHING):
+def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=NOTHING):
     """All proposals, and how they turn out."""
     plans = profiles(jnp.asarray(last), jnp.asarray(1))
-    manners = Manners(follows, told, jnp.broadcast_to(accelerations, (PROPOSALS, *accelerations.shape)))
-    return plans, simulate(situation_of(scene, PLANNING, WEIGHTS), manners, plans)
+    manners = Manners(follows, ordered, jnp.broadcast_to(accelerations, (PROPOSALS, *accelerations.shape)))
+    return plans, simulate_plans(situation_of(scene, PLANNING, WEIGHTS), manners, plans)
 
 
-@jit_quickly
 def given(scene, controls, lane, follows):
     """How a plan turns out whose controls are given."""
-    manners = Manners(follows, jnp.zeros(TRAFFIC, bool), jnp.zeros((1, TRAFFIC, STEPS)))
-    plans = as_given(jnp.asarray(controls)[None], jnp.asarray(lane)[None])
-    rollouts = simulate(situation_of(scene, PLANNING, WEIGHTS), manners, plans)
-    return jax.tree.map(lambda field: field[0], rollouts)
+    return jax.tree.map(lambda field: field[0], judged(scene, controls[None], np.array([lane]), follows)[0])
 
 
 def before_a_bend(speed, ahead):
@@ -60,14 +55,14 @@ SCENES = {
 def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(name):
     wild = np.random.default_rng(0).normal(size=(STEPS, 2)).astype(np.float32) * [0.3, 10]
     scene = SCENES[name]
-    rollouts = proposed(scene, IDM, wild)[1]
+    rollouts = proposed(scene, FOLLOWING, wild)[1]
     states, (curvature, acceleration) = np.asarray(rollouts.states), np.moveaxis(np.asarray(rollouts.controls), -1, 0)
     start = np.full((PROPOSALS, 1), scene.robot[3])
     before = np.concatenate([start, states[:, :-1, 3]], axis=1)
     assert np.hypot(before**2 * curvature, acceleration).max() <= GRIP + 1e-4
     assert np.abs(curvature).max() <= PLANNING.curvature
     assert states[..., 3].min() > -1e-6
-    driven, _ = jax.jit(jax.vmap(drive, (None, None, 0)))(scene, PLANNING, rollouts.controls)
+    driven, _ = jax.jit(jax.vmap(execute, (None, None, 0)))(scene, PLANNING, rollouts.controls)
     np.testing.assert_allclose(states, driven, atol=0.02)
 
 
@@ -93,35 +88,24 @@ def test_speed_caps_hold_in_bends_and_can_be_braked_to():
 def test_who_follows_at_a_distance_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed, braking):
     scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, speed)])
     first = np.arange(TRAFFIC) == 0
-    plans, rollouts = proposed(scene, NAIVE, STRAIGHT_ON, first, np.where(first[:, None], braking, NOTHING))
+    plans, rollouts = proposed(scene, NOBODY, STRAIGHT_ON, first, np.where(first[:, None], braking, NOTHING))
     own = np.asarray(plans.follows & ~plans.closes & (plans.lane == 1))
     assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
 
 
-@pytest.mark.parametrize(("gap", "speed", "ahead"), [(50.0, 20.0, 0.0), (20.0, 20.0, 12.0), (8.0, 20.0, 18.0)])
-def test_nobody_who_follows_hits_a_slower_car_ahead(gap, speed, ahead):
-    scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, ahead)])
+@pytest.mark.parametrize(("gap", "ahead"), [(50.0, 0.0), (20.0, 12.0), (8.0, 18.0)])
+def test_nobody_who_follows_hits_a_slower_car_ahead(gap, ahead):
+    scene = scene_of(cars=[(gap + LENGTHS, 0, ahead)])
     plans, rollouts = proposed(scene)
     own = np.asarray(plans.follows & (plans.lane == 1))
     assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
-
-
-def test_the_last_plan_is_driven_as_it_is_given():
-    scene = SCENES["fast in traffic"]
-    last = (np.random.default_rng(3).normal(size=(STEPS, 2)) * [0.001, 1.0]).astype(np.float32)
-    plans, rollouts = proposed(scene, IDM, last)
-    states, held = jax.jit(drive)(scene, PLANNING, last)
-    (number,) = np.flatnonzero(plans.given)
-    np.testing.assert_allclose(rollouts.controls[number], held, atol=1e-5)
-    np.testing.assert_allclose(rollouts.states[number], states, atol=1e-2)
-    np.testing.assert_allclose(given(scene, last, 1, IDM).states, states, atol=1e-2)
 
 
 def test_a_follower_brakes_for_a_robot_that_cuts_in_and_one_that_keeps_its_speed_does_not():
     scene = scene_of(cars=[(-10.0, 1, 24.0)])
     cut_in = np.zeros((STEPS, 2), np.float32)
     cut_in[:6, 0], cut_in[6:12, 0] = 0.006, -0.006
-    calm, brakes = (given(scene, cut_in, 2, follows) for follows in (NAIVE, IDM))
+    calm, brakes = (given(scene, cut_in, 2, follows) for follows in (NOBODY, FOLLOWING))
     assert abs(float(calm.states[-1, 1]) - 4.0) < 1.0
     np.testing.assert_allclose(calm.speeds[0], 24.0)
     np.testing.assert_allclose(np.diff(calm.along[0]), 24.0 * DT, rtol=1e-4)
@@ -143,7 +127,7 @@ def test_following_is_highway_envs_intelligent_driver_model():
         speed, wanted = random.uniform([2, 15], [30, 35])
         ahead = random.uniform(2, speed + 11)  # much faster cars are heeded at a standstill's distance
         distance = random.uniform(8, 120)
-        assert float(follow(*map(jnp.float32, (speed, wanted, distance, ahead)))) == pytest.approx(
+        assert float(idm_acceleration(*map(jnp.float32, (speed, wanted, distance, ahead)))) == pytest.approx(
             theirs(speed, wanted, distance, ahead), abs=2e-3
         )
 
@@ -154,25 +138,25 @@ def test_predictions_of_who_follows_are_highway_envs_behind_others_and_behind_th
     led.leaders[0], led.gaps[0] = 1, distance
     behind = scene_of(robot=(0.0, 0.0, 0.0, ahead), cars=[(2.5 - distance, 0, speed)])
     for scene in (led, behind):
-        speeds = np.asarray(given(scene, STRAIGHT_ON, 1, IDM).speeds)
+        speeds = np.asarray(given(scene, STRAIGHT_ON, 1, FOLLOWING).speeds)
         assert (speeds[0, 0] - speed) / DT == pytest.approx(theirs(speed, speed, distance, ahead), abs=5e-3)
 
 
 def test_a_car_that_is_much_slower_than_its_limit_is_expected_to_want_that():
     slow = scene_of(cars=[(60.0, 1, 5.0)], limit=30.0)
-    speeds = np.asarray(given(slow, STRAIGHT_ON, 1, IDM).speeds)
+    speeds = np.asarray(given(slow, STRAIGHT_ON, 1, FOLLOWING).speeds)
     assert (speeds[0, 0] - 5.0) / DT == pytest.approx(theirs(5.0, 30.0, 1e4, 30.0), abs=5e-3)
 
 
 def test_predictions_stay_on_their_paths():
     scene = scene_of(bend=1 / 30, cars=[(0.0, 1, 8.0)])
     scene.states[0, 1] = 1.0
-    found = given(scene, STRAIGHT_ON, 1, NAIVE)
-    x, y, heading = jax.jit(positions)(scene, found.along, found.across)
-    distance = np.hypot(x[0], y[0] - 30)
+    found = given(scene, STRAIGHT_ON, 1, NOBODY)
+    x, y, heading, _ = found.world[0]
+    distance = np.hypot(x, y - 30)
     assert (np.diff(distance) > 0).all()  # comes to the middle of its lane
     assert abs(distance[-1] - 26.0) < 0.15
-    np.testing.assert_allclose(heading[0], 8 * DT * np.arange(1, STEPS + 1) / 26, atol=2e-3)
+    np.testing.assert_allclose(heading, 8 * DT * np.arange(1, STEPS + 1) / 26, atol=2e-3)
     np.testing.assert_allclose(found.along[0], 8 * DT * np.arange(1, STEPS + 1), rtol=1e-4)
     np.testing.assert_allclose(found.cosine[0], 1.0, atol=1e-3)
     np.testing.assert_allclose(found.d[0], 30 - distance, atol=0.05)

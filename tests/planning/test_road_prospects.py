@@ -3,19 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
-from roads import scene_of
+from roads import PLANNING, WEIGHTS, scene_of
 
 from ms_highway.game.road import TRAFFIC
-from ms_highway.planning.road.plan import first_memory, propose
+from ms_highway.planning.road.plan import no_plan, propose
 from ms_highway.planning.road.proposals import IN_EACH_LANE, profiles
 from ms_highway.planning.road.prospects import missing_room, prospects
-from ms_highway.planning.road.settings import IDM, RoadPlanning, RoadWeights
+from ms_highway.planning.road.settings import IDM
 from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
-PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 PROFILES = len(IN_EACH_LANE)
-MEMORY = first_memory(PLANNING)
+MEMORY = no_plan(PLANNING)
 LANES = np.asarray(profiles(MEMORY.controls, 1).lane)
 CLOSING_UP, KEEPING_SPEED = PROFILES + 4, PROFILES + 8  # in the own lane
 
@@ -36,12 +35,12 @@ def proposed(scene):
 
 def lost(scene):
     """Loss of speed after each proposal [m/s]."""
-    return np.asarray(lost_after(now_in(scene), proposed(scene).rollouts))
+    return np.asarray(lost_after(now_in(scene), proposed(scene).driven))
 
 
 def missing(scene, goals=(-4.0, 0.0, 4.0)):
     found = proposed(scene)
-    return np.asarray(room_missing(now_in(scene), found.rollouts, np.asarray(goals, np.float32)[LANES]))
+    return np.asarray(room_missing(now_in(scene), found.driven, np.asarray(goals, np.float32)[LANES]))
 
 
 def test_on_a_free_road_no_speed_is_lost_after_a_plan_at_the_desired_speed():
@@ -63,7 +62,7 @@ def test_a_gap_beside_that_opens_later_is_foreseen():
 
 def test_closing_up_keeps_its_speed_longer_than_following_and_still_leaves_room_to_stop():
     scene = scene_of(robot=(0.0, 0.0, 0.0, 28.0), cars=[(55.0, 0, 20.0)])
-    rollouts = proposed(scene).rollouts
+    rollouts = proposed(scene).driven
     following = PROFILES
     assert rollouts.states[CLOSING_UP, -1, 0] > rollouts.states[following, -1, 0] + 3.0
     room = missing(scene)
@@ -74,7 +73,7 @@ def test_closing_up_keeps_its_speed_longer_than_following_and_still_leaves_room_
 def test_tailgating_within_a_plan_counts_even_if_it_ends_with_room():
     scene = scene_of(robot=(0.0, 0.0, 0.0, 26.0), cars=[(18.0, 0, 20.0)])
     braking = PROFILES + 6
-    gaps = np.asarray(proposed(scene).rollouts.s[braking, 0] - proposed(scene).rollouts.states[braking, :, 0]) - 7.5
+    gaps = np.asarray(proposed(scene).driven.s[braking, 0] - proposed(scene).driven.states[braking, :, 0]) - 7.5
     assert gaps[-1] > gaps.min() + 1
     assert missing(scene)[braking, 0] > 0
 

@@ -7,25 +7,24 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import keeping_velocity, scene_of
+from roads import NOBODY, PLANNING, keeping_velocity, scene_of
 
 from ms_highway.game.road import TRAFFIC
-from ms_highway.planning.road.answers import driver_among, driver_of
-from ms_highway.planning.road.motion import bodies, drive
-from ms_highway.planning.road.refinement import Climb, Plan, refine
-from ms_highway.planning.road.reward import Aim, motion_of
-from ms_highway.planning.road.reward import earned as reward_of
-from ms_highway.planning.road.settings import RoadPlanning, SmoothWeights
+from ms_highway.planning.road.answers import UNIT, commuter_among
+from ms_highway.planning.road.motion import bodies, centres, execute
+from ms_highway.planning.road.refinement import Aim, Answered, motion_of, refine, scale_of, surroundings
+from ms_highway.planning.road.refinement import earned as reward_of
+from ms_highway.planning.road.settings import SmoothWeights
 from ms_highway.runtime.compilation import jit_quickly
 
-PLANNING, WEIGHTS, OWN = RoadPlanning(), SmoothWeights(), 1
-NOBODY, NOTHING = np.zeros(TRAFFIC, bool), np.zeros((TRAFFIC, PLANNING.steps), np.float32)
+WEIGHTS, OWN = SmoothWeights(), 1
+NOTHING = np.zeros((TRAFFIC, PLANNING.steps), np.float32)
 STRAIGHT_ON = np.zeros((PLANNING.steps, 2), np.float32)
 
 
 @jit_quickly
 def refined_by(weights, scene, start, others, tom, answers, lane):
-    return refine(Aim(scene, PLANNING, lane, weights), start, others, tom, answers)
+    return refine(Aim(scene, PLANNING, lane, tom, weights), start, others, answers)
 
 
 refined = partial(refined_by, WEIGHTS)
@@ -33,20 +32,19 @@ refined = partial(refined_by, WEIGHTS)
 
 @jax.jit
 def slope(scene, controls, others, tom, answers):
-    climb = Climb(Aim(scene, PLANNING, OWN), tom)
-    return climb.expand(Plan(controls, answers, others)).gradient.reshape(-1, 2) / climb.scale
+    aim = Aim(scene, PLANNING, OWN, tom)
+    return surroundings(aim, Answered(controls, answers, others))[0].reshape(-1, 2) / scale_of(aim)
 
 
 @jax.jit
 def earned(scene, controls, others, lane=OWN):
-    aim = Aim(scene, PLANNING, lane)
-    states, held = drive(scene, PLANNING, controls)
-    return reward_of(aim, motion_of(aim, states, held), others)
+    aim = Aim(scene, PLANNING, lane, NOBODY)
+    return reward_of(aim, motion_of(aim, execute(scene, PLANNING, controls)[1]), others)
 
 
 @jit_quickly
 def driven(scene, controls):
-    return drive(scene, PLANNING, controls)
+    return execute(scene, PLANNING, controls)
 
 
 SCENES = {
@@ -61,7 +59,7 @@ SCENES = {
 @pytest.mark.parametrize("lane", [0, 1, 2])
 def test_refining_never_earns_less_and_keeps_within_limits(name, lane):
     scene = SCENES[name]
-    others = keeping_velocity(scene, PLANNING)
+    others = keeping_velocity(scene)
     start = jnp.asarray(np.random.default_rng(lane).normal(size=(PLANNING.steps, 2)) * [0.005, 1.0], jnp.float32)
     found = refined(scene, start, others, NOBODY, NOTHING, lane)
     assert float(earned(scene, found, others, lane)) > float(earned(scene, start, others, lane))
@@ -70,7 +68,7 @@ def test_refining_never_earns_less_and_keeps_within_limits(name, lane):
 
 def test_without_answers_the_slope_is_that_of_the_reward():
     scene = SCENES["curve"]
-    others = keeping_velocity(scene, PLANNING)
+    others = keeping_velocity(scene)
     controls = jnp.asarray(np.random.default_rng(0).normal(size=(PLANNING.steps, 2)) * [0.002, 0.3], jnp.float32)
     found = np.asarray(slope(scene, controls, others, NOBODY, NOTHING))
     np.testing.assert_allclose(found, jax.jit(jax.grad(earned, 1))(scene, controls, others), rtol=1e-3, atol=1e-2)
@@ -86,7 +84,7 @@ def test_the_robot_keeps_to_its_lane_on_a_circle():
     scene = scene_of(bend=1 / 30, robot=(0.0, 0.0, 0.0, 10.0), applied=(1 / 30, 0.0))
     start = np.stack([np.full(PLANNING.steps, 1 / 30), np.zeros(PLANNING.steps)], -1).astype(np.float32)
     _, d, heading, speed = np.asarray(
-        driven(scene, refined(scene, start, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, OWN))[0]
+        driven(scene, refined(scene, start, keeping_velocity(scene), NOBODY, NOTHING, OWN))[0]
     ).T
     assert np.abs(d).max() < 0.1
     assert np.abs(heading).max() < 0.05
@@ -96,16 +94,16 @@ def test_the_robot_keeps_to_its_lane_on_a_circle():
 def test_the_robot_changes_lanes():
     scene = scene_of(robot=(0.0, 0.0, 0.0, 25.0))
     for lane, goal in ((0, -4.0), (2, 4.0)):
-        states, _ = driven(scene, refined(scene, STRAIGHT_ON, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, lane))
+        states, _ = driven(scene, refined(scene, STRAIGHT_ON, keeping_velocity(scene), NOBODY, NOTHING, lane))
         assert abs(float(states[-1, 1]) - goal) < 0.3
 
 
 def test_the_robot_brakes_for_a_slow_car_ahead_and_waits_for_a_car_beside():
     scene = SCENES["slow car ahead"]
-    found = refined(scene, STRAIGHT_ON, keeping_velocity(scene, PLANNING), NOBODY, NOTHING, OWN)
+    found = refined(scene, STRAIGHT_ON, keeping_velocity(scene), NOBODY, NOTHING, OWN)
     assert float(driven(scene, found)[0][-1, 3]) < 15.0
     scene = scene_of(cars=[(3.0, 1, 20.0)])
-    others = keeping_velocity(scene, PLANNING)
+    others = keeping_velocity(scene)
     states, _ = driven(scene, refined(scene, STRAIGHT_ON, others, NOBODY, NOTHING, 2))
     x, y, _ = bodies(scene, states)
     clear = (np.abs(x - others[0, 0]) > 5.5) | (np.abs(y - others[0, 1]) > 2.3)
@@ -114,7 +112,7 @@ def test_the_robot_brakes_for_a_slow_car_ahead_and_waits_for_a_car_beside():
 
 def test_cars_that_are_not_there_do_not_matter():
     scene = SCENES["car beside"]
-    others = keeping_velocity(scene, PLANNING)
+    others = keeping_velocity(scene)
     gone = others.at[5:].set(1.0)
     assert float(earned(scene, STRAIGHT_ON, others)) == float(earned(scene, STRAIGHT_ON, gone))
 
@@ -128,16 +126,15 @@ CUT_IN[:4, 0], CUT_IN[4:8, 0] = 0.004, -0.004
 @jax.jit
 def settled(controls, first):
     """The answer of car 0 to controls, and all trajectories with it."""
-    states = drive(MERGING, PLANNING, controls)[0]
-    robot = jnp.stack([*bodies(MERGING, states), states[:, 3]])
-    others = keeping_velocity(MERGING, PLANNING)
-    found = jax.lax.fori_loop(0, 6, lambda _, a: driver_among(MERGING, PLANNING, 0, robot, others).answer(a), first)
-    return found, others.at[0].set(driver_of(MERGING, PLANNING, 0).drive(found))
+    robot, others = centres(MERGING, execute(MERGING, PLANNING, controls)[0]), keeping_velocity(MERGING)
+    human = commuter_among(MERGING, PLANNING, 0, robot, others)
+    found = jax.lax.fori_loop(0, 18, lambda _, scaled: human.improved(scaled), first)
+    return found, others.at[0].set(human.drive(found))
 
 
 def test_the_slope_through_an_answer_is_that_of_answering_again():
     base, others = settled(jnp.asarray(CUT_IN), jnp.zeros(PLANNING.steps))
-    assert base.min() > -5.9
+    assert UNIT * base.min() > -5.9
     answers = jnp.asarray(NOTHING).at[0].set(base)
     through, alone = (slope(MERGING, CUT_IN, others, tom, answers) for tom in (TOM, NOBODY))
     for control, change in ((0, 2e-4), (1, 0.05)):
@@ -157,14 +154,14 @@ def test_the_slope_through_an_answer_is_that_of_answering_again():
 
 
 def test_plans_count_on_those_who_answer():
-    others = keeping_velocity(MERGING, PLANNING)
+    others = keeping_velocity(MERGING)
     counting, alone = (np.asarray(refined(MERGING, CUT_IN, others, tom, NOTHING, 2)) for tom in (TOM, NOBODY))
     assert np.isfinite(counting).all()
     assert np.abs(counting - alone)[:, 1].max() > 0.1
 
 
 def test_weights_are_arguments():
-    scene, others = SCENES["free"], keeping_velocity(SCENES["free"], PLANNING)
+    scene, others = SCENES["free"], keeping_velocity(SCENES["free"])
     careful = (replace(WEIGHTS, acceleration=weight) for weight in (0.02, 1.0))
     plans = [refined_by(weights, scene, STRAIGHT_ON, others, NOBODY, NOTHING, OWN) for weights in careful]
     fast, slow = (driven(scene, plan)[0][-1, 3] for plan in plans)

@@ -7,18 +7,15 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import scene_of
+from roads import PLANNING, judged, scene_of
 
 from ms_highway.game.road import TRAFFIC, Traits
-from ms_highway.planning.road.answers import driver_of
-from ms_highway.planning.road.proposals import Manners, as_given, simulate
-from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
-from ms_highway.planning.road.traffic import follow, situation_of
+from ms_highway.planning.car_following import idm_acceleration
+from ms_highway.planning.road.answers import commuter_of
 from ms_highway.planning.road.traits import prior, traits_of, updated_traits
 
 STEP = 0.2
 FAR_BEHIND = (-150.0, 0.0, 0.0, 10.0)  # robot
-PLANNING = RoadPlanning()
 
 update = jax.jit(partial(updated_traits, time_step=STEP))
 
@@ -40,7 +37,7 @@ def learned(desired, headway, seconds, leader, speed=20.0, gap=45.0):
     estimates = prior(scene)
     for step in range(1, round(seconds / STEP)):
         gap, closing = (jnp.float32(value) for value in (places[0] - places[1], speeds[0]))
-        acceleration = float(follow(jnp.float32(speeds[1]), desired, gap, closing, headway))
+        acceleration = float(idm_acceleration(jnp.float32(speeds[1]), desired, gap, closing, headway))
         places, speeds = places + speeds * STEP, np.array([leader(step * STEP), speeds[1] + acceleration * STEP])
         before, scene = scene, road(places, speeds)
         estimates = update(estimates, before, scene)
@@ -90,7 +87,7 @@ def test_covariances_stay_symmetric_and_positive_whatever_cars_do():
     random = np.random.default_rng(0)
     scene = road([50.0, 20.0, -20.0], [20.0, 20.0, 20.0])
     estimates = prior(scene)
-    for _ in range(60):
+    for _ in range(30):
         before, scene = scene, road([50.0, 20.0, -20.0], random.uniform(0.0, 40.0, 3))
         estimates = update(estimates, before, scene)
         np.testing.assert_allclose(estimates.covariance, jnp.swapaxes(estimates.covariance, 0, 1), atol=1e-6)
@@ -102,15 +99,13 @@ def test_predictions_by_idm_and_rewards_of_drivers_take_their_traits():
     scene = road([30.0], [20.0])
     known = [replace(scene, traits=Traits(*np.full((2, TRAFFIC), [[speed], [1.5]], np.float32))) for speed in (20, 30)]
 
-    @jax.jit
     def along(scene):
-        manners = Manners(scene.moving, jnp.zeros(TRAFFIC, bool), jnp.zeros((1, TRAFFIC, PLANNING.steps)))
-        plans = as_given(jnp.zeros((1, PLANNING.steps, 2)), jnp.ones(1, int))
-        return simulate(situation_of(scene, PLANNING, RoadWeights()), manners, plans).along[0, 0, -1]
+        driven, _ = judged(scene, np.zeros((1, PLANNING.steps, 2), np.float32), np.ones(1, int), scene.moving)
+        return driven.along[0, 0, -1]
 
     calm, eager = (float(along(one)) for one in known)
     assert calm == pytest.approx(float(along(scene)), abs=1e-3)  # without traits the present speed is the desired one
     assert eager > calm + 5.0
-    driver = driver_of(known[1], PLANNING, 0)
-    assert float(driver.reward.speed_limit) == 30.0
-    assert float(driver.reward.headway) == 1.5
+    human = commuter_of(known[1], PLANNING, 0)
+    assert float(human.reward.speed_limit) == 30.0
+    assert float(human.reward.headway) == 1.5

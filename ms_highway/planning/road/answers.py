@@ -4,10 +4,8 @@ A human decides on its acceleration only, held for each time step; its distance 
 the coordinates of its path.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import jax
 import numpy as np
@@ -19,10 +17,11 @@ from ms_highway.game.features import ATTENTION, OWN_LANE, SMALLEST_GAP, STANDSTI
 from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.neighbours import FAR_AWAY
 from ms_highway.game.reward import Reward, linear_reward
-from ms_highway.game.road import Flags, Path, Places, RoadScene, Sizes, locate, place
+from ms_highway.game.road import Path, RoadScene, Sizes, locate, place
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.optimization.objective import best_of
+from ms_highway.optimization.second_derivatives import by_fields
 from ms_highway.planning.road.arrays import Steps, World
 from ms_highway.planning.road.motion import earlier
 from ms_highway.planning.road.settings import LANE, RoadPlanning
@@ -44,8 +43,8 @@ FAR_ALONG = 5.0  # m along the path that count like one aside
 class Commuter:
     """A human on its path, and the motion of others in the path's coordinates.
 
-    Its reward is that of `ms_highway.game.game.trajectory_reward` on a straight road of one lane, less what does not depend
-    on its accelerations. Accelerations are scaled, in units of `UNIT`.
+    Its reward is that of `ms_highway.game.game.trajectory_reward` on a straight road of one lane, less what does not
+    depend on its accelerations. Accelerations are scaled, in units of `UNIT`.
 
     Attributes:
         planning: time step and number of steps.
@@ -227,15 +226,3 @@ def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: Wo
 @cache
 def _reward() -> Reward:
     return linear_reward(commuter_weights(), 1.0)
-
-
-def for_each(cars: Flags, function: Callable[[Places, Any], Any], start: Any) -> Any:
-    """Loop over the cars that count, in as many rounds as there are such cars, so that time is additive in them."""
-    ranks = jnp.argsort(~cars, stable=True)
-    return jax.lax.fori_loop(0, cars.sum(), lambda place, found: function(ranks[place], found), start)
-
-
-def by_fields(function: Callable[[Steps], Numbers], at: Steps) -> Numbers:
-    """Differentiate what depends at each step only on the fields there, in each field [fields, *value]."""
-    directions = jnp.broadcast_to(jnp.eye(len(at))[..., None], (len(at), *at.shape))
-    return jax.vmap(lambda direction: jax.jvp(function, (at,), (direction,))[1])(directions)

@@ -15,7 +15,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.road import Flags, Places, RoadScene, Traffic, interpolate, locate
 from ms_highway.optimization.arrays import Controls
-from ms_highway.planning.road.answers import UNIT, commuter_among, for_each
+from ms_highway.planning.road.answers import UNIT, commuter_among
 from ms_highway.planning.road.arrays import EachStep
 from ms_highway.planning.road.motion import centres, cruise
 from ms_highway.planning.road.proposals import (
@@ -26,13 +26,12 @@ from ms_highway.planning.road.proposals import (
     as_given,
     profiles,
     simulate_plans,
-    trajectories,
 )
 from ms_highway.planning.road.refinement import Aim, refine
 from ms_highway.planning.road.scoring import Scores, score
 from ms_highway.planning.road.settings import IDM, NAIVE, TOM, TURN, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traffic import Situation, situation_of
-from ms_highway.runtime.arrays import Flag, Index, Numbers, Vector
+from ms_highway.runtime.arrays import Flag, Index, Numbers, Vector, for_each
 
 REFINED = -1
 """Number of a refined plan, in place of that of a proposal."""
@@ -138,7 +137,7 @@ def plan_road(
     chosen, drives = numbers[best], jax.tree.map(lambda field: field[best, None], few)
     if refines:
         aim = Aim(scene, planning, few.plans.lane[best], optimises & (rungs == TOM))
-        others, accelerations = trajectories(scene, drives.driven)[0], manners.accelerations[best]
+        others, accelerations = drives.driven.world[0], manners.accelerations[best]
         controls = refine(aim, drives.driven.controls[0], others, accelerations / UNIT)
         given = as_given(controls[None], few.plans.lane[best, None])
         refined = _judged(now, given, manners._replace(accelerations=accelerations[None]))
@@ -148,7 +147,7 @@ def plan_road(
         chosen = jnp.where(better, REFINED, chosen)
         drives = jax.tree.map(lambda new, old: jnp.where(better, new, old), refined, drives)
     driven = drives.driven
-    predictions = jnp.swapaxes(trajectories(scene, driven)[0, :, :2], 1, 2)
+    predictions = jnp.swapaxes(driven.world[0, :, :2], 1, 2)
     path = centres(scene, driven.states)[0, :3].T
     return RoadPlan(driven.controls[0], path, predictions, chosen, drives.scores.broken[0])
 
@@ -167,7 +166,7 @@ def _following(now: Situation, rungs: Places, plans: int) -> Manners:
 def _answers(now: Situation, rungs: Places, optimises: Flags, driven: DrivenPlans) -> EachStep:
     """Return the accelerations of those who optimise their reward, under each of some plans."""
     scene, planning = now.scene, now.planning
-    robots, others = centres(scene, driven.states), trajectories(scene, driven)
+    robots, others = centres(scene, driven.states), driven.world
     kept = jnp.broadcast_to(cruise(scene, planning), robots.shape)
 
     def one(car: Places, found: EachStep) -> EachStep:

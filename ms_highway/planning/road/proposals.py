@@ -7,7 +7,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.arrays import Car
-from ms_highway.game.road import LANES, Flags, Pose, RoadScene, Traffic, interpolate
+from ms_highway.game.road import LANES, Flags, Pose, Traffic, interpolate, place
 from ms_highway.optimization.arrays import Control, Controls, ManyControls
 from ms_highway.planning.car_following import FAR, idm_acceleration
 from ms_highway.planning.road.arrays import EachStep, Lane, PlanFlags, Plans, States, World
@@ -21,7 +21,6 @@ from ms_highway.planning.road.traffic import (
     follow_all,
     lowest,
     on_route,
-    positions,
 )
 
 FOLLOWING = 1.0, 0.75, 0.5, 0.25  # shares of the desired speed, in profiles that follow by IDM
@@ -107,7 +106,8 @@ class DrivenPlans(NamedTuple):
     Attributes:
         states: of the robot after each step, road coordinates.
         controls: that it executed.
-        along, across: positions of others on their paths after each step [m].
+        world: trajectories of others.
+        along: positions of others on their paths after each step [m].
         s, d: of others on the robot's route [m].
         speeds: of others [m/s].
         cosine: of the angle between the others' paths and the route.
@@ -115,8 +115,8 @@ class DrivenPlans(NamedTuple):
 
     states: States
     controls: ManyControls
+    world: World
     along: EachStep
-    across: EachStep
     s: EachStep
     d: EachStep
     speeds: EachStep
@@ -166,7 +166,8 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
 
     states, controls, *others = jax.vmap(one)(plans, manners.accelerations)
     along, speeds, s, d, cosine = (jnp.swapaxes(field, 1, 2) for field in others)
-    return DrivenPlans(states, controls, along, jnp.broadcast_to(across, along.shape), s, d, speeds, cosine)
+    world = jnp.stack([*jax.vmap(place, (0, -2, 0), -2)(scene.paths, along, across), speeds], axis=-2)
+    return DrivenPlans(states, controls, world, along, s, d, speeds, cosine)
 
 
 def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pose, speeds: Traffic) -> Control:
@@ -203,8 +204,3 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     free = jnp.minimum(jnp.clip(free, -HASTE, haste), jnp.minimum(kept, haste))
     acceleration = jnp.where(plan.follows, free, plan.rate)
     return jnp.stack([curvature, jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))])
-
-
-def trajectories(scene: RoadScene, driven: DrivenPlans) -> World:
-    """Return the trajectories of others in world coordinates."""
-    return jnp.stack([*positions(scene, driven.along, driven.across), driven.speeds], axis=-2)

@@ -14,11 +14,12 @@ from ms_highway.game.road import Flags, Places, RoadScene, interpolate, rotated
 from ms_highway.optimization.arrays import Control, Controls, Trajectory
 from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.optimization.objective import best_of
-from ms_highway.planning.road.answers import UNIT, by_fields, commuter_among, commuter_of, for_each
+from ms_highway.optimization.second_derivatives import by_fields
+from ms_highway.planning.road.answers import UNIT, commuter_among, commuter_of
 from ms_highway.planning.road.arrays import EachStep, Lane, Steps, World
 from ms_highway.planning.road.motion import advance, bodies, centres, earlier, execute
 from ms_highway.planning.road.settings import CORNERING, RoadPlanning, SmoothWeights
-from ms_highway.runtime.arrays import Matrix, Numbers, Scalar, Vector
+from ms_highway.runtime.arrays import Matrix, Numbers, Scalar, Vector, for_each
 
 STEPS = 4  # of Newton
 SLOWEST = 5.0  # m/s, below which curvature is scaled as at this speed
@@ -79,22 +80,6 @@ class Answers(NamedTuple):
     accelerations: EachStep
 
 
-class Surroundings(NamedTuple):
-    """The reward around a plan, in n scaled controls of the robot.
-
-    Attributes:
-        gradient: through those who answer, too.
-        hessian: of the robot's own part.
-        world: derivative of the trajectory of the robot's centre [4, steps, n].
-        answers: of others.
-    """
-
-    gradient: Vector
-    hessian: Matrix
-    world: Numbers
-    answers: Answers
-
-
 def refine(aim: Aim, start: Controls, others: World, accelerations: EachStep) -> Controls:
     """Improve the robot's controls by damped Newton steps on `earned`.
 
@@ -124,8 +109,13 @@ def scale_of(aim: Aim) -> Control:
     return jnp.stack([UNIT / jnp.maximum(aim.scene.robot[3], SLOWEST) ** 2, jnp.float32(UNIT)])
 
 
-def surroundings(aim: Aim, plan: Answered) -> Surroundings:
-    """Expand the reward around a plan."""
+def surroundings(aim: Aim, plan: Answered) -> tuple[Vector, Matrix, Numbers, Answers]:
+    """Expand the reward around a plan, in n scaled controls of the robot.
+
+    Returns:
+        The gradient, through those who answer, too; the Hessian of the robot's own part; the derivative of the
+        trajectory of the robot's centre [4, steps, n]; and the answers.
+    """
     (controls, accelerations, others), scale = plan, scale_of(aim)
 
     def path(scaled: Vector) -> Trajectory:
@@ -154,7 +144,7 @@ def surroundings(aim: Aim, plan: Answered) -> Surroundings:
     shapes = (fields, steps), (cars, steps, steps), (cars, fields, 2, steps)
     answers = for_each(aim.tom, answer, Answers(*(*map(jnp.zeros, shapes), accelerations)))
     gradient = jnp.tensordot(by_motion, along, 2) + jnp.tensordot(answers.slope, world, 2)
-    return Surroundings(gradient, _hessian(aim, motion, others, along), world, answers)
+    return gradient, _hessian(aim, motion, others, along), world, answers
 
 
 def _hessian(aim: Aim, motion: Trajectory, others: World, along: Numbers) -> Matrix:

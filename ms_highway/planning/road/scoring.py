@@ -17,7 +17,6 @@ from ms_highway.planning.road.traffic import (
     Situation,
     lowest,
     on_route,
-    positions,
     way_knots,
 )
 from ms_highway.runtime.arrays import Numbers
@@ -134,7 +133,7 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
     """
     scene, planning, weights, speeds = now.scene, now.planning, now.weights, driven.speeds
     dt, (s, d, _, speed) = planning.time_step, driven.robot
-    own, others = bodies(scene, driven.states[:, None]), positions(scene, driven.along, driven.across)
+    own, others = bodies(scene, driven.states[:, None]), jnp.moveaxis(driven.world[:, :, :3], 2, 0)
     # A follower in the robot's own lane that runs into it, or through it, while it keeps its lane does not count.
     behind = driven.s[..., :1] < s[..., :1] - 1.0
     followed = jnp.cumprod(jnp.abs(driven.d - d) < scene.size[1], axis=-1) > 0
@@ -147,7 +146,7 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
     impact = jnp.where(first, jnp.sqrt(jnp.maximum(squared, 1e-4)), 0.0).max(axis=(1, 2))
     revised, steps = _avoidable(now, driven)[..., None], jnp.arange(planning.steps)
     fading = FADING**steps * jnp.where(revised & (dt * steps > SOON), weights.avoidable, 1.0)
-    near = jnp.maximum(1 - jnp.maximum(clear, 0.0) / weights.comfortable, 0.0) ** 2
+    near = jnp.clip(1 - clear / weights.comfortable, 0.0, 1.0) ** 2
     slowed = jnp.diff(speeds, axis=-1, prepend=jnp.broadcast_to(scene.states[:, 3:], (*speeds.shape[:-1], 1))) / dt
     endangered = (driven.s < s) & (speeds > speed)  # behind a faster robot, gaps open by themselves
     imposed = jnp.where(endangered, jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
@@ -196,7 +195,7 @@ def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
     """Return whether the robot can still stop before where a car crosses its route, soon after a plan has begun."""
     s, _, _, speed = driven.robot[..., DECIDED]
     left = now.crossings.line - s - now.scene.size[0]
-    return (now.crossings.first < FAR) & (left > speed**2 / (2 * STOPPING))
+    return (now.crossings.begin < FAR) & (left > speed**2 / (2 * STOPPING))
 
 
 def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:

@@ -18,7 +18,6 @@ from ms_highway.game.road import (
     Traits,
     interpolate,
     locate,
-    place,
 )
 from ms_highway.planning.car_following import FAR, HEADWAY, idm_acceleration
 from ms_highway.planning.road.arrays import EachFlag, EachStep, Steps
@@ -59,13 +58,11 @@ class Crossings(NamedTuple):
 
     Attributes:
         across: at which knots they do.
-        first: position on the route where they begin to [m]; far away where they never do.
         line: position on the route where the front of the robot waits for those who cross it [m].
-        begin, last: positions on the path where they begin and end to [m].
+        begin, last: positions on the path where they begin and end to [m]; far away where they never do.
     """
 
     across: EachFlag
-    first: Traffic
     line: Traffic
     begin: Traffic
     last: Traffic
@@ -111,9 +108,8 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     now, inside = int(BEHIND / SPACING), jnp.abs(ways.d) < CORRIDOR
     shares = inside[:, now] & (ways.cosine[:, now] > SHARING)
     across = inside & (ways.cosine < SHARING) & ~shares[:, None]
-    first, knots = lowest(ways.s, across), way_knots(ways)
-    line = first - scene.sizes[:, 1] / 2 - WAITING
-    return Crossings(across, first, line, lowest(knots, across), -lowest(-knots, across))
+    knots, line = way_knots(ways), lowest(ways.s, across) - scene.sizes[:, 1] / 2 - WAITING
+    return Crossings(across, line, lowest(knots, across), -lowest(-knots, across))
 
 
 def way_knots(ways: Ways) -> Knots:
@@ -165,11 +161,6 @@ def aside(scene: RoadScene, times: Steps) -> EachStep:
     _, now, heading, speed = scene.states.T[..., None]
     drift = speed * jnp.sin(heading) + now / SETTLING
     return (now + drift * times) * jnp.exp(-times / SETTLING)
-
-
-def positions(scene: RoadScene, along: EachStep, across: EachStep) -> Pose:
-    """Return x, y and heading of others in world coordinates from where they are on their paths."""
-    return jax.vmap(place, (0, -2, -2), -2)(scene.paths, along, across)
 
 
 def on_route(ways: Ways, along: Traffic, across: Traffic) -> Pose:

@@ -17,7 +17,7 @@ from jax import numpy as jnp
 from ms_highway.game.learned_reward import commuter_traits
 from ms_highway.game.road import Flags, Places, RoadScene, Traffic, Traits
 from ms_highway.optimization.kalman import Gaussian, updated
-from ms_highway.planning.road.answers import by_fields
+from ms_highway.optimization.second_derivatives import by_fields
 from ms_highway.planning.road.traffic import follow_all, on_route, ways_of
 from ms_highway.runtime.arrays import Numbers, Scalar
 
