@@ -56,8 +56,10 @@ def test_models_are_chosen_by_gains_and_costs():
     assert set(hurried.models[:3]) == {"naive"}
 
 
-def test_costs_are_measured_where_a_choice_looks_at_them_and_nobody_tells():
+def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there():
     measured = RoadDriver(PLANNING, PricedRungs(1.0))
+    measured.step(scene_of())
+    assert measured.costs is None
     first, second = measured.step(SCENE), measured.step(SCENE)
     assert measured.costs.base > 0
     assert measured.costs.each.shape == (len(PACKAGE_MODELS),)
@@ -107,14 +109,6 @@ def test_without_a_last_plan_a_failure_brakes_at_once_and_a_reset_forgets():
     assert robot.step(BLIND).source == "braking"
     robot.reset()
     np.testing.assert_array_equal(robot.step(SCENE).control, first.control)
-
-
-def test_costs_are_not_measured_where_there_is_nobody():
-    robot = RoadDriver(PLANNING, PricedRungs(1.0))
-    robot.step(scene_of())
-    assert robot.costs is None
-    robot.step(SCENE)
-    assert robot.costs.base > 0
 
 
 def test_before_a_wall_of_cars_the_robot_brakes_hardest_and_says_that_no_plan_holds():

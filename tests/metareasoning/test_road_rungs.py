@@ -41,13 +41,6 @@ def test_the_answer_of_a_car_that_is_in_the_way_and_could_yield_is_worth_somethi
     np.testing.assert_array_equal(gains[1:], 0.0)
 
 
-def test_no_gain_is_negative():
-    random = np.random.default_rng(0)
-    for _ in range(5):
-        cars = [(place, lane, random.uniform(10, 28)) for lane in (-1, 0, 1) for place in (-35.0, 25.0, 60.0)]
-        assert gains_of(scene_of(cars=cars)).min() >= 0
-
-
 def test_a_fixed_model_predicts_everybody_and_has_to_exist():
     for number, name in enumerate(PACKAGE_MODELS):
         np.testing.assert_array_equal(FixedRung(name).choose(GAINS, COSTS, 1.0), number)

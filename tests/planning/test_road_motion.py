@@ -9,7 +9,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
 from roads import PLANNING, scene_of
 
-from ms_highway.planning.road.motion import advance, bodies, execute, within_tyres
+from ms_highway.planning.road.motion import bodies, execute, within_tyres
 from ms_highway.vehicle.road_robot import steering_of
 
 GRIP, LENGTH = float(PLANNING.grip), Vehicle.LENGTH
@@ -71,22 +71,8 @@ def test_controls_are_held_within_the_friction_circle_and_the_sharpest_curve_at_
     assert (speed + acceleration * PLANNING.time_step).min() >= -1e-5
 
 
-def test_the_acceleration_gives_way_to_the_curve():
-    curvature, acceleration = np.asarray(limited(PLANNING, jnp.float32(20.0), jnp.array([1.0, 3.0])))
-    assert 20.0**2 * curvature == pytest.approx(GRIP)
-    assert abs(acceleration) < 0.01
-
-
 def test_a_braking_robot_stops_and_stays():
     states, held, _ = driven(scene_of(robot=(0.0, 0.0, 0.0, 8.0)), PLANNING, np.tile([0.0, -9.0], (20, 1)))
     assert np.min(states[:, 3]) > -1e-6
     np.testing.assert_allclose(states[-5:], np.tile(states[-1], (5, 1)))
     assert float(held[0, 1]) == -GRIP
-
-
-def test_a_car_that_keeps_beside_the_route_gets_on_faster_inside_the_bend():
-    """On the inside it covers more of the route: by ``1 / (1 - d k)``."""
-    scene, inside = scene_of(bend=1 / 20), jnp.array([0.0, 4.0, 0.0, 8.0])
-    moved = jax.jit(advance)(scene, PLANNING, inside, jnp.array([1 / 16, 0.0]))
-    slip = np.sqrt(1 - (LENGTH / 2 / 16) ** 2)
-    np.testing.assert_allclose(moved[:2], [slip * 8 * 0.2 * 20 / 16, 4.0], rtol=1e-4)

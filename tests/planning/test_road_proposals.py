@@ -11,8 +11,7 @@ from jax import numpy as jnp
 from roads import NOBODY, PLANNING, WEIGHTS, judged, scene_of, winding
 
 from ms_highway.game.road import KNOTS, SPACING, TRAFFIC, interpolate
-from ms_highway.planning.car_following import idm_acceleration
-from ms_highway.planning.road.motion import execute, speed_caps
+from ms_highway.planning.road.motion import execute
 from ms_highway.planning.road.proposals import PROPOSALS, Manners, profiles, simulate_plans
 from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
@@ -75,14 +74,6 @@ def test_who_follows_is_slow_enough_for_a_bend_when_it_gets_there(speed, ahead):
     assert (speeds**2 * np.abs(interpolate(scene.route.curvature, jnp.asarray(s)))).max() <= GRIP
 
 
-def test_speed_caps_hold_in_bends_and_can_be_braked_to():
-    caps = np.asarray(jax.jit(speed_caps)(before_a_bend(20.0, 40.0), PLANNING))
-    curvature = before_a_bend(20.0, 40.0).route.curvature
-    assert (caps**2 * np.abs(curvature)).max() <= GRIP
-    assert (caps[:-1] ** 2 - caps[1:] ** 2).max() <= 2 * GRIP * SPACING
-    assert caps.max() <= PLANNING.desired_speed
-
-
 @pytest.mark.parametrize("braking", [-3.0, -6.0])
 @pytest.mark.parametrize(("gap", "speed"), [(35.0, 20.0), (20.0, 20.0), (10.0, 10.0)])
 def test_who_follows_at_a_distance_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed, braking):
@@ -119,17 +110,6 @@ def theirs(speed, wanted, distance, ahead):
     car = IDMVehicle(road, [100.0, 0.0], 0.0, speed, target_speed=wanted)
     other = IDMVehicle(road, [100.0 + distance, 0.0], 0.0, ahead)
     return np.clip(car.acceleration(car, other), -IDMVehicle.ACC_MAX, IDMVehicle.COMFORT_ACC_MAX)
-
-
-def test_following_is_highway_envs_intelligent_driver_model():
-    random = np.random.default_rng(0)
-    for _ in range(50):
-        speed, wanted = random.uniform([2, 15], [30, 35])
-        ahead = random.uniform(2, speed + 11)  # much faster cars are heeded at a standstill's distance
-        distance = random.uniform(8, 120)
-        assert float(idm_acceleration(*map(jnp.float32, (speed, wanted, distance, ahead)))) == pytest.approx(
-            theirs(speed, wanted, distance, ahead), abs=2e-3
-        )
 
 
 @pytest.mark.parametrize(("speed", "ahead", "distance"), [(20.0, 20.0, 45.0), (25.0, 22.0, 60.0), (22.0, 25.0, 30.0)])

@@ -62,12 +62,6 @@ def test_bodies_are_apart_exactly_where_highway_env_says_so():
     assert 0.2 < np.mean(found < 0) < 0.8
 
 
-def test_along_an_axis_the_separation_is_the_distance():
-    ahead = jnp.array([5.0, 7.5, -9.0]), jnp.zeros(3), jnp.zeros(3)
-    found = separation(tuple(jnp.zeros(3)), jnp.array([5.0, 2.0]), ahead, jnp.array([5.0, 2.0]))
-    np.testing.assert_allclose(found, [0.0, 2.5, 4.0])
-
-
 def test_a_plan_that_hits_somebody_earns_less_than_one_that_does_not():
     _, scores = scores_of(scene_of(cars=[(60.0, 0, 0.0)]), KEEPING, (0.0, -4.5))
     np.testing.assert_array_equal(scores.collides, [True, False])

@@ -83,18 +83,6 @@ def test_what_cannot_move_teaches_nothing():
     np.testing.assert_array_equal(found.mean, prior(scene).mean)
 
 
-def test_covariances_stay_symmetric_and_positive_whatever_cars_do():
-    random = np.random.default_rng(0)
-    scene = road([50.0, 20.0, -20.0], [20.0, 20.0, 20.0])
-    estimates = prior(scene)
-    for _ in range(30):
-        before, scene = scene, road([50.0, 20.0, -20.0], random.uniform(0.0, 40.0, 3))
-        estimates = update(estimates, before, scene)
-        np.testing.assert_allclose(estimates.covariance, jnp.swapaxes(estimates.covariance, 0, 1), atol=1e-6)
-        assert np.linalg.eigvalsh(np.moveaxis(estimates.covariance, -1, 0)).min() > 0
-        assert np.isfinite(estimates.mean).all()
-
-
 def test_predictions_by_idm_and_rewards_of_drivers_take_their_traits():
     scene = road([30.0], [20.0])
     known = [replace(scene, traits=Traits(*np.full((2, TRAFFIC), [[speed], [1.5]], np.float32))) for speed in (20, 30)]
