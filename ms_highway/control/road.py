@@ -1,6 +1,6 @@
 """Drive on a road: observe, infer, choose how to predict each car, plan, follow the plan or fall back."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -82,7 +82,7 @@ class RoadDriver:
     planning: RoadPlanning
     choice: RungChoice
     refines: bool = True
-    weights: RoadWeights = RoadWeights()
+    weights: RoadWeights = field(default_factory=RoadWeights)
     costs: Costs | None = None
     traits: bool = False
     belief: bool = False

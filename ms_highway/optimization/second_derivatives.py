@@ -69,7 +69,7 @@ def second_order_expansion(
     return Expansion(gradient, hessian, jacobian)
 
 
-def by_fields(function: Callable[[Trajectory], Numbers], steps: Trajectory) -> Array:
+def by_fields(function: Callable[[Trajectory], Numbers], steps: Trajectory) -> Numbers:
     """Differentiate what depends at each step only on the fields there, in each of the fields [fields, *value]."""
     directions = jnp.broadcast_to(jnp.eye(len(steps))[..., None], (len(steps), *steps.shape))
     return jax.vmap(lambda direction: jax.jvp(function, (steps,), (direction,))[1])(directions)

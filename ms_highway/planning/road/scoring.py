@@ -133,7 +133,8 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
     """
     scene, planning, weights, speeds = now.scene, now.planning, now.weights, driven.speeds
     dt, (s, d, _, speed) = planning.time_step, driven.robot
-    own, others = bodies(scene, driven.states[:, None]), jnp.moveaxis(driven.world[:, :, :3], 2, 0)
+    x, y, heading = jnp.moveaxis(driven.world[:, :, :3], 2, 0)
+    own, others = bodies(scene, driven.states[:, None]), (x, y, heading)
     # A follower in the robot's own lane that runs into it, or through it, while it keeps its lane does not count.
     behind = driven.s[..., :1] < s[..., :1] - 1.0
     followed = jnp.cumprod(jnp.abs(driven.d - d) < scene.size[1], axis=-1) > 0
