@@ -1,6 +1,7 @@
 """Limits hold for what is executed, whoever planned it: bounds of each control, and what tyres hold in all."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import jax
@@ -78,7 +79,8 @@ def test_a_users_plan_that_is_not_finite_fails_as_any_other_does(played):
 def test_plans_of_the_papers_models_are_left_as_they_are(played, name):
     game, state = played("merger", control_limit=(0.05, 6.0), grip=GRIP)
     plan = jit_quickly(MODELS[name].plan)(game, state)
-    jax.tree.map(np.testing.assert_array_equal, plan, jit_quickly(within_limits)(game, state, plan))
+    held = jit_quickly(within_limits)(game, state, plan)
+    jax.tree.map(partial(np.testing.assert_array_max_ulp, maxulp=1), plan, held)  # scaled and unscaled for the grip
 
 
 @pytest.mark.slow
