@@ -85,7 +85,7 @@ def _plan(ca: Any, game: Game, model: str, now: Any) -> Any:
         def earned(state: jax.Array, own: jax.Array, partner: jax.Array | None = None) -> jax.Array:
             played, state = (swap_roles(game), jnp.concatenate([state[1::-1], state[2:]])) if car else (game, state)
             partner = constant_velocity(game, state[1]) if partner is None else partner
-            return total_reward(played, state, own, partner) - discomfort(played, state[0], own)
+            return total_reward(played, state, own, partner[None]) - discomfort(played, state[0], own)
 
         return _translated(ca, earned, state, *controls)
 
