@@ -1,9 +1,9 @@
 """`ms-highway compare` as a user types it."""
 
 import json
-from dataclasses import replace
 
 import imageio.v3 as imageio
+import msgspec
 import pandas as pd
 import pytest
 
@@ -148,7 +148,8 @@ def test_compare_keeps_results_among_other_humans_apart(compared, tmp_path, caps
     assert json.loads((compared / "settings.json").read_text())["human_reward"] == "learned"
     assert "choose another directory" in failure(capsys, *COMPARE, str(compared), "--set", "human_reward=published")
     learned = tmp_path / "lazy.json"
-    save(replace(shipped("demonstrations"), weights=shipped("demonstrations").weights | {"speed": 0.5}), learned)
+    known = shipped("demonstrations")
+    save(msgspec.structs.replace(known, weights=known.weights | {"speed": 0.5}), learned)
     arguments = [
         "compare",
         "merger",

@@ -33,7 +33,7 @@ def compilations(controller):
     """How often the plans of each rung, and the decision, have been compiled for games of this shape."""
     game, layouts = controller.game, [pack(controller.game)[1], pack((controller.rule, controller.game))[1]]
     assert game.planner.horizon == 5
-    plans = [plan_function((model,), layouts[0], True) for model in controller.rule.ladder]
+    plans = [plan_function((model,), layouts[0], not model.responds) for model in controller.rule.ladder]
     return [function._cache_size() for function in (*plans, decide_function(layouts[1], EMPTY, True))]
 
 
@@ -53,11 +53,11 @@ def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later
         step = controller.step(np.asarray(state))
         assert step.compile_seconds == 0
         models |= {*step.models}
-    dearer = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
-    dearer_controller = Driver(dearer, replace(controller.rule, price=3.0))
-    dearer_controller.step(np.asarray(state))
+    other = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
+    another = Driver(other, replace(controller.rule, price=3.0))
+    another.step(np.asarray(state))
     assert len(models) > 1
-    assert compilations(dearer_controller) == sizes == [1, 1, 1, 1]
+    assert compilations(another) == sizes == [1, 1, 1, 1]
 
 
 @pytest.mark.parametrize("solver", ["gradient", "newton"])

@@ -85,11 +85,9 @@ def test_plans_of_the_papers_models_are_left_as_they_are(played, name):
 
 @pytest.mark.slow
 def test_batches_keep_to_the_limits_as_environments_do(reckless):
-    planning = {"control_limit": [0.05, 6.0], "grip": GRIP}
     costs, controllers = {"naive": 0.1, "reckless": 0.1}, ["naive", "reckless"]
-    comparison = Comparison(
-        {"merger": controllers}, seeds=2, config={"costs": costs, "ladder": ["naive"], "planning": planning}
-    )
+    config = {"costs": costs, "ladder": ["naive"], "control_limit": [0.05, 6.0], "grip": GRIP}
+    comparison = Comparison({"merger": controllers}, seeds=2, config=config)
     envs = [make_environment("merger", name, **comparison.config) for name in controllers]
     expected = pd.DataFrame([record for env in envs for seed in range(2) for record in episode(env, seed)])
     found = simulated(comparison)
@@ -103,7 +101,7 @@ def test_with_a_grip_no_car_of_the_papers_scenes_leaves_the_friction_circle(sema
     """From places and speeds: the path's curvature times v^2, and the change of speed."""
     config = {"semantics": semantics, "ladder": ["naive", "tom"]}
     free = Comparison({"merger": ["naive", "tom"]}, 5, config=config)
-    records = simulated(replace(free, config=config | {"planning": {"grip": GRIP}}))
+    records = simulated(replace(free, config=config | {"grip": GRIP}))
     for car in ("robot", "human"):
         assert accelerations(records, car).max() <= GRIP * 1.01
     if semantics == "paper":

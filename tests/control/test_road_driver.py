@@ -131,15 +131,15 @@ def test_a_driver_with_a_belief_counts_on_nobody_who_has_not_shown_that_it_makes
 def test_traits_are_learned_from_step_to_step():
     slower = replace(SCENE, states=SCENE.states - np.array([0, 0, 0, 0.3], np.float32))
     path = np.zeros((PLANNING.steps, 3), np.float32)
-    seen = DriversSeen(traits=True, time_step=0.2)
+    seen = DriversSeen(traits=True, belief=False, time_step=0.2)
     seen.prepare(SCENE, PLANNING.steps)
-    first = seen.look(SCENE)
+    first, _ = seen.look(SCENE)
     seen.planned(first, path)
-    second = seen.look(slower)
+    second, _ = seen.look(slower)
     assert first.traits.speed[1] == pytest.approx(0.75 * 30.0)
     assert second.traits.speed[1] < first.traits.speed[1] - 0.3
     seen.planned(second, path)
-    third = seen.look(slower)  # learned from what was learned
+    third, _ = seen.look(slower)  # learned from what was learned
     assert third.traits.speed[1] != second.traits.speed[1]
     seen.planned(third, path[:0])  # a plan that failed
-    np.testing.assert_array_equal(seen.look(SCENE).traits.speed, first.traits.speed)
+    np.testing.assert_array_equal(seen.look(SCENE)[0].traits.speed, first.traits.speed)

@@ -106,7 +106,7 @@ def test_a_driven_environment_can_be_made_again_from_its_specification():
 
 
 @pytest.mark.parametrize("name", ["highway-fast-v0", "roundabout-v0"])
-def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensive_rung(name):
+def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensive_model(name):
     env = driven(name, "fixed:idm", render_mode="rgb_array")
     before = env.render()
     env.step(1)
@@ -117,8 +117,8 @@ def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensi
     assert (frame[height:] != PAPER).any()
     owners = last.owners.tolist()
     several = next(path for path, owner in enumerate(owners) if owner >= 0 and owners.count(owner) > 1)
-    rungs = tuple("tom" if path == several else rung for path, rung in enumerate(last.rungs))
-    env.robots[0].last_step = replace(last, rungs=rungs)
+    models = tuple("tom" if path == several else model for path, model in enumerate(last.models))
+    env.robots[0].last_step = replace(last, models=models)
     assert pixels(env.render(), model_color("tom")) > 100  # the body, beside the dots of one path
     env.close()
 
@@ -163,7 +163,7 @@ def test_belief_and_traits_are_told_and_shown_where_they_are_configured():
     env = ms_highway.drive(gym.make("merge-v0", render_mode="rgb_array"), config)
     env.reset(seed=0)
     road = env.step(0)[4]["road"]
-    present = np.array(road["rungs"]) != ""
+    present = np.array(road["models"]) != ""
     np.testing.assert_allclose(road["belief"].sum(axis=1), 1.0, atol=1e-6)
     assert (np.abs(road["belief"][present] - 0.25) > 0.01).any()
     assert ((road["traits"].speed > 1) & (road["traits"].headway > 0.2)).all()

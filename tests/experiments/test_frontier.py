@@ -100,7 +100,7 @@ def test_a_search_at_many_prices_tries_little_more_than_one_at_three(batch):
 @pytest.mark.slow
 def test_a_search_among_several_humans_changes_the_models_of_all_and_of_one():
     outcomes = Outcomes(make_batch(Comparison({"dense_merge": ["naive"]}, config=SEVERAL), "dense_merge"))
-    assert list(search(outcomes, [0], [1.0], 8, 2)) == [1, 2, 3]
+    assert list(search(outcomes, [0], [1.0], 16, 2)) == [1, 2, 3]
     names = {name for name, _ in outcomes.table.index}
     assert {"naive", "tom"} <= names
     assert any("/" in name for name in names)
