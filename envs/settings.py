@@ -1,7 +1,6 @@
 """The settings of an `ms_highway.envs.base.InteractionEnv`: what its configuration says."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 from warnings import warn
 
@@ -10,7 +9,6 @@ from msgspec.structs import force_setattr
 
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
 from ms_highway.envs.controllers import ControllerSettings, OrderSettings, controller_settings
-from ms_highway.game.arrays import HumansWeights
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
@@ -80,7 +78,9 @@ class Settings(Struct, frozen=True):
         models, seconds = self.models, self.seconds
         missing = seconds is not None and [model.name for model in models if model.name not in seconds]
         if missing:
-            raise ValueError(f"config['costs'] has no seconds for {missing[0]!r}; {COSTS}")
+            raise ValueError(
+                f"config['costs'] is {self.costs!r}, without seconds for {missing[0]!r}; say 'measured' or give them"
+            )
 
     def check(self, scenario: Scenario) -> None:
         """Check what depends on the scenario; warn of gradient steps that overshoot.
@@ -135,12 +135,12 @@ class Settings(Struct, frozen=True):
             return shipped("demonstrations").weights if reward == "learned" else COMMON_WEIGHTS
         return reward
 
-    def game(self, scenario: Scenario, weights: HumansWeights | None = None) -> Game:
-        """Build the game of a scenario; without weights, all humans have the reward that theirs are drawn around."""
+    def game(self, scenario: Scenario) -> Game:
+        """Build the game of a scenario, in which all humans have the reward that theirs are drawn around."""
         limit = self.control_limit
         if limit is None and self.semantics == "paper":
             limit = scenario.control_limit
-        game = build_game(
+        return build_game(
             scenario,
             self.semantics,
             None if limit == "unlimited" else limit,
@@ -150,4 +150,3 @@ class Settings(Struct, frozen=True):
             planning=self.planning,
             humans=self.humans,
         )
-        return game if weights is None else replace(game, humans=replace(game.humans, weights=weights))

@@ -106,8 +106,9 @@ CUT_IN[:4, 0], CUT_IN[4:8, 0] = 0.004, -0.004
 @jax.jit
 def settled(controls, first):
     """The answer of car 0 to controls, and all trajectories with it."""
-    robot, others = centres(MERGING, execute(MERGING, PLANNING, controls)[0]), keeping_velocity(MERGING)
-    human = commuter_among(MERGING, PLANNING, 0, robot, others)
+    scene = jax.tree.map(jnp.asarray, MERGING)
+    robot, others = centres(scene, execute(scene, PLANNING, controls)[0]), keeping_velocity(scene)
+    human = commuter_among(scene, PLANNING, 0, robot, others)
     found = jax.lax.fori_loop(0, 18, lambda _, scaled: human.improved(scaled), first)
     return found, others.at[0].set(human.drive(found))
 

@@ -48,7 +48,7 @@ def polygon(x, y, heading, length, width):
 
 
 def test_bodies_are_apart_exactly_where_highway_env_says_so():
-    random, number = np.random.default_rng(0), 100
+    random, number = np.random.default_rng(0), 300
     x, y, other_x, other_y = random.uniform(-6, 6, (4, number))
     heading, other_heading = random.uniform(-7, 7, (2, number))
     sizes = random.uniform(0.5, 6, (number, 2))

@@ -129,8 +129,9 @@ class NearsightedEnv(MergerEnv):
         super().configure(config)
         self.game = replace(self.game, planner=replace(self.game.planner, horizon=3))
 
-    def draw_starts(self, random):
-        return super().draw_starts(random) + [[0, 0, 0, 1.0]] * 3
+    def draw_episode(self, random):
+        starts, weights = super().draw_episode(random)
+        return starts + [[0, 0, 0, 1.0]] * 3, weights
 
 
 @pytest.fixture
@@ -154,8 +155,8 @@ def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(nearsighted, monkey
 
 @pytest.mark.slow
 def test_a_batch_plans_as_far_ahead_and_as_often_as_the_environment():
-    planning = {"horizon": 3, "time_step": 0.2, "control_limit": [0.2, 9.0]}
-    comparison = Comparison({"merger": ["turn"]}, seeds=2, config={"planning": planning})
+    config = {"horizon": 3, "time_step": 0.2, "control_limit": [0.2, 9.0]}
+    comparison = Comparison({"merger": ["turn"]}, seeds=2, config=config)
     expected, found = driven(comparison, "merger", "turn"), simulated(comparison).set_index(KEYS)
     assert len(found) == 2 * 20
     np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
@@ -192,12 +193,9 @@ def test_a_scenario_whose_environment_ends_early_is_not_simulated(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("controller", "warm_start"), [("schedule:naive=5,turn@4+warm=30,naive@6", False), ("turn", True)]
-)
-def test_warm_starts_and_efforts_agree_with_the_environment_step_by_step(controller, warm_start):
-    config = {"warm_start": warm_start, "ladder": ["naive", "turn"]}
-    comparison = Comparison({"merger": [controller]}, seeds=3, config=config)
+@pytest.mark.parametrize("controller", ["schedule:naive=5,turn@4+warm=30,naive@6", "turn+warm"])
+def test_warm_starts_and_efforts_agree_with_the_environment_step_by_step(controller):
+    comparison = Comparison({"merger": [controller]}, seeds=3, config={"ladder": ["naive", "turn"]})
     expected, found = driven(comparison, "merger", controller), simulated(comparison).set_index(KEYS)
     np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
     for name in ("model", "counted_seconds"):

@@ -60,9 +60,10 @@ def brief():
 
 @pytest.mark.slow
 def test_a_model_of_ones_own_is_compared_recorded_and_drawn_like_the_papers(brief, tmp_path):
-    assert list(MODELS) == ["naive", "turn", "brief", "tom"]
+    assert list(MODELS) == ["naive", "idm", "turn", "brief", "tom"]
     costs = {"naive": 0.09, "brief": 0.12}
-    comparison = Comparison({"merger": ["brief", "switching:0.01"]}, 1, costs=costs, ladder=["naive", "brief"])
+    config = {"costs": costs, "ladder": ["naive", "brief"]}
+    comparison = Comparison({"merger": ["brief", "switching:0.01"]}, 1, config=config)
     list(run(comparison, tmp_path))
     records = read(comparison, tmp_path)
     switching = one_episode(records, "merger", "switching:0.01", 0)
@@ -77,5 +78,5 @@ def test_a_model_of_ones_own_is_compared_recorded_and_drawn_like_the_papers(brie
     assert {tuple(point) for point in switching[["step", "gain_brief"]].dropna().to_numpy()} <= drawn
     older = switching.drop(columns="gain_brief").assign(model="naive")  # from before the model was known
     assert len(decisions([older]).axes) == 2
-    with pytest.raises(ValueError, match="no seconds of 'brief' were published; say 'measured' or give them"):
-        Comparison({"merger": ["naive"]}, ladder=["naive", "brief"]).check()
+    with pytest.raises(ValueError, match="is 'published', without seconds for 'brief'; say 'measured' or give them"):
+        Comparison({"merger": ["naive"]}, config={"ladder": ["naive", "brief"]}).check()
