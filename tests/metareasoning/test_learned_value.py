@@ -11,9 +11,7 @@ import pytest
 
 from ms_highway.control.driver import Driver
 from ms_highway.envs import SCENARIOS
-from ms_highway.experiments.batch import simulated
-from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.experiments.runner import make_environment
 from ms_highway.game.scenario import PAPER_UNIT, build_game, draw_episode
 from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.metareasoning.learned_value import LearnedValue
@@ -76,17 +74,6 @@ def test_it_chooses_from_the_first_step_on_and_thinks_where_it_pays():
     assert models[0] == "tom"  # where Algorithm 1 starts with naive
     assert models[-1] == "naive"
     assert 2 <= models.count("tom") <= 20
-
-
-def test_environment_and_batch_choose_alike():
-    comparison = Comparison({"merger": ["learned:0.3", "learned:3", "switching:0.1", "naive"]}, seeds=3)
-    records = simulated(comparison)
-    for controller in ("learned:0.3", "learned:3"):
-        env = make_environment("merger", controller)
-        for seed in range(3):
-            expected = [record["model"] for record in episode(env, seed)]
-            own = records[(records["controller"] == controller) & (records["seed"] == seed)]
-            assert own["model"].tolist() == expected
 
 
 def test_values_that_are_not_finite_are_not_chosen_by_and_info_says_so():
