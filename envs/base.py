@@ -17,12 +17,12 @@ from ms_highway.envs.graphics import InteractionViewer, Shown
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction
 from ms_highway.envs.stage import Cone, StageEnv, Timing, straight_road
-from ms_highway.game.arrays import HumansWeights, State
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import REACHED, TIME_STEP, Scenario, draw_episode
 from ms_highway.metareasoning.rule import Order
 from ms_highway.planning.compiled_plans import Costs, measure_costs
+from ms_highway.runtime.arrays import HumansWeights, State
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
 

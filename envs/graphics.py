@@ -19,14 +19,13 @@ from highway_env.road.graphics import LaneGraphics
 from highway_env.vehicle.graphics import VehicleGraphics
 
 from ms_highway.control.controller import ControlStep
-from ms_highway.game.arrays import Belief, Car
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import title
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.rule import Order
-from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.effort import Effort, base_of
 from ms_highway.planning.human_models import MODELS, PACKAGE_MODELS, human_model, is_model, known_models
+from ms_highway.runtime.arrays import Belief, Car, Controls
 
 Color = tuple[int, int, int]
 

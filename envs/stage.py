@@ -19,12 +19,12 @@ from jaxtyping import Float
 from ms_highway.envs.configuration import TYPES, Changes, Config, Types, merged, read_own, refuse_unknown
 from ms_highway.envs.graphics import Viewer
 from ms_highway.envs.spaces import Autopilot, CarStates, CarTracks, HumanModelAction, finite
-from ms_highway.game.arrays import State
 from ms_highway.game.features import features
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward
 from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT
 from ms_highway.game.scene import Scene
+from ms_highway.runtime.arrays import State
 
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
 OWN_TYPES = {kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks)}

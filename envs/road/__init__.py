@@ -4,19 +4,17 @@ Imports what `ms_highway.envs` does.
 """
 
 from ms_highway.envs.road.driven import Driven, drive
-from ms_highway.envs.road.ego import replace_ego
 from ms_highway.envs.road.policy import RoadPolicy
+from ms_highway.envs.road.stock import replace_ego
 
 __all__ = [
     "Driven",
     "RoadPolicy",
     "drive",
     "driven",
-    "ego",
-    "goals",
     "graphics",
     "policy",
     "replace_ego",
     "settings",
-    "traffic",
+    "stock",
 ]

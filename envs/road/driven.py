@@ -18,13 +18,11 @@ from highway_env.envs.common.action import (
 )
 
 from ms_highway.control.road import RoadDriver
-from ms_highway.envs.road.ego import replace_ego
-from ms_highway.envs.road.goals import desired_speed_of, destination_of, success
 from ms_highway.envs.road.graphics import show
 from ms_highway.envs.road.settings import RoadSettings
-from ms_highway.envs.road.traffic import restore_traffic
+from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
 from ms_highway.envs.stage import StageEnv
-from ms_highway.optimization.arrays import Control
+from ms_highway.runtime.arrays import Control
 from ms_highway.vehicle.road_robot import RoadRobot
 
 WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"

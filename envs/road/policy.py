@@ -11,9 +11,9 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.control.road import RoadStep
 from ms_highway.envs.road.driven import check_drivable, normalised
-from ms_highway.envs.road.goals import desired_speed_of, destination_of
 from ms_highway.envs.road.settings import RoadSettings
-from ms_highway.optimization.arrays import Control
+from ms_highway.envs.road.stock import desired_speed_of, destination_of
+from ms_highway.runtime.arrays import Control
 from ms_highway.vehicle.road_robot import MARGIN, PERIOD, Velocity, keep_grip, steering_of
 from ms_highway.vehicle.road_scene import observe_road
 

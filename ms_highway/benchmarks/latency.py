@@ -4,6 +4,7 @@ import os
 import resource
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -15,20 +16,18 @@ import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
 from ms_highway.benchmarks.casadi_peer import compiled_peer
-from ms_highway.benchmarks.processes import own_process
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiments.runner import make_environment
-from ms_highway.game.arrays import State
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.compiled_decision import CompiledDecision
 from ms_highway.metareasoning.rule import PUBLISHED_COSTS, first_memory
 from ms_highway.metareasoning.switching import Switching
-from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.compiled_plans import CompiledPlans, Costs, checked_state
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.several import plan_for
+from ms_highway.runtime.arrays import Controls, State
 from ms_highway.runtime.files import temporary_directory
-from ms_highway.runtime.jax_settings import low_latency
+from ms_highway.runtime.jax_settings import low_latency, own_process
 from ms_highway.runtime.timing import forget, timed
 
 REPEATS = 600
@@ -233,7 +232,7 @@ def _measured_several(scenario: str, humans: int, config: dict[str, Any]) -> dic
     """Measure plans among so many humans; a single one is the first of two."""
     jax.config.update(CACHE, None)
     _, env = _environment(scenario, **config, humans=max(humans, 2), ladder=["naive", "turn", "tom"])
-    game = env.settings.game(env.scenario, env.weights[:humans])
+    game = replace(env.game, humans=replace(env.game.humans, weights=env.weights[:humans]))
     plans, state = CompiledPlans(game, env.settings.models), checked_state(env.car_states[: 1 + humans])
     start = perf_counter()
     plans.warm_up(state)

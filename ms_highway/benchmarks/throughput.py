@@ -11,11 +11,10 @@ from typing import Any
 from jax.sharding import Mesh
 
 from ms_highway.benchmarks.latency import one_core
-from ms_highway.benchmarks.processes import own_process
 from ms_highway.experiments.batch import Batch, Key, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.runtime.jax_settings import high_throughput
+from ms_highway.runtime.jax_settings import high_throughput, own_process
 from ms_highway.simulation.devices import use_devices
 
 EPISODES = 5  # of the environment

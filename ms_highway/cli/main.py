@@ -16,9 +16,7 @@ from ms_highway.cli.bench_road import add_bench_road
 from ms_highway.cli.compare import add_compare
 from ms_highway.cli.console import Command, printing
 from ms_highway.cli.frontier import add_frontier
-from ms_highway.cli.irl.evaluate import add_evaluate
-from ms_highway.cli.irl.fit import add_fit
-from ms_highway.cli.irl.record import add_record
+from ms_highway.cli.irl import add_evaluate, add_fit, add_record
 from ms_highway.cli.report import add_report
 from ms_highway.cli.sweep import add_sweep
 from ms_highway.cli.validate import add_validate

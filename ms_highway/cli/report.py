@@ -98,7 +98,7 @@ def _report(options: argparse.Namespace) -> None:
 
 def _further(options: argparse.Namespace, several: "list[Results]", progress: "Progress") -> "dict[str, Drawn]":
     """Return the sections of learned values and of learned drivers that are asked for."""
-    from ms_highway.visualization.irl.section import drawn as drawn_drivers
+    from ms_highway.visualization.irl.tables import drawn as drawn_drivers
     from ms_highway.visualization.values import drawn as drawn_values
 
     further: dict[str, Drawn] = {}

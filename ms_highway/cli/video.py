@@ -41,7 +41,7 @@ def _video(options: argparse.Namespace) -> None:
     from ms_highway.envs.short_names import controller_config
     from ms_highway.experiments.comparison import paper_controllers
     from ms_highway.visualization import video
-    from ms_highway.visualization.side_by_side import side_by_side
+    from ms_highway.visualization.video import side_by_side
 
     environment_id(options.scenario)
     if options.width is not None:

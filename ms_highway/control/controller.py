@@ -10,11 +10,10 @@ from typing import Protocol
 import numpy as np
 
 from ms_highway.control.fallback import Status
-from ms_highway.game.arrays import Belief, Gains, HumansControls, State
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.rule import highest_gains
-from ms_highway.optimization.arrays import Control, Controls
 from ms_highway.planning.human_models import known_models
+from ms_highway.runtime.arrays import Belief, Control, Controls, Gains, HumansControls, State
 
 
 @dataclass(frozen=True)

@@ -8,18 +8,17 @@ import numpy as np
 
 from ms_highway.control.controller import ControlStep
 from ms_highway.control.fallback import Status, brake
-from ms_highway.game.arrays import Rungs, State
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.belief import CompiledBelief, counted_on, first_belief
 from ms_highway.metareasoning.budget import Budget
 from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
 from ms_highway.metareasoning.rule import Decision, Order, Rule, always, check_rule, first_memory
-from ms_highway.optimization.arrays import Control
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.effort import starts_warm
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan
+from ms_highway.runtime.arrays import Control, Rungs, State
 from ms_highway.runtime.forks import refuse_after_fork
 
 QUANTILE = 0.99  # of decisions' seconds, for budgets

@@ -5,11 +5,9 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.game.arrays import Car
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game
-from ms_highway.optimization.arrays import Controls
-from ms_highway.runtime.arrays import Flag, Index, SameArray
+from ms_highway.runtime.arrays import Car, Controls, Flag, Index, SameArray
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
 """Source of a control: this step's plan; where that is not finite, the rest of the last finite plan; where nothing is

@@ -6,10 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.control.controller import ControlStep
-from ms_highway.game.arrays import State
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
-from ms_highway.runtime.arrays import SameArray
+from ms_highway.runtime.arrays import SameArray, State
 
 ROOM = 8.0  # m between bumpers, that is made for the robot
 MAKING_ROOM = 3.0  # m/s^2, of braking for it

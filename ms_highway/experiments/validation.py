@@ -16,7 +16,6 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import State
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.scenario import build_game
@@ -26,7 +25,7 @@ from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switchi
 from ms_highway.planning.compiled_plans import CompiledPlans, Costs
 from ms_highway.planning.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, ladder
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.arrays import Array, State
 from ms_highway.runtime.compilation import jit_quickly
 
 SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY)}

@@ -7,10 +7,9 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
-from ms_highway.game.arrays import Times
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Array, unrolled_reduce, unrolled_sum
+from ms_highway.runtime.arrays import Array, Times, unrolled_reduce, unrolled_sum
 
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0

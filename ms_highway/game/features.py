@@ -11,12 +11,11 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.arrays import Times
 from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.reward import TRAFFIC_FEATURES, Feature, Reward
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Array, unrolled_reduce, unrolled_sum
+from ms_highway.runtime.arrays import Array, Times, unrolled_reduce, unrolled_sum
 
 HEADING_SHARE = 0.01  # of directional relative to lateral alignment with a lane
 STANDSTILL_GAP = 0.06  # length units (2 m), between the bumpers of a standing queue

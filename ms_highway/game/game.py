@@ -14,15 +14,24 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.game.arrays import Car, HumansControls, State, Trajectories
 from ms_highway.game.dynamics import Dynamics, Motion, coast, keep_velocity, rollout, speeds, within_grip
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.arrays import Controls, ManyControls, Trajectory
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, project
-from ms_highway.runtime.arrays import Index, Scalar, unrolled_sum
+from ms_highway.runtime.arrays import (
+    Car,
+    Controls,
+    HumansControls,
+    Index,
+    ManyControls,
+    Scalar,
+    State,
+    Trajectories,
+    Trajectory,
+    unrolled_sum,
+)
 
 
 @jax.tree_util.register_dataclass
@@ -53,7 +62,7 @@ class Game:
 
     @property
     def number(self) -> int:
-        """Scalar of humans."""
+        """Number of humans."""
         return int(np.shape(self.humans.weights)[0])
 
     def human(self, human: Index = 0) -> Reward:

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.learned_drivers import LearnedDrivers, TraitPrior
-from ms_highway.game.reward import linear_reward
-from ms_highway.game.reward_model import RewardModel
+from ms_highway.game.reward import RewardModel, linear_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.runtime.files import read_json, replacing
 from ms_highway.runtime.structures import Positive, Structure, read

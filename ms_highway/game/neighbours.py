@@ -1,5 +1,7 @@
 """Find the neighbours of a driver: the nearest cars ahead and behind, in its own lane and in the adjacent ones."""
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -12,7 +14,7 @@ SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, 
 AHEAD = np.array([True, False] * 3)  # whether a place is ahead, or behind
 
 NEIGHBOURS = len(SIDES)
-"""Scalar of places: ahead and behind, in the own lane, the left one and the right one, in this order."""
+"""Number of places: ahead and behind, in the own lane, the left one and the right one, in this order."""
 
 
 def places(
@@ -79,3 +81,39 @@ def far_behind(driver: Float[SameArray, "*batch 4"]) -> Float[SameArray, "*batch
     xp = driver.__array_namespace__()
     zero = xp.zeros_like(driver[..., 0])
     return xp.stack([driver[..., 0] - FAR_AWAY, driver[..., 1], zero, zero], axis=-1)
+
+
+class Leader(NamedTuple):
+    """The car ahead.
+
+    Attributes:
+        gap: between bumpers [m].
+        speed: along the road [m/s].
+        there: whether there is one.
+    """
+
+    gap: Float[Any, "*cars"]
+    speed: Float[Any, "*cars"]
+    there: Bool[Any, "*cars"]
+
+
+def leaders(
+    x: Float[Any, "*batch cars"],
+    lane: Float[Any, "*batch cars"],
+    others: Float[Any, "*batch others 4"],
+    counts: Bool[Any, "*#batch #cars others"],
+    reach: float | Float[Any, "*#batch #cars #others"],
+) -> tuple[Int[Any, "*batch cars"], Bool[Any, "*batch cars"]]:
+    """Return which of the others is the nearest ahead in a lane, and whether any is; arrays of NumPy or JAX.
+
+    Args:
+        x: position of each car along the road [m].
+        lane: lateral position of the centre of the lane in which each looks ahead [m].
+        others: states of all that may be ahead.
+        counts: which of them count for each car; of the rest, states may be anything.
+        reach: lateral distance from that centre up to which a car is in the lane [m].
+    """
+    xp = others.__array_namespace__()
+    distance = others[..., None, :, 0] - x[..., None]
+    ahead = counts & (distance > 0) & (xp.abs(others[..., None, :, 1] - lane[..., None]) <= reach)
+    return xp.argmin(xp.where(ahead, distance, xp.inf), axis=-1), xp.any(ahead, axis=-1)

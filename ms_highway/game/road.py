@@ -13,8 +13,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.arrays import Car, State
-from ms_highway.runtime.arrays import Numbers, Scalar
+from ms_highway.runtime.arrays import Car, Numbers, Scalar, State
 
 SPACING = 2.0
 """Distance between knots of a path [m]."""

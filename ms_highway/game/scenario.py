@@ -11,7 +11,6 @@ from typing import Literal, TypeAlias
 import jax
 import numpy as np
 
-from ms_highway.game.arrays import HumansWeights, State
 from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings, gradient_steps
@@ -19,6 +18,7 @@ from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import Scene
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, Solver
+from ms_highway.runtime.arrays import HumansWeights, State
 
 Semantics: TypeAlias = Literal["paper", "released"]
 

@@ -12,15 +12,15 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.leaders import Leader, leaders
 from ms_highway.game.learned_drivers import Drivers, RewardTraits
+from ms_highway.game.neighbours import Leader, leaders
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.arrays import CarFlags, CarNumbers, Cars, CarStates, Scalar, Traits
 from ms_highway.irl.moments import PAST, STEPS, Moments, lanes_of
 from ms_highway.irl.outlook import SIDES, Modes
 from ms_highway.optimization.kalman import Gaussian, updated
 from ms_highway.planning.held_control import held_acceleration, held_curvature
-from ms_highway.runtime.batches import in_batches
+from ms_highway.runtime.compilation import in_batches
 
 Others: TypeAlias = Literal["predicted", "recorded", "coasting"]
 """Motion of the other cars: predicted together with the driver; as recorded, which leaks the future; at constant

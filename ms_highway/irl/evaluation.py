@@ -9,9 +9,9 @@ from msgspec import structs
 from scipy import optimize, stats
 
 from ms_highway.game.dynamics import keep_velocity
-from ms_highway.game.leaders import leaders
 from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.game.reward_model import RewardModel
+from ms_highway.game.neighbours import leaders
+from ms_highway.game.reward import RewardModel
 from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl.arrays import Flags, Parameters, Paths, Steps, Values
 from ms_highway.irl.driving import Others

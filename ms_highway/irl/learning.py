@@ -12,8 +12,7 @@ from jaxtyping import Float
 from ms_highway.game.dynamics import observe
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.game.reward import COMFORT
-from ms_highway.game.reward_model import RewardModel
+from ms_highway.game.reward import COMFORT, RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.arrays import Controls, Numbers, Values
 from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit_weights, window_log_likelihoods
@@ -22,8 +21,7 @@ from ms_highway.irl.recordings.demonstrators import optimal
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.windows import Windows, driver_game, regular_windows, with_window
-from ms_highway.runtime.batches import in_batches
-from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.progress import Progress, silent
 
 COMFORT_GIVEN = 0.1

@@ -35,15 +35,12 @@ from scipy import optimize
 
 from ms_highway.game.game import Game, move
 from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.game.reward import COMFORT
-from ms_highway.game.reward_model import RewardModel
+from ms_highway.game.reward import COMFORT, RewardModel
 from ms_highway.irl.arrays import Flags, Numbers, Parameters, Scalar, Values
 from ms_highway.irl.windows import Windows, control_deviation, driver_game, features_along, path_features
 from ms_highway.optimization.estimation import grouped_covariance, slope_differences
-from ms_highway.optimization.floored import floored
-from ms_highway.optimization.second_derivatives import second_order_expansion
-from ms_highway.runtime.batches import in_batches
-from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.optimization.second_derivatives import floored, second_order_expansion
+from ms_highway.runtime.compilation import in_batches, jit_quickly
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
 MANY = 600  # windows, of which half as many are fitted first

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.leaders import leaders
+from ms_highway.game.neighbours import leaders
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.arrays import CarFlags, CarStates, Parameters, Paths, Scalar
 from ms_highway.irl.moments import AT, SCALES, STEPS, Moments, lanes_of

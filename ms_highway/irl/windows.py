@@ -20,9 +20,8 @@ from ms_highway.game.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT,
 from ms_highway.game.scene import Scene
 from ms_highway.irl.arrays import CarStates, Controls, Flags, Numbers, States, Values
 from ms_highway.irl.recordings.recording import Recording, number_groups, track_of
-from ms_highway.optimization.arrays import Trajectory
-from ms_highway.runtime.batches import in_batches
-from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.runtime.arrays import Trajectory
+from ms_highway.runtime.compilation import in_batches, jit_quickly
 
 KINK = 0.05  # sine of the heading below which noise may turn the car to either side
 SATURATED = 0.8  # of the limits of plans

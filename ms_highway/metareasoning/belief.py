@@ -15,15 +15,12 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
-from ms_highway.game.arrays import Belief, State
 from ms_highway.game.dynamics import recover_control
 from ms_highway.game.game import Game
-from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.hypotheses import next_controls
-from ms_highway.runtime.arrays import Array, SameArray
-from ms_highway.runtime.compilation import in_one_kernel, quick_options
-from ms_highway.runtime.packing import Layout, pack
+from ms_highway.runtime.arrays import Array, Belief, Controls, SameArray, State
+from ms_highway.runtime.compilation import Layout, in_one_kernel, pack, quick_options
 from ms_highway.runtime.timing import timed, warm_up
 
 KEEPS = 0.98

@@ -8,16 +8,13 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import State
 from ms_highway.game.dynamics import recover_control
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule, first_memory
-from ms_highway.optimization.arrays import Control
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Array, Vector
-from ms_highway.runtime.compilation import in_one_kernel, quick_options
-from ms_highway.runtime.packing import Layout, pack
+from ms_highway.runtime.arrays import Array, Control, State, Vector
+from ms_highway.runtime.compilation import Layout, in_one_kernel, pack, quick_options
 from ms_highway.runtime.timing import timed, warm_up
 
 EMPTY = jax.tree.structure(None)  # of the network of a rule that has none

@@ -11,14 +11,12 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.arrays import State
 from ms_highway.game.game import Game, move, step_rewards, swap_players, total_reward, trajectory_reward
 from ms_highway.game.reward import Reward
 from ms_highway.metareasoning.quadratic_rule import QuadraticRule, RewardExpansion
 from ms_highway.metareasoning.rule import Outcome
-from ms_highway.optimization.arrays import Controls, Trajectory
 from ms_highway.optimization.second_derivatives import response, second_order_expansion
-from ms_highway.runtime.arrays import Matrix, Scalar, Vector
+from ms_highway.runtime.arrays import Controls, Matrix, Scalar, State, Trajectory, Vector
 
 
 @jax.tree_util.register_dataclass

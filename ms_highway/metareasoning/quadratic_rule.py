@@ -11,14 +11,12 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import HumansControl, State
 from ms_highway.game.game import Game, each_human
 from ms_highway.metareasoning.rule import Decision, Memory, Outcome, check_costs, with_human
-from ms_highway.optimization.arrays import Control
 from ms_highway.optimization.trust_region import trust_region_step
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.arrays import Index, Matrix, Scalar, Vector
+from ms_highway.runtime.arrays import Control, HumansControl, Index, Matrix, Scalar, State, Vector
 
 TRUST_TOLERANCE = 1e-3
 """Share of the trust radius within which the length of a step is found."""

@@ -8,15 +8,13 @@ from typing import ClassVar
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import HumansControl, PerHuman, Trajectories
 from ms_highway.game.dynamics import coast
 from ms_highway.game.game import Game, move, move_all, trajectory_reward
 from ms_highway.game.neighbours import far_behind
 from ms_highway.metareasoning.rule import Decision, Memory, Outcome, unestimated
-from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.arrays import Index
+from ms_highway.runtime.arrays import Controls, HumansControl, Index, PerHuman, Trajectories
 
 LANES_AWAY = 1.5  # lanes to the side, beyond which a robot that changes lanes does not collide with a car
 

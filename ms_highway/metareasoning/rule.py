@@ -12,13 +12,11 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.game.arrays import Gains, HumansControl, Rungs, State
 from ms_highway.game.game import Game, pair
-from ms_highway.optimization.arrays import Control
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Array, Flag, Index, Scalar
+from ms_highway.runtime.arrays import Array, Control, Flag, Gains, HumansControl, Index, Rungs, Scalar, State
 
 PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
 """Planning time of each model in the decisions of the paper's experiments."""

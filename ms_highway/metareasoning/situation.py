@@ -6,12 +6,11 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.arrays import State
 from ms_highway.game.features import features, reward
 from ms_highway.game.game import Game, each_human, others_of, pair
 from ms_highway.game.neighbours import headways, neighbours
 from ms_highway.game.reward import PAPER_FEATURES, Reward
-from ms_highway.runtime.arrays import Index
+from ms_highway.runtime.arrays import Index, State
 
 LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)  # s, for which all cars coast
 DRIVERS = ("robot", "human")

@@ -11,7 +11,6 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.arrays import State
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_players
@@ -19,9 +18,8 @@ from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.metareasoning.quadratic_rule import QuadraticRule, RewardExpansion
 from ms_highway.metareasoning.rule import Outcome
-from ms_highway.optimization.arrays import Control
 from ms_highway.optimization.second_derivatives import jacobian_and_hessian, response
-from ms_highway.runtime.arrays import Scalar, Vector
+from ms_highway.runtime.arrays import Control, Scalar, State, Vector
 
 RELEASED_TRUST_TOLERANCE = 0.05
 """Share of the trust radius within which the released code's solver stops."""

@@ -8,9 +8,8 @@ import numpy as np
 from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
 
-from ms_highway.optimization.arrays import Controls
 from ms_highway.optimization.objective import Objective, best_of
-from ms_highway.runtime.arrays import Flag, Matrix, Scalar, Vector
+from ms_highway.runtime.arrays import Controls, Flag, Matrix, Scalar, Vector
 
 STEPS = 4
 """Usual number of steps of a plan."""

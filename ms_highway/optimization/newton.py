@@ -6,10 +6,9 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.optimization.arrays import Controls
 from ms_highway.optimization.objective import Objective, best_of
 from ms_highway.optimization.second_derivatives import damped_inverse
-from ms_highway.runtime.arrays import Flag, Matrix
+from ms_highway.runtime.arrays import Controls, Flag, Matrix
 
 STEPS = 16  # of a plan
 HESSIAN_EVERY = 8  # steps; in between, the last Hessian serves
@@ -52,7 +51,7 @@ def newton_steps(objective: Objective, start: Controls) -> Controls:
 
 
 Search: TypeAlias = tuple[int, Controls, Optimum]
-"""Scalar of steps taken, the controls to look at next, and what was found at the last ones."""
+"""Number of steps taken, the controls to look at next, and what was found at the last ones."""
 
 
 def find_optimum(objective: Objective, start: Controls, floor: float) -> Optimum:

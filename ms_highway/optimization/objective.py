@@ -7,9 +7,8 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.optimization.arrays import Controls, ManyControls, Trajectory
 from ms_highway.optimization.second_derivatives import Expansion, second_order_expansion
-from ms_highway.runtime.arrays import Numbers, Scalar
+from ms_highway.runtime.arrays import Controls, ManyControls, Numbers, Scalar, Trajectory
 
 
 class Objective(NamedTuple):

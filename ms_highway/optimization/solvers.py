@@ -8,11 +8,10 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
-from ms_highway.optimization.arrays import Control, Controls
 from ms_highway.optimization.damped_newton import STEPS, damped_newton_steps
 from ms_highway.optimization.newton import newton_steps
 from ms_highway.optimization.objective import Objective
-from ms_highway.runtime.arrays import Scalar
+from ms_highway.runtime.arrays import Control, Controls, Scalar
 
 Point = TypeVar("Point", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton", "damped_newton"]

@@ -14,18 +14,26 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.arrays import HumansControls, Rungs, State, Trajectories
 from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.game import Game, bounded, discomfort, move, move_all, others_of, swap_roles, trajectory_reward
-from ms_highway.optimization.arrays import Controls, Trajectory
 from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.optimization.objective import Objective, best_of
 from ms_highway.optimization.second_derivatives import response, second_order_expansion
 from ms_highway.optimization.solvers import projected_ascent
-from ms_highway.planning.manoeuvres import manoeuvres
 from ms_highway.planning.plans import Plan, within_limits
-from ms_highway.runtime.arrays import Index, Scalar, Vector
+from ms_highway.planning.way_out import manoeuvres
+from ms_highway.runtime.arrays import (
+    Controls,
+    HumansControls,
+    Index,
+    Rungs,
+    Scalar,
+    State,
+    Trajectories,
+    Trajectory,
+    Vector,
+)
 
 Carry = TypeVar("Carry")
 

@@ -9,17 +9,14 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.arrays import Rungs, State
 from ms_highway.game.game import Game
-from ms_highway.optimization.arrays import Control
 from ms_highway.planning.human_models import HumanModel, human_model
 from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
-from ms_highway.runtime.arrays import Array, Scalar
-from ms_highway.runtime.compilation import in_one_kernel, quick_options
+from ms_highway.runtime.arrays import Array, Control, Rungs, Scalar, State
+from ms_highway.runtime.compilation import Layout, in_one_kernel, pack, quick_options
 from ms_highway.runtime.forks import refuse_after_fork
-from ms_highway.runtime.packing import Layout, pack
 from ms_highway.runtime.timing import timed, warm_up
 
 

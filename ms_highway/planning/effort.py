@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import State
 from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import MOST_ITERATIONS, SHARE, longest_step
-from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.plans import Plan
+from ms_highway.runtime.arrays import Controls, State
 
 if TYPE_CHECKING:
     from ms_highway.planning.human_models import HumanModel

@@ -14,8 +14,8 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.features import ATTENTION, HEADING_SHARE, STANDSTILL_GAP
-from ms_highway.game.leaders import Leader
 from ms_highway.game.learned_drivers import RewardTraits
+from ms_highway.game.neighbours import Leader
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
 
 Cars = Float[Any, "*cars"]

@@ -13,15 +13,14 @@ from typing import ClassVar, Protocol
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import State
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game, constant_velocity, swap_players
 from ms_highway.game.planning_settings import MOST_ITERATIONS
-from ms_highway.optimization.arrays import Control, Controls
 from ms_highway.planning.car_following import FAR, idm_acceleration
 from ms_highway.planning.climb import Answering, climb
 from ms_highway.planning.effort import BEST, BEST_LADDER, Effort, base_of, parse
 from ms_highway.planning.plans import Plan, cold_start, plan_against
+from ms_highway.runtime.arrays import Control, Controls, State
 
 HEADWAY, STANDSTILL = 0.1, 1.0  # s and m between bumpers: 3 m at 20 m/s, as in the streams of Dense Merge
 

@@ -9,14 +9,12 @@ from typing import Any
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.arrays import State
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game, constant_velocity, each_human, pair, swap_players
 from ms_highway.game.planning_settings import PlanningSettings, gradient_steps
-from ms_highway.optimization.arrays import Control, Controls
 from ms_highway.planning.human_models import following_control
 from ms_highway.planning.plans import Plan, plan_against
-from ms_highway.runtime.arrays import Index
+from ms_highway.runtime.arrays import Control, Controls, Index, State
 
 LOOKAHEAD = 8  # steps of answers at most, only the first of which counts
 

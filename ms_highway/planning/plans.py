@@ -6,11 +6,10 @@ from typing import NamedTuple
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import HumansControls, State
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, move_all, trajectory_reward
-from ms_highway.optimization.arrays import Controls
 from ms_highway.optimization.objective import Objective
 from ms_highway.optimization.solvers import optimize_controls
+from ms_highway.runtime.arrays import Controls, HumansControls, State
 
 
 class Plan(NamedTuple):

@@ -6,13 +6,12 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import HumansControls, Rungs, State
 from ms_highway.game.game import Game, bounded, constant_velocity, pair
 from ms_highway.planning.climb import Answering, around_obstacles, climb
 from ms_highway.planning.effort import Effort, base_of
 from ms_highway.planning.human_models import HumanModel, IntelligentDriver, Naive, TheoryOfMind, Turn
 from ms_highway.planning.plans import Plan, cold_start
-from ms_highway.runtime.arrays import Index
+from ms_highway.runtime.arrays import HumansControls, Index, Rungs, State
 
 
 def plan_for(

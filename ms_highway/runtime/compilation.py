@@ -1,10 +1,12 @@
-"""Compile functions: quickly, or into one kernel."""
+"""Compile functions, quickly or into one kernel, and call them with few arguments, or for many items."""
 
 from collections.abc import Callable, Hashable
 from functools import cache, wraps
-from typing import Any
+from math import prod
+from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 
 
@@ -57,3 +59,52 @@ def jit_quickly(function: Callable[..., Any], **options: Hashable) -> Callable[.
         return jax.jit(function, compiler_options={**quick_options(), **options})
 
     return wraps(function)(lambda *arguments: compiled()(*arguments))
+
+
+BATCH = 32  # items; more are hardly faster and waste more on the last batch
+
+
+def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
+    """Compute a function of all items; return NumPy arrays.
+
+    The last batch is padded with copies of the last item, so that the function is compiled once for any n.
+
+    Args:
+        function: from a pytree of arrays [BATCH, ...] to a pytree of arrays [BATCH, ...].
+        items: pytree of arrays [n, ...].
+    """
+    number = len(jax.tree.leaves(items)[0])
+    results = []
+    for first in range(0, number, BATCH):
+        batch = jax.tree.map(
+            lambda array, places=range(first, first + BATCH): np.take(array, places, axis=0, mode="clip"), items
+        )
+        results.append(function(batch))
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:number], *results)
+
+
+class Layout(NamedTuple):
+    """Structure and shapes of a pytree of arrays; hashable."""
+
+    structure: jax.tree_util.PyTreeDef
+    shapes: tuple[tuple[int, ...], ...]
+
+    def unpack(self, numbers: jax.Array) -> Any:
+        """Build the pytree of these numbers [n]."""
+        ends = np.cumsum([prod(shape) for shape in self.shapes])
+        return jax.tree.unflatten(self.structure, map(jnp.reshape, jnp.split(numbers, ends[:-1]), self.shapes))
+
+
+class Packed(NamedTuple):
+    """A pytree as one array of numbers [n], and its layout."""
+
+    numbers: np.ndarray
+    layout: Layout
+
+
+def pack(tree: Any) -> Packed:
+    """Pack a pytree of numbers in float32 with NumPy, which is faster than a conversion by JAX."""
+    leaves, structure = jax.tree.flatten(tree)
+    arrays = [np.asarray(leaf, dtype=np.float32) for leaf in leaves]
+    layout = Layout(structure, tuple(array.shape for array in arrays))
+    return Packed(np.concatenate([array.ravel() for array in arrays]), layout)

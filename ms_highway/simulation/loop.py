@@ -17,19 +17,17 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.control.fallback import BRAKING, PLANNED, WAY_OUT, braking_control, fallback_status
 from ms_highway.control.yielding import unmoved_control
-from ms_highway.game.arrays import Belief, Car, Gains, HumansWeights, Rungs, State, Weights
 from ms_highway.game.dynamics import keep_velocity, recover_control, step, within_grip
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, each_human, swap_players
 from ms_highway.metareasoning.belief import counted_on, first_belief, infer
 from ms_highway.metareasoning.rule import Memory, Order, Outcome, at_price, decide, first_memory
-from ms_highway.optimization.arrays import Control
 from ms_highway.planning.effort import starts_warm
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
-from ms_highway.runtime.arrays import Index, Scalar
+from ms_highway.runtime.arrays import Belief, Car, Control, Gains, HumansWeights, Index, Rungs, Scalar, State, Weights
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.simulation.devices import device_mesh, share_among
 from ms_highway.simulation.records import ALWAYS_YIELDS, DECIDES, USUAL, Episodes, Loop, Records

@@ -52,7 +52,7 @@ class Loop:
 
     @property
     def together(self) -> int:
-        """Scalar of episodes that are computed together."""
+        """Number of episodes that are computed together."""
         return self.chunk if self.game.number == 1 else 1
 
 

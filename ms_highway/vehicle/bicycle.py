@@ -10,10 +10,9 @@ from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.game.arrays import Car, State
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.optimization.arrays import Control
+from ms_highway.runtime.arrays import Car, Control, State
 from ms_highway.vehicle.road_view import states_of
 
 

@@ -12,10 +12,10 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.control.controller import Controller, ControlStep
 from ms_highway.control.driver import Driver
 from ms_highway.control.fallback import braking_control
-from ms_highway.game.arrays import State
 from ms_highway.game.dynamics import within_grip
 from ms_highway.game.game import Game
 from ms_highway.game.neighbours import far_behind, headways
+from ms_highway.runtime.arrays import State
 from ms_highway.vehicle.bicycle import BicycleVehicle
 from ms_highway.vehicle.road_map import LIMIT
 from ms_highway.vehicle.road_view import RoadView, Route, at_constant_speed, look, states_of

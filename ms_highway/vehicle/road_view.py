@@ -13,11 +13,11 @@ from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 
-from ms_highway.game.arrays import State
 from ms_highway.game.neighbours import FAR_AWAY, far_behind, places
 from ms_highway.game.road import wrapped
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
+from ms_highway.runtime.arrays import State
 from ms_highway.vehicle.lane_paths import Point, Row
 from ms_highway.vehicle.road_map import Chain, Lane, road_map
 

@@ -12,8 +12,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 from jaxtyping import Int
 
-from ms_highway.game.arrays import Car
 from ms_highway.game.road import BEHIND, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path, wrapped
+from ms_highway.runtime.arrays import Car
 from ms_highway.vehicle.lane_paths import Row, from_heading
 from ms_highway.vehicle.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
 

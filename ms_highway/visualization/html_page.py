@@ -21,7 +21,7 @@ from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization import video
 from ms_highway.visualization.figures import CAPTIONS, figures
 from ms_highway.visualization.overview import overview
-from ms_highway.visualization.side_by_side import side_by_side
+from ms_highway.visualization.video import side_by_side
 
 DPI = 160
 POSTER = 0.4  # of the video, from which the picture is taken that stands for it

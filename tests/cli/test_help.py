@@ -7,11 +7,10 @@ from typing import get_args
 
 import pytest
 
-from ms_highway.cli import options
-from ms_highway.cli.irl import options as irl_options
+from ms_highway.cli import irl, options
 from ms_highway.cli.main import main
 from ms_highway.envs import ENVIRONMENTS
-from ms_highway.envs.routes import DENSITIES
+from ms_highway.envs.demonstration import DENSITIES
 from ms_highway.irl.driving import Others
 from ms_highway.irl.learning import REAL, SIMULATED
 from ms_highway.planning.human_models import PAPER_MODELS
@@ -52,10 +51,10 @@ def test_help_loads_neither_jax_nor_highway_env_nor_what_draws():
 
 def test_the_names_in_help_texts_are_those_that_are_known():
     assert tuple(ENVIRONMENTS) == options.SCENARIO_NAMES
-    assert get_args(Others) == irl_options.OTHERS
-    assert tuple(DENSITIES) == irl_options.DENSITY_NAMES
-    assert REAL.learned == irl_options.REAL_WEIGHTS
-    assert SIMULATED.learned == irl_options.SIMULATED_WEIGHTS
+    assert get_args(Others) == irl.OTHERS
+    assert tuple(DENSITIES) == irl.DENSITY_NAMES
+    assert REAL.learned == irl.REAL_WEIGHTS
+    assert SIMULATED.learned == irl.SIMULATED_WEIGHTS
     assert tuple(options.CONTROLLERS.split(", ")[: len(PAPER_MODELS)]) == tuple(PAPER_MODELS)
 
 

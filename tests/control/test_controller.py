@@ -14,7 +14,7 @@ from ms_highway.metareasoning.rule import Order
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_plans import Costs, measure_costs, plan_function
 from ms_highway.planning.human_models import MODELS, ladder
-from ms_highway.runtime.packing import pack
+from ms_highway.runtime.compilation import pack
 
 
 def test_a_step_reports_what_was_planned_in_physical_units(played):

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from roads import PLANNING, scene_of
 
-from ms_highway.control.drivers_seen import DriversSeen
-from ms_highway.control.road import RoadDriver
+from ms_highway.control.road import DriversSeen, RoadDriver
 from ms_highway.game.road import TRAFFIC
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs
 from ms_highway.planning.compiled_plans import Costs

@@ -6,8 +6,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 import ms_highway
-from ms_highway.envs.road.ego import replace_ego
-from ms_highway.envs.road.goals import desired_speed_of, destination_of
+from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego
 from ms_highway.vehicle.road_robot import RoadRobot
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")

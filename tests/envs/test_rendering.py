@@ -10,8 +10,7 @@ from episodes import make
 from ms_highway.cli.main import main
 from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PAPER, TEXT_WIDTH, InteractionViewer, words
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
-from ms_highway.visualization.side_by_side import HEADING_HEIGHT, side_by_side
-from ms_highway.visualization.video import film, scaled, write
+from ms_highway.visualization.video import HEADING_HEIGHT, film, scaled, side_by_side, write
 
 ROAD = slice(HEADING_HEIGHT, HEADING_HEIGHT + 200)  # rows of a film's part of the picture that show no measured time
 

@@ -19,8 +19,7 @@ from ms_highway.metareasoning.switching import Switching
 from ms_highway.optimization.second_derivatives import response
 from ms_highway.planning.compiled_plans import Costs, plan
 from ms_highway.planning.human_models import Naive, TheoryOfMind, ladder
-from ms_highway.runtime.compilation import jit_quickly
-from ms_highway.runtime.packing import pack
+from ms_highway.runtime.compilation import jit_quickly, pack
 from ms_highway.simulation.records import Loop
 
 STEP = 1e-2  # of scaled controls, for differences in single precision

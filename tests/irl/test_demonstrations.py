@@ -23,8 +23,7 @@ from jax import numpy as jnp
 
 from ms_highway.cli.main import main
 from ms_highway.envs import DEMONSTRATION_ID
-from ms_highway.envs.demonstration import ABSENT, KEYBOARD_ACTION, demonstration_game
-from ms_highway.envs.routes import DENSITIES
+from ms_highway.envs.demonstration import ABSENT, DENSITIES, KEYBOARD_ACTION, demonstration_game
 from ms_highway.game.dynamics import recover_control, step
 from ms_highway.game.game import rollout_reward
 from ms_highway.game.scenario import PAPER_DYNAMICS

@@ -10,8 +10,7 @@ from jax import numpy as jnp
 from scipy import special, stats
 
 from ms_highway.envs import DEMONSTRATION_ID
-from ms_highway.game.reward import COMFORT, FEATURES, OWN_FEATURES
-from ms_highway.game.reward_model import NO_GRADIENT, RewardModel
+from ms_highway.game.reward import COMFORT, FEATURES, NO_GRADIENT, OWN_FEATURES, RewardModel
 from ms_highway.irl.learning import SIMULATED, best_controls, curvatures, expected_features
 from ms_highway.irl.maximum_entropy import (
     FeatureDerivatives,
@@ -25,8 +24,7 @@ from ms_highway.irl.recordings.demonstrations import actions
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.windows import cut_windows, driver_game, features_along, regular, regular_windows
-from ms_highway.runtime.batches import in_batches
-from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.runtime.compilation import in_batches, jit_quickly
 
 DENSITIES = ("sparse", "medium", "dense")
 WIDER = 1.3  # than Laplace's approximation, so that candidates cover the distribution's tails

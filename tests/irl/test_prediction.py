@@ -10,7 +10,7 @@ from msgspec import structs
 from ms_highway.cli.main import main
 from ms_highway.game.learned_drivers import Spread
 from ms_highway.game.learned_reward import load, shipped
-from ms_highway.game.reward_model import RewardModel
+from ms_highway.game.reward import RewardModel
 from ms_highway.irl.driving import predict
 from ms_highway.irl.evaluation import (
     KINDS,

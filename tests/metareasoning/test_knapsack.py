@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from ms_highway.metareasoning.knapsack import best_rungs
+from ms_highway.metareasoning.budget import best_rungs
 
 solve = jax.jit(best_rungs)
 

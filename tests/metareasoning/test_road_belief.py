@@ -10,7 +10,7 @@ from roads import scene_of
 
 from ms_highway.game.road import TRAFFIC
 from ms_highway.metareasoning.belief import first_belief
-from ms_highway.metareasoning.road_belief import SHOWN, counted_rungs, updated_road_belief
+from ms_highway.metareasoning.road import SHOWN, counted_rungs, updated_road_belief
 from ms_highway.planning.road.settings import IDM, NAIVE, TOM, TURN
 
 STEP, STEPS = 0.2, 20

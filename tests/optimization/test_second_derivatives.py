@@ -8,9 +8,9 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.game.game import move, total_reward, trajectory_reward
-from ms_highway.optimization.floored import floored
 from ms_highway.optimization.second_derivatives import (
     eigenpairs,
+    floored,
     response,
     second_order_expansion,
 )

@@ -8,9 +8,9 @@ from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, observe
 from ms_highway.game.game import rollout_reward
-from ms_highway.game.leaders import Leader
 from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.learned_reward import shipped
+from ms_highway.game.neighbours import Leader
 from ms_highway.game.reward import features_for
 from ms_highway.game.scenario import driving_game
 from ms_highway.game.scene import Scene

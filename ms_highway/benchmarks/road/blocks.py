@@ -11,9 +11,8 @@ from pathlib import Path
 from queue import Queue
 from threading import Event
 
-from ms_highway.benchmarks.processes import own_process
 from ms_highway.benchmarks.road.episodes import Block, Episode, film, run_episode
-from ms_highway.runtime.jax_settings import cores, low_latency
+from ms_highway.runtime.jax_settings import cores, low_latency, own_process
 
 
 def run_blocks(

@@ -18,8 +18,8 @@ from ms_highway.benchmarks.road.measures import Watch
 from ms_highway.benchmarks.road.names import TRAFFIC, driver_config
 from ms_highway.benchmarks.road.peers import PEERS
 from ms_highway.envs.road import drive
-from ms_highway.envs.road.goals import success
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
+from ms_highway.envs.road.stock import success
 
 LONGEST = 60.0
 """Seconds after which an episode ends in scenes that have no end of their own: a car may stand still."""
@@ -120,7 +120,7 @@ _kept_driver = cache(make_driver)
 def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None) -> Episode:
     """Drive one episode.
 
-    It is no success after a crash. Where the scene has a goal, `ms_highway.envs.road.goals.success` decides at its end;
+    It is no success after a crash. Where the scene has a goal, `ms_highway.envs.road.stock.success` decides at its end;
     elsewhere, and in ``u-turn``, whose 191 m to the road back are more than its 10 s allow, the ego has stayed on the
     road in all frames.
 

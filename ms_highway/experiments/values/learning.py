@@ -24,8 +24,8 @@ from ms_highway.metareasoning.values import Values, input_names
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import human_model
 from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.compilation import pack
 from ms_highway.runtime.files import replacing
-from ms_highway.runtime.packing import pack
 from ms_highway.simulation.records import DECIDES
 
 BLIND = {"lambda": ("log10 lambda",), "gradients": ("d/d ",)}

@@ -14,11 +14,10 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from ms_highway.game.arrays import HumansWeights, State
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.situation import describe
-from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.arrays import Array, HumansWeights, State
 from ms_highway.simulation.loop import simulate
 from ms_highway.simulation.records import DECIDES, USUAL, Episodes, Loop, Records
 

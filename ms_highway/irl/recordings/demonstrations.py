@@ -11,9 +11,8 @@ import numpy as np
 
 from ms_highway.control.driver import fixed
 from ms_highway.envs import DEMONSTRATION_ID, DemonstrationEnv
-from ms_highway.envs.demonstration import KEYBOARD_ACTION, demonstration_game
+from ms_highway.envs.demonstration import DENSITIES, KEYBOARD_ACTION, demonstration_game
 from ms_highway.envs.graphics import check_display
-from ms_highway.envs.routes import DENSITIES
 from ms_highway.game.scenario import COMMON_WEIGHTS, TIME_STEP
 from ms_highway.irl.recordings import DRIVERS, TEMPERATURE, Driver
 from ms_highway.irl.recordings.datasets import FORMAT, add_episode, check_room, count_recorded, data_directory
@@ -39,7 +38,7 @@ def record(
         driver: one of `DRIVERS`.
         episodes: number of episodes of the complete data set.
         dataset: its Minari id, such as ``ms-highway/maxent-v0``.
-        densities: of the traffic, see `ms_highway.envs.routes.DENSITIES`.
+        densities: of the traffic, see `ms_highway.envs.demonstration.DENSITIES`.
         seed: of the first episode.
         temperature: of the driver ``maxent``, in reward; the others ignore it.
 

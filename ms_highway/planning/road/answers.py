@@ -11,7 +11,6 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import Car
 from ms_highway.game.collision_risk import CAR_SHARPNESS
 from ms_highway.game.features import ATTENTION, OWN_LANE, SMALLEST_GAP, STANDSTILL_GAP
 from ms_highway.game.learned_reward import commuter_weights
@@ -25,7 +24,7 @@ from ms_highway.optimization.second_derivatives import by_fields
 from ms_highway.planning.road.arrays import Steps, World
 from ms_highway.planning.road.motion import earlier
 from ms_highway.planning.road.settings import LANE, RoadPlanning
-from ms_highway.runtime.arrays import Index, Matrix, Numbers, Scalar, Vector
+from ms_highway.runtime.arrays import Car, Index, Matrix, Numbers, Scalar, Vector
 
 STEPS = 3  # of Newton
 UNIT = 5.0

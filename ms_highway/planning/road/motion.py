@@ -3,12 +3,10 @@
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import Car
 from ms_highway.game.road import SPACING, Knots, Pose, RoadScene, interpolate, place
-from ms_highway.optimization.arrays import Control, ManyControls
 from ms_highway.planning.road.arrays import States, Steps, World
 from ms_highway.planning.road.settings import CORNERING, RoadPlanning
-from ms_highway.runtime.arrays import Numbers, Scalar
+from ms_highway.runtime.arrays import Car, Control, ManyControls, Numbers, Scalar
 
 SLOWEST = 1.0  # m/s, below which curvature is limited as at this speed
 SLOWING = 2.5  # m/s^2, before bends

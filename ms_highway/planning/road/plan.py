@@ -14,7 +14,6 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.road import Flags, Places, RoadScene, Traffic, interpolate, locate
-from ms_highway.optimization.arrays import Controls
 from ms_highway.planning.road.answers import UNIT, commuter_among
 from ms_highway.planning.road.arrays import EachStep
 from ms_highway.planning.road.motion import centres, cruise
@@ -31,7 +30,7 @@ from ms_highway.planning.road.refinement import Aim, refine
 from ms_highway.planning.road.scoring import Scores, score
 from ms_highway.planning.road.settings import IDM, NAIVE, TOM, TURN, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traffic import Situation, situation_of
-from ms_highway.runtime.arrays import Flag, Index, Numbers, Vector, for_each
+from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, Vector, for_each
 
 REFINED = -1
 """Number of a refined plan, in place of that of a proposal."""

@@ -6,9 +6,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.arrays import Car
 from ms_highway.game.road import LANES, Flags, Pose, Traffic, interpolate, place
-from ms_highway.optimization.arrays import Control, Controls, ManyControls
 from ms_highway.planning.car_following import FAR, idm_acceleration
 from ms_highway.planning.road.arrays import EachStep, Lane, PlanFlags, Plans, States, World
 from ms_highway.planning.road.motion import advance, within_tyres
@@ -22,6 +20,7 @@ from ms_highway.planning.road.traffic import (
     lowest,
     on_route,
 )
+from ms_highway.runtime.arrays import Car, Control, Controls, ManyControls
 
 FOLLOWING = 1.0, 0.75, 0.5, 0.25  # shares of the desired speed, in profiles that follow by IDM
 STEADY = -5.0, -3.0, -1.5, 0.0, 1.5, 3.0  # m/s^2, of profiles of constant acceleration

@@ -11,7 +11,6 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.game.road import Flags, Places, RoadScene, interpolate, rotated
-from ms_highway.optimization.arrays import Control, Controls, Trajectory
 from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.optimization.objective import best_of
 from ms_highway.optimization.second_derivatives import by_fields
@@ -19,7 +18,7 @@ from ms_highway.planning.road.answers import UNIT, commuter_among, commuter_of
 from ms_highway.planning.road.arrays import EachStep, Lane, Steps, World
 from ms_highway.planning.road.motion import advance, bodies, centres, earlier, execute
 from ms_highway.planning.road.settings import CORNERING, RoadPlanning, SmoothWeights
-from ms_highway.runtime.arrays import Matrix, Numbers, Scalar, Vector, for_each
+from ms_highway.runtime.arrays import Control, Controls, Matrix, Numbers, Scalar, Trajectory, Vector, for_each
 
 STEPS = 4  # of Newton
 SLOWEST = 5.0  # m/s, below which curvature is scaled as at this speed

@@ -1,15 +1,20 @@
-"""Tabulate learned rewards and evaluations."""
+"""Tabulate and report learned rewards and evaluations."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from rich.table import Table
 
 from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.irl.evaluation import LEVELS, Evaluation
+from ms_highway.game.learned_reward import LearnedReward, named
+from ms_highway.irl.evaluation import LEVELS, Evaluation, load_evaluation
 from ms_highway.irl.moments import HORIZONS
-from ms_highway.irl.predictors import PREDICTORS
+from ms_highway.irl.predictors import PREDICTORS, check_drivers
+from ms_highway.irl.recordings.commonroad import read_directory
+from ms_highway.runtime.progress import Progress, silent
+from ms_highway.visualization.irl import prediction
 from ms_highway.visualization.tables import grid
 
 MEASURES = {
@@ -81,3 +86,30 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
     names = {"model": "learned reward", "constant_velocity": PREDICTORS["constant_velocity"]}
     rows = [{"predicted by": label, "log p per window": f"{likely[name]:.2f}"} for name, label in names.items()]
     return [*tables, grid(f"controls of {likely['windows']:g} windows", rows)]
+
+
+def drawn(
+    evaluation: Path, theta: str, data: str, progress: Progress = silent
+) -> tuple[list[Table], dict[str, tuple[Figure, str]]]:
+    """Tabulate and draw an evaluation of drivers, with the paths of a few of them; return figures with captions.
+
+    Args:
+        evaluation: file of what ``ms-highway irl evaluate --json`` prints.
+        theta: the learned reward, a file of ``ms-highway irl fit``, or ``us101``.
+        data: a directory of recordings.
+        progress: called with a message before everything that takes time.
+
+    Raises:
+        ValueError: if a file cannot be read, the reward has no drivers, or nobody was recorded for 5 s.
+    """
+    found, learned = load_evaluation(evaluation), named(theta)
+    drivers = check_drivers(learned.drivers, theta)
+    recordings = read_directory(Path(data))
+    progress("predicting")
+    return evaluation_tables(found), {
+        "errors": (prediction.errors_figure(found), "Errors of predictions against the horizon."),
+        "likelihood": (prediction.likelihood_figure(found), "Mean log density of recorded positions."),
+        "calibration": (prediction.calibration_figure(found), "How often drivers are in the predicted regions."),
+        "paths": (prediction.paths_figure(recordings, drivers), "Predicted and recorded paths of a few drivers."),
+        "counts": (prediction.counts_figure(learned), "Feature counts: recorded, and expected under the reward."),
+    }
