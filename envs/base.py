@@ -1,7 +1,7 @@
 """The environment that all scenarios share: a road, humans, a robot, and who drives it."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import nan
 from typing import Any, ClassVar
 
@@ -96,7 +96,7 @@ class InteractionEnv(StageEnv):
 
     Attributes:
         settings: of the configuration.
-        game: that the robot believes in.
+        game: that the robot believes in; another one is played, by the humans too, from the next reset on.
         weights: of every human's own reward.
         history: what is shown of every step.
     """
@@ -186,7 +186,7 @@ class InteractionEnv(StageEnv):
 
     def _drive(self, cars: list[Any], states: State) -> None:
         """Say who drives the cars, which are in these states."""
-        game = self.settings.game(self.scenario, self.weights)
+        game = replace(self.game, humans=replace(self.game.humans, weights=self.weights))
         for number, yields in enumerate(self.draw_yielding(self.np_random)):
             own, human = swap_roles(game, number), cars[1 + number]
             driver = fixed(own) if yields is None else Unmoved(own, yields)
