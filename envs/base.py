@@ -96,7 +96,7 @@ class InteractionEnv(StageEnv):
 
     Attributes:
         settings: of the configuration.
-        game: that the robot believes in.
+        game: that the robot believes in; another one is played, by the humans too, from the next reset on.
         weights: of every human's own reward.
         history: what is shown of every step.
     """

@@ -36,11 +36,12 @@ class BriefTheoryOfMind(TheoryOfMind):
         return super().plan(replace(game, planner=planner), state, start)
 
 
-register(BriefTheoryOfMind(), before="tom")  # the next dearer rung
+register(BriefTheoryOfMind(), before="tom")  # the next more expensive rung
 
 if __name__ == "__main__":
     costs = {"naive": 0.09, "turn": 0.17, "brief": 0.4 * 0.37, "tom": 0.37}  # T(M) [s]; "measured" measures them
     controllers = ["brief", "tom", "switching:0.02"]
-    comparison = Comparison({"merger": controllers}, seeds=5, costs=costs, ladder=["naive", "brief"])
+    config = {"costs": costs, "ladder": ["naive", "brief"]}
+    comparison = Comparison({"merger": controllers}, seeds=5, config=config)
     print(*run(comparison, "results/brief"))  # episodes that are done
     print(summary(read(comparison, "results/brief"))[["controller", "reward", "counted_ms", "share_brief"]].round(2))

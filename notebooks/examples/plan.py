@@ -1,8 +1,8 @@
 """Plan one situation under each human model and print the first controls, and what the human is expected to do.
 
-`ms_highway.plan` returns the robot's controls and the human's that it counts on: a row (curvature [1/m], acceleration
-before friction [m/s^2], of which 4 keep 20 m/s) for each of 5 steps of 0.1 s. Any `ms_highway.Game` will do, also one
-of `ms_highway.driving_game`. Run::
+`ms_highway.plan` returns the robot's controls and those of every human that it counts on, here one: a row (curvature
+[1/m], acceleration before friction [m/s^2], of which 4 keep 20 m/s) for each of 5 steps of 0.1 s. Any `ms_highway.Game`
+will do, also one of `ms_highway.driving_game`. Run::
 
     python notebooks/examples/plan.py
 """
@@ -15,5 +15,5 @@ env = gym.make("ms_highway:ms-highway/merger-v0").unwrapped
 env.reset(seed=0)
 print("x, y [m], heading [rad], speed [m/s] of robot, human, other car:", env.car_states.round(2).tolist())
 for model in ("naive", "turn", "tom"):
-    robot, human = plan(env.game, env.car_states, model)
+    robot, (human,) = plan(env.game, env.car_states, model)
     print(f"{model:5} robot {robot[0].round(3)}, human {human[0].round(3)}")

@@ -28,6 +28,6 @@ while not done:
     _, reward, terminated, truncated, info = env.step(None)  # the robot drives itself
     done = terminated or truncated
     road = info["road"]
-    cars = ", ".join(f"{count} {rung}" for rung, count in Counter(filter(None, road["rungs"])).items())
+    cars = ", ".join(f"{count} {model}" for model, count in Counter(filter(None, road["models"])).items())
     print(f"{info['speed']:.1f} m/s, at most {road['acceleration']:.1f} m/s^2, {road['source']}; {cars or 'nobody'}")
 env.close()

@@ -18,8 +18,9 @@ from ms_highway import (
     PAPER_UNIT,
     PUBLISHED_COSTS,
     Autopilot,
+    Costs,
+    Driver,
     HumanVehicle,
-    ModelSwitching,
     RobotVehicle,
     Scene,
     Switching,
@@ -39,7 +40,7 @@ SCENE = Scene(  # what planners know of the road; metres, y to the right
 )
 GAME = driving_game(SCENE, 20.0, {**COMMON_WEIGHTS, "target_lane": 150})  # what robot and partner drive for
 LADDER = ladder(["naive", "turn", "tom"])
-COSTS = np.array([PUBLISHED_COSTS[model.name] for model in LADDER])  # T(M) [s]
+COSTS = Costs.of([PUBLISHED_COSTS[model.name] for model in LADDER], 1)  # T(M) [s], with one human
 
 
 class WorkZoneEnv(AbstractEnv):
@@ -60,7 +61,7 @@ class WorkZoneEnv(AbstractEnv):
         self.road.objects = [Obstacle(self.road, position) for position in SCENE.obstacles]
         robot = RobotVehicle(self.road, [100.0, 4.0], speed=20)
         humans = [HumanVehicle(self.road, [x + self.np_random.normal(), 0.0], speed=20) for x in (96.0, 82.0, 112.0)]
-        robot.drive_with(ModelSwitching(GAME, Switching(COSTS, self.config["lambda"], LADDER)), humans)  # partner first
+        robot.drive_with(Driver(GAME, Switching(COSTS, self.config["lambda"], LADDER)), humans)  # partner first
         self.road.vehicles, self.controlled_vehicles = [robot, *humans], [robot]
 
     def _reward(self, action):

@@ -4,6 +4,7 @@ import pickle
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from importlib import reload
 
 import gymnasium as gym
@@ -232,6 +233,15 @@ def test_weights_that_are_given_move_the_human_and_the_robots_models_of_it_alike
     assert weights_of(inner.game) == {"speed": 40.0, "lane_alignment": 75.0, "target_lane": 1000.0}
     np.testing.assert_allclose(own, believed, atol=1e-3)
     assert abs(own[0][1] - own[1][1]) > 0.5
+
+
+def test_humans_and_robot_play_another_game_from_the_next_reset_on():
+    env = make("merger", "naive").unwrapped
+    env.game = replace(env.game, dynamics=replace(env.game.dynamics, drag=0.0))
+    env.reset(seed=0)
+    cars = [env.robot, *env.humans]
+    assert [float(car.controller.game.dynamics.drag) for car in cars] == [0, 0]
+    assert all(float(car.controller.game.world.drag) > 0 for car in cars)
 
 
 def test_other_weights_of_the_human_compile_nothing():
