@@ -60,6 +60,13 @@ def still_shared() -> Iterator[None]:
         keep_compilations(CACHE)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def little_memory() -> Iterator[None]:
+    """Forget what a file has compiled; all files together would take gigabytes."""
+    yield
+    jax.clear_caches()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Reading recordings of real drivers takes long."""
     for item in items:

@@ -59,7 +59,7 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
         speed_limit=np.full(KNOTS, limit, np.float32),
         changes=np.zeros(LANES, np.float32),
-        room=np.inf,
+        room=np.float32(np.inf),
         robot=np.asarray(robot, np.float32),
         size=np.array([5.0, 2.0], np.float32),
         applied=np.asarray(applied, np.float32),
