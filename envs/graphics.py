@@ -24,7 +24,7 @@ from ms_highway.game.scenario import title
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.rule import Order
 from ms_highway.planning.effort import Effort, base_of
-from ms_highway.planning.human_models import MODELS, PACKAGE_MODELS, human_model, is_model, known_models
+from ms_highway.planning.human_models import MODELS, PACKAGE_MODELS, cheapest_first, human_model, is_model
 from ms_highway.runtime.arrays import Belief, Car, Controls
 
 Color = tuple[int, int, int]
@@ -266,7 +266,7 @@ class InteractionViewer(Viewer):
             values = [1e3 * step.planning_seconds for step in steps]
             heading = "planning time of each step [ms], in the colour of its model"
         for step, bar in zip(steps, self._draw_chart(box, heading, values, 0.0, max(values)), strict=True):
-            for place, model in enumerate(sorted(step.models, key=known_models(step.models).index)):
+            for place, model in enumerate(sorted(step.models, key=cheapest_first(step.models).index)):
                 top = bar.top + bar.height * place / humans
                 self.sim_surface.fill(model_color(model), (bar.left, top, bar.width, bar.bottom - top))
 

@@ -118,7 +118,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     from ms_highway.experiments.values.learning import Learning
     from ms_highway.experiments.values.rollouts import Course
     from ms_highway.planning.effort import starts_warm
-    from ms_highway.planning.human_models import human_model, known_models
+    from ms_highway.planning.human_models import cheapest_first, human_model
 
     names, config = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS)), configuration(options)
     for name in names:
@@ -138,8 +138,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         for solver in solvers or [{}]
         for scenario in scenarios
     ]
-    used = {name for batch in batches for name in batch.rungs}
-    models = [name for name in known_models(used) if name in used]
+    models = cheapest_first(name for batch in batches for name in batch.rungs)
     if any(starts_warm(human_model(name)) for name in models):
         why = f"the ladder {' '.join(models)} plans from the rest of the last plan"
         raise ValueError(f"{why}, which rollouts do not have; leave +warm out of the ladder")

@@ -12,7 +12,7 @@ import numpy as np
 from ms_highway.control.fallback import Status
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.rule import highest_gains
-from ms_highway.planning.human_models import known_models
+from ms_highway.planning.human_models import cheapest_first
 from ms_highway.runtime.arrays import Belief, Control, Controls, Gains, HumansControls, State
 
 
@@ -53,11 +53,7 @@ class ControlStep:
     @property
     def model(self) -> str:
         """Name of the most expensive model in use."""
-        return (
-            [name for name in known_models(self.models) if name in self.models][-1]
-            if self.models[1:]
-            else self.models[0]
-        )
+        return cheapest_first(self.models)[-1] if self.models[1:] else self.models[0]
 
     def highest_gains(self) -> dict[str, float]:
         """Return the highest gain of each model over all humans, by name, as far as they were estimated."""

@@ -36,7 +36,7 @@ from ms_highway.experiments.records import (
 from ms_highway.game.scenario import REACHED
 from ms_highway.metareasoning.rule import Order, Rule, highest_gains
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import human_model, known_models
+from ms_highway.planning.human_models import cheapest_first, human_model
 from ms_highway.runtime.arrays import Array
 from ms_highway.simulation.devices import usual_chunk
 from ms_highway.simulation.loop import simulate
@@ -175,7 +175,7 @@ class Batch:
         known; and those that only records with several humans have.
         """
         costs = Costs.of([self.costs.get(name, np.nan) for name in self.models], self.humans)
-        known = known_models(self.models)
+        known = cheapest_first(self.models)
         ranks = np.array([known.index(name) for name in self.models])
         cells = {
             "model": np.array(known)[ranks[records.rungs].max(axis=2)],
@@ -263,7 +263,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     controllers = {name: one.controller for name, one in zip(names, settings, strict=True)}
     orders = [each for each in controllers.values() if isinstance(each, OrderSettings)]
     used = {name for order in orders for name in order.names()} - {model.name for model in settings[0].models}
-    others = tuple(human_model(name) for name in known_models(used) if name in used)
+    others = tuple(map(human_model, cheapest_first(used)))
     order: Any = Order(np.zeros((1, 1), np.int32), settings[0].models)
     yielding = settings[0].yielding != "usual"
     loop = Loop(environment.game, order, others, settings[0].way_out, yielding=yielding, chunk=usual_chunk())

@@ -212,6 +212,13 @@ def known_models(used: Iterable[str] = ()) -> list[str]:
     return sorted({*MODELS, *filter(is_model, used)}, key=lambda name: _rank(human_model(name)))
 
 
+def cheapest_first(used: Iterable[str]) -> list[str]:
+    """Return the names of the models in use, each once; those that are not registered count as the most expensive."""
+    used = {name for name in used if name}
+    known = [name for name in known_models(used) if name in used]
+    return known + sorted(used - {*known})
+
+
 def _rank(model: HumanModel) -> tuple[int, float, bool]:
     """Return the place of a model among all: of its base, then of its number of steps, the planner's own last."""
     base, steps, warm = base_of(model), inf, False

@@ -14,7 +14,7 @@ from ms_highway.envs.controllers import CHOOSING
 from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
-from ms_highway.planning.human_models import PAPER_MODELS, known_models
+from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
 from ms_highway.visualization.colors import color_of, controller_colors, model_colors
 from ms_highway.visualization.tables import grid
 
@@ -126,8 +126,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     above.legend(ncols=columns, loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False)
     for name, panel in zip(choosing, panels, strict=True):
         steps = rows[rows["controller"] == name].pivot(index="seed", columns="step", values="model")
-        names = set(steps.stack())
-        models = [model for model in known_models(names) if model in names]
+        models = cheapest_first(steps.stack())
         places = steps.map({model: place for place, model in enumerate(models)}.get).astype(float)
         panel.imshow(
             places, model_colors(models), aspect="auto", vmin=-0.5, vmax=len(models) - 0.5, interpolation="nearest"

@@ -13,7 +13,7 @@ from matplotlib.ticker import NullLocator, StrMethodFormatter
 
 from ms_highway.experiments.records import gain_column, models_of
 from ms_highway.game.scenario import title
-from ms_highway.planning.human_models import known_models
+from ms_highway.planning.human_models import cheapest_first
 from ms_highway.visualization.colors import color_of
 
 SMALL_GAIN = 0.01
@@ -83,5 +83,5 @@ def draw_steps(
 def steps_key(worth: Mapping[str, str], used: Collection[str]) -> list[Any]:
     """Return what explains the panels of `draw_steps`: what is said of the worth of models, and the models in use."""
     lines = [Line2D([], [], color=color_of(name), marker="o", label=text) for name, text in worth.items()]
-    models = [name for name in known_models(used) if name in used]
-    return [*lines, *(Patch(color=color_of(name), alpha=0.35, label=f"{name} in use") for name in models)]
+    names = cheapest_first(used)
+    return [*lines, *(Patch(color=color_of(name), alpha=0.35, label=f"{name} in use") for name in names)]

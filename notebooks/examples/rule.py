@@ -1,12 +1,13 @@
-"""Let a decision rule of your own choose the human models: the most expensive for humans within 6 m, else the cheapest.
+"""Let a rule of your own choose between human models of your own, with one human and with two, live and in a batch.
 
 A rule is a frozen dataclass that JAX knows (`ms_highway.metareasoning.rule.Rule`): it looks at the last step and
-chooses a rung of the ladder for every human, one or several. `notebooks/MAP.md` says how to give it a short name. Run::
+chooses a rung of the ladder for every human. A model is one as well (`ms_highway.HumanModel`). `notebooks/MAP.md` says
+how to give both a short name. Run::
 
     python notebooks/examples/rule.py
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import nan
 from typing import ClassVar
 
@@ -15,7 +16,21 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway import Costs, Driver, HumanModel, metareasoning
+from ms_highway import Driver, HumanModel, PredictedHuman, TheoryOfMind, metareasoning
+from ms_highway.experiments.batch import make_batch
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.simulation.loop import simulate
+from ms_highway.simulation.records import DECIDES
+
+
+@dataclass(frozen=True)
+class Coasting(PredictedHuman):
+    """The human takes the foot off the pedal: no control but the friction."""
+
+    name: ClassVar[str] = "coasting"
+
+    def predict(self, game, state, start=None):
+        return jnp.zeros((game.planner.horizon, 2))
 
 
 @jax.tree_util.register_dataclass
@@ -24,7 +39,6 @@ class Near:
     """The top of the ladder for humans within a distance, its first rung for all others."""
 
     distance: float  # m
-    costs: Costs
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
     price: ClassVar[float] = nan  # nothing is decided by a price
     network: ClassVar[None] = None
@@ -40,14 +54,22 @@ class Near:
         return metareasoning.rule.unestimated(memory, jnp.where(seen[:, 0] < self.distance, len(self.ladder) - 1, 0))
 
 
-env = gym.make("ms_highway:ms-highway/merger-v0").unwrapped  # or dense-merge-v0, with several humans
-env.reset(seed=0)
-rule = Near(6.0, env.costs(env.car_states), env.settings.models)
-env.robot.drive_with(Driver(env.game, rule), env.robot.companions)
-rewards, models, done = [], [], False
-while not done:
-    _, reward, terminated, truncated, info = env.step(0)
-    done = terminated or truncated
-    rewards.append(reward)
-    models.append(info["model"])
-print(f"reward per step {np.mean(rewards):.2f}, tom in {models.count('tom')} of {len(models)} steps")
+rule = Near(6.0, (Coasting(), TheoryOfMind()))
+for scenario, config in {"merger": {}, "dense_merge": {"humans": 2, "horizon": 5, "costs": "published"}}.items():
+    env = gym.make(f"ms_highway:ms-highway/{scenario.replace('_', '-')}-v0", config=config).unwrapped
+    env.reset(seed=0)
+    env.robot.drive_with(Driver(env.game, rule), env.robot.companions)
+    rewards, models, done = [], [], False
+    while not done:
+        _, reward, terminated, truncated, info = env.step(0)
+        done = terminated or truncated
+        rewards.append(reward)
+        models += info["models"]
+    print(f"{scenario}: reward per step {np.mean(rewards):.2f}, tom in {np.mean(np.array(models) == 'tom'):.0%}")
+
+    batch = make_batch(Comparison({scenario: ["naive"]}, seeds=20, config=config), scenario)
+    episodes = batch.episodes(batch.keys())
+    episodes = replace(episodes, schedules=np.full_like(episodes.schedules, DECIDES))
+    records = simulate(replace(batch.loop, rule=rule), episodes)
+    used = np.mean(records.rungs == len(rule.ladder) - 1)
+    print(f"20 episodes at once: reward per step {records.reward.mean():.2f}, tom in {used:.0%}")

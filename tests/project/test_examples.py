@@ -48,9 +48,9 @@ def test_robots_of_the_examples_choose_their_models_and_drive_without_a_crash_an
     assert [line.split()[0] for line in printed["plan"].splitlines()[1:]] == ["naive", "turn", "tom"]
     assert {step.split()[0] for step in printed["drive"].splitlines()} == {"naive", "turn", "tom"}
     assert printed["work_zone"].strip().endswith("False")  # no crash
-    reward, used, steps = re.findall(r"[\d.]+", printed["rule"])[:3]
-    assert float(reward) > 5
-    assert 0 < int(used) < int(steps) / 2  # theory of mind in some steps only
+    found = re.findall(r"per step ([\d.]+), tom in (\d+)%", printed["rule"])
+    assert len(found) == 4  # one human and two, live and in a batch
+    assert all(float(reward) > 5 and 0 < int(used) < 50 for reward, used in found)
     largest = re.findall(r"at most ([\d.]+) m/s\^2", printed["stock_road"])
     assert largest
     assert max(map(float, largest)) <= 4.0  # that it asks for

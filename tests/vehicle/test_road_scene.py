@@ -11,7 +11,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.game.road import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, place, project
+from ms_highway.game.road import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, locate, place
 from ms_highway.vehicle.road_scene import observe_road
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
@@ -79,7 +79,7 @@ def test_in_all_scenes_routes_can_be_driven_cars_are_where_they_are_and_arrays_h
         assert np.abs(chords) == pytest.approx(2.0, abs=0.02)
         assert np.abs(turns).max() < 0.1 * 2.0 / 12, "as the curvature's steps allow"
         assert (edges[1] - edges[0] >= 3.9).all()
-        np.testing.assert_allclose(project(route, *pose), seen.robot[:3], atol=0.02)
+        np.testing.assert_allclose(locate(route, *pose), seen.robot[:3], atol=0.02)
         x, y, _ = jax.vmap(place)(seen.paths, *seen.states.T[:2])
         found = np.stack([x, y], axis=-1)[seen.present, None] - positions
         assert (np.hypot(*found.T).min(axis=0, initial=np.inf) < 0.1).all()
@@ -90,7 +90,7 @@ def test_a_route_does_not_wobble_while_it_is_driven(scene):
     for (before, _, last, _), (seen, _, lane, _) in pairwise(drive(scene, 100)):
         if lane == last or lane[:2] != last[:2]:
             route = before.route
-            _, aside, _ = project(seen.route, route.x[8:60], route.y[8:60], route.heading[8:60])
+            _, aside, _ = locate(seen.route, route.x[8:60], route.y[8:60], route.heading[8:60])
             assert np.abs(aside).max() < 0.05
 
 
