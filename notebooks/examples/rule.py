@@ -16,11 +16,9 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway import Driver, HumanModel, PredictedHuman, TheoryOfMind, metareasoning
+from ms_highway import Driver, HumanModel, PredictedHuman, TheoryOfMind, metareasoning, simulation
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.simulation.loop import simulate
-from ms_highway.simulation.records import DECIDES
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ for scenario, config in {"merger": {}, "dense_merge": {"humans": 2, "horizon": 5
 
     batch = make_batch(Comparison({scenario: ["naive"]}, seeds=20, config=config), scenario)
     episodes = batch.episodes(batch.keys())
-    episodes = replace(episodes, schedules=np.full_like(episodes.schedules, DECIDES))
-    records = simulate(replace(batch.loop, rule=rule), episodes)
+    episodes = replace(episodes, schedules=np.full_like(episodes.schedules, simulation.records.DECIDES))
+    records = simulation.loop.simulate(replace(batch.loop, rule=rule), episodes)
     used = np.mean(records.rungs == len(rule.ladder) - 1)
     print(f"20 episodes at once: reward per step {records.reward.mean():.2f}, tom in {used:.0%}")

@@ -96,16 +96,14 @@ def test_batches_keep_to_the_limits_as_environments_do(reckless):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("semantics", ["paper", "released"])
-def test_with_a_grip_no_car_of_the_papers_scenes_leaves_the_friction_circle(semantics):
+def test_with_a_grip_no_car_of_the_papers_scenes_leaves_the_friction_circle():
     """From places and speeds: the path's curvature times v^2, and the change of speed."""
-    config = {"semantics": semantics, "ladder": ["naive", "tom"]}
+    config = {"ladder": ["naive", "tom"]}
     free = Comparison({"merger": ["naive", "tom"]}, 5, config=config)
     records = simulated(replace(free, config=config | {"grip": GRIP}))
     for car in ("robot", "human"):
         assert accelerations(records, car).max() <= GRIP * 1.01
-    if semantics == "paper":
-        assert accelerations(simulated(free), "human").max() > 2 * GRIP
+    assert accelerations(simulated(free), "human").max() > 2 * GRIP
 
 
 def accelerations(records, car):

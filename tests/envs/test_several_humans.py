@@ -33,6 +33,7 @@ def test_the_same_seed_gives_the_same_episode_and_another_one_other_humans():
     assert abs(weights - env.unwrapped.weights).max() > 0
 
 
+@pytest.mark.slow
 def test_the_models_of_one_human_serve_for_several_in_any_order_and_at_a_price():
     ladder = ["naive", "idm", "tom@6", "tom@12+warm"]
     period = "period:" + ",".join(f"{name}=1" for name in ladder)

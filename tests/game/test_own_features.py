@@ -112,6 +112,7 @@ def test_theory_of_mind_steps_along_differences_of_both_slopes(roomy, close_cars
     close(plan(once, close_cars, TheoryOfMind()).robot / roomy.planner.control_scale, expected, 2e-2)
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_paid_for_it_drives_for_it_in_batches(roomy, played):
     start, names = np.asarray(played("merger")[1]), roomy.robot.names
     records = simulated(Loop(roomy, always(Naive())), [start], 40, schedule=0)

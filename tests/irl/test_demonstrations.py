@@ -219,6 +219,7 @@ def test_a_data_set_is_minaris_and_says_how_it_was_made(recorded, monkeypatch):
     np.testing.assert_array_equal(observation, dataset[0].observations[0])
 
 
+@pytest.mark.slow
 def test_a_killed_recording_keeps_its_episodes_and_goes_on(recorded, datasets, monkeypatch):
     arguments = ["irl", "record", "--driver", "mpc", "--dataset", NAME, "--episodes"]
     process = subprocess.Popen([sys.executable, "-m", "ms_highway", *arguments, "1000"], stderr=subprocess.DEVNULL)

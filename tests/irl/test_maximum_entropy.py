@@ -56,6 +56,7 @@ def some(windows, every):
     return windows.of(np.arange(len(windows)) % every == 0)
 
 
+@pytest.mark.slow
 def test_slopes_of_features_also_of_ones_own_are_those_of_automatic_differentiation(demonstrated, monkeypatch):
     monkeypatch.setitem(OWN_FEATURES, "crowd", lambda scene, own, others: jnp.sum(jnp.cos((own.x - others.x) / 20)))
     computed = (*FEATURES, "crowd", *COMFORT)

@@ -114,6 +114,7 @@ def test_gains_are_estimated_for_every_human_alone(outcome):
     assert np.isnan(first.gains).all()
 
 
+@pytest.mark.slow
 def test_a_driver_measures_the_time_of_decisions_within_a_budget(outcome):
     game, seen = outcome
     driver = Driver(game, Budget(estimates(), COSTS, 10.0), budget=10.0)

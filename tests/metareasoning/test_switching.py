@@ -23,7 +23,6 @@ decide_quickly = jit_quickly(decide)
     ("scenario", "influence"),
     [
         pytest.param("merger", "exact", marks=pytest.mark.slow),
-        pytest.param("give_way", "damped", marks=pytest.mark.slow),
         ("stay_back", "damped"),
     ],
 )

@@ -142,6 +142,7 @@ def test_costs_are_those_given_or_proportional_to_the_steps():
         costs({"naive": 0.1, "tom@0": 1}, "naive")
 
 
+@pytest.mark.slow
 def test_measured_costs_grow_with_the_steps(played):
     game, state = played("merger")
     few, many = measure_costs(game, ladder(["tom@2+warm", "tom@60"]), np.asarray(state), repeats=9).each

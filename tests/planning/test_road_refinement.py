@@ -59,6 +59,7 @@ def test_refining_never_earns_less_and_keeps_within_limits(name, lane):
     np.testing.assert_allclose(driven(scene, found)[1], found, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_without_answers_the_slope_is_that_of_the_reward():
     scene = SCENES["curve"]
     others = keeping_velocity(scene)

@@ -106,6 +106,7 @@ def test_the_papers_gradient_steps_serve_several_humans_too(three):
     assert plan_function.cache_info().currsize > 0
 
 
+@pytest.mark.slow
 def test_measured_times_are_additive_and_grow_up_the_ladder(three):
     game, state = three
     rungs = ladder(["naive", "tom"])

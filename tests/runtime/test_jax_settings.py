@@ -26,6 +26,7 @@ def computed():
     return np.asarray(jax.jit(lambda x: 3 * x + 1)(jnp.arange(4.0)))
 
 
+@pytest.mark.slow
 def test_compiled_functions_are_used_again_and_a_damaged_one_is_compiled_anew(kept):
     expected = computed()
     before = {file: file.read_bytes() for file in kept.iterdir()}

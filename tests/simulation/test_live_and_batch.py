@@ -98,7 +98,7 @@ def rules(humans):
     }
 
 
-@pytest.fixture(scope="module", params=SCENES)
+@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.slow)])
 def scene(request, played):
     """A game, and starts; the number of humans is that of the game."""
     games, starts = zip(*(played(SCENES[request.param], seed) for seed in range(SEEDS)), strict=True)
@@ -126,6 +126,7 @@ def agree(records, episode, live, models):
     assert [STATUSES[number] for number in records.status[episode]] == [step.status for step in driven]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("humans", SCENES)
 def test_models_and_efforts_on_schedules(played, humans):
     """With several humans, too, plans go on from what is left of the last one only where a model in use says so."""
@@ -136,6 +137,7 @@ def test_models_and_efforts_on_schedules(played, humans):
     agree(records, 0, drive(Driver(game, Order(schedule, models)), start, STEPS), models)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", rules(1))
 def test_rules(scene, records_of, name):
     game, starts = scene
@@ -148,6 +150,7 @@ def test_rules(scene, records_of, name):
         np.testing.assert_allclose(gains[known], step.gains[known], atol=1e-2)
 
 
+@pytest.mark.slow
 def test_rules_decide_differently_here(records_of):
     assert len({records.rungs.tobytes() for records in records_of.values()}) > 3
 

@@ -22,6 +22,7 @@ def seen():
     return see("merger", 1.0, "shipped", cells=2)
 
 
+@pytest.mark.slow
 def test_estimates_are_what_the_rule_compares_and_chooses(seen):
     env = make_environment("merger", "learned:1").unwrapped
     env.reset(seed=0)
