@@ -15,6 +15,11 @@ from ms_highway.runtime.structures import plain
 DRAWS = 256
 """Draws from a predicted distribution, by which the region that holds a position is measured."""
 
+LEAST, FARTHEST = (
+    1e-30,
+    1e9,
+)  # of a chi-square, and m, of a draw: where tails are so heavy that numbers do not hold them
+
 SIDES = np.array([0, -1, 1])
 """Lanes to the right of each mode of a driver who may change lanes."""
 
@@ -71,9 +76,10 @@ def region_level(modes: Modes, spread: Spread, positions: Paths) -> Steps:
     below = np.cumsum(np.asarray(modes.probability), axis=1)[:, :-1]
     for _ in range(DRAWS):
         mode = np.sum(random.random((n, 1)) > below, axis=1)
-        stretch = np.sqrt(freedom / random.chisquare(freedom, (n, steps)))[..., None]
+        squares = np.maximum(random.chisquare(freedom, (n, steps)), LEAST)
+        stretch = np.sqrt(freedom / squares)[..., None]
         drawn = path[np.arange(n), mode] + stretch * random.normal(size=(n, steps, 2)) * scales[mode]
-        inside += np.asarray(log_density(modes, spread, drawn)) > edge
+        inside += np.asarray(log_density(modes, spread, np.clip(drawn, -FARTHEST, FARTHEST))) > edge
     return np.where(np.isfinite(edge), inside / DRAWS, np.nan)
 
 

@@ -128,6 +128,12 @@ def test_the_spread_that_is_fitted_holds_as_many_drivers_as_it_says():
         np.testing.assert_allclose((level[:, 9::20] < share).mean(axis=0), share, atol=0.04)
 
 
+def test_tails_may_be_so_heavy_that_draws_are_beyond_single_precision():
+    spread = Spread((-1.0, 0.5, 0.0), (-1.0, 0.5, 0.0), (0.2, 0.1), (0.01, 0.0))
+    level = region_level(one_mode(np.zeros((3, 10, 2))), spread, np.ones((3, 10, 2), np.float32))
+    assert ((level >= 0) & (level <= 1)).all()
+
+
 def test_the_density_of_two_modes_integrates_to_one():
     spread = Spread((-1.0, 0.5, 0.0), (-1.0, 0.5, 0.0), (0.2, 0.1), (5.0, 0.5))
     x, y = np.meshgrid(np.arange(-15, 15, 0.1), np.arange(-12, 15, 0.1), indexing="ij")

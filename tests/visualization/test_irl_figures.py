@@ -14,7 +14,6 @@ from ms_highway.irl.moments import cut_moments
 from ms_highway.irl.outlook import expected_path
 from ms_highway.irl.peers import steady_motion
 from ms_highway.irl.predictors import PREDICTORS
-from ms_highway.visualization.irl import section
 from ms_highway.visualization.irl.prediction import (
     calibration_figure,
     counts_figure,
@@ -23,7 +22,7 @@ from ms_highway.visualization.irl.prediction import (
     likelihood_figure,
     paths_figure,
 )
-from ms_highway.visualization.irl.tables import evaluation_tables, learned_tables
+from ms_highway.visualization.irl.tables import drawn, evaluation_tables, learned_tables
 
 
 def evaluation():
@@ -104,7 +103,7 @@ def test_a_section_has_all_tables_and_figures(us101_directory, tmp_path):
     first = min(us101_directory.glob("*.xml.gz"))
     (data / first.name).symlink_to(first)
     path.write_bytes(msgspec.json.encode(evaluation()))
-    tables, figures = section.drawn(path, "us101", str(data))
+    tables, figures = drawn(path, "us101", str(data))
     assert len(tables) == 6
     assert set(figures) == {"errors", "likelihood", "calibration", "paths", "counts"}
 
