@@ -15,10 +15,7 @@ from ms_highway.runtime.structures import plain
 DRAWS = 256
 """Draws from a predicted distribution, by which the region that holds a position is measured."""
 
-LEAST, FARTHEST = (
-    1e-30,
-    1e9,
-)  # of a chi-square, and m, of a draw: where tails are so heavy that numbers do not hold them
+LEAST, FARTHEST = 1e-30, 1e9  # of a chi-square, and m, of a draw: tails may be heavier than numbers hold
 
 SIDES = np.array([0, -1, 1])
 """Lanes to the right of each mode of a driver who may change lanes."""
