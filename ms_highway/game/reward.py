@@ -100,15 +100,15 @@ def add_feature(name: str, function: Feature) -> None:
         hash(function)
         value = jax.eval_shape(function, scene, own, others)
     except Exception as error:  # a user's function may fail in any way
-        told = str(error).partition("\n")[0]
+        message = str(error).partition("\n")[0]
         raise ValueError(
-            f"the feature {name!r} cannot be computed: {type(error).__name__}: {told}; "
+            f"the feature {name!r} cannot be computed: {type(error).__name__}: {message}; "
             "give a function of (scene, own, others), written with jax.numpy"
         ) from error
     number = isinstance(value, jax.ShapeDtypeStruct)
     if not number or value.shape or jnp.iscomplexobj(value):
-        told = f"{value.dtype} of shape {value.shape}" if number else f"{type(value).__name__}"
-        raise ValueError(f"the feature {name!r} returns {told} for one moment; it must return one number")
+        message = f"{value.dtype} of shape {value.shape}" if number else f"{type(value).__name__}"
+        raise ValueError(f"the feature {name!r} returns {message} for one moment; it must return one number")
     OWN_FEATURES[name] = function
 
 

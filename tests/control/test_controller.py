@@ -195,15 +195,15 @@ def test_what_was_before_may_be_told_in_the_coordinates_of_now(played):
     game, state = played("stay_back")
     state = np.asarray(state) + np.array([game.scene.obstacles[0, 0] - 5.0 - state[0, 0], 0, 0, 0])
     switching = Switching(Costs(0.0, np.array([0.0, 0.0])), 0.0, ladder(("naive", "turn")))
-    still, told, untold = (Driver(game, switching) for _ in range(3))
-    for controller in (still, told, untold):
+    still, informed, left_out = (Driver(game, switching) for _ in range(3))
+    for controller in (still, informed, left_out):
         controller.step(state)
     later = state + np.outer(state[:, 3] * 0.1, [1, 0, 0, 0])
     back = np.array([-2.0, 0, 0, 0])  # where the coordinates of now begin
-    for controller in (told, untold):
+    for controller in (informed, left_out):
         controller.game = replace(game, scene=replace(game.scene, obstacles=game.scene.obstacles + back[:2]))
     expected = pytest.approx(still.step(later).gains, rel=1e-2, abs=1e-3, nan_ok=True)
-    assert told.step(later + back, state + back).gains == expected
+    assert informed.step(later + back, state + back).gains == expected
     assert untold.step(later + back).gains != expected
 
 

@@ -70,8 +70,8 @@ def decided(switching, played, memory=None, reward=1.5):
 
 
 def test_a_higher_price_lowers_the_gain_by_the_extra_planning_time(played):
-    free, dear = (decided(made(price), played) for price in (0.0, 2.0))
-    assert free.gains[0, 2] - dear.gains[0, 2] == pytest.approx(2.0 * (0.37 - 0.09), rel=1e-3)
+    free, priced = (decided(made(price), played) for price in (0.0, 2.0))
+    assert free.gains[0, 2] - priced.gains[0, 2] == pytest.approx(2.0 * (0.37 - 0.09), rel=1e-3)
 
 
 def test_a_positive_gain_goes_straight_to_the_top(played):

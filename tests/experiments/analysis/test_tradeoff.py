@@ -54,7 +54,7 @@ def test_meta_rewards_take_off_the_price_of_planning(summaries):
     assert table.loc[0.1, "switching"] == pytest.approx(4.8 - 0.1 * 0.185)
     assert table.loc[0.01, "tom"] == pytest.approx(6.0 - 0.01 * 0.37)
     assert (table["best schedule"] == table["tom"]).all()
-    summaries["reward"] -= summaries["counted_ms"] / 50  # now computation is dear
+    summaries["reward"] -= summaries["counted_ms"] / 50  # now computation is expensive
     assert meta_rewards(summaries, "merger").loc[0.1, "best schedule"] == pytest.approx(5.7 - 132 / 50 - 0.1 * 0.132)
 
 
