@@ -96,9 +96,8 @@ def test_over_a_horizon_of_one_step_the_gains_are_those_of_algorithm_1(played, r
 def test_a_gain_pays_for_a_plan_at_every_step_of_the_horizon(played):
     game, state = played("merger")
     seen = outcome(game, state, any_plan(5))
-    free, priced = (
-        decide_quickly(made(WholeHorizon, price), game, on(made(WholeHorizon)), seen) for price in (0.0, 2.0)
-    )
+    rules = [made(WholeHorizon, price) for price in (0.0, 2.0)]
+    free, priced = (decide_quickly(rule, game, on(rule), seen) for rule in rules)
     assert free.gains[0, 2] - priced.gains[0, 2] == pytest.approx(5 * 2.0 * (0.37 - 0.09), rel=1e-3)
 
 
