@@ -19,9 +19,6 @@ from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.effort import seconds_of
 from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
 
-PLANNING = ("horizon", "time_step", "iterations", "step_size", "control_limit", "grip")
-"""Keys that say how robot and humans plan."""
-
 HUMAN_REWARDS = {"paper": "learned", "released": "published"}
 """The humans' reward that belongs to each semantics."""
 

@@ -13,9 +13,6 @@ FAR_AWAY = 1000.0  # m behind, where absent cars are
 SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, of each place
 AHEAD = np.array([True, False] * 3)  # whether a place is ahead, or behind
 
-NEIGHBOURS = len(SIDES)
-"""Number of places: ahead and behind, in the own lane, the left one and the right one, in this order."""
-
 
 def places(
     driver: Float[SameArray, "*batch 4"],
