@@ -210,7 +210,9 @@ class InteractionEnv(StageEnv):
         """Planning times on the ladder; where they are to be measured, once after each change of the configuration."""
         models, humans = self.settings.models, self.settings.humans
         if self._seconds is None:
-            base, each = measure_costs(self.game, models, states, quantile=self.settings.controller.quantile)
+            base, each = measure_costs(
+                self.game, models, states, quantile=self.settings.controller.quantile, way_out=self.settings.way_out
+            )
             self._seconds = {model.name: float(base + own) for model, own in zip(models, each, strict=True)}
         return Costs.of([self._seconds[model.name] for model in models], humans)
 

@@ -231,7 +231,7 @@ class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
         if self.values != ONE_STEP:
             return Budget(_learned(self.values, start, 0.0), start.costs, self.budget)
         switching = Switching(start.costs, 0.0, start.ladder)
-        return Budget(OneStepGains(switching, start.costs, start.ladder), start.costs, self.budget)
+        return Budget(OneStepGains(switching), start.costs, self.budget)
 
 
 class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):

@@ -142,6 +142,8 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     if any(starts_warm(human_model(name)) for name in models):
         why = f"the ladder {' '.join(models)} plans from the rest of the last plan"
         raise ValueError(f"{why}, which rollouts do not have; leave +warm out of the ladder")
+    if any(batch.loop.yielding for batch in batches):
+        raise ValueError("values are learned among humans who plan for their reward; leave config['yielding'] out")
     costs = {name: seconds for batch in batches for name, seconds in batch.costs.items()}
     courses = [
         Course(

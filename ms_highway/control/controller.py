@@ -53,7 +53,7 @@ class ControlStep:
     @property
     def model(self) -> str:
         """Name of the most expensive model in use."""
-        return cheapest_first(self.models)[-1] if self.models[1:] else self.models[0]
+        return ("", *cheapest_first(self.models))[-1] if self.models[1:] else self.models[0]
 
     def highest_gains(self) -> dict[str, float]:
         """Return the highest gain of each model over all humans, by name, as far as they were estimated."""

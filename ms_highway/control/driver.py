@@ -1,6 +1,5 @@
 """Drive among humans, one or several, with the models that a rule chooses for them."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 
@@ -33,11 +32,11 @@ class Driver:
 
     Args:
         game: of which car 0 is driven, with the humans' rewards as the robot believes them.
-        rule: chooses the models; may be replaced between steps by one of the same ladder.
+        rule: chooses the models.
         budget: time of a cycle, decision and plan [s]; None for no limit.
         way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out`.
         belief: whether to infer which model predicts every human, and to predict those who show that they do not
-            respond by the first rung, instead of by a model that responds.
+            respond by the first rung, or naive under an order, instead of by a model that responds.
 
     Raises:
         ValueError: for impossible costs, a price or a ladder that do not fit, or if with a belief the first rung
@@ -53,16 +52,32 @@ class Driver:
         way_out: bool = False,
         belief: bool = False,
     ) -> None:
-        check_rule(rule)
-        if belief and isinstance(rule, Order) and rule.ladder[0].responds:
-            rule = replace(rule, rungs=np.asarray(rule.rungs) + 1, ladder=(Naive(), *rule.ladder))
-        if belief and rule.ladder[0].responds:
-            message = f"the ladder begins with {rule.ladder[0].name}, which counts on a response"
-            raise ValueError(f"{message}; with a belief, begin it with a model that does not, such as naive")
-        self.rule, self.budget, self.way_out, self.infers = rule, budget, way_out, belief
-        self._responds = np.array([model.responds for model in rule.ladder])
+        self.budget, self.way_out, self.infers = budget, way_out, belief
+        self._rule = self._checked(rule)
         self.game = game
         self.reset()
+
+    @property
+    def rule(self) -> Rule | Order:
+        """Rule that chooses the models; may be replaced between steps by one of the same ladder."""
+        return self._rule
+
+    @rule.setter
+    def rule(self, rule: Rule | Order) -> None:
+        orders = isinstance(self._rule, Order) and isinstance(rule, Order)
+        self._rule = self._checked(rule)
+        if not orders:
+            self.game = self._game  # compiles the decision by the new one
+
+    def _checked(self, rule: Rule | Order) -> Rule | Order:
+        """Check a rule; with a belief, an order gets a rung for humans who do not respond."""
+        check_rule(rule)
+        if self.infers and isinstance(rule, Order) and not isinstance(rule.ladder[0], Naive):
+            return replace(rule, rungs=np.asarray(rule.rungs) + 1, ladder=(Naive(), *rule.ladder))
+        if self.infers and rule.ladder[0].responds:
+            message = f"the ladder begins with {rule.ladder[0].name}, which counts on a response"
+            raise ValueError(f"{message}; with a belief, begin it with a model that does not, such as naive")
+        return rule
 
     @property
     def game(self) -> Game:
@@ -160,7 +175,7 @@ class Driver:
             return seconds
         seconds += self._decision.warm_up(state)
         if isinstance(self.rule, Budget) and not self.rule.deciding:
-            self.rule = replace(self.rule, deciding=self._decision.measure(state, quantile=QUANTILE))
+            self._rule = replace(self.rule, deciding=self._decision.measure(state, quantile=QUANTILE))
             self._decision = CompiledDecision(self.rule, self.game)
         return seconds
 
@@ -195,7 +210,8 @@ class Driver:
         """Return the rungs, the first one instead of one that responds for humans who show that they do not."""
         if self._belief is None:
             return rungs
-        return np.where(self._responds[rungs] & ~counted_on(self._belief), 0, rungs).astype(np.int32)
+        responds = np.array([model.responds for model in self.rule.ladder])
+        return np.where(responds[rungs] & ~counted_on(self._belief), 0, rungs).astype(np.int32)
 
     def _start(self, rungs: Rungs) -> Plan | None:
         """Return the scaled plan to start from, the rest of the last one; None to start anew."""
@@ -248,12 +264,11 @@ class Driver:
         return Plan(plan.robot[places], plan.humans[:, places])
 
 
-def fixed(game: Game, model: HumanModel | None = None, ladder: Sequence[HumanModel] = ()) -> Driver:
+def fixed(game: Game, model: HumanModel | None = None) -> Driver:
     """Return a driver that always predicts by the same model, naive by default: so humans drive, too.
 
     Args:
         game: of which car 0 is driven; for a human, `ms_highway.game.game.swap_roles`.
         model: of all humans.
-        ladder: further models, compiled before the first step.
     """
-    return Driver(game, always(model or Naive(), tuple(ladder)))
+    return Driver(game, always(model or Naive()))

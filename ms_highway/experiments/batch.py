@@ -36,7 +36,7 @@ from ms_highway.experiments.records import (
 from ms_highway.game.scenario import REACHED
 from ms_highway.metareasoning.rule import Order, Rule, highest_gains
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import cheapest_first, human_model
+from ms_highway.planning.human_models import Naive, cheapest_first, human_model
 from ms_highway.runtime.arrays import Array
 from ms_highway.simulation.devices import usual_chunk
 from ms_highway.simulation.loop import simulate
@@ -262,7 +262,9 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         costs |= one.seconds
     controllers = {name: one.controller for name, one in zip(names, settings, strict=True)}
     orders = [each for each in controllers.values() if isinstance(each, OrderSettings)]
-    used = {name for order in orders for name in order.names()} - {model.name for model in settings[0].models}
+    used = {name for order in orders for name in order.names()}
+    used |= {Naive.name for order in orders if order.belief}
+    used -= {model.name for model in settings[0].models}
     others = tuple(map(human_model, cheapest_first(used)))
     order: Any = Order(np.zeros((1, 1), np.int32), settings[0].models)
     yielding = settings[0].yielding != "usual"

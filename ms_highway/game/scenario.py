@@ -263,7 +263,7 @@ def _planner(
     )
 
 
-def draw_starts(scenario: Scenario, random: np.random.Generator, unit: float = PAPER_UNIT) -> State:
+def draw_starts(scenario: Scenario, random: np.random.Generator) -> State:
     """Draw the start of every car of a scenario without streams, with the noise of the paper's experiments.
 
     Normal noise of standard deviation 5e-4 units on x and y and 1e-3 on speed and heading; another 0.01 units on the x
@@ -274,7 +274,7 @@ def draw_starts(scenario: Scenario, random: np.random.Generator, unit: float = P
     cars += random.normal(scale=noise, size=cars.shape)
     if scenario.merging_car is not None:
         cars[scenario.merging_car, 0] += random.normal(scale=MERGING_NOISE)
-    return cars * [unit, unit, 1.0, unit]
+    return cars * [PAPER_UNIT, PAPER_UNIT, 1.0, PAPER_UNIT]
 
 
 def draw_episode(scenario: Scenario, random: np.random.Generator, humans: Reward) -> tuple[State, HumansWeights]:

@@ -41,7 +41,6 @@ def updated_belief(
     predicted: Float[SameArray, "*humans models 2"],
     observed: Float[SameArray, "*humans 2"],
     time_step: float | Float[SameArray, ""],
-    noise: tuple[float, float] = NOISE,
 ) -> Float[SameArray, "*humans models"]:
     """Return the probabilities of the models after a step; where a control is not finite, only the mixing is done.
 
@@ -50,13 +49,12 @@ def updated_belief(
         predicted: control of each model for the step, unscaled.
         observed: control in the step, unscaled.
         time_step: duration of the step [s].
-        noise: see `NOISE`.
     """
     xp = belief.__array_namespace__()
     models = belief.shape[-1]
     keeps = KEEPS ** (time_step / 0.1)
     mixed = keeps * belief + (1 - keeps) / models
-    off = (predicted - observed[..., None, :]) / xp.asarray(noise)
+    off = (predicted - observed[..., None, :]) / xp.asarray(NOISE)
     log_likelihood = -xp.sum(off**2, axis=-1) / 2
     known = xp.all(xp.isfinite(log_likelihood), axis=-1, keepdims=True)
     log_likelihood = xp.where(known, log_likelihood, xp.zeros_like(log_likelihood))
@@ -94,17 +92,16 @@ class CompiledBelief:
     """Infer live which model predicts every human best, compiled once for all games of the same shapes."""
 
     def __init__(self, game: Game) -> None:
-        self._numbers, layout = pack(game)
-        self._function = infer_function(layout)
+        self._numbers, self._layout = pack(game)
 
     def update(self, belief: Belief, before: State, after: State, robot: Controls) -> tuple[Belief, float]:
         """Return the probabilities after a step, see `infer`, and the seconds that it took."""
-        updated, seconds = timed(self._function, self._numbers, *_single(belief, before, after, robot))
+        updated, seconds = timed(infer_function(self._layout), self._numbers, *_single(belief, before, after, robot))
         return np.asarray(updated), seconds
 
     def warm_up(self, state: State, robot: Controls, humans: int) -> float:
         """Compile and run once what has not run before; return the seconds spent."""
-        return warm_up(self._function, self._numbers, *_single(first_belief(humans), state, state, robot))
+        return warm_up(infer_function(self._layout), self._numbers, *_single(first_belief(humans), state, state, robot))
 
 
 def _single(*parts: Array) -> tuple[Array, ...]:

@@ -1,8 +1,7 @@
 """Choose the rungs that gain most together within the time of a cycle."""
 
-from dataclasses import dataclass, field
-from math import nan
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Any
 
 import jax
 from jax import numpy as jnp
@@ -40,9 +39,6 @@ class Budget:
     seconds: Scalar
     share: Scalar = SHARE
     deciding: Scalar = 0.0
-    price: ClassVar[float] = nan
-    network: ClassVar[None] = None
-    in_one_kernel: ClassVar[bool] = False
 
     @property
     def ladder(self) -> tuple[HumanModel, ...]:
@@ -78,11 +74,11 @@ class OneStepGains:
     """
 
     switching: Switching
-    costs: Costs
-    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-    price: ClassVar[float] = nan
-    network: ClassVar[None] = None
-    in_one_kernel: ClassVar[bool] = False
+
+    @property
+    def ladder(self) -> tuple[HumanModel, ...]:
+        """Human models, cheapest first."""
+        return self.switching.ladder
 
     def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Any, "humans 1"]:
         """Estimate the gains; before the first step, they are unknown."""
@@ -107,7 +103,8 @@ class OneStepGains:
         expansion = self.switching.expand(game, before, robot, human)
         kept = Naive().predict(game, before)[0]
         expected = jnp.where(uses_top, kept, human)  # by the other model
-        influence = jnp.where(uses_top, 0.0, expansion.influence)
+        answers = ~uses_top & self.ladder[-1].responds
+        influence = jnp.where(answers, expansion.influence, 0.0)
         change = change_of_control(expansion, human, expected, influence, self.switching)
         earned = self.switching.earned(game, before, robot + change, human + expansion.influence @ change)
         return jnp.where(uses_top, seen.reward - earned, earned - seen.reward)

@@ -38,12 +38,13 @@ class CompiledDecision:
     """
 
     def __init__(self, rule: Rule, game: Game) -> None:
-        small = rule if rule.network is None else replace(rule, network=None)
-        self._numbers, layout = pack((small, game))
-        leaves, network = jax.tree.flatten(rule.network)
+        network = getattr(rule, "network", None)
+        self._numbers, layout = pack((rule if network is None else replace(rule, network=None), game))
+        leaves, structure = jax.tree.flatten(network)
         self._leaves = [jnp.asarray(leaf) for leaf in leaves]
         self.rule, self.game = rule, game
-        self.function = decide_function(layout, network, game.number == 1 and rule.in_one_kernel)
+        fuses = game.number == 1 and getattr(rule, "in_one_kernel", False)
+        self.function = decide_function(layout, structure, fuses)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledDecision, (self.rule, self.game)  # compiled functions cannot be pickled

@@ -5,7 +5,6 @@ estimate the same gains.
 """
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import jax
 from jax import numpy as jnp
@@ -36,8 +35,6 @@ class WholeHorizon(QuadraticRule):
     * The meta-MDP pays ``lambda T(M)`` for every step. Driving the K steps takes K plans, so that the gain is less
       ``K lambda (T' - T)``.
     """
-
-    in_one_kernel: ClassVar[bool] = False  # eigenvectors of more than two dimensions are LAPACK's
 
     def executed(self, game: Game, outcome: Outcome) -> tuple[Vector, Vector, Scalar]:
         """See `QuadraticRule.executed`: the controls of the last plan, the first ones as executed and observed."""

@@ -57,7 +57,6 @@ class QuadraticRule(ABC):
     trust_radius: Scalar = 1.5
     trust_tolerance: Scalar = TRUST_TOLERANCE
     cooldown: Index = 3
-    network: ClassVar[None] = None
     in_one_kernel: ClassVar[bool]
 
     @abstractmethod

@@ -2,8 +2,6 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from math import nan
-from typing import ClassVar
 
 import jax
 from jax import numpy as jnp
@@ -32,9 +30,6 @@ class MostImportant(ABC):
     count: Index
     costs: Costs
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-    price: ClassVar[float] = nan
-    network: ClassVar[None] = None
-    in_one_kernel: ClassVar[bool] = False
 
     @abstractmethod
     def unimportance(self, game: Game, outcome: Outcome) -> PerHuman:

@@ -4,7 +4,6 @@ All controls are scaled, see `ms_highway.game.game`. A rung is the place of a mo
 """
 
 from dataclasses import dataclass, field, fields, replace
-from math import nan
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import jax
@@ -13,7 +12,6 @@ from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.game.game import Game, pair
-from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Array, Control, Flag, Gains, HumansControl, Index, Rungs, Scalar, State
@@ -79,33 +77,19 @@ class Rule(Protocol):
 
     Rules are frozen dataclasses and pytrees, and pure: numbers may change without compiling anew.
 
+    A rule may also have ``costs``, planning times of the ladder, which are checked; a field ``price``, lambda, which
+    batches set for each episode; ``network``, arrays that `choose` needs and `look` does not; and ``in_one_kernel``,
+    true if `look` and `choose` may be compiled into one kernel with one human, of which LAPACK cannot be part.
+
     Attributes:
         ladder: human models, cheapest first (static).
-        costs: planning time.
-        price: lambda, reward per second of planning; NaN where nothing is decided at one.
-        network: arrays that `choose` needs and `look` does not; None without any.
-        in_one_kernel: whether `look` and `choose` may be compiled into one kernel with one human; calls of LAPACK
-            cannot be part of it.
     """
 
-    in_one_kernel: ClassVar[bool]
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def ladder(self) -> tuple[HumanModel, ...]:
         """Human models, cheapest first."""
-
-    @property
-    def costs(self) -> Costs:
-        """Planning time."""
-
-    @property
-    def price(self) -> Scalar:
-        """Reward per second of planning."""
-
-    @property
-    def network(self) -> Any:
-        """Arrays that only `choose` needs."""
 
     def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[Any, "humans numbers"]:
         """Compute what the choice is based on, for every human."""
@@ -124,15 +108,10 @@ class Order:
     Attributes:
         rungs: of every human in each step; the last row is kept. A column serves all humans.
         ladder: human models (static).
-        costs: planning time, for records.
     """
 
     rungs: Int[Array, "steps humans"]
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-    costs: Costs | None = None
-    price: ClassVar[float] = nan
-    network: ClassVar[None] = None
-    in_one_kernel: ClassVar[bool] = False
 
     def at(self, step: Index, humans: int) -> Rungs:
         """Return the rungs of a step."""
@@ -140,15 +119,9 @@ class Order:
         return np.broadcast_to(row, humans).astype(np.int32)
 
 
-def always(model: HumanModel, ladder: tuple[HumanModel, ...] = ()) -> Order:
-    """Return the rule that predicts every human by the same model in all steps.
-
-    Args:
-        model: human model.
-        ladder: further models that may take its place; compiled before the first step.
-    """
-    models = tuple(dict.fromkeys([*ladder, model]))
-    return Order(np.array([[models.index(model)]]), models)
+def always(model: HumanModel) -> Order:
+    """Return the rule that predicts every human by the same model in all steps."""
+    return Order(np.zeros((1, 1), int), (model,))
 
 
 def decide(rule: Rule, game: Game, memory: Memory, outcome: Outcome) -> Decision:
@@ -177,17 +150,15 @@ def check_rule(rule: "Rule | Order") -> None:
     strange = [model for model in rule.ladder if not hasattr(model, "plan")]
     if strange:
         raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
-    if isinstance(rule, Order) or getattr(rule, "costs", None) is None:
-        return
-    each = np.asarray(rule.costs.each)
-    check_costs(rule)
-    decides = any(part.name == "price" for part in fields(rule))
-    if (decides and not (np.asarray(rule.price) >= 0).all()) or (each < 0).any():
-        message = f"the price is {rule.price} and the costs are {each.tolist()}"
-        raise ValueError(f"{message}; neither may be negative")
+    if hasattr(rule, "costs"):
+        check_costs(rule)
+        each, price = np.asarray(rule.costs.each), getattr(rule, "price", 0.0)
+        if not (np.asarray(price) >= 0).all() or (each < 0).any():
+            message = f"the price is {price} and the costs are {each.tolist()}"
+            raise ValueError(f"{message}; neither may be negative")
 
 
-def check_costs(rule: Rule) -> None:
+def check_costs(rule: Any) -> None:
     """Check that there is one cost per rung.
 
     Raises:

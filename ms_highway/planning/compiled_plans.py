@@ -114,13 +114,16 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
 
     Raises:
         TypeError: if the game is none.
-        ValueError: for an unknown model, or a state that is not a finite array [cars, 4] of two cars or more.
+        ValueError: for an unknown model, or a state that is not a finite array [cars, 4] of the game's cars or more.
     """
     if not isinstance(game, Game):
         raise TypeError(f"the game is {game!r}; make a ms_highway.Game with ms_highway.build_game or driving_game")
     refuse_after_fork()
     known = human_model(model) if isinstance(model, str) else model
-    planned, _ = CompiledPlans(game, [known]).plan(checked_state(state), [0] * game.number)
+    now = checked_state(state)
+    if len(now) <= game.number:
+        raise ValueError(f"the state has {len(now)} cars; the game has a robot and {game.number} humans")
+    planned, _ = CompiledPlans(game, [known]).plan(now, [0] * game.number)
     scale = np.asarray(game.planner.control_scale, dtype=float)
     return Plan(planned.robot * scale, planned.humans * scale)
 

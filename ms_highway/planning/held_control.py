@@ -23,12 +23,11 @@ Cars = Float[Any, "*cars"]
 UNIT = PAPER_UNIT  # m
 TURN_SCALE = 1 / (SPEED_LIMIT * UNIT)  # 1/m, of the planner's scaled curvature, see `ms_highway.game.scenario`
 HARDEST, STRONGEST, SHARPEST = 8.0, 4.0, 0.02  # m/s^2 of braking and accelerating, 1/m
+TIMES = TIME_STEP * np.arange(1, 6)  # s, of the steps that a control is held for
 
 
-def held_acceleration(
-    weights: Mapping[str, Any], traits: RewardTraits, speed: Cars, leader: Leader, horizon: int = 5
-) -> Cars:
-    """Return the acceleration [m/s^2] that, held for a horizon of steps of 0.1 s, earns most; -8 to 4.
+def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: Cars, leader: Leader) -> Cars:
+    """Return the acceleration [m/s^2] that, held for `TIMES`, earns most; -8 to 4.
 
     With the speed ``v_k = v + a t_k`` and the gap ``g_k = g + (v_leader - v) t_k - a t_k^2 / 2`` it maximises, with the
     attention w to the leader and the desired speed s::
@@ -41,14 +40,13 @@ def held_acceleration(
         traits: of the drivers.
         speed: [m/s].
         leader: of each.
-        horizon: number of steps.
     """
     wish = jnp.maximum(traits.desired_speed, 1.0)
     attention = jnp.where(leader.there, jnp.exp(-jnp.maximum(leader.gap, 0.0) / (ATTENTION * UNIT)), 0.0)
     closing = leader.speed - speed
     slope = jnp.zeros_like(speed)
-    bend = horizon * weights["comfort_acceleration"] * traits.patience / UNIT**2
-    for time in _times(horizon):
+    bend = len(TIMES) * weights["comfort_acceleration"] * traits.patience / UNIT**2
+    for time in TIMES:
         lack = leader.gap + closing * time - STANDSTILL_GAP * UNIT - traits.headway * speed
         change = time**2 / 2 + traits.headway * time  # of the lack, per acceleration
         slope += 2 * weights["speed"] * (wish - speed) * time / wish**2
@@ -59,8 +57,8 @@ def held_acceleration(
     return jnp.clip(slope / bend, -HARDEST, STRONGEST)
 
 
-def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, speed: Cars, horizon: int = 5) -> Cars:
-    """Return the curvature [1/m] that, held for a horizon of steps of 0.1 s, earns most; at most 0.02 to each side.
+def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, speed: Cars) -> Cars:
+    """Return the curvature [1/m] that, held for `TIMES`, earns most; at most 0.02 to each side.
 
     With the lateral position ``y_k = offset + v heading t_k + v^2 c t_k^2 / 2`` and the heading ``h_k = heading + v c
     t_k`` it maximises ``sum_k -lane_alignment (y_k / U)^2 - (direction + 0.01 lane_alignment) h_k^2 / 2 - comfort
@@ -71,18 +69,13 @@ def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, spee
         offset: from the centre of the lane it wants, to the right [m].
         heading: relative to the lane [rad].
         speed: [m/s].
-        horizon: number of steps.
     """
     straight = weights["direction"] + HEADING_SHARE * weights["lane_alignment"]
     slope = jnp.zeros_like(speed)
-    bend = jnp.full_like(speed, horizon * weights["comfort_steering"] / TURN_SCALE**2)
-    for time in _times(horizon):
+    bend = jnp.full_like(speed, len(TIMES) * weights["comfort_steering"] / TURN_SCALE**2)
+    for time in TIMES:
         aside, turned = (speed * time) ** 2 / 2, speed * time
         slope -= 2 * weights["lane_alignment"] * (offset + speed * time * heading) * aside / UNIT**2
         slope -= straight * heading * turned
         bend += 2 * weights["lane_alignment"] * aside**2 / UNIT**2 + straight * turned**2
     return jnp.clip(slope / bend, -SHARPEST, SHARPEST)
-
-
-def _times(horizon: int) -> np.ndarray:
-    return TIME_STEP * np.arange(1, horizon + 1)

@@ -11,7 +11,7 @@ from ms_highway.planning.climb import Answering, around_obstacles, climb
 from ms_highway.planning.effort import Effort, base_of
 from ms_highway.planning.human_models import HumanModel, IntelligentDriver, Naive, TheoryOfMind, Turn
 from ms_highway.planning.plans import Plan, cold_start
-from ms_highway.runtime.arrays import HumansControls, Index, Rungs, State
+from ms_highway.runtime.arrays import HumansControls, Index, Rungs, State, for_each
 
 
 def plan_for(
@@ -69,15 +69,13 @@ def _predict(
     model: HumanModel, rung: int, game: Game, state: State, rungs: Rungs, start: Plan, expected: HumansControls
 ) -> HumansControls:
     """Predict the humans on a rung, one after the other, each in the robot's game with it alone."""
-    chosen = rungs == rung
-    order, anew = jnp.argsort(~chosen, stable=True), game.planner.solver == "damped_newton"
+    anew = game.planner.solver == "damped_newton"
 
-    def predict(place: Index, expected: HumansControls) -> HumansControls:
-        human = order[place]
+    def predict(human: Index, expected: HumansControls) -> HumansControls:
         begin = None if anew else Plan(start.robot, start.humans[human][None])
         return expected.at[human].set(model.predict(*pair(game, state, human), begin))
 
-    return jax.lax.fori_loop(0, jnp.sum(chosen), predict, expected)
+    return for_each(rungs == rung, predict, expected)
 
 
 def _most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> Index | None:

@@ -87,8 +87,7 @@ class _Own(NamedTuple):
 
     def robots(self, game: Game) -> Game:
         """Return the game as the robot believes it."""
-        game = replace(game, robot=replace(game.robot, weights=self.robot_weights))
-        return self.truly(game) if game.number == 1 else game
+        return replace(game, robot=replace(game.robot, weights=self.robot_weights))
 
     def truly(self, game: Game) -> Game:
         """Return the game with the rewards that humans drive by."""
@@ -158,11 +157,12 @@ def _no_records(now: _Now) -> Records:
 def _counted(
     loop: Loop, rungs: Int[jax.Array, "episodes humans"], belief: Float[jax.Array, "episodes humans models"]
 ) -> Rungs:
-    """Return the rungs, the first one for humans who show that they do not respond, see `ms_highway.control.driver`."""
+    """Return the rungs, another one for humans who show that they do not respond, see `ms_highway.control.driver`."""
     if not loop.belief:
         return rungs
-    responds = jnp.array([model.responds for model in loop.models])
-    return jnp.where(responds[rungs] & ~jax.vmap(counted_on)(belief), 0, rungs)
+    responds, names = jnp.array([model.responds for model in loop.models]), [model.name for model in loop.models]
+    usual = names.index(Naive.name) if isinstance(loop.rule, Order) else 0
+    return jnp.where(responds[rungs] & ~jax.vmap(counted_on)(belief), usual, rungs)
 
 
 def _step(loop: Loop, now: _Now, own: _Own, coming: Int[jax.Array, "chunk humans"]) -> tuple[_Now, Records]:
@@ -210,7 +210,8 @@ def _follow(game: Game, car: Car, plan: Plan, rest: Rest) -> tuple[Control, Inde
     """Return the scaled control to execute, its status and the remaining plan, see `ms_highway.control.fallback`."""
     finite = jnp.stack([jnp.isfinite(controls).all() for controls in plan]).all()
     status, left = fallback_status(finite, rest.steps, game.planner.horizon)
-    followed = jax.tree.map(lambda new, old: jnp.where(finite, new, jnp.roll(old, -1, axis=-2)), plan, rest.plan)
+    after = jax.tree.map(lambda last: jnp.concatenate([last[..., 1:, :], last[..., -1:, :]], axis=-2), rest.plan)
+    followed = jax.tree.map(partial(jnp.where, finite), plan, after)
     braking = braking_control(game, car) / game.planner.control_scale
     return jnp.where(status == BRAKING, braking, followed.robot[0]), status, Rest(followed, left)
 

@@ -8,7 +8,6 @@ how to give both a short name. Run::
 """
 
 from dataclasses import dataclass, field, replace
-from math import nan
 from typing import ClassVar
 
 import gymnasium as gym
@@ -38,9 +37,6 @@ class Near:
 
     distance: float  # m
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-    price: ClassVar[float] = nan  # nothing is decided by a price
-    network: ClassVar[None] = None
-    in_one_kernel: ClassVar[bool] = False
 
     def look(self, game, memory, outcome):
         """Return the distance of every human from the robot, [humans, 1]."""

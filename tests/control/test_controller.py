@@ -1,5 +1,6 @@
 """Controllers: records, clocks, fallbacks and compilations."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,8 @@ from jax import numpy as jnp
 
 from ms_highway.control.driver import Driver, fixed
 from ms_highway.control.fallback import brake
+from ms_highway.experiments.batch import make_batch
+from ms_highway.experiments.comparison import Comparison
 from ms_highway.game.dynamics import step as move
 from ms_highway.metareasoning.compiled_decision import EMPTY, decide_function
 from ms_highway.metareasoning.rule import Order
@@ -223,3 +226,25 @@ def test_switching_with_impossible_numbers_or_rungs_is_refused(played, changes, 
         Driver(game, replace(switching, **changes))
     with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
         Driver(game, replace(switching, ladder=ladder(("tom@4", "tom"))), belief=True)
+
+
+def test_another_rule_decides_from_the_next_step_on(played):
+    game, state = played("merger")
+    free = Switching(Costs(0.0, np.array([0.09, 0.17])), 0.0, ladder(("naive", "turn")))
+    controller, expensive = Driver(game, free), replace(free, price=1e4)
+    controller.step(np.asarray(state))
+    controller.rule = expensive
+    gains = controller.step(np.asarray(state)).gains
+    np.testing.assert_allclose(gains[0, 1], -0.08 * 1e4, rtol=0.1)
+    controller.rule = Order(np.ones((1, 1), int), free.ladder)
+    assert controller.step(np.asarray(state)).models == ("turn",)
+
+
+def test_an_order_with_a_belief_can_fall_back_on_naive_and_is_pickled(played):
+    game, state = played("merger")
+    order = Order(np.array([[1]]), ladder(("turn", "tom")))
+    controller = pickle.loads(pickle.dumps(Driver(game, order, belief=True)))
+    assert [model.name for model in controller.rule.ladder] == ["naive", "turn", "tom"]
+    assert controller.step(np.asarray(state)).models == ("tom",)
+    config = {"ladder": ["turn", "tom"], "yielding": "never"}
+    assert "naive" in make_batch(Comparison({"merger": ["tom+belief"]}, config=config), "merger").models

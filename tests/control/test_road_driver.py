@@ -59,6 +59,7 @@ def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there(
     measured = RoadDriver(PLANNING, PricedRungs(1.0))
     measured.step(scene_of())
     assert measured.costs is None
+    assert measured.step(scene_of()).model == ""
     first, second = measured.step(SCENE), measured.step(SCENE)
     assert measured.costs.base > 0
     assert measured.costs.each.shape == (len(PACKAGE_MODELS),)

@@ -137,6 +137,7 @@ def test_the_command_learns_values_that_drive(scenario, tmp_path, capsys):
         (["murger", "--out", "values.npz"], "unknown scenario 'murger'"),
         (["dense_merge", "merger", "--out", "values.npz"], "merger has one human"),
         (["merger", "--set", "ladder=best", "--out", "values.npz"], "leave +warm out"),
+        (["merger", "--set", "yielding=never", "--out", "values.npz"], "config['yielding']"),
         (["merger", "--set", "costs=naive=0.1", "--out", "values.npz"], "turn"),
     ],
 )

@@ -1,7 +1,6 @@
 """Rules for several humans: who is important, what they gain together, and Algorithm 1 for each human alone."""
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
 
 import jax
 import numpy as np
@@ -68,7 +67,6 @@ class KnownGains:
 
     gains: np.ndarray
     ladder: tuple = field(default=RUNGS, metadata={"static": True})
-    in_one_kernel: ClassVar[bool] = False
 
     def look(self, game, memory, outcome):
         return jnp.asarray(self.gains)
@@ -92,7 +90,7 @@ def test_a_budget_is_spent_where_it_gains_most(outcome):
 
 
 def estimates():
-    return OneStepGains(Switching(COSTS, 0.0, RUNGS), COSTS, RUNGS)
+    return OneStepGains(Switching(COSTS, 0.0, RUNGS))
 
 
 def test_gains_are_estimated_for_every_human_alone(outcome):
@@ -123,3 +121,12 @@ def test_a_driver_measures_the_time_of_decisions_within_a_budget(outcome):
     assert steps[0].models == ("naive",) * 4
     assert np.isfinite(steps[1].gains).all(axis=0).tolist() == [True, False, True]
     assert {step.status for step in steps} == {"planned"}
+
+
+def test_a_top_rung_that_does_not_respond_gains_what_algorithm_1_says(played):
+    game, state = played("merger")
+    switching = Switching(Costs(0.0, np.zeros(2)), 0.0, RUNGS[:2])
+    plan = Plan(jnp.full((5, 2), 0.1), jnp.full((1, 5, 2), 0.2))
+    seen = Outcome(state, state, plan.robot[0], plan.humans[:, 0], jnp.float32(1.0), plan)
+    gains = [float(chosen(rule, game, seen).gains[0, TURN]) for rule in (switching, OneStepGains(switching))]
+    assert gains[0] == pytest.approx(gains[1], rel=1e-5)

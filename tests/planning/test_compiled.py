@@ -14,7 +14,7 @@ from ms_highway.game.features import reward
 from ms_highway.metareasoning.compiled_decision import CompiledDecision
 from ms_highway.metareasoning.rule import Outcome, decide, first_memory
 from ms_highway.metareasoning.switching import Switching
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.compiled_plans import Costs, plan
 from ms_highway.planning.human_models import MODELS, ladder
 from ms_highway.planning.plans import cold_start
 from ms_highway.runtime.compilation import in_one_kernel, jit_quickly
@@ -121,3 +121,9 @@ def test_a_compiled_decision_is_the_decision_about_what_was_observed(played):
         for found, wanted in zip(decision.memory, expected.memory, strict=True):
             np.testing.assert_array_equal(found, wanted)
         np.testing.assert_allclose(decision.gains, expected.gains, rtol=1e-2, atol=1e-3)
+
+
+def test_a_state_needs_the_cars_of_the_game(played):
+    game, state = played("dense_merge")
+    with pytest.raises(ValueError, match="the state has 2 cars; the game has a robot and 2 humans"):
+        plan(game, state[:2])

@@ -6,6 +6,7 @@ import pytest
 
 from ms_highway.control.driver import fixed
 from ms_highway.game.game import swap_roles
+from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.planning.hypotheses import next_controls
 
 NAIVE, IDM, TURN, TOM = range(4)
@@ -44,3 +45,10 @@ def test_theory_of_mind_answers_the_robots_plan_and_turn_does_not(predicted):
     straight, cuts_in = (predicted(plan)[0] for plan in (STRAIGHT, CUTTING_IN))
     np.testing.assert_array_equal(straight[:TOM], cuts_in[:TOM])
     assert cuts_in[TOM, 1] < straight[TOM, 1] - 1.0
+
+
+def test_long_steps_do_not_overshoot(played):
+    game, state = played("merger", planning=PlanningSettings(horizon=10, time_step=0.2))
+    plan = np.tile(STRAIGHT[:1], (10, 1))
+    controls = np.asarray(jax.jit(next_controls)(game, state, plan))[0]
+    assert np.abs(controls[:, 1] - controls[NAIVE, 1]).max() < 5.0  # m/s^2; limits are reached by steps that overshoot

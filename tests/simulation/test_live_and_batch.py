@@ -49,8 +49,6 @@ class Ahead:
 
     distance: Any
     ladder: tuple = field(metadata={"static": True})
-    network: ClassVar[None] = None
-    in_one_kernel: ClassVar[bool] = False
 
     def look(self, game, memory, outcome):
         return outcome.after[1 : 1 + game.number, :1] - outcome.after[0, 0]
@@ -67,8 +65,6 @@ class OneOf:
     rules: tuple
     which: Any
     ladder: tuple = field(metadata={"static": True})
-    network: ClassVar[None] = None
-    in_one_kernel: ClassVar[bool] = False
 
     def look(self, game, memory, outcome):
         decision = jax.lax.switch(self.which, [partial(decided, rule) for rule in self.rules], game, memory, outcome)
@@ -85,7 +81,7 @@ def rules(humans):
     """All rules at which models are chosen, by name."""
     costs = Costs.of([0.09, 0.17, 0.37], humans)
     values = load_values("shipped", humans)
-    one_step = OneStepGains(Switching(costs, 0.0, PAPERS), costs, PAPERS)
+    one_step = OneStepGains(Switching(costs, 0.0, PAPERS))
     return {
         "switching": Switching(costs, 0.1, PAPERS),
         "whole horizon": WholeHorizon(costs, 0.1, PAPERS),

@@ -131,7 +131,7 @@ class NearsightedEnv(MergerEnv):
 
     def draw_episode(self, random):
         starts, weights = super().draw_episode(random)
-        return starts + [[0, 0, 0, 1.0]] * 3, weights
+        return starts + [[0, 0, 0, 1.0]] * 3, 1.5 * weights  # which the robot does not know
 
 
 @pytest.fixture
