@@ -153,7 +153,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         **watch.motion(),
         decisions=tuple(seconds for road in roads for seconds in road["decisions"]),
         sources=Counter(source for road in roads for source in road.get("sources", ())),
-        rungs=sum((road.get("rung_counts", Counter()) for road in roads), Counter[str]()),
+        rungs=sum((road.get("model_counts", Counter()) for road in roads), Counter[str]()),
     )
 
 
