@@ -6,7 +6,7 @@ import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
@@ -62,10 +62,10 @@ class ResultsDirectory:
         """
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"--out is {self.path}, which is a file; name a new or existing directory")
+        remedy = "choose another directory with --out"
         if not (self.path / SETTINGS_FILE).exists():
             if self.path.exists() and any(not file.name.startswith(PART) for file in self.path.iterdir()):
-                reason = f"{self.path} is not empty, and has no {SETTINGS_FILE}"
-                raise ValueError(f"{reason}; choose another directory with --out")
+                raise ValueError(f"{self.path} is not empty, and has no {SETTINGS_FILE}; {remedy}")
             return dict(settings)
         known, wanted = self.settings(), json.loads(json.dumps(settings))
         differing = [
@@ -74,8 +74,7 @@ class ResultsDirectory:
             if key not in EXTENDED and known.get(key) != wanted.get(key)
         ]
         if differing:
-            held = ", ".join(differing)
-            raise ValueError(f"{self.path} holds results with {held}; choose another directory with --out")
+            raise ValueError(f"{self.path} holds results with {', '.join(differing)}; {remedy}")
         return known
 
     def write_settings(self, settings: Mapping[str, Any]) -> None:
@@ -84,7 +83,7 @@ class ResultsDirectory:
         Raises:
             OSError: if that cannot be written.
         """
-        _write(self.path / SETTINGS_FILE, settings)
+        write_json(self.path / SETTINGS_FILE, settings)
 
     def runs(self) -> list[Run]:
         """Return the runs that made the results, the first one first; none where nothing is recorded.
@@ -109,7 +108,7 @@ class ResultsDirectory:
             ValueError: if the runs before cannot be read.
         """
         runs = [*self.runs(), this_run(command)]
-        _write(self.path / PROVENANCE_FILE, runs)
+        write_json(self.path / PROVENANCE_FILE, runs)
         before, now = ({**run["versions"], "XLA_FLAGS": run.get("xla_flags", "")} for run in (runs[-2:][0], runs[-1]))
         differing = [name for name in {**before, **now} if before.get(name) != now.get(name)]
         return ", ".join(
@@ -122,7 +121,7 @@ def this_run(command: str = "") -> Run:
     return {
         "command": command,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
         "machine": {"processor": _processor(), "cores": cores(), "platform": platform.platform()},
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
     }
@@ -133,16 +132,10 @@ def cannot_resume(file: Path, error: Exception, remedy: str) -> ValueError:
     return ValueError(f"{file} cannot be resumed ({error}); {remedy}")
 
 
-def _write(file: Path, content: Any) -> None:
+def write_json(file: Path, content: Any) -> None:
+    """Write indented JSON; the file is whole, or as it was."""
     with replacing(file) as path:
         path.write_text(json.dumps(content, indent=2) + "\n")
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def _processor() -> str:

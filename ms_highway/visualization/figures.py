@@ -8,8 +8,6 @@ from ms_highway.visualization.comparison import bars, timeline
 from ms_highway.visualization.decisions import decisions
 from ms_highway.visualization.tradeoff import curve
 
-__all__ = ["CAPTIONS", "figures"]
-
 FEWEST_LAMBDAS = 3  # that make a curve
 
 CAPTIONS = {
