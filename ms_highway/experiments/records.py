@@ -107,6 +107,6 @@ def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int
 
 def common_seeds(records: pd.DataFrame, scenario: str, controllers: Sequence[str]) -> list[int]:
     """Return the seeds of the episodes that all of these controllers, one at least, have driven, ascending."""
-    rows = records[records["scenario"] == scenario]
+    rows = records.query("scenario == @scenario")
     driven = (set(rows.loc[rows["controller"] == name, "seed"].tolist()) for name in controllers)
     return sorted(set.intersection(*driven))

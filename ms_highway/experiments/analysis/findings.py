@@ -20,8 +20,8 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
         summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
     """
-    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    reward, counted, fixed = rows["reward"], rows["counted_ms"], rows[rows["kind"] == "fixed"]
+    rows = summaries.query("scenario == @scenario").set_index("controller")
+    reward, counted, fixed = rows["reward"], rows["counted_ms"], rows.query("kind == 'fixed'")
     if fixed.empty:
         pair = telling_pair(summaries, scenario)
         return " ".join(
@@ -29,7 +29,7 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
         )
     best, cheapest = str(fixed["reward"].idxmax()), str(fixed["counted_ms"].fillna(float("inf")).idxmin())
     driven = (
-        records[records["scenario"] == scenario].groupby(["controller", "seed"])["reward"].mean().unstack("controller")
+        records.query("scenario == @scenario").groupby(["controller", "seed"])["reward"].mean().unstack("controller")
     )
     gains = (driven[best] - driven[cheapest]).dropna()
     low, high = interval(gains)
