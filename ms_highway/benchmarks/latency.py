@@ -15,7 +15,6 @@ import jax
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
-from ms_highway.benchmarks.casadi_peer import compiled_peer
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiments.runner import make_environment
 from ms_highway.game.game import Game
@@ -163,6 +162,8 @@ def _compile_seconds(game: Game, models: Sequence[HumanModel], state: State, cac
 
 def _peer(game: Game, model: HumanModel, state: State, ours: Controls, directory: Path) -> Callable[[], None]:
     """Return what repeats the peer's plan, after checking that its first result agrees with ours."""
+    from ms_highway.benchmarks.casadi_peer import compiled_peer  # which needs an extra
+
     call, repeat = compiled_peer(game, model.name, len(state), directory)
     apart = float(abs(call(np.asarray(state)) - ours).max())
     if not apart < AGREEMENT:

@@ -55,10 +55,14 @@ def same(one, other):
 
 
 @pytest.fixture(scope="module", params=["merger", pytest.param("dense_merge", marks=pytest.mark.slow)])
-def learned(request):
+def learned(request, tmp_path_factory):
     """How values are learned, where, and all progress."""
     learning, course = COURSES[request.param]()
-    return learning, course, list(learn(learning, [course], None, device_mesh(jax.local_devices()[:1])))
+    return (
+        learning,
+        course,
+        list(learn(learning, [course], tmp_path_factory.mktemp("kept"), device_mesh(jax.local_devices()[:1]))),
+    )
 
 
 def test_each_round_ends_in_values_of_all_examples_so_far(learned):
@@ -84,9 +88,9 @@ def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_d
         next(learn(learning, [course], kept, device_mesh()))
 
 
-def test_another_seed_gives_other_values(learned):
+def test_another_seed_gives_other_values(learned, tmp_path):
     learning, course, done = learned
-    *_, last = learn(replace(learning, rounds=1, seed=4), [course], None, device_mesh())
+    *_, last = learn(replace(learning, rounds=1, seed=4), [course], tmp_path, device_mesh())
     assert not same(last.values, done[1].values)
 
 

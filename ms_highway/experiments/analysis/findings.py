@@ -28,9 +28,7 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
             [*(f"{name} earns a reward of {reward[name]:.2f} per step." for name in pair), _collisions(rows)]
         )
     best, cheapest = str(fixed["reward"].idxmax()), str(fixed["counted_ms"].fillna(float("inf")).idxmin())
-    driven = (
-        records.query("scenario == @scenario").groupby(["controller", "seed"])["reward"].mean().unstack("controller")
-    )
+    driven = records.query("scenario == @scenario").pivot_table("reward", "seed", "controller")
     gains = (driven[best] - driven[cheapest]).dropna()
     low, high = interval(gains)
     text = f"Planning every step with {best} earns a reward of {reward[best]:.2f} per step"

@@ -31,8 +31,7 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
         seeds: of the starts.
         price: lambda [reward per second].
     """
-    rows = table.reset_index()
-    rows = rows[rows["seed"].isin(seeds)].reset_index(drop=True)
+    rows = table.query("seed in @seeds").reset_index()
     rows["meta_reward"] = _meta_reward(rows, price)
     return rows.loc[rows.groupby("seed")["meta_reward"].idxmax()].set_index("seed")
 

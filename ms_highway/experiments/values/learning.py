@@ -7,7 +7,7 @@ not, and on any number of devices.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from itertools import product
+from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
 from zipfile import BadZipFile
@@ -123,7 +123,7 @@ class Progress(NamedTuple):
     regrets: Mapping[str, float] = {}
 
 
-def learn(learning: Learning, courses: Sequence[Course], kept: Path | None, mesh: Mesh) -> Iterator[Progress]:
+def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh) -> Iterator[Progress]:
     """Learn values on some courses.
 
     Args:
@@ -142,23 +142,21 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path | None, mesh
         (course.name, course.steps, course.rungs, crc32(pack(course.game).numbers.tobytes())) for course in courses
     ]
     settings = {**asdict(learning), "courses": games}
-    if kept is not None:
-        ResultsDirectory(kept).take_up(settings)
-        ResultsDirectory(kept).write_settings(settings)
+    ResultsDirectory(kept).take_up(settings)
+    ResultsDirectory(kept).write_settings(settings)
     held_out = [_HeldOut(learning, course, mesh) for course in courses if course.share == 1 and not course.several]
     values, done = None, list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, course in enumerate(courses):
-            file = None if kept is None else kept / f"{number}-{place}.npz"
-            if file is None or not file.exists():
+            file = kept / f"{number}-{place}.npz"
+            if file.exists():
+                rollouts = _read(file)
+            else:
                 random, states = learning.stream(number, COURSE, place), learning.states[values is not None]
                 driving = learning.driving(course, values, mesh)
                 rollouts = driving.roll_out(random, max(1, round(course.share * states)), len(learning.costs))
-                if file is not None:
-                    with replacing(file) as path, path.open("wb") as opened:
-                        np.savez(opened, **rollouts._asdict())
-            else:
-                rollouts = _read(file)
+                with replacing(file) as path, path.open("wb") as opened:
+                    np.savez(opened, **rollouts._asdict())
             done.append(rollouts)
             yield Progress(number, course.name)
         values = learning.values(done, number)
@@ -188,9 +186,7 @@ class _HeldOut:
         self.learning, self.course, self.mesh = learning, course, mesh
         self.starts, self.weights = course.starts(learning.stream(EVALUATION, HELD_OUT), HELD_OUT_STARTS)
         rungs, steps = range(len(course.rungs)), np.arange(course.steps)
-        orders = [
-            np.where(steps < end, one, other) for end, one, other in product(SWITCHES, rungs, rungs) if one != other
-        ]
+        orders = [np.where(steps < end, *pair) for end in SWITCHES for pair in permutations(rungs, 2)]
         orders += [np.full(course.steps, rung) for rung in rungs]
         self.orders = self._outcomes(None, np.array(orders), np.ones(len(orders)))
 
