@@ -7,9 +7,9 @@ from importlib.metadata import version
 
 import pandas as pd
 import pytest
-from comparisons import COMPARE, failure
+from commands import run
+from comparisons import COMPARE
 
-from ms_highway.cli.main import main
 from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.analysis.selection import choosing_controllers, telling_pair
 from ms_highway.experiments.results import read_results
@@ -22,14 +22,13 @@ def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
     assert runs[0]["time"] <= runs[1]["time"]  # to the second
     assert runs[0]["machine"]["cores"] >= 1
     assert runs[0]["versions"]["highway-env"] == version("highway-env")
-    assert main([*COMPARE, str(compared), "--seeds", "2"]) == 0
+    run(f"{COMPARE} {compared} --seeds 2")
     assert json.loads((compared / "provenance.json").read_text()) == runs
 
 
-def test_a_comparison_refuses_provenance_that_cannot_be_read_and_leaves_everything(tmp_path, capsys):
+def test_a_comparison_refuses_provenance_that_cannot_be_read_and_leaves_everything(tmp_path, refused):
     (tmp_path / "provenance.json").write_text("[")
-    assert "provenance.json cannot be read" in failure(capsys, *COMPARE, str(tmp_path))
-    assert [path.name for path in tmp_path.iterdir()] == ["provenance.json"]
+    assert "provenance.json cannot be read" in refused(f"{COMPARE} .")
 
 
 def without_column(directory):
@@ -71,11 +70,9 @@ def renamed(old, new):
         (renamed("0.09", "cheap"), "has texts where numbers belong, in column counted_seconds"),
     ],
 )
-def test_results_that_are_no_results_are_refused_in_one_line(spoil, message, compared, tmp_path, capsys):
-    directory = shutil.copytree(compared, tmp_path / "results", ignore=shutil.ignore_patterns("*.html"))
-    spoil(directory)
-    assert message in failure(capsys, "report", str(directory), "--out", str(tmp_path / "page.html"))
-    assert not (tmp_path / "page.html").exists()
+def test_results_that_are_no_results_are_refused_in_one_line(spoil, message, compared, tmp_path, refused):
+    spoil(shutil.copytree(compared, tmp_path / "results", ignore=shutil.ignore_patterns("*.html")))
+    assert message in refused("report results --out page.html")
 
 
 def test_results_know_the_settings_of_their_environments(compared):
