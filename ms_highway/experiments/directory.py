@@ -12,7 +12,7 @@ from typing import Any, NotRequired, TypedDict
 
 import msgspec
 
-from ms_highway.runtime.files import PART, read_json, replacing
+from ms_highway.runtime.files import PART, read_json, reading, replacing
 from ms_highway.runtime.jax_settings import cores
 
 SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
@@ -48,11 +48,8 @@ class ResultsDirectory:
         Raises:
             ValueError: if the file cannot be read.
         """
-        file = self.path / SETTINGS_FILE
-        try:
-            return dict(read_json(file))
-        except (OSError, ValueError, TypeError) as error:
-            raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
+        with reading(self.path / SETTINGS_FILE, "choose another directory"):
+            return dict(read_json(self.path / SETTINGS_FILE))
 
     def take_up(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Return the settings of results that can begin here, or be resumed: these, or those that are known.
@@ -92,11 +89,8 @@ class ResultsDirectory:
             ValueError: if the record cannot be read.
         """
         file = self.path / PROVENANCE_FILE
-        try:
+        with reading(file, "move it away or choose another directory", " as a list of runs"):
             return msgspec.convert(read_json(file), list[Run]) if file.exists() else []
-        except (OSError, ValueError) as error:
-            remedy = "move it away or choose another directory"
-            raise ValueError(f"{file} cannot be read as a list of runs ({error}); {remedy}") from error
 
     def record(self, command: str) -> str:
         """Record this process as one more run, which a line of a shell began.
@@ -125,11 +119,6 @@ def this_run(command: str = "") -> Run:
         "machine": {"processor": _processor(), "cores": cores(), "platform": platform.platform()},
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
     }
-
-
-def cannot_resume(file: Path, error: Exception, remedy: str) -> ValueError:
-    """Return the error to raise from the one that a file of results has caused."""
-    return ValueError(f"{file} cannot be resumed ({error}); {remedy}")
 
 
 def write_json(file: Path, content: Any) -> None:

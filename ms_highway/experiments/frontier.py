@@ -14,9 +14,8 @@ import pandas as pd
 from jax.sharding import Mesh
 
 from ms_highway.experiments.batch import Batch, Key
-from ms_highway.experiments.directory import cannot_resume
 from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.files import replacing
+from ms_highway.runtime.files import reading, replacing
 
 ELITE = 0.15  # of the population: how many of the best orders the next ones are drawn like
 SMOOTHING = 0.3  # of the old frequencies that is kept
@@ -53,10 +52,9 @@ class Outcomes:
         self.batch, self._file, self._mesh = batch, file, mesh
         self.table = pd.DataFrame(index=pd.MultiIndex.from_tuples([], names=INDEX))
         if file is not None and file.exists():
-            try:  # Python's float gives back the very numbers that were written
+            with reading(file, "remove it or choose another directory"):
+                # Python's float gives back the very numbers that were written.
                 self.table = pd.read_csv(file, converters=KEPT_COLUMNS).set_index(INDEX)[list(KEPT_COLUMNS)]
-            except (ValueError, KeyError) as error:
-                raise cannot_resume(file, error, "remove it or choose another directory") from error
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
         """Return the rows of some episodes, in their order; simulate and keep those that are not known."""

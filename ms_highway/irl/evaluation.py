@@ -23,7 +23,7 @@ from ms_highway.irl.predictors import PREDICTORS, Prediction, check_drivers, pre
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.windows import Windows, driver_game, regular_windows
-from ms_highway.runtime.files import read_json
+from ms_highway.runtime.files import read_json, reading
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.runtime.structures import Structure, read
 
@@ -213,11 +213,8 @@ def load_evaluation(path: Path) -> Evaluation:
     Raises:
         ValueError: if the file cannot be read or is no evaluation; the message names what is wrong.
     """
-    try:
+    with reading(path, "write it again with `ms-highway irl evaluate --json`", " as an evaluation"):
         return read(read_json(path), Evaluation)
-    except (OSError, ValueError) as error:
-        remedy = "write it again with `ms-highway irl evaluate --json`"
-        raise ValueError(f"{path} cannot be read as an evaluation: {error}; {remedy}") from error
 
 
 def driving_regimes(moments: Moments) -> dict[str, Flags]:

@@ -114,7 +114,7 @@ def test_compare_says_that_it_goes_on_with_other_versions(compared, begun, capsy
             lambda steps: steps.replace("stay_back,naive,0,0,", "stay_back,naive,nought,0,"),
             "numbers belong, in column seed",
         ),
-        (lambda steps: "these are\nno, records\n", "cannot be resumed"),
+        (lambda steps: "these are\nno, records\n", "steps.csv cannot be read"),
     ],
 )
 def test_compare_refuses_records_that_are_damaged_or_of_another_version_and_leaves_them(spoil, message, begun, refused):

@@ -128,7 +128,7 @@ def test_outcomes_that_were_damaged_are_named(searched, tmp_path, refused):
     shutil.copytree(searched, tmp_path / "out")
     (tmp_path / "out" / "merger_episodes.csv").write_text("controller,seed\n")
     line = refused(f"{SEARCH} out")
-    assert "merger_episodes.csv cannot be resumed" in line
+    assert "merger_episodes.csv cannot be read" in line
     assert "remove it" in line
 
 

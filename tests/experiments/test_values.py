@@ -73,7 +73,7 @@ def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_d
     with pytest.raises(ValueError, match=r"seed \d instead of 9"):
         next(learn(replace(learning, seed=9), [course], kept, device_mesh()))
     (kept / "1-0.npz").write_bytes(before[:100])
-    with pytest.raises(ValueError, match=r"1-0\.npz cannot be resumed"):
+    with pytest.raises(ValueError, match=r"1-0\.npz cannot be read"):
         next(learn(learning, [course], kept, device_mesh()))
 
 

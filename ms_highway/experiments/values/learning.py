@@ -10,13 +10,12 @@ from dataclasses import asdict, dataclass, field
 from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 from zlib import crc32
 
 import numpy as np
 from jax.sharding import Mesh
 
-from ms_highway.experiments.directory import ResultsDirectory, cannot_resume
+from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.experiments.values.fitting import fit, new_network
 from ms_highway.experiments.values.rollouts import Course, Driving, Random, Rollouts
 from ms_highway.metareasoning.learned_value import Baseline
@@ -25,12 +24,13 @@ from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import human_model
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import pack
-from ms_highway.runtime.files import replacing
+from ms_highway.runtime.files import reading, replacing
 from ms_highway.simulation.records import DECIDES
 
 BLIND = {"lambda": ("log10 lambda",), "gradients": ("d/d ",)}
 """Parts of the names of inputs that `Learning` can do without, by what it is called."""
 
+REMEDY = "remove it, or choose another --out"
 LEAST_SPREAD = 1e-3  # of an input
 UNSEEN = 1e9  # spread of an input that is left out
 HELD_OUT_STARTS = 8
@@ -150,7 +150,8 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
         for place, course in enumerate(courses):
             file = kept / f"{number}-{place}.npz"
             if file.exists():
-                rollouts = _read(file)
+                with reading(file, REMEDY), file.open("rb") as opened, np.load(opened) as archive:
+                    rollouts = Rollouts(**archive)
             else:
                 random, states = learning.stream(number, COURSE, place), learning.states[values is not None]
                 driving = learning.driving(course, values, mesh)
@@ -166,14 +167,6 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
 def rollouts_directory(out: Path) -> Path:
     """Return the directory that keeps the rollouts of values that will be written to ``out``."""
     return out.with_name(f"{out.name}.rollouts")
-
-
-def _read(file: Path) -> Rollouts:
-    try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as archive:
-            return Rollouts(**archive)
-    except (BadZipFile, EOFError, OSError, TypeError, ValueError) as error:
-        raise cannot_resume(file, error, "remove it, or choose another --out") from error
 
 
 class _HeldOut:
