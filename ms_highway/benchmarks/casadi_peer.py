@@ -18,11 +18,10 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.game import Game, constant_velocity, discomfort, swap_roles, total_reward
+from ms_highway.runtime.extras import needing
 
-try:
+with needing("bench"):
     ca: Any = import_module("casadi")  # whose declared types are not those of its functions
-except ImportError:
-    raise ImportError('the peer needs CasADi: pip install "ms-highway[bench]"') from None
 
 SWEEPS = 6  # of Jacobi's eigenvalue method; more change nothing in float64
 COMPILER = {"compiler": "gcc", "flags": ["-O3", "-march=native"], "cleanup": False}

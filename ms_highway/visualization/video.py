@@ -13,6 +13,7 @@ from PIL import Image
 
 from ms_highway.envs.graphics import INK, MARGIN, PAPER, model_color, words
 from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import replacing
 
 Picture = UInt8[np.ndarray, "h w 3"]
@@ -117,11 +118,9 @@ def encoded(pictures: Sequence[Picture], suffix: str, frames_per_second: float) 
 
 def _imageio() -> Any:
     """Return the library that writes .mp4 files."""
-    try:
+    with needing("video"):
         import av  # noqa: F401
         import imageio.v3 as imageio
-    except ImportError as error:
-        raise ImportError("videos need the extra 'video': pip install 'ms-highway[video]'") from error
     return imageio
 
 

@@ -156,8 +156,8 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
                 random, states = learning.stream(number, COURSE, place), learning.states[values is not None]
                 driving = learning.driving(course, values, mesh)
                 rollouts = driving.roll_out(random, max(1, round(course.share * states)), len(learning.costs))
-                with replacing(file) as path, path.open("wb") as opened:
-                    np.savez(opened, **rollouts._asdict())
+                with replacing(file) as path:
+                    np.savez(path, **rollouts._asdict())
             done.append(rollouts)
             yield Progress(number, course.name)
         values = learning.values(done, number)

@@ -13,6 +13,7 @@ from scipy.interpolate import BSpline, make_smoothing_spline
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.arrays import Points, Values
 from ms_highway.irl.recordings.recording import Recording
+from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import temporary_directory
 
 SPEED_LIMIT = 29.06  # m/s, 65 mph: on US-101, whose scenarios have no traffic signs
@@ -121,12 +122,8 @@ def _open(path: Path) -> Any:
     """Return the scenario of a file, an object of commonroad-io."""
     with temporary_directory() as directory, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about irrelevant things, such as unknown locations
-        try:
+        with needing("commonroad"):
             from commonroad.common.reader.file_reader_xml import XMLFileReader  # by itself, without protobuf
-        except ImportError as error:
-            raise ImportError(
-                "CommonRoad needs the extra 'commonroad': pip install 'ms-highway[commonroad]'"
-            ) from error
         try:
             readable = path
             if path.name.endswith(COMPRESSED):
