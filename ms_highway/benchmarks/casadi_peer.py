@@ -88,7 +88,9 @@ def _plan(game: Game, model: str, now: Any) -> Any:
             partner = constant_velocity(game, state[1]) if partner is None else partner
             return total_reward(played, state, own, partner[None]) - discomfort(played, state[0], own)
 
-        return _translated(earned, state, *controls)
+        numbers = [np.zeros((part.numel() // 2, 2), np.float32) for part in controls]
+        traced = jax.make_jaxpr(earned)(np.zeros((state.numel() // 4, 4), np.float32), *numbers)
+        return _evaluated(traced.jaxpr, traced.consts, state, *controls)[0]
 
     def improved(controls: Any, slope: Any) -> Any:
         return ca.fmin(ca.fmax(controls + float(planner.step_size) * slope, -limit), limit)
@@ -131,13 +133,6 @@ def _response(influence: str, vector: Any, hessian: Any) -> Any:
     sweep = ca.Function("sweep", [ca.horzcat(matrix, basis)], [ca.horzcat(turned, vectors)]).fold(SWEEPS)
     values, vectors = ca.horzsplit(sweep(ca.horzcat(hessian, ca.DM.eye(size))), size)
     return vectors @ ((vectors.T @ vector) / ca.fmax(ca.fabs(ca.diag(values)), 1.0))
-
-
-def _translated(function: Callable[..., jax.Array], state: Any, *controls: Any) -> Any:
-    """Return a function of a state and of controls, for ravelled expressions of CasADi."""
-    numbers = [np.zeros((part.numel() // 2, 2), np.float32) for part in controls]
-    traced = jax.make_jaxpr(function)(np.zeros((state.numel() // 4, 4), np.float32), *numbers)
-    return _evaluated(traced.jaxpr, traced.consts, state, *controls)[0]
 
 
 def _evaluated(traced: Any, constants: Sequence[Any], *given: Any) -> list[Any]:

@@ -146,14 +146,21 @@ def configuration(options: argparse.Namespace) -> dict[str, Any]:
     Raises:
         ValueError: for what is no key and value, and for a human's reward that cannot be read.
     """
+    from ms_highway.envs.settings import HUMAN_REWARDS
+    from ms_highway.game.learned_reward import load
+
     config = {}
     for text in options.keys:
         key, sign, value = text.partition("=")
         if not sign or key in ("controller", "action"):
             raise ValueError(f"--set {text}: say it like --set horizon=10; who drives is no key that can be set")
         config[key] = _value(value)
-    if isinstance(reward := config.get("human_reward"), str):
-        config["human_reward"] = _human_reward(reward)
+    reward, known = config.get("human_reward"), HUMAN_REWARDS.values()
+    if isinstance(reward, str) and reward not in known:
+        try:
+            config["human_reward"] = load(Path(reward)).weights
+        except ValueError as error:
+            raise ValueError(f"--set human_reward is neither {' nor '.join(known)}: {error}") from error
     return config
 
 
@@ -166,17 +173,6 @@ def _value(text: str) -> Any:
     if "=" in text:
         return {name: _value(value) for name, _, value in (part.partition("=") for part in parts)}
     return list(map(_value, parts)) if "," in text else text
-
-
-def _human_reward(text: str) -> str | dict[str, float]:
-    from ms_highway.envs.settings import HUMAN_REWARDS
-    from ms_highway.game.learned_reward import load
-
-    known = HUMAN_REWARDS.values()
-    try:
-        return text if text in known else load(Path(text)).weights
-    except ValueError as error:
-        raise ValueError(f"--set human_reward is neither {' nor '.join(known)}: {error}") from error
 
 
 def comparison(

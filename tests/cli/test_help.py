@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from typing import get_args
 
 import pytest
 
@@ -11,8 +10,6 @@ from ms_highway.cli import irl, options
 from ms_highway.cli.main import main
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.demonstration import DENSITIES
-from ms_highway.irl.driving import Others
-from ms_highway.irl.learning import REAL, SIMULATED
 from ms_highway.planning.human_models import PAPER_MODELS
 
 COMMANDS = ["compare", "sweep", "frontier", "video", "report", "bench", "validate"]
@@ -51,10 +48,7 @@ def test_help_loads_neither_jax_nor_highway_env_nor_what_draws():
 
 def test_the_names_in_help_texts_are_those_that_are_known():
     assert tuple(ENVIRONMENTS) == options.SCENARIO_NAMES
-    assert get_args(Others) == irl.OTHERS
     assert tuple(DENSITIES) == irl.DENSITY_NAMES
-    assert REAL.learned == irl.REAL_WEIGHTS
-    assert SIMULATED.learned == irl.SIMULATED_WEIGHTS
     assert tuple(options.CONTROLLERS.split(", ")[: len(PAPER_MODELS)]) == tuple(PAPER_MODELS)
 
 
