@@ -13,13 +13,13 @@ from ms_highway.envs.demonstration import DENSITIES
 from ms_highway.planning.human_models import PAPER_MODELS
 
 COMMANDS = ["compare", "sweep", "frontier", "video", "report", "bench", "validate"]
-SUBCOMMANDS = [["bench", "road"], ["values", "learn"], *(["irl", name] for name in ("record", "fit", "evaluate"))]
+COMMANDS += ["bench road", "values learn", "irl record", "irl fit", "irl evaluate"]
 
 
-@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS), *SUBCOMMANDS])
+@pytest.mark.parametrize("command", ["", *COMMANDS])
 def test_help_teaches_the_command(command, capsys):
     with pytest.raises(SystemExit) as ended:
-        main([*command, "--help"])
+        main([*command.split(), "--help"])
     assert ended.value.code == 0
     text = capsys.readouterr().out
     assert text.startswith("usage: ms-highway")
@@ -40,9 +40,8 @@ print(f"loaded: {sorted({'highway_env', 'jax', 'matplotlib', 'pandas', 'rich', '
 
 
 def test_help_loads_neither_jax_nor_highway_env_nor_what_draws():
-    commands = [*COMMANDS, *(" ".join(command) for command in SUBCOMMANDS)]
-    run = subprocess.run([sys.executable, "-c", HELP, *commands], capture_output=True, text=True, check=True)
-    assert run.stdout.count("usage: ms-highway") == 1 + len(commands)
+    run = subprocess.run([sys.executable, "-c", HELP, *COMMANDS], capture_output=True, text=True, check=True)
+    assert run.stdout.count("usage: ms-highway") == 1 + len(COMMANDS)
     assert run.stdout.endswith("loaded: []\n")
 
 
@@ -55,8 +54,5 @@ def test_the_names_in_help_texts_are_those_that_are_known():
 def test_the_keys_that_help_texts_explain_are_those_of_the_environments():
     known = {key for environment in ENVIRONMENTS.values() for key in environment.default_config()}
     keys = re.findall(r"\b([a-z]+(?:_[a-z]+)?)=[^=,\s]", options.KEYS)
-    assert (
-        {"semantics", "horizon", "step_size", "costs", "way_out"}
-        <= set(keys)
-        <= known | {"naive", "a", "b", "turn", "tom"}
-    )
+    assert {"semantics", "horizon", "step_size", "costs", "way_out"} <= set(keys)
+    assert set(keys) <= known | {"naive", "a", "b", "turn", "tom"}

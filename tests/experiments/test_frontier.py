@@ -130,16 +130,3 @@ def test_outcomes_that_were_damaged_are_named(searched, tmp_path, refused):
     line = refused(f"{SEARCH} out")
     assert "merger_episodes.csv cannot be read" in line
     assert "remove it" in line
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("roundabout", "unknown scenario 'roundabout'"),
-        ("merger --devices 1000", "1000 devices are wanted; this process has"),
-        ("merger --set ladder=tom,naive", "cheapest first"),
-        ("merger --set costs=measured", "cannot measure plans"),
-    ],
-)
-def test_a_wrong_search_says_so_in_one_line_and_writes_nothing(arguments, message, refused):
-    assert message in refused(f"frontier {arguments} --out out")

@@ -115,8 +115,6 @@ def test_a_part_that_was_damaged_is_named(swept, tmp_path, refused):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("roundabout", "unknown scenario 'roundabout'"),
-        ("merger --controllers oracle", "unknown controller 'oracle'"),
         ("merger --seeds 1000000 --part 1", "parts; there may be 1000000, of --part episodes each"),
         ("merger --set costs=measured", "cannot measure plans"),
         (
