@@ -4,7 +4,7 @@ From a known start nothing in an episode is left to chance, so that no rule for 
 more than the best order of models for that very start. What a search finds is as good as that, or worse.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby, product
 from math import ceil
 from pathlib import Path
@@ -115,11 +115,8 @@ def search(
     Yields:
         The number of each round that is done, from 1; and one more, when starts have tried each other's best orders.
     """
-    random, models, shape = (
-        np.random.default_rng(0),
-        outcomes.batch.rungs,
-        (outcomes.batch.steps, outcomes.batch.humans),
-    )
+    random, batch = np.random.default_rng(0), outcomes.batch
+    models, shape = batch.rungs, (batch.steps, batch.humans)
     even = np.full((shape[0], len(models)), 1 / len(models))
     tables = {(seed, price): even for seed in seeds for price in prices}
     orders = dict[str, Array]()
@@ -131,10 +128,9 @@ def search(
         keys: list[Key] = []
         for seed, price in tables:
             if price in ascending[number % turns :: turns]:
-                best = orders[leaders[seed, price][0]] if leaders else None
-                drawn = (
-                    _first(shape, len(models)) if best is None else _next(random, tables[seed, price], best, population)
-                )
+                drawn: Iterable[Array] = _first(shape, len(models))
+                if leaders:
+                    drawn = _next(random, tables[seed, price], orders[leaders[seed, price][0]], population)
                 named = {controller_name(models, order): order for order in drawn}
                 orders |= named
                 keys += [(name, seed) for name in named]
@@ -143,7 +139,7 @@ def search(
             tried[seed][name] = outcome
         for (seed, price), table in tables.items():
             own = {name: reward - price * seconds for name, (reward, seconds) in tried[seed].items()}
-            leaders[seed, price] = sorted(own, key=lambda name: own[name], reverse=True)
+            leaders[seed, price] = sorted(own, key=own.__getitem__, reverse=True)
             elite = [orders[name] for name in leaders[seed, price][: max(2, round(ELITE * population))]]
             frequencies = np.eye(len(models))[np.array(elite)].mean(axis=(0, 2))
             mixed = np.maximum(SMOOTHING * table + (1 - SMOOTHING) * frequencies, FLOOR)
@@ -154,14 +150,11 @@ def search(
     yield rounds + 1
 
 
-def _first(shape: tuple[int, int], rungs: int) -> list[Array]:
-    """Return the orders of one rung up to some step and another one from there on."""
+def _first(shape: tuple[int, int], rungs: int) -> Iterator[Array]:
+    """Yield the orders of one rung up to some step and another one from there on."""
     ends = np.unique(np.round(np.geomspace(1, shape[0], SWITCHES)).astype(int))
-    orders = []
-    for end, one, other in product(ends, range(rungs), range(rungs)):
-        orders.append(np.full(shape, other))
-        orders[-1][:end] = one
-    return orders
+    for end, *pair in product(ends, range(rungs), range(rungs)):
+        yield np.where(np.arange(shape[0]) < end, *pair)[:, None].repeat(shape[1], axis=1)
 
 
 def _next(random: np.random.Generator, table: Array, leader: Array, population: int) -> Iterator[Array]:
