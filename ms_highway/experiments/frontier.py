@@ -4,7 +4,7 @@ From a known start nothing in an episode is left to chance, so that no rule for 
 more than the best order of models for that very start. What a search finds is as good as that, or worse.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby, product
 from math import ceil
 from pathlib import Path
@@ -125,10 +125,10 @@ def search(
     ascending = sorted(set(prices))
     turns = max(1, ceil(len(ascending) / PRICES_AT_ONCE))
     for number in range(1, rounds + 1):
-        keys: list[Key] = []
+        keys = []
         for seed, price in tables:
             if price in ascending[number % turns :: turns]:
-                drawn: Iterable[Array] = _first(shape, len(models))
+                drawn = _first(shape, len(models))
                 if leaders:
                     drawn = _next(random, tables[seed, price], orders[leaders[seed, price][0]], population)
                 named = {controller_name(models, order): order for order in drawn}

@@ -13,7 +13,7 @@ from ms_highway.experiments.records import check_records, whole_steps
 from ms_highway.experiments.runner import STEPS_FILE
 from ms_highway.runtime.files import reading
 
-PUBLISHED_WITH: dict[str, Any] = {
+PUBLISHED_WITH = {
     "semantics": "released",
     "solver": "gradient",
     "human_reward": "published",

@@ -56,7 +56,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     filled -= set() if "success" in filled else {"late", "cycle_ms_p50"}  # of interest where plans take long
     filled -= set() if rows.get("fallbacks", rows["episodes"]).any() else {"fallbacks"}
     shares = f"{' / '.join(models)} %", " / ".join(f"{{{share_column(name)}:.0f}}" for name in models)
-    texts: dict[str, list[str]] = {}
+    texts = {}
     for heading, form in ((heading, form) if form else shares for heading, form in FORMS.items()):
         if {part[1] for part in Formatter().parse(form)} - {None} <= filled:
             texts[heading] = [form.format(**row) for row in rows.to_dict("records")]

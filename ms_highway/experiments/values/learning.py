@@ -76,7 +76,7 @@ class Learning:
         """Fit values to rollouts in round ``number``, from 1."""
         over_top, names = self.baseline == "top", input_names(self.baseline)
         random = self.stream(number, EVALUATION if over_top else HELD_OUT)
-        costs: tuple[float, ...] = tuple(self.costs.values())
+        costs = tuple(self.costs.values())
         centre, spread = np.zeros(len(names), np.float32), np.ones(len(names), np.float32)
         shape = len(names), len(costs) - (not over_top)
         network = new_network(random, *shape)
