@@ -78,7 +78,7 @@ def test_files_that_are_no_reference_files_are_refused_by_name(tmp_path):
     with pytest.raises(FileNotFoundError, match="no reference episodes"):
         validate(tmp_path)
     (tmp_path / "merger__naive.npz").write_bytes(b"not an archive")
-    with pytest.raises(ValueError, match=r"merger__naive\.npz is no reference file"):
+    with pytest.raises(ValueError, match=r"merger__naive\.npz cannot be read as a reference file"):
         validate(tmp_path)
     for name in ("highway__naive", "merger__switching_aggressive"):
         np.savez(tmp_path / f"{name}.npz")

@@ -129,9 +129,9 @@ def test_cars_seen_once_are_neighbours_but_no_drivers(tmp_path):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (scenario()[:3000], "is no CommonRoad scenario, or damaged .*; fetch it again"),
-        ("", "is no CommonRoad scenario, or damaged .*; fetch it again"),
-        ("<html/>", "is no CommonRoad scenario, or damaged .*; fetch it again"),
+        (scenario()[:3000], "cannot be read as a CommonRoad scenario .*; fetch it again"),
+        ("", "cannot be read as a CommonRoad scenario .*; fetch it again"),
+        ("<html/>", "cannot be read as a CommonRoad scenario .*; fetch it again"),
         (scenario(lanelets=""), "there are no lanelets from which lanes start"),
         (scenario(cars=""), "there is no dynamic obstacle with two samples"),
         (scenario(cars=car(100, 20, 0, samples=1)), "there is no dynamic obstacle with two samples"),
@@ -184,7 +184,7 @@ def test_the_first_files_are_read_where_that_is_asked_for(tmp_path):
         (tmp_path / f"{name}.xml").write_text(scenario())
     (tmp_path / "c.xml").write_text("never looked at")
     assert len(read_directory(tmp_path, 2)) == 2
-    with pytest.raises(ValueError, match=r"c\.xml is no CommonRoad scenario"):
+    with pytest.raises(ValueError, match=r"c\.xml cannot be read as a CommonRoad scenario"):
         read_directory(tmp_path, 3)
 
 
@@ -192,7 +192,9 @@ def test_a_scenario_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
     with gzip.open(tmp_path / "bomb.xml.gz", "wb", compresslevel=1) as bomb:
         for _ in range(101):
             bomb.write(bytes(1_000_000))
-    with pytest.raises(ValueError, match=r"bomb\.xml\.gz is no CommonRoad scenario.*more than 100000000 bytes"):
+    with pytest.raises(
+        ValueError, match=r"bomb\.xml\.gz cannot be read as a CommonRoad scenario.*more than 100000000 bytes"
+    ):
         read_directory(tmp_path)
 
 
