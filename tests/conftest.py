@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
+from ms_highway.cli.main import main
 from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import PAPER_UNIT, Scenario, build_game, draw_episode
@@ -100,6 +101,24 @@ def us101(us101_directory: Path) -> "list[Recording]":
     from ms_highway.irl.recordings.commonroad import read_directory  # which needs an extra
 
     return read_directory(us101_directory)
+
+
+@pytest.fixture
+def refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[[str], str]:
+    """A function that runs a command in an own directory, where it must write nothing; returns its line of refusal."""
+
+    def refusal(command: str) -> str:
+        monkeypatch.chdir(tmp_path)
+        before = sorted(tmp_path.rglob("*"))
+        capsys.readouterr()
+        assert main(command.split(" ")) == 2
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert sorted(tmp_path.rglob("*")) == before
+        return line
+
+    return refusal
 
 
 @pytest.fixture(params=["stay_back", "merger", "give_way"])

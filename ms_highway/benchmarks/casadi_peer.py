@@ -1,5 +1,7 @@
 """The same plans in CasADi, compiled to C: what `ms_highway.benchmarks.latency` measures ours against.
 
+Importing it needs the packages of the extra ``bench``.
+
 A plan is written for one game, whose numbers become constants of the C code; only the state is an argument. Rewards are
 translated from the operations that JAX traces; CasADi differentiates them, and its ascent and its responses are written
 here once more, so that equal plans check ours.
@@ -16,6 +18,10 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.game import Game, constant_velocity, discomfort, swap_roles, total_reward
+from ms_highway.runtime.extras import needing
+
+with needing("bench"):
+    ca: Any = import_module("casadi")  # whose declared types are not those of its functions
 
 SWEEPS = 6  # of Jacobi's eigenvalue method; more change nothing in float64
 COMPILER = {"compiler": "gcc", "flags": ["-O3", "-march=native"], "cleanup": False}
@@ -41,22 +47,17 @@ def compiled_peer(
         directory: where the C code is written and compiled.
 
     Raises:
-        ImportError: without CasADi.
         ValueError: for a model without a peer, and for a game that looks at what tyres hold.
         RuntimeError: without gcc.
     """
-    try:
-        casadi: Any = import_module("casadi")  # whose declared types are not those of its functions
-    except ImportError:
-        raise ImportError('the peer needs CasADi: pip install "ms-highway[bench]"') from None
     if game.planner.grip is not None:
         raise ValueError("the peer knows bounds of each control only; leave out the grip")
     if model not in ("naive", "turn", "tom"):
         raise ValueError(f"no peer for {model!r}; there are naive, turn, tom")
-    now = casadi.MX.sym("now", 4 * cars)
+    now = ca.MX.sym("now", 4 * cars)
     compiling = {**COMPILER, "directory": f"{directory}/"}
     compiler = {"jit": True, "compiler": "shell", "jit_cleanup": False, "jit_options": compiling}
-    function = casadi.Function("plan", [now], [_plan(casadi, game, model, now)], compiler)
+    function = ca.Function("plan", [now], [_plan(game, model, now)], compiler)
     given, planned = np.zeros(4 * cars), np.zeros(2 * game.planner.horizon)
     buffer, evaluate = function.buffer()
     buffer.set_arg(0, given.data)
@@ -73,7 +74,7 @@ def compiled_peer(
     return call, repeat
 
 
-def _plan(ca: Any, game: Game, model: str, now: Any) -> Any:
+def _plan(game: Game, model: str, now: Any) -> Any:
     """Return the plan in a state, ravelled."""
     planner, size = game.planner, 2 * game.planner.horizon
     limit = np.tile(np.asarray(planner.control_limit, float) / np.asarray(planner.control_scale), planner.horizon)
@@ -87,7 +88,9 @@ def _plan(ca: Any, game: Game, model: str, now: Any) -> Any:
             partner = constant_velocity(game, state[1]) if partner is None else partner
             return total_reward(played, state, own, partner[None]) - discomfort(played, state[0], own)
 
-        return _translated(ca, earned, state, *controls)
+        numbers = [np.zeros((part.numel() // 2, 2), np.float32) for part in controls]
+        traced = jax.make_jaxpr(earned)(np.zeros((state.numel() // 4, 4), np.float32), *numbers)
+        return _evaluated(traced.jaxpr, traced.consts, state, *controls)[0]
 
     def improved(controls: Any, slope: Any) -> Any:
         return ca.fmin(ca.fmax(controls + float(planner.step_size) * slope, -limit), limit)
@@ -110,12 +113,12 @@ def _plan(ca: Any, game: Game, model: str, now: Any) -> Any:
     update = ca.Function("update", [robot, human, push, state], moved)
     both = ca.MX.sym("both", 2 * size)
     parts = ca.vertsplit(both, size)
-    after = update(*parts, _response(ca, game.influence, *derivatives(*parts, now)), now)
+    after = update(*parts, _response(game.influence, *derivatives(*parts, now)), now)
     once = ca.Function("once", [both, now], [ca.vertcat(*after)])
     return once.fold(planner.iterations)(ca.DM.zeros(2 * size), now)[:size]
 
 
-def _response(ca: Any, influence: str, vector: Any, hessian: Any) -> Any:
+def _response(influence: str, vector: Any, hessian: Any) -> Any:
     """`ms_highway.optimization.second_derivatives.response`; eigenvalues by sweeps of Jacobi rotations."""
     if influence == "exact":
         return -ca.solve(hessian, vector)
@@ -132,14 +135,7 @@ def _response(ca: Any, influence: str, vector: Any, hessian: Any) -> Any:
     return vectors @ ((vectors.T @ vector) / ca.fmax(ca.fabs(ca.diag(values)), 1.0))
 
 
-def _translated(ca: Any, function: Callable[..., jax.Array], state: Any, *controls: Any) -> Any:
-    """Return a function of a state and of controls, for ravelled expressions of CasADi."""
-    numbers = [np.zeros((part.numel() // 2, 2), np.float32) for part in controls]
-    traced = jax.make_jaxpr(function)(np.zeros((state.numel() // 4, 4), np.float32), *numbers)
-    return _evaluated(ca, traced.jaxpr, traced.consts, state, *controls)[0]
-
-
-def _evaluated(ca: Any, traced: Any, constants: Sequence[Any], *given: Any) -> list[Any]:
+def _evaluated(traced: Any, constants: Sequence[Any], *given: Any) -> list[Any]:
     """Evaluate traced operations on ravelled expressions of CasADi."""
     known = dict(zip(traced.constvars, (ca.SX(np.ravel(value).astype(float)) for value in constants), strict=True))
     known |= dict(zip(traced.invars, given, strict=True))
@@ -154,7 +150,7 @@ def _evaluated(ca: Any, traced: Any, constants: Sequence[Any], *given: Any) -> l
             return ca.reshape(every[np.ravel(numbers).tolist()], np.size(numbers), 1)
 
         if inner := parameters.get("jaxpr", parameters.get("call_jaxpr")):
-            results = _evaluated(ca, inner.jaxpr, inner.consts, *values)
+            results = _evaluated(inner.jaxpr, inner.consts, *values)
         elif name in SAME:
             results = values
         elif name == "reduce_sum":

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from statistics import median
 from time import perf_counter
 from typing import Any
 
@@ -15,7 +16,6 @@ import jax
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
-from ms_highway.benchmarks.casadi_peer import compiled_peer
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiments.runner import make_environment
 from ms_highway.game.game import Game
@@ -95,8 +95,8 @@ def _measured(game: Game, models: tuple[HumanModel, ...], rung: int, state: Stat
         times = _times(plans)
     flops = float((function.lower(*arguments).compile().cost_analysis() or {})["flops"])
     return {
-        "plan_us": {"p50": _median(times["plan_us"]), "p99": float(np.quantile(times["plan_us"], 0.99))},
-        **({"peer_us": {"p50": _median(times["peer_us"])}} if peer else {}),
+        "plan_us": {"p50": median(times["plan_us"]), "p99": float(np.quantile(times["plan_us"], 0.99))},
+        **({"peer_us": {"p50": median(times["peer_us"])}} if peer else {}),
         "decision_us": _decision(game, models, rung, state),
         "flop": game.planner.iterations * flops,  # XLA counts the body of the loop once, and little is outside of it
         "plans_per_s": {str(size): _throughput(game, model, state, size) for size in BATCHES},
@@ -117,10 +117,6 @@ def _times(runs: Mapping[str, Callable[[], None]], repeats: int = REPEATS) -> di
         for name, run in runs.items():
             times[name] += [1e6 * timed(run)[1] for _ in range(TURN)]
     return times
-
-
-def _median(times: list[float]) -> float:
-    return float(np.median(times))
 
 
 @contextmanager
@@ -163,6 +159,8 @@ def _compile_seconds(game: Game, models: Sequence[HumanModel], state: State, cac
 
 def _peer(game: Game, model: HumanModel, state: State, ours: Controls, directory: Path) -> Callable[[], None]:
     """Return what repeats the peer's plan, after checking that its first result agrees with ours."""
+    from ms_highway.benchmarks.casadi_peer import compiled_peer  # which needs an extra
+
     call, repeat = compiled_peer(game, model.name, len(state), directory)
     apart = float(abs(call(np.asarray(state)) - ours).max())
     if not apart < AGREEMENT:
@@ -181,7 +179,7 @@ def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: Stat
         for name, memory in (("checking", checking), ("waiting", waiting))
     }
     times, cooldown = _times(runs), Switching.cooldown
-    return (_median(times["checking"]) + (cooldown - 1) * _median(times["waiting"])) / cooldown
+    return (median(times["checking"]) + (cooldown - 1) * median(times["waiting"])) / cooldown
 
 
 def _step_without_planning(env: gym.Env, inner: InteractionEnv) -> float:
@@ -196,13 +194,13 @@ def _step_without_planning(env: gym.Env, inner: InteractionEnv) -> float:
             done = terminated or truncated
             steps = [car.last_step for car in (inner.robot, *inner.humans)]
             times.append(1e6 * (seconds - sum(step.planning_seconds for step in steps if step)))
-    return _median(times)
+    return median(times)
 
 
 def _throughput(game: Game, model: HumanModel, state: State, size: int) -> float:
     states = np.broadcast_to(state, (size, *state.shape))
     plans = jax.jit(jax.vmap(lambda state: plan_for((model,), game, state)))
-    return size / _median(_times({"plans": partial(_run, plans, states)}, TURN)["plans"]) * 1e6
+    return size / median(_times({"plans": partial(_run, plans, states)}, TURN)["plans"]) * 1e6
 
 
 def bench_several(

@@ -58,14 +58,14 @@ def throughput(
     with own_process(high_throughput, modules) as process:
         used = process.submit(_devices, devices).result()
         for controller, comparison in zip(controllers, every, strict=True):
-            result: dict[str, Any] = {"environment": _environment(scenario, comparison), "devices": used}
-            result |= {"batch": {}, "memory_mib": {}}
-            for size in sorted(sizes):
-                measured = process.submit(_batch, scenario, replace(comparison, seeds=size), devices).result()
-                result.setdefault("first_seconds", measured["first_seconds"])
-                result["batch"][str(size)] = measured["steps_per_second"]
-                result["memory_mib"][str(size)] = measured["memory_mib"]
-            yield controller, result
+            result = {"environment": _environment(scenario, comparison), "devices": used}
+            batches = {
+                str(size): process.submit(_batch, scenario, replace(comparison, seeds=size), devices).result()
+                for size in sorted(sizes)
+            }
+            for place, name in enumerate(("batch", "memory_mib")):
+                result[name] = {size: measured[place] for size, measured in batches.items()}
+            yield controller, result | {"first_seconds": next(iter(batches.values()))[-1]}
 
 
 def _environment(scenario: str, comparison: Comparison) -> float:
@@ -86,15 +86,18 @@ def _devices(count: int | None) -> str:
     return f"{devices.size} of kind {devices[0].device_kind}"
 
 
-def _batch(scenario: str, comparison: Comparison, devices: int | None) -> dict[str, float]:
-    """Time one batch, after one of a chunk on every device that it needs, which may compile."""
+def _batch(scenario: str, comparison: Comparison, devices: int | None) -> tuple[float, float, float]:
+    """Time one batch, after one of a chunk on every device that it needs, which may compile.
+
+    Returns:
+        Steps per second, the most memory [MiB], and what the first chunks took [s].
+    """
     batch = make_batch(comparison, scenario)
     keys, mesh = batch.keys(), use_devices(devices)
     times = [_seconds(batch, keys[: batch.loop.together * mesh.size], mesh)]
     while len(times) < 2 or (len(times) <= RUNS and sum(times[1:]) < SECONDS):
         times.append(_seconds(batch, keys, mesh))
-    steps = len(keys) * batch.steps
-    return {"first_seconds": times[0], "steps_per_second": steps / median(times[1:]), "memory_mib": _most_memory()}
+    return len(keys) * batch.steps / median(times[1:]), _most_memory(), times[0]
 
 
 def _most_memory() -> float:

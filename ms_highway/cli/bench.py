@@ -1,13 +1,12 @@
 """The command ``ms-highway bench``."""
 
 import argparse
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
-from ms_highway.cli.options import SCENARIO_NAMES, add_devices, add_keys, add_number, configuration
+from ms_highway.cli.options import add_devices, add_keys, add_number, add_scenarios, configuration
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -58,8 +57,7 @@ SEVERAL = {
 def add_bench(commands: Any) -> None:
     """Add the command ``bench`` to a parser's subparsers."""
     parser = add_command(commands, "bench", "measure planning time, and the closed loop", HELP, EXAMPLES)
-    names = ", ".join(SCENARIO_NAMES)
-    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: the paper's)")
+    add_scenarios(parser)
     parser.add_argument("--peer", choices=["casadi"], help="measure the same plans in CasADi's C code as well")
     add_number(parser, "--batches", None, "measure the closed loop in such batches", nargs="+", metavar="SIZE")
     add_number(parser, "--crowd", None, "numbers of humans (default: 1 6 8)", nargs="+", metavar="N")
@@ -74,7 +72,7 @@ def _bench(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.throughput import throughput
     from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
     from ms_highway.experiments.comparison import paper_controllers
-    from ms_highway.runtime.files import replacing
+    from ms_highway.experiments.directory import write_json
 
     if (options.batches and options.peer) or (options.devices and not options.batches):
         raise ValueError("--peer is about plans, and --devices about --batches; leave one out")
@@ -98,8 +96,7 @@ def _bench(options: argparse.Namespace) -> None:
                 results.setdefault(scenario, {})[name] = result
     print_tables(*map(_table, results, results.values()))
     if options.json:
-        with replacing(options.json) as path:
-            path.write_text(json.dumps(results, indent=2) + "\n")
+        write_json(options.json, results)
 
 
 def _table(scenario: str, measured: Mapping[str, Any]) -> "Table":

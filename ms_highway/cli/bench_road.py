@@ -1,7 +1,6 @@
 """The command ``ms-highway bench road``."""
 
 import argparse
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -78,7 +77,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.road.blocks import run_blocks
     from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, row, summary
     from ms_highway.cli.results_directory import write_table
-    from ms_highway.runtime.files import replacing
+    from ms_highway.experiments.directory import write_json
     from ms_highway.visualization.tables import grid
 
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
@@ -99,8 +98,7 @@ def _bench_road(options: argparse.Namespace) -> None:
                 own = {block.driver: summary(block, episodes[block])} | results[block.scene]
                 results[block.scene] = {driver: own[driver] for driver in drivers if driver in own}
                 if options.json:
-                    with replacing(options.json) as path:
-                        path.write_text(json.dumps(results, indent=2) + "\n")
+                    write_json(options.json, results)
                 if options.log:
                     done = [one for one in blocks if one.driver in results[one.scene]]
                     rows = [row(one, episode) for one in done for episode in episodes[one]]

@@ -44,9 +44,14 @@ class Command(argparse.ArgumentParser):
 
 def add_command(commands: Any, name: str, summary: str, description: str, epilog: str = "") -> Command:
     """Add a command to a parser's subparsers; its description and epilog are printed as they are."""
-    form = argparse.RawDescriptionHelpFormatter
-    own = {"help": summary, "description": description, "epilog": epilog}
-    return commands.add_parser(name, formatter_class=form, allow_abbrev=False, **own)  # --seed is not short for --seeds
+    return commands.add_parser(
+        name,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,  # --seed is not short for --seeds
+        help=summary,
+        description=description,
+        epilog=epilog,
+    )
 
 
 def draw_unseen() -> None:

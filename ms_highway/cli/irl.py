@@ -2,10 +2,11 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from ms_highway.cli.console import add_command, count_episodes, print_tables, telling
 from ms_highway.cli.options import add_number
+from ms_highway.irl.names import REAL_WEIGHTS, SIMULATED_WEIGHTS, Others
 from ms_highway.irl.recordings import DRIVERS, TEMPERATURE
 
 if TYPE_CHECKING:
@@ -17,15 +18,6 @@ MINARI = "minari:"
 
 DENSITY_NAMES = ("sparse", "medium", "dense")
 """Keys of `ms_highway.envs.demonstration.DENSITIES`; repeated here so that help needs no JAX."""
-
-OTHERS = ("predicted", "recorded", "coasting")
-"""The values of `ms_highway.irl.driving.Others`; repeated here so that help needs no JAX."""
-
-SIMULATED_WEIGHTS = ("speed", "lane_alignment", "collision_risk")
-"""Weights that `ms_highway.irl.learning.SIMULATED` learns, for help texts."""
-
-REAL_WEIGHTS = (*SIMULATED_WEIGHTS, "direction", "headway", "closing_speed", "induced_braking", "comfort_steering")
-"""Weights that `ms_highway.irl.learning.REAL` learns, for help texts."""
 
 HORIZON = 5  # steps, as the paper plans
 MOST_STEPS = 1000  # in a window
@@ -107,7 +99,7 @@ def add_evaluate(commands: Any) -> None:
     which.add_argument("--folds", type=int, metavar="N", help="cross-validate by recording, in N folds")
     parser.add_argument(
         "--others",
-        choices=OTHERS,
+        choices=get_args(Others),
         default="predicted",
         help="what predicted drivers meet: the others as they are predicted, all together, so that nothing of the "
         "future is known (default); the others where they were recorded to be, a leak of the future; or the others at "

@@ -6,8 +6,7 @@ import os
 import shlex
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -34,7 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise ValueError(f"{text!r} is not UTF-8, the encoding of all results; rename it")
         options = build_parser().parse_args(given)
         options.command_line = shlex.join(["ms-highway", *given])
-        with _warnings_in_one_line():
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_in_one_line
             _set_jax_up(options)
             _import(options.modules)
             options.run(options)
@@ -49,16 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-@contextmanager
-def _warnings_in_one_line() -> Iterator[None]:
-    """Print warnings as this command's messages, without the place in its source that they come from."""
-
-    def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        print(f"ms-highway: {message}", file=sys.stderr)
-
-    with warnings.catch_warnings():
-        warnings.showwarning = show
-        yield
+def _show_in_one_line(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning as this command's message, without the place in its source that it comes from."""
+    print(f"ms-highway: {message}", file=sys.stderr)
 
 
 def _import(modules: Sequence[str]) -> None:

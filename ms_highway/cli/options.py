@@ -96,6 +96,12 @@ def add_number(
     parser.add_argument(name, type=kind, default=default, help=text + usual, **more)
 
 
+def add_scenarios(parser: argparse.ArgumentParser) -> None:
+    """Add names of scenarios to a command."""
+    names = ", ".join(SCENARIO_NAMES)
+    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: the paper's)")
+
+
 def add_comparison(parser: argparse.ArgumentParser, seeds: int, out: str | None, controllers: str = "") -> None:
     """Add the options that say what is compared, see `comparison`: all but ``--set`` of `add_keys`.
 
@@ -105,9 +111,7 @@ def add_comparison(parser: argparse.ArgumentParser, seeds: int, out: str | None,
         out: default directory of results; without, it has to be named.
         controllers: what the help text says of ``--controllers``, by default that they are all that is compared.
     """
-    parser.add_argument(
-        "scenarios", nargs="*", metavar="SCENARIO", help=f"{', '.join(SCENARIO_NAMES)} (default: the paper's)"
-    )
+    add_scenarios(parser)
     usual = controllers or "(default: all models of the ladder, and switching)"
     kinds = "A kind that has a lambda, without it, stands for one controller at each of --lambdas"
     parser.add_argument("--controllers", nargs="+", metavar="CONTROLLER", help=f"{CONTROLLERS}. {kinds} {usual}")
@@ -142,14 +146,21 @@ def configuration(options: argparse.Namespace) -> dict[str, Any]:
     Raises:
         ValueError: for what is no key and value, and for a human's reward that cannot be read.
     """
+    from ms_highway.envs.settings import HUMAN_REWARDS
+    from ms_highway.game.learned_reward import load
+
     config = {}
     for text in options.keys:
         key, sign, value = text.partition("=")
         if not sign or key in ("controller", "action"):
             raise ValueError(f"--set {text}: say it like --set horizon=10; who drives is no key that can be set")
         config[key] = _value(value)
-    if isinstance(reward := config.get("human_reward"), str):
-        config["human_reward"] = _human_reward(reward)
+    reward, known = config.get("human_reward"), HUMAN_REWARDS.values()
+    if isinstance(reward, str) and reward not in known:
+        try:
+            config["human_reward"] = load(Path(reward)).weights
+        except ValueError as error:
+            raise ValueError(f"--set human_reward is neither {' nor '.join(known)}: {error}") from error
     return config
 
 
@@ -162,17 +173,6 @@ def _value(text: str) -> Any:
     if "=" in text:
         return {name: _value(value) for name, _, value in (part.partition("=") for part in parts)}
     return list(map(_value, parts)) if "," in text else text
-
-
-def _human_reward(text: str) -> str | dict[str, float]:
-    from ms_highway.envs.settings import HUMAN_REWARDS
-    from ms_highway.game.learned_reward import load
-
-    known = HUMAN_REWARDS.values()
-    try:
-        return text if text in known else load(Path(text)).weights
-    except ValueError as error:
-        raise ValueError(f"--set human_reward is neither {' nor '.join(known)}: {error}") from error
 
 
 def comparison(
@@ -223,15 +223,12 @@ def lambdas(text: str) -> list[float]:
 
     values = []
     with suppress(ValueError):
-        low, _, rest = text.partition(":")
-        high, _, count = rest.partition(":")
-        if not rest:
-            values = [abs(float(low)) if float(low) == 0 else float(low)]
-        elif 1 < int(count) <= MOST_LAMBDAS:
-            values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
+        match text.split(":"):
+            case [price]:
+                values = [float(price) + 0.0]  # -0 is 0
+            case [low, high, count] if 1 < int(count) <= MOST_LAMBDAS:
+                values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
     if not values or len(set(values)) < len(values) or not all(0 <= value < np.inf for value in values):
-        remedy = (
-            "give a number like 0.1, or LOW:HIGH:COUNT with numbers that differ in three digits, such as 0.001:10:25"
-        )
+        remedy = "give a number like 0.1, or LOW:HIGH:COUNT that differ in three digits, such as 0.001:10:25"
         raise argparse.ArgumentTypeError(f"lambdas are {text!r}; {remedy}")
     return values

@@ -6,6 +6,7 @@ from typing import Any
 
 from ms_highway.cli.console import add_command, count_episodes, print_tables
 from ms_highway.cli.options import MOST, MOST_PROCESSES, add_comparison, add_devices, add_number, comparison
+from ms_highway.runtime.extras import needing
 
 HELP = """\
 Simulate very many episodes of one scenario, all in JAX and many at a time, and compare reward and computation.
@@ -57,10 +58,8 @@ def add_sweep(commands: Any) -> None:
 
 
 def _sweep(options: argparse.Namespace) -> None:
-    try:
-        from ms_highway.experiments import sweep as module  # pyarrow is an extra
-    except ModuleNotFoundError as error:
-        raise ImportError(f"{error}; install the extra with: pip install 'ms-highway[sweep]'") from error
+    with needing("sweep"):
+        from ms_highway.experiments import sweep as module
     from ms_highway.cli.results_directory import own_results, save_figures, write_table
     from ms_highway.experiments.analysis.summary import summary
     from ms_highway.runtime.peers import together

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, telling
-from ms_highway.cli.options import SCENARIO_NAMES, add_devices, add_keys, add_number, configuration
+from ms_highway.cli.options import add_devices, add_keys, add_number, add_scenarios, configuration
 
 if TYPE_CHECKING:
     from ms_highway.experiments.values.learning import Learning
@@ -47,8 +47,7 @@ SEVERAL: dict[str, Any] = {
 def add_values(commands: Any) -> None:
     """Add the command ``values learn`` to a parser's subparsers."""
     parser = add_command(commands, "values learn", "learn values of computation: when it pays to think", HELP, EXAMPLES)
-    names = ", ".join(SCENARIO_NAMES)
-    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: the paper's)")
+    add_scenarios(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the values, such as values.npz")
     add_number(parser, "--generated", 0, "random scenes to be learned on as well", 0, 1000)
     states = "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; "

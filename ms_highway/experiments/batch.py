@@ -266,7 +266,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     used |= {Naive.name for order in orders if order.belief}
     used -= {model.name for model in settings[0].models}
     others = tuple(map(human_model, cheapest_first(used)))
-    order: Any = Order(np.zeros((1, 1), np.int32), settings[0].models)
+    order = Order(np.zeros((1, 1), np.int32), settings[0].models)
     yielding = settings[0].yielding != "usual"
     loop = Loop(environment.game, order, others, settings[0].way_out, yielding=yielding, chunk=usual_chunk())
     batch = Batch(comparison, environment, controllers, costs, loop)

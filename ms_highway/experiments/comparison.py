@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 from ms_highway.envs import ENVIRONMENTS, environment_id
@@ -32,10 +33,9 @@ class Comparison:
 
     def episodes(self) -> Iterator[tuple[str, str, int]]:
         """Yield every (scenario, controller, seed)."""
+        seeds = range(self.first_seed, self.first_seed + self.seeds)
         for scenario, controllers in self.controllers.items():
-            for controller in controllers:
-                for seed in range(self.first_seed, self.first_seed + self.seeds):
-                    yield scenario, controller, seed
+            yield from product([scenario], controllers, seeds)
 
     def check(self) -> None:
         """Check everything before anything is run or written.

@@ -6,13 +6,13 @@ import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
 import msgspec
 
-from ms_highway.runtime.files import PART, read_json, replacing
+from ms_highway.runtime.files import PART, read_json, reading, replacing
 from ms_highway.runtime.jax_settings import cores
 
 SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
@@ -48,11 +48,8 @@ class ResultsDirectory:
         Raises:
             ValueError: if the file cannot be read.
         """
-        file = self.path / SETTINGS_FILE
-        try:
-            return dict(read_json(file))
-        except (OSError, ValueError, TypeError) as error:
-            raise ValueError(f"{file} cannot be read ({error}); choose another directory") from error
+        with reading(self.path / SETTINGS_FILE, "choose another directory"):
+            return dict(read_json(self.path / SETTINGS_FILE))
 
     def take_up(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Return the settings of results that can begin here, or be resumed: these, or those that are known.
@@ -62,10 +59,10 @@ class ResultsDirectory:
         """
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"--out is {self.path}, which is a file; name a new or existing directory")
+        remedy = "choose another directory with --out"
         if not (self.path / SETTINGS_FILE).exists():
             if self.path.exists() and any(not file.name.startswith(PART) for file in self.path.iterdir()):
-                reason = f"{self.path} is not empty, and has no {SETTINGS_FILE}"
-                raise ValueError(f"{reason}; choose another directory with --out")
+                raise ValueError(f"{self.path} is not empty, and has no {SETTINGS_FILE}; {remedy}")
             return dict(settings)
         known, wanted = self.settings(), json.loads(json.dumps(settings))
         differing = [
@@ -74,8 +71,7 @@ class ResultsDirectory:
             if key not in EXTENDED and known.get(key) != wanted.get(key)
         ]
         if differing:
-            held = ", ".join(differing)
-            raise ValueError(f"{self.path} holds results with {held}; choose another directory with --out")
+            raise ValueError(f"{self.path} holds results with {', '.join(differing)}; {remedy}")
         return known
 
     def write_settings(self, settings: Mapping[str, Any]) -> None:
@@ -84,7 +80,7 @@ class ResultsDirectory:
         Raises:
             OSError: if that cannot be written.
         """
-        _write(self.path / SETTINGS_FILE, settings)
+        write_json(self.path / SETTINGS_FILE, settings)
 
     def runs(self) -> list[Run]:
         """Return the runs that made the results, the first one first; none where nothing is recorded.
@@ -93,11 +89,8 @@ class ResultsDirectory:
             ValueError: if the record cannot be read.
         """
         file = self.path / PROVENANCE_FILE
-        try:
+        with reading(file, "move it away or choose another directory", " as a list of runs"):
             return msgspec.convert(read_json(file), list[Run]) if file.exists() else []
-        except (OSError, ValueError) as error:
-            remedy = "move it away or choose another directory"
-            raise ValueError(f"{file} cannot be read as a list of runs ({error}); {remedy}") from error
 
     def record(self, command: str) -> str:
         """Record this process as one more run, which a line of a shell began.
@@ -109,7 +102,7 @@ class ResultsDirectory:
             ValueError: if the runs before cannot be read.
         """
         runs = [*self.runs(), this_run(command)]
-        _write(self.path / PROVENANCE_FILE, runs)
+        write_json(self.path / PROVENANCE_FILE, runs)
         before, now = ({**run["versions"], "XLA_FLAGS": run.get("xla_flags", "")} for run in (runs[-2:][0], runs[-1]))
         differing = [name for name in {**before, **now} if before.get(name) != now.get(name)]
         return ", ".join(
@@ -122,27 +115,16 @@ def this_run(command: str = "") -> Run:
     return {
         "command": command,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
         "machine": {"processor": _processor(), "cores": cores(), "platform": platform.platform()},
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
     }
 
 
-def cannot_resume(file: Path, error: Exception, remedy: str) -> ValueError:
-    """Return the error to raise from the one that a file of results has caused."""
-    return ValueError(f"{file} cannot be resumed ({error}); {remedy}")
-
-
-def _write(file: Path, content: Any) -> None:
+def write_json(file: Path, content: Any) -> None:
+    """Write indented JSON; the file is whole, or as it was."""
     with replacing(file) as path:
         path.write_text(json.dumps(content, indent=2) + "\n")
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def _processor() -> str:

@@ -14,9 +14,8 @@ import pandas as pd
 from jax.sharding import Mesh
 
 from ms_highway.experiments.batch import Batch, Key
-from ms_highway.experiments.directory import cannot_resume
 from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.files import replacing
+from ms_highway.runtime.files import reading, replacing
 
 ELITE = 0.15  # of the population: how many of the best orders the next ones are drawn like
 SMOOTHING = 0.3  # of the old frequencies that is kept
@@ -53,10 +52,9 @@ class Outcomes:
         self.batch, self._file, self._mesh = batch, file, mesh
         self.table = pd.DataFrame(index=pd.MultiIndex.from_tuples([], names=INDEX))
         if file is not None and file.exists():
-            try:  # Python's float gives back the very numbers that were written
+            with reading(file, "remove it or choose another directory"):
+                # Python's float gives back the very numbers that were written.
                 self.table = pd.read_csv(file, converters=KEPT_COLUMNS).set_index(INDEX)[list(KEPT_COLUMNS)]
-            except (ValueError, KeyError) as error:
-                raise cannot_resume(file, error, "remove it or choose another directory") from error
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
         """Return the rows of some episodes, in their order; simulate and keep those that are not known."""
@@ -117,11 +115,8 @@ def search(
     Yields:
         The number of each round that is done, from 1; and one more, when starts have tried each other's best orders.
     """
-    random, models, shape = (
-        np.random.default_rng(0),
-        outcomes.batch.rungs,
-        (outcomes.batch.steps, outcomes.batch.humans),
-    )
+    random, batch = np.random.default_rng(0), outcomes.batch
+    models, shape = batch.rungs, (batch.steps, batch.humans)
     even = np.full((shape[0], len(models)), 1 / len(models))
     tables = {(seed, price): even for seed in seeds for price in prices}
     orders = dict[str, Array]()
@@ -130,13 +125,12 @@ def search(
     ascending = sorted(set(prices))
     turns = max(1, ceil(len(ascending) / PRICES_AT_ONCE))
     for number in range(1, rounds + 1):
-        keys: list[Key] = []
+        keys = []
         for seed, price in tables:
             if price in ascending[number % turns :: turns]:
-                best = orders[leaders[seed, price][0]] if leaders else None
-                drawn = (
-                    _first(shape, len(models)) if best is None else _next(random, tables[seed, price], best, population)
-                )
+                drawn = _first(shape, len(models))
+                if leaders:
+                    drawn = _next(random, tables[seed, price], orders[leaders[seed, price][0]], population)
                 named = {controller_name(models, order): order for order in drawn}
                 orders |= named
                 keys += [(name, seed) for name in named]
@@ -145,7 +139,7 @@ def search(
             tried[seed][name] = outcome
         for (seed, price), table in tables.items():
             own = {name: reward - price * seconds for name, (reward, seconds) in tried[seed].items()}
-            leaders[seed, price] = sorted(own, key=lambda name: own[name], reverse=True)
+            leaders[seed, price] = sorted(own, key=own.__getitem__, reverse=True)
             elite = [orders[name] for name in leaders[seed, price][: max(2, round(ELITE * population))]]
             frequencies = np.eye(len(models))[np.array(elite)].mean(axis=(0, 2))
             mixed = np.maximum(SMOOTHING * table + (1 - SMOOTHING) * frequencies, FLOOR)
@@ -156,14 +150,11 @@ def search(
     yield rounds + 1
 
 
-def _first(shape: tuple[int, int], rungs: int) -> list[Array]:
-    """Return the orders of one rung up to some step and another one from there on."""
+def _first(shape: tuple[int, int], rungs: int) -> Iterator[Array]:
+    """Yield the orders of one rung up to some step and another one from there on."""
     ends = np.unique(np.round(np.geomspace(1, shape[0], SWITCHES)).astype(int))
-    orders = []
-    for end, one, other in product(ends, range(rungs), range(rungs)):
-        orders.append(np.full(shape, other))
-        orders[-1][:end] = one
-    return orders
+    for end, *pair in product(ends, range(rungs), range(rungs)):
+        yield np.where(np.arange(shape[0]) < end, *pair)[:, None].repeat(shape[1], axis=1)
 
 
 def _next(random: np.random.Generator, table: Array, leader: Array, population: int) -> Iterator[Array]:

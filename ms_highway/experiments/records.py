@@ -99,14 +99,14 @@ def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int
     Raises:
         ValueError: if there are none.
     """
-    chosen = (records["scenario"] == scenario) & (records["controller"] == controller) & (records["seed"] == seed)
-    if not chosen.any():
+    chosen = records.query("scenario == @scenario and controller == @controller and seed == @seed")
+    if chosen.empty:
         raise ValueError(f"there is no episode of {controller!r} in {scenario!r} with seed {seed} in these records")
-    return records[chosen].sort_values("step")
+    return chosen.sort_values("step")
 
 
 def common_seeds(records: pd.DataFrame, scenario: str, controllers: Sequence[str]) -> list[int]:
     """Return the seeds of the episodes that all of these controllers, one at least, have driven, ascending."""
-    rows = records[records["scenario"] == scenario]
-    driven = (set(rows.loc[rows["controller"] == name, "seed"].tolist()) for name in controllers)
-    return sorted(set.intersection(*driven))
+    rows = records.query("scenario == @scenario and controller in @controllers")
+    driven = rows.groupby("seed")["controller"].nunique()
+    return driven.index[driven == len(set(controllers))].tolist()

@@ -11,8 +11,9 @@ from ms_highway.experiments.comparison import episode_steps
 from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
 from ms_highway.experiments.records import check_records, whole_steps
 from ms_highway.experiments.runner import STEPS_FILE
+from ms_highway.runtime.files import reading
 
-PUBLISHED_WITH: dict[str, Any] = {
+PUBLISHED_WITH = {
     "semantics": "released",
     "solver": "gradient",
     "human_reward": "published",
@@ -124,12 +125,10 @@ def read_results(directory: Path) -> Results:
     settings = results.settings()
     if "semantics" not in settings or not isinstance(settings.get("measured", {}), dict):
         raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
-    try:
+    with reading(file, REMEDY):
         records = pd.read_csv(file)
         check_records(records)
         summaries = summary(records)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{file} cannot be read: {str(error).strip()}; {REMEDY}") from error
     read = Results(directory, records, summaries, settings, results.runs())
     if records.empty:
         raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")

@@ -4,7 +4,7 @@ import csv
 import io
 from collections.abc import Iterator
 from dataclasses import asdict
-from itertools import groupby
+from itertools import count, groupby
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,9 @@ from ms_highway.envs import environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.comparison import Comparison, episode_steps
-from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, cannot_resume
+from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
 from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns, whole_steps
-from ms_highway.runtime.files import append, replacing
+from ms_highway.runtime.files import append, reading, replacing
 
 STEPS_FILE = "steps.csv"
 
@@ -46,17 +46,16 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
     assert isinstance(inner, InteractionEnv)
     rungs = [model.name for model in inner.settings.models]
     wanted = columns(rungs, rungs[1:] if inner.scenario.streams else ())
-    done, step = False, 0
-    while not done:
+    for step in count():
         _, reward, terminated, truncated, info = env.step(0)
-        done = terminated or truncated
         values = {**info, **asdict(info["timing"])}
         record = {key: values[key] for key in wanted if key in values} | {"step": step, "reward": reward}
         record |= {gain_column(name): gain for name, gain in info["gains"].items()}
         for car, state in zip(CARS, inner.car_states, strict=False):
             record |= dict(zip(state_columns(car), state, strict=True))
         yield record
-        step += 1
+        if terminated or truncated:
+            return
 
 
 def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
@@ -78,8 +77,8 @@ def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
         with replacing(steps) as path:
             path.write_text(",".join(comparison.columns()) + "\n")
     lacking = [key for key in dict.fromkeys(wanted) if key not in done]
-    count = len(wanted) - len(lacking)
-    yield count
+    number = len(wanted) - len(lacking)
+    yield number
     for (scenario, controller), keys in groupby(lacking, key=lambda key: key[:2]):
         config = comparison.environment_config(scenario, controller)
         own = config["controller"]["type"] == "budget"  # which needs a high quantile of measured times, not medians
@@ -91,8 +90,8 @@ def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
             for record in episode(env, seed):
                 writer.writerow({"scenario": scenario, "controller": controller, "seed": seed, **record})
             append(steps, text.getvalue())
-            count += 1
-            yield count
+            number += 1
+            yield number
         env.close()
 
 
@@ -121,13 +120,11 @@ def _whole_episodes(steps: Path, comparison: Comparison) -> set[tuple[str, str, 
     """
     text = steps.read_text()
     whole_lines = text[: text.rfind("\n") + 1]
-    try:
+    with reading(steps, "choose another directory"):
         records = pd.read_csv(io.StringIO(whole_lines))
         if list(records) != comparison.columns():
             raise ValueError(f"its columns are not {', '.join(comparison.columns())}")
         check_records(records)
-    except ValueError as error:
-        raise cannot_resume(steps, error, "choose another directory") from error
     lengths = {name: episode_steps(name, comparison.config) for name in records["scenario"].unique()}
     done = {key for key, length in whole_steps(records).items() if length == lengths[key[0]]}
     whole = [key in done for key in records[KEYS].itertuples(index=False, name=None)]

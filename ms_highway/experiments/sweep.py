@@ -11,14 +11,13 @@ from time import sleep
 from typing import Any
 
 import pandas as pd
-import pyarrow as pa
 from jax.sharding import Mesh
 from pyarrow import parquet
 
 from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison, episode_steps
 from ms_highway.experiments.directory import SETTINGS_FILE, ResultsDirectory
-from ms_highway.runtime.files import replacing
+from ms_highway.runtime.files import reading, replacing
 from ms_highway.simulation.records import Records
 
 EPISODES, STEPS = "episodes", "steps"
@@ -120,7 +119,9 @@ def run_sweep(sweep: Sweep, mesh: Mesh | None = None) -> Iterator[int]:
     lacking = sorted(set(sweep.own) & set(sweep.missing()))
     for part in sorted(set(sweep.own) - set(lacking)):
         for file, rows in sweep.files(part).items():
-            _check(file, rows)
+            with reading(file, "remove it, to have it computed again"):
+                if (found := parquet.read_metadata(file).num_rows) != rows:
+                    raise ValueError(f"it has {found} rows and should have {rows}")
     if sweep.place == 0:
         results.write_settings(sweep.settings())
     count, together = sweep.size(*sweep.own) - sweep.size(*lacking), 1 if mesh is None else mesh.size
@@ -144,15 +145,6 @@ def _compute(sweep: Sweep, batch: Batch, parts: list[int], mesh: Mesh | None) ->
             with replacing(file) as path:
                 tabulate(share, own).to_parquet(path, index=False)
         yield part
-
-
-def _check(file: Path, rows: int) -> None:
-    try:
-        found = parquet.read_metadata(file).num_rows
-        if found != rows:
-            raise ValueError(f"it has {found} rows and should have {rows}")
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise ValueError(f"{file} cannot be read ({error}); remove it, to have it computed again") from error
 
 
 def read_sweep(sweep: Sweep) -> pd.DataFrame:

@@ -27,6 +27,7 @@ from ms_highway.planning.human_models import MODELS, PAPER_MODELS, HumanModel, N
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Array, State
 from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.runtime.files import reading
 
 SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY)}
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
@@ -94,10 +95,8 @@ def read_episodes(file: Path) -> tuple[str, dict[str, Array]]:
             f"{file}: the name should be SCENARIO__KIND.npz with a scenario of {', '.join(SCENARIOS)} "
             f"and a kind of {', '.join(PAPER_MODELS)} or {SWITCHING}NUMBER"
         )
-    try:
+    with reading(file, "name the logs that were released", " as a reference file"):
         episodes = _arrays(file)
-    except Exception as error:  # of many kinds: whatever unpacking and NumPy stumble over
-        raise ValueError(f"{file} is no reference file: {type(error).__name__}: {error}") from error
     count, steps = (*episodes["states"].shape, 0, 0)[:2]
     shapes = {
         "states": (max(count, 1), max(steps, 2), len(SCENARIOS[scenario].cars), 4),

@@ -6,7 +6,7 @@ among the others that this gives.
 """
 
 from functools import partial
-from typing import Literal, TypeAlias, get_args
+from typing import get_args
 
 import jax
 import numpy as np
@@ -17,14 +17,11 @@ from ms_highway.game.neighbours import Leader, leaders
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.arrays import CarFlags, CarNumbers, Cars, CarStates, Scalar, Traits
 from ms_highway.irl.moments import PAST, STEPS, Moments, lanes_of
+from ms_highway.irl.names import Others
 from ms_highway.irl.outlook import SIDES, Modes
 from ms_highway.optimization.kalman import Gaussian, updated
 from ms_highway.planning.held_control import held_acceleration, held_curvature
 from ms_highway.runtime.compilation import in_batches
-
-Others: TypeAlias = Literal["predicted", "recorded", "coasting"]
-"""Motion of the other cars: predicted together with the driver; as recorded, which leaks the future; at constant
-velocity."""
 
 SECOND = 10  # steps
 EVERY = 2  # steps between the moments of the past at which plans are compared with what drivers did

@@ -14,16 +14,16 @@ from ms_highway.game.neighbours import leaders
 from ms_highway.game.reward import RewardModel
 from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl.arrays import Flags, Parameters, Paths, Steps, Values
-from ms_highway.irl.driving import Others
 from ms_highway.irl.learning import folds
 from ms_highway.irl.maximum_entropy import differentiate, fit_weights, window_log_likelihoods
 from ms_highway.irl.moments import AT, HORIZONS, Moments, cut_moments
+from ms_highway.irl.names import Others
 from ms_highway.irl.outlook import expected_path, log_density, region_level
 from ms_highway.irl.predictors import PREDICTORS, Prediction, check_drivers, predictions
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.windows import Windows, driver_game, regular_windows
-from ms_highway.runtime.files import read_json
+from ms_highway.runtime.files import read_json, reading
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.runtime.structures import Structure, read
 
@@ -56,7 +56,7 @@ class Evaluation(Structure, omit_defaults=True):
             number of ``windows``.
         windows: number of predictions.
         tracks: number of drivers.
-        others: see `ms_highway.irl.driving.Others`.
+        others: see `ms_highway.irl.names.Others`.
         folds: weights of each fold of a cross-validation.
     """
 
@@ -162,7 +162,7 @@ def cross_validate(
         model: the weights to learn and those given.
         horizon: K, the length of windows in steps.
         parts: the number of folds.
-        others: motion of the other cars in predictions, see `ms_highway.irl.driving.Others`.
+        others: motion of the other cars in predictions, see `ms_highway.irl.names.Others`.
         progress: called with a message when a part begins.
 
     Raises:
@@ -213,11 +213,8 @@ def load_evaluation(path: Path) -> Evaluation:
     Raises:
         ValueError: if the file cannot be read or is no evaluation; the message names what is wrong.
     """
-    try:
+    with reading(path, "write it again with `ms-highway irl evaluate --json`", " as an evaluation"):
         return read(read_json(path), Evaluation)
-    except (OSError, ValueError) as error:
-        remedy = "write it again with `ms-highway irl evaluate --json`"
-        raise ValueError(f"{path} cannot be read as an evaluation: {error}; {remedy}") from error
 
 
 def driving_regimes(moments: Moments) -> dict[str, Flags]:

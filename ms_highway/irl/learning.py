@@ -17,6 +17,7 @@ from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.arrays import Controls, Numbers, Values
 from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit_weights, window_log_likelihoods
 from ms_highway.irl.moments import cut_moments
+from ms_highway.irl.names import REAL_WEIGHTS, SIMULATED_WEIGHTS
 from ms_highway.irl.recordings.demonstrators import optimal
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.seconds_ahead import learn_drivers
@@ -28,8 +29,7 @@ COMFORT_GIVEN = 0.1
 """Comfort weight that sets the scale of all others; small against the curvature of the published weights."""
 
 SIMULATED = RewardModel(
-    ("speed", "lane_alignment", "collision_risk"),
-    {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)},
+    SIMULATED_WEIGHTS, {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)}
 )
 """Learned from simulated demonstrations: the weights that every driver in the paper has.
 
@@ -37,11 +37,7 @@ The weight of leaving the road is given: drivers on the road carry no informatio
 its edge none that derivatives contain, see `ms_highway.irl.windows.regular`.
 """
 
-REAL = RewardModel(
-    (*SIMULATED.learned, "direction", "headway", "closing_speed", "induced_braking", "comfort_steering"),
-    {"comfort_acceleration": COMFORT_GIVEN},
-    tails=True,
-)
+REAL = RewardModel(REAL_WEIGHTS, {"comfort_acceleration": COMFORT_GIVEN}, tails=True)
 """Learned from real drivers: also weights of interaction with traffic, and of steering relative to accelerating."""
 
 

@@ -243,7 +243,4 @@ def _loss(logarithms: Parameters, *data: Any) -> tuple[Scalar, Values]:
     return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each), each
 
 
-@jit_quickly
-def _scores(logarithms: Parameters, *data: Any) -> Float[Any, "n parameters"]:
-    """Return the slopes of log p of each window."""
-    return jax.jacfwd(lambda logarithms: _each(logarithms, *data))(logarithms)
+_scores = jit_quickly(jax.jacfwd(_each))  # slopes of log p of each window [n, parameters]

@@ -135,14 +135,11 @@ def _mean_off(logarithms: Parameters, moments: Moments, known: _Known) -> Scalar
 
 
 @jax.jit
+@jax.jacfwd
 def _slopes(logarithms: Parameters, moments: Moments, known: _Known) -> Cars:
     """Return the slopes of every driver's part of `_mean_off` [n, cars, parameters]."""
-
-    def shares(logarithms: Parameters) -> Cars:
-        off, counts = _off(logarithms, moments, known)
-        return off / counts.sum()
-
-    return jax.jacfwd(shares)(logarithms)
+    off, counts = _off(logarithms, moments, known)
+    return off / counts.sum()
 
 
 def _off(logarithms: Parameters, moments: Moments, known: _Known) -> tuple[Cars, Cars]:

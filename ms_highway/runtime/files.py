@@ -145,6 +145,24 @@ def naming(path: Path) -> Iterator[None]:
         raise OSError(f"{path} cannot be written: {reason}; make that possible, or choose another place") from error
 
 
+@contextmanager
+def reading(path: Path, remedy: str, kind: str = "") -> Iterator[None]:
+    """Let whatever goes wrong in the block name the file that it reads.
+
+    Args:
+        path: of the file.
+        remedy: what the user can do.
+        kind: what the file is read as, beginning with `` as``.
+
+    Raises:
+        ValueError: in place of any other error.
+    """
+    try:
+        yield
+    except Exception as error:  # of many kinds: whatever libraries stumble over
+        raise ValueError(f"{path} cannot be read{kind} ({str(error).strip()}); {remedy}") from error
+
+
 def read_json(path: Path) -> Any:
     """Return the content of a JSON file.
 

@@ -6,7 +6,7 @@ from itertools import cycle
 from matplotlib.colors import ListedColormap
 
 from ms_highway.envs.controllers import CHOOSING
-from ms_highway.envs.graphics import Color, model_color
+from ms_highway.envs.graphics import model_color
 from ms_highway.envs.short_names import controller_config
 from ms_highway.planning.human_models import is_model
 
@@ -17,14 +17,9 @@ SHADES = {
 OTHER_SHADES = ["#12908e", "#62bcb9", "#a9dad8", "#0b6462"]
 
 
-def paint(color: Color) -> str:
-    """Return a colour of red, green and blue from 0 to 255 as Matplotlib takes it."""
-    return "#{:02x}{:02x}{:02x}".format(*color)
-
-
 def color_of(model: str) -> str:
     """Return the colour of a human model in figures, as it is in videos."""
-    return paint(model_color(model))
+    return "#{:02x}{:02x}{:02x}".format(*model_color(model))
 
 
 def model_colors(models: Sequence[str]) -> ListedColormap:

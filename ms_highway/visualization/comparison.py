@@ -44,7 +44,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     Planning has two columns: as decisions count it, at T(M), and as it was measured, if it was. Steps driven by
     fallback have a column if there are any, and success where there are several humans.
     """
-    rows = summaries[summaries["scenario"] == scenario]
+    rows = summaries.query("scenario == @scenario")
     models = [
         name
         for name in models_of(summaries, share_column)
@@ -56,7 +56,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     filled -= set() if "success" in filled else {"late", "cycle_ms_p50"}  # of interest where plans take long
     filled -= set() if rows.get("fallbacks", rows["episodes"]).any() else {"fallbacks"}
     shares = f"{' / '.join(models)} %", " / ".join(f"{{{share_column(name)}:.0f}}" for name in models)
-    texts: dict[str, list[str]] = {}
+    texts = {}
     for heading, form in ((heading, form) if form else shares for heading, form in FORMS.items()):
         if {part[1] for part in Formatter().parse(form)} - {None} <= filled:
             texts[heading] = [form.format(**row) for row in rows.to_dict("records")]
@@ -76,7 +76,7 @@ def episode_count(rows: pd.DataFrame) -> str:
 
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     """Draw reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
-    rows = summaries[summaries["scenario"] == scenario]
+    rows = summaries.query("scenario == @scenario")
     names = list(rows["controller"])
     colors, planning = controller_colors(names), rows["planning_ms"]
     figure = Figure(figsize=(10, 4), layout="constrained")
@@ -106,7 +106,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     The upper axes show the mean over episodes of planning plus deciding; below, a row per episode of each
     controller that chooses online shows the model of every step.
     """
-    rows = records[records["scenario"] == scenario]
+    rows = records.query("scenario == @scenario")
     controllers = list(dict.fromkeys(rows["controller"]))
     choosing = [name for name in controllers if controller_config(name)["type"] in CHOOSING]
     figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")

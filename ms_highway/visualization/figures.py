@@ -8,8 +8,6 @@ from ms_highway.visualization.comparison import bars, timeline
 from ms_highway.visualization.decisions import decisions
 from ms_highway.visualization.tradeoff import curve
 
-__all__ = ["CAPTIONS", "figures"]
-
 FEWEST_LAMBDAS = 3  # that make a curve
 
 CAPTIONS = {
@@ -41,7 +39,7 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str, selec
     """
     rows = summaries[(summaries["scenario"] == scenario) & summaries["controller"].isin(selection.main)]
     driven = records[records["controller"].isin(selection.main)]
-    lambdas = summaries[summaries["scenario"] == scenario].groupby("kind")["price"].nunique().max()
+    lambdas = summaries.query("scenario == @scenario").groupby("kind")["price"].nunique().max()
     drawn = {"curve": curve(summaries, scenario)} if lambdas >= FEWEST_LAMBDAS else {"bars": bars(rows, scenario)}
     drawn["timeline"] = timeline(driven, scenario)
     if selection.deciding:

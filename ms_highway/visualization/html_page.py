@@ -64,7 +64,7 @@ def page(
         progress(f"drawing {scenario}" + " and filming it" * videos)
         selection, results = selections[scenario], next(one for one in several if scenario in one.scenarios)
         drawn = figures(results.records, results.summaries, scenario, selection)
-        own = table[table["scenario"] == scenario].drop(columns="scenario")
+        own = table.query("scenario == @scenario").drop(columns="scenario")
         main = own["controller"].isin(selection.main)
         sections.append(
             {

@@ -48,7 +48,7 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
     """
     tables = []
     for price, rows in behind.groupby("price", sort=False):
-        own = rows[rows["scenario"] == scenario].set_index("controller")
+        own = rows.query("scenario == @scenario").set_index("controller")
         texts = [
             {
                 "controller": name,

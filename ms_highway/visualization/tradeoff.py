@@ -28,7 +28,7 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     planning and deciding are as on this machine. Controllers that choose online are joined in the order of lambda, a
     line per kind; the dashed line joins `best_schedules`; crosses are random controllers.
     """
-    rows, name = summaries[summaries["scenario"] == scenario], reference(summaries, scenario)
+    rows, name = summaries.query("scenario == @scenario"), reference(summaries, scenario)
     measures = {"counted_ms": COUNTED}
     if {"planning_ms", "decision_ms"} <= set(rows):
         rows = rows.assign(measured_ms=rows["planning_ms"] + rows["decision_ms"])
@@ -65,18 +65,18 @@ def frontier(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Se
         scenario: its name.
         seeds: of the starts.
     """
-    rows, figure = behind[behind["scenario"] == scenario], Figure(figsize=(7, 4.4), layout="constrained")
+    rows, figure = behind.query("scenario == @scenario"), Figure(figsize=(7, 4.4), layout="constrained")
     axes, means = figure.subplots(), ["reward", "counted_seconds"]
     shared = pd.DataFrame({name: table[name].unstack("seed")[list(seeds)].dropna().mean(axis=1) for name in means})
     orders = shared[[controller_config(str(name))["type"] in FIXED_ORDERS for name in shared.index]]
-    found = rows[rows["kind"] == "search"].sort_values("counted_seconds", ascending=False)
+    found = rows.query("kind == 'search'").sort_values("counted_seconds", ascending=False)
     for points, form, color, label in (
         (orders, ".", SCHEDULE_COLOR, "other orders"),
         (frontier_curve(table, seeds), "-", FRONTIER_COLOR, None),
         (found, "D", FRONTIER_COLOR, "best order of each start"),
     ):
         axes.plot(1e3 * points["counted_seconds"], points["reward"], form, color=color, label=label)
-    own = rows[rows["kind"] != "search"].drop_duplicates("controller")
+    own = rows.query("kind != 'search'").drop_duplicates("controller")
     prices = [named_controller(name).price for name in own["controller"]]
     _draw(axes, own.assign(counted_ms=1e3 * own["counted_seconds"], price=prices), "counted_ms")
     axes.set(xlabel=COUNTED, ylabel="reward per step")
@@ -89,12 +89,12 @@ def frontier(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Se
 
 def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
     """Draw the controllers of a summary over a measure of computation: online ones, random ones and fixed models."""
-    online, points = choosing(rows), rows[rows["kind"] == "random"]
+    online, points = choosing(rows), rows.query("kind == 'random'")
     for name, own in online.items():
         _points(axes, own, measure, "o-", choosing_shades(own["kind"].iloc[0])[-1], f"{name}, by lambda")
     if len(points):
         _points(axes, points, measure, "x", RANDOM_COLOR, "random")
-    for name, own in rows[rows["kind"] == "fixed"].groupby("controller", sort=False):
+    for name, own in rows.query("kind == 'fixed'").groupby("controller", sort=False):
         _points(axes, own, measure, "s", color_of(str(name)), str(name))
     axes.set_xlim(left=0)
     axes.grid(color="#eeeeee")

@@ -13,9 +13,8 @@ from PIL import Image
 
 from ms_highway.envs.graphics import INK, MARGIN, PAPER, model_color, words
 from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import replacing
-
-__all__ = ["Film", "Picture", "check_format", "check_width", "encoded", "film", "scaled", "write"]
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -111,23 +110,18 @@ def encoded(pictures: Sequence[Picture], suffix: str, frames_per_second: float) 
     Raises:
         ImportError: for ``.mp4`` without the packages of the extra ``video``.
     """
-    return _gif(pictures, frames_per_second) if suffix == ".gif" else _mp4(pictures, frames_per_second)
+    if suffix == ".gif":
+        return _gif(pictures, frames_per_second)
+    options = {"plugin": "pyav", "fps": frames_per_second, "codec": "libx264"}
+    return _imageio().imwrite("<bytes>", np.stack(pictures), extension=".mp4", **options)
 
 
 def _imageio() -> Any:
     """Return the library that writes .mp4 files."""
-    try:
+    with needing("video"):
         import av  # noqa: F401
         import imageio.v3 as imageio
-    except ImportError as error:
-        raise ImportError("videos need the extra 'video': pip install 'ms-highway[video]'") from error
     return imageio
-
-
-def _mp4(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
-    return _imageio().imwrite(
-        "<bytes>", np.stack(pictures), extension=".mp4", plugin="pyav", fps=frames_per_second, codec="libx264"
-    )
 
 
 def _gif(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
@@ -143,8 +137,6 @@ def _gif(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
     first.save(content, "GIF", save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
     return content.getvalue()
 
-
-__all__ = ["HEADING_HEIGHT", "side_by_side"]
 
 HEADING_HEIGHT = 56  # px
 BAR_HEIGHT = 10  # px
@@ -164,7 +156,7 @@ def side_by_side(films: Sequence[Film]) -> list[Picture]:
         raise ValueError("films of several sizes or speeds cannot be shown together; film them in the same way")
     longest = max(_seconds(film)[-1] for film in films)
     return [
-        np.concatenate([_titled(film, min(place, len(film.pictures) - 1), longest) for film in films])
+        np.concatenate([part for film in films for part in _titled(film, min(place, len(film.pictures) - 1), longest)])
         for place in range(max(len(film.pictures) for film in films))
     ]
 
@@ -174,24 +166,19 @@ def _seconds(film: Film) -> np.ndarray:
     return np.cumsum([float(record["planning_seconds"] + record["decision_seconds"]) for record in film.records])
 
 
-def _titled(film: Film, place: int, longest: float) -> Picture:
-    """Return a picture of a film under its heading; ``longest`` [s] is the full length of the bar."""
-    heading = _heading(film, place, film.pictures[0].shape[1], longest)
-    return np.concatenate([heading, film.pictures[place]])
-
-
-def _heading(film: Film, place: int, width: int, longest: float) -> UInt8[np.ndarray, "h w 3"]:
+def _titled(film: Film, place: int, longest: float) -> tuple[Picture, Picture]:
+    """Return a heading and the picture of a film below it; ``longest`` [s] is the full length of the bar."""
+    picture = film.pictures[place]
+    width, middle = picture.shape[1], (HEADING_HEIGHT - BAR_HEIGHT) // 2
     surface = pygame.Surface((width, HEADING_HEIGHT))
     surface.fill(INK)
-    taken, middle = _seconds(film)[: place + 1], (HEADING_HEIGHT - BAR_HEIGHT) // 2
-    reward = np.mean([record["reward"] for record in film.records[: place + 1]])
+    taken, reward = _seconds(film)[: place + 1], np.mean([record["reward"] for record in film.records[: place + 1]])
     name = words(film.controller, NAME_SIZE, PAPER)
     surface.blit(name, name.get_rect(midleft=(MARGIN, middle)))
-    text = f"reward per step {reward:+.2f}      computing {1e3 * taken[-1]:.1f} ms"
-    numbers = words(text, NUMBERS_SIZE, PAPER)
+    numbers = words(f"reward per step {reward:+.2f}      computing {1e3 * taken[-1]:.1f} ms", NUMBERS_SIZE, PAPER)
     surface.blit(numbers, numbers.get_rect(midright=(width - MARGIN, middle)))
-    ends = np.concatenate([[0], taken]) / longest * width
+    ends = np.append(0, taken) / longest * width
     for record, start, end in zip(film.records, ends, ends[1:], strict=False):
         color = model_color(record["model"])
         surface.fill(color, (round(start), HEADING_HEIGHT - BAR_HEIGHT, round(end) - round(start), BAR_HEIGHT))
-    return pygame.surfarray.array3d(surface).swapaxes(0, 1)
+    return pygame.surfarray.array3d(surface).swapaxes(0, 1), picture

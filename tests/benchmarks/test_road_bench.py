@@ -6,13 +6,13 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
+from commands import run
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, run_episode, summary
 from ms_highway.benchmarks.road.measures import Watch, measured
-from ms_highway.cli.main import main
 
 KEYS = {"success", "collisions", "at_fault", "reward_per_step", "max_acceleration", "p50_ms", "p99_ms"}
 
@@ -119,9 +119,8 @@ def test_idm_is_paid_for_its_speed_like_an_ego_with_target_speeds():
 @pytest.mark.slow
 def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path, capsys):
     file, log = tmp_path / "road.json", tmp_path / "road.csv"
-    scenes = ["highway-fast", "merge-v0"]
-    arguments = ["bench", "road", *scenes, "--drivers", "idm", "idle", "--seeds", "2", "--seed", "5"]
-    assert main([*arguments, "--json", str(file), "--log", str(log), "--films", str(tmp_path)]) == 0
+    command = "bench road highway-fast merge-v0 --drivers idm idle --seeds 2 --seed 5"
+    run(f"{command} --json {file} --log {log} --films {tmp_path}")
     results = json.loads(file.read_text())
     drivers = {scene: list(figures) for scene, figures in results.items()}
     assert drivers == {scene: ["idm", "idle"] for scene in ("highway-fast-v0", "merge-v0")}
@@ -135,15 +134,12 @@ def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["roundabout-v7"], "unknown scene 'roundabout-v7'; the scenes are highway-fast-v0"),
-        (["merge", "--drivers", "budget:1..2"], "unknown driver 'budget:1..2'"),
-        (["merge", "--drivers", "oracle"], "unknown driver 'oracle'; the drivers are idm, idle, random, priced"),
-        (["merge", "--drivers", "switching"], "the choice by price is called 'priced'"),
-        (["merge", "--seeds", "0"], "--seeds: '0' is no whole number from 1"),
+        ("roundabout-v7", "unknown scene 'roundabout-v7'; the scenes are highway-fast-v0"),
+        ("merge --drivers budget:1..2", "unknown driver 'budget:1..2'"),
+        ("merge --drivers oracle", "unknown driver 'oracle'; the drivers are idm, idle, random, priced"),
+        ("merge --drivers switching", "the choice by price is called 'priced'"),
+        ("merge --seeds 0", "--seeds: '0' is no whole number from 1"),
     ],
 )
-def test_what_is_unknown_is_refused_before_anything_is_driven(arguments, message, tmp_path, capsys):
-    file = tmp_path / "road.json"
-    assert main(["bench", "road", *arguments, "--json", str(file)]) == 2
-    assert message in capsys.readouterr().err
-    assert not file.exists()
+def test_what_is_unknown_is_refused_before_anything_is_driven(arguments, message, refused):
+    assert message in refused(f"bench road {arguments} --json road.json")

@@ -7,110 +7,102 @@ import sys
 import imageio.v3 as imageio
 import pandas as pd
 import pytest
+from commands import run
 
 from ms_highway.cli.main import main
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS
 
-
-def failure(capsys, *arguments):
-    """The one line that a refused command prints."""
-    assert main(list(arguments)) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1
-    return lines[0]
+NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
 
 
 @pytest.mark.parametrize("content", ["[" * 100_000, '{"a":' * 100_000])
-def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, tmp_path, capsys):
+def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, tmp_path, refused):
     for name in ("settings.json", "provenance.json", "learned.json"):
         (tmp_path / name).write_text(content)
-    learned = str(tmp_path / "learned.json")
-    arguments = ["compare", "merger", "--controllers", "naive", "--seeds", "1"]
-    assert "nested too deeply" in failure(capsys, *arguments, "--out", str(tmp_path))
-    assert "nested too deeply" in failure(capsys, "sweep", *arguments[1:4], "--out", str(tmp_path))
-    reward = f"human_reward={learned}"
-    assert "nested too deeply" in failure(capsys, *arguments, "--set", reward, "--out", str(tmp_path / "out"))
-    report = ["report", "--drivers", learned, "us101", str(tmp_path)]
-    assert "nested too deeply" in failure(capsys, *report, "--out", str(tmp_path / "page.html"))
+    for command in (
+        "compare merger --controllers naive --out .",
+        "sweep merger --controllers naive --out .",
+        "compare merger --set human_reward=learned.json --out out",
+        "report --drivers learned.json us101 . --out page.html",
+    ):
+        assert "nested too deeply" in refused(command)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("command", "message"),
     [
-        (["compare", "roundabout"], "unknown scenario 'roundabout'"),
-        (["compare", "merger", "--controllers", "oracle"], "unknown controller 'oracle'"),
-        (["compare", "merger", "--controllers", "switching:-1"], "a number from 0 to"),
-        (["compare", "merger", "--controllers", "schedule:tom,naive"], "write it like schedule:tom=6,naive"),
-        (["compare", "merger", "--controllers", "schedule:oracle"], "names 'oracle'; the human models are"),
-        (["compare", "merger", "--controllers", "schedule:tmo=3,naive"], "names 'tmo'; the human models are"),
-        (["compare", "merger", "--controllers", "period:tom=1,naive"], "write it like period:tom=1,naive=3"),
+        ("compare roundabout", "unknown scenario 'roundabout'"),
+        ("compare merger --controllers oracle", "unknown controller 'oracle'"),
+        ("compare merger --controllers switching:-1", "a number from 0 to"),
+        ("compare merger --controllers schedule:tom,naive", "write it like schedule:tom=6,naive"),
+        ("compare merger --controllers schedule:oracle", "names 'oracle'; the human models are"),
+        ("compare merger --controllers schedule:tmo=3,naive", "names 'tmo'; the human models are"),
+        ("compare merger --controllers period:tom=1,naive", "write it like period:tom=1,naive=3"),
         (
-            ["compare", "merger", "--controllers", "random:tom"],
+            "compare merger --controllers random:tom",
             "write it like random:naive=0.7",
         ),
-        (["compare", "merger", "--controllers", "random:naive=0.7,tom=0.2"], "['shares'] sum to 0.9; change one"),
-        (["--import", "brief.py", "compare"], "--import brief.py: give the name of a module, such as brief"),
-        (["compare", "merger", "--set", "ladder=tom,naive"], "cheapest first"),
-        (["compare", "merger", "--set", "horizon"], "say it like --set horizon=10"),
-        (["compare", "merger", "--set", "controller=tom"], "who drives is no key"),
-        (["compare", "merger", "--set", "horizn=10"], "did you mean 'horizon'?"),
-        (["compare", "merger", "--set", "horizon=ten"], "config['horizon'] is 'ten'"),
-        (["compare", "merger", "--seed", "1000"], "unrecognized arguments: --seed 1000"),
-        (["compare", "merger", "--lambdas", "1:1.01:25"], "lambdas are '1:1.01:25'; give a number like 0.1, or LOW:"),
-        (["compare", "merger", "--lambdas", "0.1:10:1000000000000"], "lambdas are '0.1:10:1000000000000'"),
-        (["compare", "merger", "--lambdas", "-1"], "lambdas are '-1'"),
-        (["--import", "no_such_module", "compare"], "--import no_such_module: ModuleNotFoundError: No module named"),
-        (["compare", "merger", "--seeds", "0"], "--seeds: '0' is no whole number from 1 to"),
-        (["compare", "merger", "--out", "caf\udce9"], "'caf\\udce9' is not UTF-8"),
+        ("compare merger --controllers random:naive=0.7,tom=0.2", "['shares'] sum to 0.9; change one"),
+        ("--import brief.py compare", "--import brief.py: give the name of a module, such as brief"),
+        ("compare merger --set ladder=tom,naive", "cheapest first"),
+        ("compare merger --set horizon", "say it like --set horizon=10"),
+        ("compare merger --set controller=tom", "who drives is no key"),
+        ("compare merger --set horizn=10", "did you mean 'horizon'?"),
+        ("compare merger --set horizon=ten", "config['horizon'] is 'ten'"),
+        ("compare merger --seed 1000", "unrecognized arguments: --seed 1000"),
+        ("compare merger --lambdas 1:1.01:25", "lambdas are '1:1.01:25'; give a number like 0.1, or LOW:"),
+        ("compare merger --lambdas 0.1:10:1000000000000", "lambdas are '0.1:10:1000000000000'"),
+        ("compare merger --lambdas -1", "lambdas are '-1'"),
+        ("--import no_such_module compare", "--import no_such_module: ModuleNotFoundError: No module named"),
+        ("compare merger --seeds 0", "--seeds: '0' is no whole number from 1 to"),
+        ("compare merger --out caf\udce9", "'caf\\udce9' is not UTF-8"),
         (
-            ["compare", "merger", "--seeds", "9223372036854775808"],
+            "compare merger --seeds 9223372036854775808",
             "--seeds: '9223372036854775808' is no whole number",
         ),
         (
-            ["compare", "merger", "--controllers", "schedule:tom=10000000000,naive"],
+            "compare merger --controllers schedule:tom=10000000000,naive",
             "write it like schedule:tom=6,naive",
         ),
-        (["compare", "merger", "--controllers", "switching:0.1\n"], "write it like switching:0.1"),
-        (["frontier", "merger", "--seeds", "1000000000000"], "--seeds: '1000000000000'"),
-        (["frontier", "merger", "--population", "1000000"], "is 30000000 orders in a round"),
+        ("compare merger --controllers switching:0.1\n", "write it like switching:0.1"),
+        ("frontier merger --seeds 1000000000000", "--seeds: '1000000000000'"),
+        ("frontier merger --population 1000000", "is 30000000 orders in a round"),
         (
-            ["irl", "record", "--driver", "mpc", "--dataset", "a/b-v0", "--episodes", "1000000000000"],
+            "irl record --driver mpc --dataset a/b-v0 --episodes 1000000000000",
             "from 1 to 1,000,000",
         ),
-        (["bench", "merger", "--batches", "1000000000000"], "--batches: '1000000000000'"),
-        (["compare", "merger", "--set", "costs=naive=cheap"], "config['costs']"),
-        (["compare", "merger", "--set", "costs=naive=0.1"], "'turn'"),
-        (["compare", "merger", "--set", "human_reward=taught"], "human_reward is neither learned nor published"),
-        (["video", "merger", "--out", "film.mp4", "--set", "human_reward=nobody"], "nobody cannot be read"),
-        (["video", "merger", "--out", "film.avi"], ".mp4 or .gif"),
-        (["video", "merger", "--out", "film.mp4", "--speed", "0"], "--speed"),
-        (["video", "merger", "--out", "film.mp4", "--speed", "nan"], "--speed"),
+        ("bench merger --batches 1000000000000", "--batches: '1000000000000'"),
+        ("compare merger --set costs=naive=cheap", "config['costs']"),
+        ("compare merger --set costs=naive=0.1", "'turn'"),
+        ("compare merger --set human_reward=taught", "human_reward is neither learned nor published"),
+        ("video merger --out film.mp4 --set human_reward=nobody", "nobody cannot be read"),
+        ("video merger --out film.avi", ".mp4 or .gif"),
+        ("video merger --out film.mp4 --speed 0", "--speed"),
+        ("video merger --out film.mp4 --speed nan", "--speed"),
         (
-            ["video", "merger", "--out", "film.mp4", "--speed", "1e300"],
+            "video merger --out film.mp4 --speed 1e300",
             "--speed: '1e300' is no number from 0.01 to 100",
         ),
-        (["irl", "record", "--driver", "mpc", "--dataset", "a/b-v0", "--episodes", "1"], "name it like ms-highway"),
-        (["video", "merger", "--out", "film.mp4", "--seed", "-1"], "--seed"),
-        (["video", "roundabout", "--out", "film.mp4"], "unknown scenario 'roundabout'"),
-        (["video", "merger", "--out", "film.mp4", "--against", "oracle"], "unknown controller 'oracle'"),
-        (["video", "merger", "--out", "film.mp4", "--width", "2000"], "the width is 2000 px"),
-        (["validate", "nowhere"], "there is no directory nowhere"),
-        (["bench", "roundabout"], "'roundabout'; the scenarios are"),
-        (["sweep", "merger", "give_way", "--out", "sweep"], "there are 2 scenarios; a sweep is of one"),
-        (["report"], "name a directory of results, or a page to write"),
+        ("irl record --driver mpc --dataset a/b-v0 --episodes 1", "name it like ms-highway"),
+        ("video merger --out film.mp4 --seed -1", "--seed"),
+        ("video roundabout --out film.mp4", "unknown scenario 'roundabout'"),
+        ("video merger --out film.mp4 --against oracle", "unknown controller 'oracle'"),
+        ("video merger --out film.mp4 --width 2000", "the width is 2000 px"),
+        ("validate nowhere", "there is no directory nowhere"),
+        ("bench roundabout", "'roundabout'; the scenarios are"),
+        ("sweep merger give_way --out sweep", "there are 2 scenarios; a sweep is of one"),
+        ("report", "name a directory of results, or a page to write"),
     ],
 )
-def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert message in failure(capsys, *arguments)
-    assert not list(tmp_path.iterdir())
+def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(command, message, refused):
+    assert message in refused(command)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["mp4", "gif"])
 def test_a_video_plays_at_true_speed(suffix, tmp_path, capsys):
     film = tmp_path / "films" / f"stay_back.{suffix}"
-    assert main(["video", "stay_back", "--controller", "naive", "--seed", "1", "--out", str(film)]) == 0
+    run(f"video stay_back --controller naive --seed 1 --out {film}")
     assert imageio.imread(film, plugin="pyav").shape == (35, 352, 960, 3)
     seconds = imageio.immeta(film, plugin="pyav")["duration"]
     assert seconds == pytest.approx(3.5, abs=0.11)
@@ -133,9 +125,8 @@ def test_a_command_knows_the_scenarios_of_a_module_that_it_imports(tmp_path, mon
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "my_scenarios.py").write_text(MODULE)
-    arguments = ["compare", "empty", "--controllers", "naive", "--seeds", "1", "--out", "results"]
     try:
-        assert main(["--import", "my_scenarios", *arguments]) == 0
+        run("--import my_scenarios compare empty --controllers naive --seeds 1 --out results")
     finally:
         del ENVIRONMENTS["empty"], SCENARIOS["empty"]
     assert pd.read_csv("results/summary.csv")["reward"].item() > 2  # nothing stands in the way
@@ -147,11 +138,10 @@ def test_commands_keep_compiled_planners_in_the_users_own_cache_unless_told_not_
     home = tmp_path / "home"
     environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_COMPILATION")}
     environment["XDG_CACHE_HOME"] = str(home)
-    arguments = ["compare", "stay_back", "--controllers", "naive", "--seeds", "1", "--out"]
-    for run, options in enumerate((["--no-compilation-cache"], [])):
-        command = [sys.executable, "-m", "ms_highway", *options, *arguments, str(tmp_path / str(run))]
-        subprocess.run(command, check=True, capture_output=True, env=environment)
-        assert (home / "ms_highway").exists() == (run == 1)
+    for keeps, option in enumerate(("--no-compilation-cache ", "")):
+        command = f"-m ms_highway {option}{NAIVE} {tmp_path / str(keeps)}"
+        subprocess.run([sys.executable, *command.split()], check=True, capture_output=True, env=environment)
+        assert (home / "ms_highway").exists() == keeps
     assert (home / "ms_highway" / "compiled").stat().st_mode & 0o077 == 0
     assert list((home / "ms_highway" / "compiled").iterdir())
 
@@ -168,9 +158,8 @@ def test_a_command_goes_on_where_compiled_planners_cannot_be_kept(tmp_path, monk
 
 def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_path):
     """In a process of its own, as the tests turn warnings into errors."""
-    arguments = ["compare", "stay_back", "--controllers", "naive", "--seeds", "1", "--set", "step_size=0.5", "--out"]
-    command = [sys.executable, "-m", "ms_highway", *arguments, str(tmp_path / "out")]
-    said = subprocess.run(command, check=True, capture_output=True, text=True).stderr
+    command = f"-m ms_highway {NAIVE} {tmp_path} --set step_size=0.5"
+    said = subprocess.run([sys.executable, *command.split()], check=True, capture_output=True, text=True).stderr
     (line,) = {line for line in said.splitlines() if "overshoot" in line}
     assert line.startswith("ms-highway: config['step_size'] is 0.5")
     assert "warn(" not in said

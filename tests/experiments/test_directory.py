@@ -40,15 +40,3 @@ def test_a_directory_that_was_left_while_settings_were_written_can_be_taken_up_a
         ResultsDirectory(tmp_path).take_up({})
     with pytest.raises(ValueError, match="which is a file"):
         ResultsDirectory(tmp_path / "other").take_up({})
-
-
-def test_runs_are_recorded_with_what_differs_from_the_one_before(tmp_path, monkeypatch):
-    directory = ResultsDirectory(tmp_path)
-    assert directory.runs() == []
-    assert directory.record("first") == ""
-    monkeypatch.setenv("XLA_FLAGS", "--xla_other")
-    assert "XLA_FLAGS --xla_other instead of" in directory.record("second")
-    assert [run["command"] for run in directory.runs()] == ["first", "second"]
-    (tmp_path / "provenance.json").write_text('[{"command": 1}]')
-    with pytest.raises(ValueError, match=r"provenance.json cannot be read as a list of runs .*command"):
-        directory.runs()

@@ -8,8 +8,8 @@ import imageio.v3 as imageio
 import numpy as np
 import pandas as pd
 import pytest
+from commands import run
 
-from ms_highway.cli.main import main
 from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.batch import make_batch
@@ -20,17 +20,9 @@ from ms_highway.experiments.runner import episode, make_environment
 LADDER = ["naive", "turn"]
 SEEDS, STEPS, PRICES = 3, 40, (0.03, 0.1)
 OTHERS = ["period:turn=1,naive=3", "random:naive=0.75,turn=0.25"]
-SEARCH = ["frontier", "merger", "--set", "ladder=naive,turn", "--seeds", "3", "--prices", "0.03", "0.1"]
-SEARCH += ["--lambdas", "0.001", "0.1", "--controllers", *OTHERS]
-SMALL = ["--population", "16", "--rounds", "6", "--out"]
+SEARCH = f"""frontier merger --set ladder=naive,turn --seeds 3 --prices 0.03 0.1 --lambdas 0.001 0.1 --controllers \
+{OTHERS[0]} {OTHERS[1]} --population 16 --rounds 6 --out"""
 SEVERAL = {"humans": 2, "horizon": 5, "costs": {"naive": 0.001, "turn": 0.002, "tom": 0.005}}
-
-
-def failure(capsys, *arguments):
-    """The one line that a refused command prints."""
-    assert main(list(arguments)) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    return line
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +33,7 @@ def batch():
 @pytest.fixture(scope="module")
 def searched(tmp_path_factory):
     directory = tmp_path_factory.mktemp("frontier") / "out"
-    assert main([*SEARCH, *SMALL, str(directory)]) == 0
+    run(f"{SEARCH} {directory}")
     return directory
 
 
@@ -112,7 +104,7 @@ def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path
     shutil.copy(searched / "settings.json", directory)
     lines = (searched / file).read_text().splitlines(keepends=True)
     (directory / file).write_text("".join(lines[: len(lines) // 2]))
-    assert main([*SEARCH, *SMALL, str(directory)]) == 0
+    run(f"{SEARCH} {directory}")
     for name in (file, "orders.csv", "regrets.csv"):
         assert (directory / name).read_bytes() == (searched / name).read_bytes()
     assert len(json.loads((directory / "provenance.json").read_text())) == 1
@@ -132,24 +124,9 @@ def test_the_name_of_an_order_stands_for_its_models_step_by_step():
     assert controller_name(LADDER, np.array([[0, 1], [0, 1], [1, 1]])) == "schedule:naive/turn=2,turn"
 
 
-def test_outcomes_that_were_damaged_are_named(searched, tmp_path, capsys):
+def test_outcomes_that_were_damaged_are_named(searched, tmp_path, refused):
     shutil.copytree(searched, tmp_path / "out")
     (tmp_path / "out" / "merger_episodes.csv").write_text("controller,seed\n")
-    line = failure(capsys, *SEARCH, "--out", str(tmp_path / "out"))
-    assert "merger_episodes.csv cannot be resumed" in line
+    line = refused(f"{SEARCH} out")
+    assert "merger_episodes.csv cannot be read" in line
     assert "remove it" in line
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["roundabout"], "unknown scenario 'roundabout'"),
-        (["merger", "--devices", "1000"], "1000 devices are wanted; this process has"),
-        (["merger", "--set", "ladder=tom,naive"], "cheapest first"),
-        (["merger", "--set", "costs=measured"], "cannot measure plans"),
-    ],
-)
-def test_a_wrong_search_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert message in failure(capsys, "frontier", *arguments, "--out", "out")
-    assert not list(tmp_path.iterdir())

@@ -15,19 +15,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.cli.main import main
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.sweep import Sweep, run_sweep
 
-SWEEP = ["sweep", "stay_back", "--set", "ladder=naive,", "--lambdas", "0.1:10:2", "--seeds", "24", "--part", "16"]
+SWEEP = "sweep stay_back --set ladder=naive, --lambdas 0.1:10:2 --seeds 24 --part 16 --steps --out"
 """Three controllers of which none thinks hard: 72 episodes in five parts."""
-
-
-def failure(capsys, *arguments):
-    """The one line that a refused command prints."""
-    assert main(list(arguments)) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    return line
 
 
 def contents(directory):
@@ -36,18 +28,18 @@ def contents(directory):
     return {str(file.relative_to(directory)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
-def begin(*arguments, devices=1):
+def begin(command, devices=1):
     """The command in a process of its own, compiled without much optimisation, as little is computed."""
     flags = f"--xla_backend_optimization_level=0 --xla_force_host_platform_device_count={devices}"
-    command = [sys.executable, "-m", "ms_highway", *arguments]
+    words = [sys.executable, "-m", "ms_highway", *command.split(" ")]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen(command, env={**os.environ, "XLA_FLAGS": flags}, **quiet)
+    return subprocess.Popen(words, env={**os.environ, "XLA_FLAGS": flags}, **quiet)
 
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     directory = tmp_path_factory.mktemp("sweep") / "out"
-    assert begin(*SWEEP, "--steps", "--out", str(directory)).wait() == 0
+    assert begin(f"{SWEEP} {directory}").wait() == 0
     return directory
 
 
@@ -69,16 +61,15 @@ def test_a_sweep_is_opened_in_one_line_with_a_row_per_episode_and_per_step(swept
 
 @pytest.mark.slow
 def test_a_sweep_that_is_killed_goes_on_with_two_devices_to_what_an_uninterrupted_one_with_one_gives(swept, tmp_path):
-    arguments = [*SWEEP, "--steps", "--out", str(tmp_path / "out")]
-    parts = tmp_path / "out" / "episodes"
-    process = begin(*arguments)
+    command, parts = f"{SWEEP} {tmp_path / 'out'}", tmp_path / "out" / "episodes"
+    process = begin(command)
     while process.poll() is None and len(list(parts.glob("part-*"))) < 2:
         time.sleep(0.002)
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert len(list(parts.glob("part-*"))) >= 2
     assert not (tmp_path / "out" / "summary.csv").exists()
-    assert begin(*arguments, devices=2).wait() == 0
+    assert begin(command, devices=2).wait() == 0
     assert contents(tmp_path / "out") == contents(swept)
 
 
@@ -87,8 +78,8 @@ def test_two_processes_and_other_parts_give_the_episodes_of_one(swept, tmp_path)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         coordinator = f"127.0.0.1:{free.getsockname()[1]}"
-    arguments = [*SWEEP[:-1], "10", "--steps", "--out", str(tmp_path), "--coordinator", coordinator, "--processes", "2"]
-    runs = [begin(*arguments, "--process", place) for place in ("0", "1")]
+    command = f"{SWEEP} {tmp_path} --part 10 --coordinator {coordinator} --processes 2 --process"
+    runs = [begin(f"{command} {place}") for place in (0, 1)]
     assert [run.wait() for run in runs] == [0, 0]
     for kind in ("episodes", "steps"):
         alone, shared = (pd.read_parquet(directory / kind) for directory in (swept, tmp_path))
@@ -96,12 +87,12 @@ def test_two_processes_and_other_parts_give_the_episodes_of_one(swept, tmp_path)
     assert (tmp_path / "summary.csv").read_bytes() == (swept / "summary.csv").read_bytes()
 
 
-def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, capsys):
+def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, refused):
     before = contents(swept)
-    assert "first_seed 0 instead of 5" in failure(capsys, *SWEEP, "--steps", "--first-seed", "5", "--out", str(swept))
+    assert "first_seed 0 instead of 5" in refused(f"{SWEEP} {swept} --first-seed 5")
     assert contents(swept) == before
     (tmp_path / "steps.csv").touch()
-    assert "choose another directory" in failure(capsys, *SWEEP, "--out", str(tmp_path))
+    assert "choose another directory" in refused(f"{SWEEP} .")
 
 
 def test_processes_that_are_asked_for_different_sweeps_do_not_mix_them(swept, tmp_path):
@@ -112,11 +103,11 @@ def test_processes_that_are_asked_for_different_sweeps_do_not_mix_them(swept, tm
     assert not (tmp_path / "out" / "episodes").exists()
 
 
-def test_a_part_that_was_damaged_is_named(swept, tmp_path, capsys):
+def test_a_part_that_was_damaged_is_named(swept, tmp_path, refused):
     shutil.copytree(swept, tmp_path / "out")
     part = tmp_path / "out" / "episodes" / "part-000002.parquet"
     part.write_bytes(part.read_bytes()[:100])
-    line = failure(capsys, *SWEEP, "--steps", "--out", str(tmp_path / "out"))
+    line = refused(f"{SWEEP} out")
     assert "part-000002.parquet cannot be read" in line
     assert "remove it" in line
 
@@ -124,21 +115,17 @@ def test_a_part_that_was_damaged_is_named(swept, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["roundabout"], "unknown scenario 'roundabout'"),
-        (["merger", "--controllers", "oracle"], "unknown controller 'oracle'"),
-        (["merger", "--seeds", "1000000", "--part", "1"], "parts; there may be 1000000, of --part episodes each"),
-        (["merger", "--set", "costs=measured"], "cannot measure plans"),
+        ("merger --seeds 1000000 --part 1", "parts; there may be 1000000, of --part episodes each"),
+        ("merger --set costs=measured", "cannot measure plans"),
         (
-            ["dense_merge"],
+            "dense_merge",
             "costs are 'measured', and a simulation cannot measure plans; say 'published', or give seconds",
         ),
-        (["dense_merge", "--set", "costs=naive=0.1"], "without seconds for 'turn'"),
-        (["merger", "--devices", "1000"], "1000 devices are wanted; this process has"),
-        (["merger", "--processes", "2"], "several need a coordinator"),
-        (["merger", "--process", "1"], "numbered from 0"),
+        ("dense_merge --set costs=naive=0.1", "without seconds for 'turn'"),
+        ("merger --devices 1000", "1000 devices are wanted; this process has"),
+        ("merger --processes 2", "several need a coordinator"),
+        ("merger --process 1", "numbered from 0"),
     ],
 )
-def test_a_wrong_sweep_says_so_in_one_line_and_writes_nothing(arguments, message, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert message in failure(capsys, "sweep", *arguments, "--out", "out")
-    assert not list(tmp_path.iterdir())
+def test_a_wrong_sweep_says_so_in_one_line_and_writes_nothing(arguments, message, refused):
+    assert message in refused(f"sweep {arguments} --out out")

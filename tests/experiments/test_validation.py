@@ -78,7 +78,7 @@ def test_files_that_are_no_reference_files_are_refused_by_name(tmp_path):
     with pytest.raises(FileNotFoundError, match="no reference episodes"):
         validate(tmp_path)
     (tmp_path / "merger__naive.npz").write_bytes(b"not an archive")
-    with pytest.raises(ValueError, match=r"merger__naive\.npz is no reference file"):
+    with pytest.raises(ValueError, match=r"merger__naive\.npz cannot be read as a reference file"):
         validate(tmp_path)
     for name in ("highway__naive", "merger__switching_aggressive"):
         np.savez(tmp_path / f"{name}.npz")
@@ -108,12 +108,8 @@ def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
             validate_file(file)
 
 
-def test_files_that_are_empty_endless_or_unpack_without_end_are_refused(tmp_path):
+def test_files_that_are_endless_or_unpack_without_end_are_refused(tmp_path):
     file = tmp_path / "merger__naive.npz"
-    file.touch()
-    with pytest.raises(ValueError, match="is no reference file"):
-        validate_file(file)
-    file.unlink()
     file.symlink_to("/dev/zero")
     with pytest.raises(ValueError, match="a directory or a device"):
         validate_file(file)

@@ -7,8 +7,8 @@ from itertools import islice
 import jax
 import numpy as np
 import pytest
+from commands import run
 
-from ms_highway.cli.main import main
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.values.generator import draw_scenario
@@ -22,19 +22,8 @@ COSTS = {"naive": 0.003, "turn": 0.0036, "tom": 0.005}
 SEVERAL = Learning(COSTS, "cheapest", (30.0, 30.0), 2, (6, 6), 5, seed=1)
 ALONE = Learning({"naive": 0.09, "turn": 0.17}, rounds=2, states=(8, 5), seed=3)
 QUICK = {
-    "merger": ["--set", "ladder=naive,turn", "--states", "8", "--rounds", "2"],
-    "dense_merge": [
-        "--set",
-        "humans=2",
-        "--set",
-        "horizon=5",
-        "--states",
-        "6",
-        "--rounds",
-        "1",
-        "--horizon-steps",
-        "5",
-    ],
+    "merger": ("--set ladder=naive,turn", "--states 8 --rounds 2"),
+    "dense_merge": ("--set humans=2 --set horizon=5", "--states 6 --rounds 1 --horizon-steps 5"),
 }
 
 
@@ -55,10 +44,14 @@ def same(one, other):
 
 
 @pytest.fixture(scope="module", params=["merger", pytest.param("dense_merge", marks=pytest.mark.slow)])
-def learned(request):
+def learned(request, tmp_path_factory):
     """How values are learned, where, and all progress."""
     learning, course = COURSES[request.param]()
-    return learning, course, list(learn(learning, [course], None, device_mesh(jax.local_devices()[:1])))
+    return (
+        learning,
+        course,
+        list(learn(learning, [course], tmp_path_factory.mktemp("kept"), device_mesh(jax.local_devices()[:1]))),
+    )
 
 
 def test_each_round_ends_in_values_of_all_examples_so_far(learned):
@@ -80,13 +73,13 @@ def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_d
     with pytest.raises(ValueError, match=r"seed \d instead of 9"):
         next(learn(replace(learning, seed=9), [course], kept, device_mesh()))
     (kept / "1-0.npz").write_bytes(before[:100])
-    with pytest.raises(ValueError, match=r"1-0\.npz cannot be resumed"):
+    with pytest.raises(ValueError, match=r"1-0\.npz cannot be read"):
         next(learn(learning, [course], kept, device_mesh()))
 
 
-def test_another_seed_gives_other_values(learned):
+def test_another_seed_gives_other_values(learned, tmp_path):
     learning, course, done = learned
-    *_, last = learn(replace(learning, rounds=1, seed=4), [course], None, device_mesh())
+    *_, last = learn(replace(learning, rounds=1, seed=4), [course], tmp_path, device_mesh())
     assert not same(last.values, done[1].values)
 
 
@@ -117,34 +110,27 @@ def test_generated_scenes_begin_without_a_collision_and_share_their_shapes():
 
 @pytest.mark.parametrize("scenario", ["merger", pytest.param("dense_merge", marks=pytest.mark.slow)])
 def test_the_command_learns_values_that_drive(scenario, tmp_path, capsys):
-    file = tmp_path / "values.npz"
-    assert main(["values", "learn", scenario, *QUICK[scenario], "--out", str(file)]) == 0
+    file, (config, quick) = tmp_path / "values.npz", QUICK[scenario]
+    run(f"values learn {scenario} {config} {quick} --out {file}")
     assert capsys.readouterr().out.count("held-out regret per step: merger 0.") == 2 * (scenario == "merger")
     assert list(tmp_path.iterdir()) == [file]
     values = load_values(file)
     assert values.provenance["scenarios"] == [scenario]
     assert values.baseline == ("top" if scenario == "merger" else "cheapest")
-    options = [word for word in QUICK[scenario][:4] if "states" not in word and word != "8"]
-    command = ["compare", scenario, *options, "--controllers", f"learned:0.1:{file}", "--seeds", "1"]
-    assert main([*command, "--out", str(tmp_path / "out")]) == 0
+    run(f"compare {scenario} {config} --controllers learned:0.1:{file} --seeds 1 --out {tmp_path / 'out'}")
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["merger", "--out", "values.txt"], "ends in .npz"),
-        (["merger", "--out", "missing/values.npz"], "in a directory that exists"),
-        (["murger", "--out", "values.npz"], "unknown scenario 'murger'"),
-        (["dense_merge", "merger", "--out", "values.npz"], "merger has one human"),
-        (["merger", "--set", "ladder=best", "--out", "values.npz"], "leave +warm out"),
-        (["merger", "--set", "yielding=never", "--out", "values.npz"], "config['yielding']"),
-        (["merger", "--set", "costs=naive=0.1", "--out", "values.npz"], "turn"),
+        ("merger --out values.txt", "ends in .npz"),
+        ("merger --out missing/values.npz", "in a directory that exists"),
+        ("murger --out values.npz", "unknown scenario 'murger'"),
+        ("dense_merge merger --out values.npz", "merger has one human"),
+        ("merger --set ladder=best --out values.npz", "leave +warm out"),
+        ("merger --set yielding=never --out values.npz", "config['yielding']"),
+        ("merger --set costs=naive=0.1 --out values.npz", "turn"),
     ],
 )
-def test_what_cannot_be_learned_is_refused_before_anything_is_written(
-    tmp_path, monkeypatch, capsys, arguments, message
-):
-    monkeypatch.chdir(tmp_path)
-    assert main(["values", "learn", *arguments]) == 2
-    assert message in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
+def test_what_cannot_be_learned_is_refused_before_anything_is_written(arguments, message, refused):
+    assert message in refused(f"values learn {arguments}")

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-import warnings
 
 import gymnasium as gym
 import h5py
@@ -18,10 +17,10 @@ import minari
 import numpy as np
 import pygame
 import pytest
+from commands import run
 from gymnasium.utils.env_checker import check_env
 from jax import numpy as jnp
 
-from ms_highway.cli.main import main
 from ms_highway.envs import DEMONSTRATION_ID
 from ms_highway.envs.demonstration import ABSENT, DENSITIES, KEYBOARD_ACTION, demonstration_game
 from ms_highway.game.dynamics import recover_control, step
@@ -71,7 +70,7 @@ def datasets(tmp_path, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+def recording(tmp_path_factory):
     """A directory with a data set of three episodes."""
     directory = tmp_path_factory.mktemp("minari")
     with pytest.MonkeyPatch.context() as patch:
@@ -81,9 +80,15 @@ def recorded(tmp_path_factory):
 
 
 @pytest.fixture
-def files(recorded, datasets):
+def recorded(recording, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(recording))
+    return load_demonstrations(NAME)
+
+
+@pytest.fixture
+def files(recording, datasets):
     """The files of a copy of that data set."""
-    shutil.copytree(recorded, datasets, dirs_exist_ok=True)
+    shutil.copytree(recording, datasets, dirs_exist_ok=True)
     return datasets / NAME / "data"
 
 
@@ -91,9 +96,7 @@ def files(recorded, datasets):
 
 
 def test_gymnasiums_checker_passes_without_a_warning():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(make(render_mode="rgb_array").unwrapped)
+    check_env(make(render_mode="rgb_array").unwrapped)
 
 
 @pytest.mark.parametrize("density", DENSITIES)
@@ -190,28 +193,25 @@ def test_arrow_keys_drive(monkeypatch):
 # Recordings
 
 
-def test_recordings_come_back_as_they_were_driven(recorded, monkeypatch):
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(recorded))
-    recordings = load_demonstrations(NAME)
-    for seed, (recording, density) in enumerate(zip(recordings, DENSITIES, strict=True)):
+def test_recordings_come_back_as_they_were_driven(recorded):
+    for seed, (recording, density) in enumerate(zip(recorded, DENSITIES, strict=True)):
         observations, *_ = driven(make(density), seed)
         present = observations[..., 0] == 1
         np.testing.assert_array_equal(recording.seen, present)
         np.testing.assert_array_equal(recording.states[present], observations[present][:, 1:])
         assert recording.states.shape == (51, 8, 4)
         assert list(recording.drivers) == [0]
-    assert len({recording.group for recording in recordings}) == 3
+    assert len({recording.group for recording in recorded}) == 3
 
 
-def test_a_data_set_is_minaris_and_says_how_it_was_made(recorded, monkeypatch):
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(recorded))
+@pytest.mark.usefixtures("recorded")
+def test_a_data_set_is_minaris_and_says_how_it_was_made():
     dataset = minari.load_dataset(NAME)
     assert dataset.total_steps == 150
     assert NAME in minari.list_local_datasets()
-    for number, (mark, density) in enumerate(
-        zip(dataset.storage.get_episode_metadata(range(3)), DENSITIES, strict=True)
-    ):
-        assert (mark["seed"], mark["options"]["config"]["density"]) == (number, density)
+    marks = dataset.storage.get_episode_metadata(range(3))
+    told = [(mark["seed"], mark["options"]["config"]["density"]) for mark in marks]
+    assert told == list(enumerate(DENSITIES))
     made = dataset.storage.metadata["ms_highway"]
     assert (made["driver"], made["format"], made["time_step"], made["horizon"]) == ("mpc", 1, 0.1, 5)
     env = dataset.recover_environment()
@@ -220,9 +220,10 @@ def test_a_data_set_is_minaris_and_says_how_it_was_made(recorded, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_killed_recording_keeps_its_episodes_and_goes_on(recorded, datasets, monkeypatch):
-    arguments = ["irl", "record", "--driver", "mpc", "--dataset", NAME, "--episodes"]
-    process = subprocess.Popen([sys.executable, "-m", "ms_highway", *arguments, "1000"], stderr=subprocess.DEVNULL)
+def test_a_killed_recording_keeps_its_episodes_and_goes_on(recorded, datasets):
+    command = f"irl record --driver mpc --dataset {NAME} --episodes"
+    words = [sys.executable, "-m", "ms_highway", *command.split(), "1000"]
+    process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
     metadata, deadline = datasets / NAME / "data" / "metadata.json", time.monotonic() + 90
     while not metadata.exists() or '"total_episodes": 2' not in metadata.read_text():
         assert process.poll() is None
@@ -232,11 +233,10 @@ def test_a_killed_recording_keeps_its_episodes_and_goes_on(recorded, datasets, m
     process.wait()
     kept = len(load_demonstrations(NAME))
     assert kept >= 2
-    assert main([*arguments, str(kept + 1)]) == 0
+    run(f"{command} {kept + 1}")
     resumed = load_demonstrations(NAME)
     assert len(resumed) >= kept + 1
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(recorded))
-    for one, other in zip(load_demonstrations(NAME), resumed, strict=False):
+    for one, other in zip(recorded, resumed, strict=False):
         np.testing.assert_allclose(one.states, other.states, atol=1e-4)  # another process compiles a little differently
 
 
@@ -336,12 +336,11 @@ def test_a_broken_file_and_a_missing_data_set_are_refused_and_without_minari_the
         load_demonstrations(NAME)
 
 
-def test_a_person_needs_a_display_and_keeps_what_is_finished_when_the_window_closes(datasets, monkeypatch, capsys):
+def test_a_person_needs_a_display_and_keeps_what_is_finished_when_the_window_closes(datasets, monkeypatch, refused):
     for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
     pygame.display.quit()
-    assert main(["irl", "record", "--driver", "keyboard", "--episodes", "1", "--dataset", "me-v0"]) == 2
-    assert "there is no display" in capsys.readouterr().err
+    assert "there is no display" in refused("irl record --driver keyboard --episodes 1 --dataset me-v0")
     pygame.display.quit()
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     counts = record("keyboard", 1, "me-v0")

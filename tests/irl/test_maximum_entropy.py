@@ -153,16 +153,16 @@ def test_windows_at_a_kink_or_at_a_limit_are_not_learned_from(demonstrated):
 @pytest.mark.parametrize(
     ("learned", "given", "message"),
     [
-        (("sped",), {"comfort_acceleration": 0.1}, "'sped' cannot be learned"),
-        (("collision",), {"comfort_acceleration": 0.1}, "'collision' cannot be learned"),
-        (("speed", "speed"), {"comfort_acceleration": 0.1}, "named twice"),
-        (("speed",), {"speed": 1.0, "comfort_acceleration": 0.1}, "named twice"),
-        (("speed",), {}, "sets the scale"),
+        ("sped", "comfort_acceleration", "'sped' cannot be learned"),
+        ("collision", "comfort_acceleration", "'collision' cannot be learned"),
+        ("speed speed", "comfort_acceleration", "named twice"),
+        ("speed", "speed comfort_acceleration", "named twice"),
+        ("speed", "", "sets the scale"),
     ],
 )
 def test_an_impossible_model_is_refused(learned, given, message):
     with pytest.raises(ValueError, match=message):
-        RewardModel(learned, given)
+        RewardModel(tuple(learned.split()), dict.fromkeys(given.split(), 0.1))
 
 
 def test_weights_that_diverge_and_features_that_are_not_finite_are_refused(demonstrated):

@@ -4,10 +4,8 @@ import json
 import shutil
 from html.parser import HTMLParser
 
-from ms_highway.cli.main import main
-
 CONTROLLERS = ["naive", "switching:0.4"]
-COMPARE = ["compare", "stay_back", "--controllers", *CONTROLLERS, "--out"]
+COMPARE = "compare stay_back --controllers naive switching:0.4 --out"
 
 
 class Page(HTMLParser):
@@ -38,15 +36,9 @@ class Page(HTMLParser):
         return [attributes for name, attributes in self.elements if name == tag]
 
 
-def failure(capsys, *arguments):
-    assert main(list(arguments)) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    return line
-
-
 def with_settings(compared, directory, **changes):
     """A copy of the comparison with other settings."""
     shutil.copytree(compared, directory, ignore=shutil.ignore_patterns("*.html"))
     settings = json.loads((compared / "settings.json").read_text())
     (directory / "settings.json").write_text(json.dumps(settings | changes))
-    return str(directory)
+    return directory

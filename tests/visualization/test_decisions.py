@@ -29,12 +29,17 @@ def test_a_schedule_plans_with_the_models_in_its_order_and_goes_on_with_the_last
     assert (episode["decision_seconds"] == 0).all()
 
 
+def assert_gains_are_drawn(axes, episode, model):
+    """In the model's colour, at the steps that they were recorded at."""
+    (line,) = [line for line in axes.lines if line.get_color() == color_of(model)]
+    np.testing.assert_array_equal(line.get_xydata(), episode[["step", f"gain_{model}"]])
+
+
 def test_decisions_are_drawn_at_the_steps_and_in_the_models_that_were_recorded(records):
     episode = one_episode(records, "merger", "switching:0.01", 0)
     figure = decisions([episode], one_episode(records, "merger", "schedule:tom=3,turn=1,naive", 0))
     gains, rewards = figure.axes
-    drawn = {tuple(point) for line in gains.lines for point in line.get_xydata() if np.isfinite(point).all()}
-    assert {tuple(point) for point in episode[["step", "gain_tom"]].dropna().to_numpy()} <= drawn
+    assert_gains_are_drawn(gains, episode, "tom")
     np.testing.assert_array_equal(rewards.lines[0].get_ydata(), episode["reward"])
 
 
@@ -71,11 +76,7 @@ def test_a_model_of_ones_own_is_compared_recorded_and_drawn_like_the_papers(brie
     assert switching["gain_brief"].notna().any()
     assert set(switching["counted_seconds"]) == {0.09, 0.12}
     assert one_episode(records, "merger", "brief", 0)["reward"].mean() > 4  # it opens the gap
-    gains, _ = decisions([switching]).axes
-    drawn = {
-        tuple(point) for line in gains.lines if line.get_color() == color_of("brief") for point in line.get_xydata()
-    }
-    assert {tuple(point) for point in switching[["step", "gain_brief"]].dropna().to_numpy()} <= drawn
+    assert_gains_are_drawn(decisions([switching]).axes[0], switching, "brief")
     older = switching.drop(columns="gain_brief").assign(model="naive")  # from before the model was known
     assert len(decisions([older]).axes) == 2
     with pytest.raises(ValueError, match="is 'published', without seconds for 'brief'; say 'measured' or give them"):

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
-from comparisons import Page, failure
+from commands import run
+from comparisons import Page
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from ms_highway.cli.main import main
 from ms_highway.experiments.analysis.advantages import estimate, see
 from ms_highway.experiments.runner import make_environment
 from ms_highway.metareasoning.rule import first_memory
@@ -67,10 +67,10 @@ def test_around_a_start_the_chosen_model_is_drawn_and_what_the_most_expensive_on
 
 
 @pytest.mark.slow
-def test_a_page_tells_what_values_hold_and_draws_what_they_see(compared, tmp_path, capsys):
+def test_a_page_tells_what_values_hold_and_draws_what_they_see(compared, tmp_path, refused):
     page = tmp_path / "values.html"
-    assert main(["report", str(compared), "--no-videos", "--values", "shipped", "--out", str(page)]) == 0
+    run(f"report {compared} --no-videos --values shipped --out {page}")
     html = Page(page.read_text())
     assert {"naive, turn, tom", "0.09, 0.17, 0.37", "0.001 to 100"} <= set(html.texts)
     assert html.all("img")[-1]["alt"].startswith("Values of computation, stay_back.")
-    assert "cannot be read" in failure(capsys, "report", "--values", "none.npz", "--out", str(page))
+    assert "cannot be read" in refused("report --values none.npz --out none.html")

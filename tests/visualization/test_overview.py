@@ -1,19 +1,19 @@
 """Comparisons beside each other in one table."""
 
-import json
-import shutil
-
 import pandas as pd
 import pytest
-from comparisons import CONTROLLERS, Page, failure, with_settings
+from commands import run
+from comparisons import CONTROLLERS, Page, with_settings
 
-from ms_highway.cli.main import main
+
+def table(capsys, *directories):
+    """The cells of the table that is printed of directories, line by line."""
+    run(" ".join(map(str, ("report", *directories, "--markdown"))))
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()]
 
 
 def test_the_markdown_table_has_the_numbers_of_the_summary(compared, capsys):
-    assert main(["report", str(compared), "--markdown"]) == 0
-    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()]
-    headings, rules, *rows = lines
+    headings, rules, *rows = table(capsys, compared)
     assert set(rules) == {"---"}
     summary = pd.read_csv(compared / "summary.csv")
     assert len(rows) == len(summary) == 2
@@ -38,22 +38,18 @@ def test_the_markdown_table_has_the_numbers_of_the_summary(compared, capsys):
     ],
 )
 def test_directories_beside_each_other_are_called_by_what_tells_them_apart(changes, names, compared, tmp_path, capsys):
-    other = shutil.copytree(compared, tmp_path / "other")
-    settings = json.loads((compared / "settings.json").read_text())
-    (other / "settings.json").write_text(json.dumps(settings | changes))
-    records = pd.read_csv(other / "steps.csv")
-    naive_records = records[records["controller"] == "naive"]
-    naive_records.assign(reward=naive_records["seed"] + 1.0).to_csv(other / "steps.csv", index=False)
-    assert main(["report", str(compared), str(other), "--markdown"]) == 0
-    heading, _, naive, switching = capsys.readouterr().out.splitlines()
+    other = with_settings(compared, tmp_path / "other", **changes)
+    records = pd.read_csv(other / "steps.csv").query("controller == 'naive'")
+    records.assign(reward=records["seed"] + 1.0).to_csv(other / "steps.csv", index=False)
+    headings, _, naive, switching = table(capsys, compared, other)
     for name in names:
-        assert heading.count(name) == 2
-    assert naive.split("|")[5].strip().startswith("1.50 (")
-    assert switching.split("|")[5].strip() == ""
+        assert " ".join(headings).count(name) == 2
+    assert naive[4].startswith("1.50 (")
+    assert switching[4] == ""
 
 
-def test_a_directory_named_twice_is_refused(compared, capsys):
-    assert "named twice" in failure(capsys, "report", str(compared), str(compared), "--markdown")
+def test_a_directory_named_twice_is_refused(compared, refused):
+    assert "named twice" in refused(f"report {compared} {compared} --markdown")
 
 
 @pytest.mark.parametrize(
@@ -72,16 +68,15 @@ def test_what_the_paper_published_stands_beside_what_may_be_compared_with_it_onl
 ):
     released = {"semantics": "released", "human_reward": "published"}
     other = with_settings(compared, tmp_path / "other", **(released | changes))
-    assert main(["report", str(compared), other, "--markdown"]) == 0
-    heading, _, *rows = capsys.readouterr().out.splitlines()
-    assert heading.endswith("| published |") == comparable
-    assert [row.split("|")[-2].strip() for row in rows] == ["-7.73", "2.59"] or not comparable
+    headings, _, *rows = table(capsys, compared, other)
+    assert (headings[-1] == "published") == comparable
+    assert [row[-1] for row in rows] == ["-7.73", "2.59"] or not comparable
 
 
 def test_a_page_of_several_comparisons_has_them_beside_each_other(compared, tmp_path):
     other = with_settings(compared, tmp_path / "other", semantics="released", human_reward="published")
     page = tmp_path / "page.html"
-    assert main(["report", str(compared), other, "--no-videos", "--out", str(page)]) == 0
+    run(f"report {compared} {other} --no-videos --out {page}")
     texts = Page(page.read_text()).texts
     for name in ("paper", "released"):
         assert f"reward per step (90 % interval), {name} semantics" in texts
@@ -92,18 +87,15 @@ def test_episodes_of_every_directory_are_in_the_table_and_on_the_page_also_where
     compared, tmp_path, capsys
 ):
     other = with_settings(compared, tmp_path / "other", human_reward="published")
-    records = pd.read_csv(tmp_path / "other" / "steps.csv").replace({"controller": {"naive": "schedule:turn=9,naive"}})
+    records = pd.read_csv(other / "steps.csv").replace({"controller": {"naive": "schedule:turn=9,naive"}})
     merger = records[records["controller"] == "switching:0.4"].assign(scenario="merger")
     longer = merger[merger["step"] < 5].assign(step=merger["step"] + 35)  # an episode has 40 steps there
-    pd.concat([records, merger, longer]).to_csv(tmp_path / "other" / "steps.csv", index=False)
-    assert main(["report", str(compared), other, "--markdown"]) == 0
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()[2:]]
-    assert [row[:2] for row in rows] == [
-        *(["stay_back", name] for name in (*CONTROLLERS, "schedule:turn=9,naive")),
-        ["merger", "switching:0.4"],
-    ]
+    pd.concat([records, merger, longer]).to_csv(other / "steps.csv", index=False)
+    rows = table(capsys, compared, other)[2:]
+    assert [row[0] for row in rows] == ["stay_back"] * 3 + ["merger"]
+    assert [row[1] for row in rows] == [*CONTROLLERS, "schedule:turn=9,naive", "switching:0.4"]
     assert [bool(row[2]) for row in rows] == [True, True, False, False]
     assert [bool(row[4]) for row in rows] == [False, True, True, True]
     page = tmp_path / "page.html"
-    assert main(["report", str(compared), other, "--no-videos", "--out", str(page)]) == 0
+    run(f"report {compared} {other} --no-videos --out {page}")
     assert {"schedule:turn=9,naive", "Merger"} <= set(Page(page.read_text()).texts)

@@ -5,11 +5,12 @@ import re
 import shutil
 from importlib.metadata import version
 
+import numpy as np
 import pandas as pd
 import pytest
-from comparisons import COMPARE, failure
+from commands import run
+from comparisons import COMPARE
 
-from ms_highway.cli.main import main
 from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.analysis.selection import choosing_controllers, telling_pair
 from ms_highway.experiments.results import read_results
@@ -22,60 +23,49 @@ def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
     assert runs[0]["time"] <= runs[1]["time"]  # to the second
     assert runs[0]["machine"]["cores"] >= 1
     assert runs[0]["versions"]["highway-env"] == version("highway-env")
-    assert main([*COMPARE, str(compared), "--seeds", "2"]) == 0
+    run(f"{COMPARE} {compared} --seeds 2")
     assert json.loads((compared / "provenance.json").read_text()) == runs
 
 
-def test_a_comparison_refuses_provenance_that_cannot_be_read_and_leaves_everything(tmp_path, capsys):
+def test_a_comparison_refuses_provenance_that_cannot_be_read_and_leaves_everything(tmp_path, refused):
     (tmp_path / "provenance.json").write_text("[")
-    assert "provenance.json cannot be read" in failure(capsys, *COMPARE, str(tmp_path))
-    assert [path.name for path in tmp_path.iterdir()] == ["provenance.json"]
-
-
-def without_column(directory):
-    pd.read_csv(directory / "steps.csv").drop(columns="model").to_csv(directory / "steps.csv", index=False)
-
-
-def with_a_broken_line(directory):
-    with (directory / "steps.csv").open("a") as file:
-        file.write("stay_back,naive,2,0,naive,0.5\n")
+    assert "provenance.json cannot be read" in refused(f"{COMPARE} .")
 
 
 def renamed(old, new):
-    def rename(directory):
-        text = (directory / "steps.csv").read_text()
-        (directory / "steps.csv").write_text(re.sub(rf"(?m)(^|,){re.escape(old)}(?=,)", rf"\1{new}", text))
-
-    return rename
+    return lambda text: re.sub(rf"(?m)(^|,){re.escape(old)}(?=,)", rf"\1{new}", text)
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("name", "spoilt", "message"),
     [
-        (shutil.rmtree, "there is no directory"),
-        (lambda directory: (directory / "steps.csv").unlink(), "has no steps.csv; name a directory"),
-        (lambda directory: (directory / "settings.json").unlink(), "has no settings.json"),
-        (lambda directory: (directory / "settings.json").write_text("{"), "settings.json cannot be read"),
-        (lambda directory: (directory / "settings.json").write_text("{}"), "holds no settings"),
-        (lambda directory: (directory / "steps.csv").write_text(""), "steps.csv cannot be read"),
-        (lambda directory: (directory / "steps.csv").write_bytes(bytes(range(256))), "steps.csv cannot be read"),
+        ("steps.csv", None, "has no steps.csv; name a directory"),
+        ("settings.json", None, "has no settings.json"),
+        ("settings.json", "{", "settings.json cannot be read"),
+        ("settings.json", "{}", "holds no settings"),
+        ("steps.csv", "", "steps.csv cannot be read"),
+        ("steps.csv", "\udcff", "steps.csv cannot be read"),
+        ("provenance.json", "{}", "provenance.json cannot be read as a list of runs"),
+        ("steps.csv", renamed("model", "mode"), "has no column model"),
+        ("steps.csv", lambda text: f"{text}stay_back,naive,2,0,naive,0.5\n", "holds an unfinished episode"),
+        ("steps.csv", renamed("naive", "brief"), "holds model 'brief', not one of naive"),
+        ("steps.csv", renamed("switching:0.4", "swerving"), "unknown controller 'swerving'"),
         (
-            lambda directory: (directory / "provenance.json").write_text("{}"),
-            "provenance.json cannot be read as a list of runs",
+            "steps.csv",
+            renamed("stay_back", "zipper"),
+            "holds scenario 'zipper', not one of stay_back, merger, give_way",
         ),
-        (without_column, "has no column model"),
-        (with_a_broken_line, "holds an unfinished episode"),
-        (renamed("naive", "brief"), "holds model 'brief', not one of naive"),
-        (renamed("switching:0.4", "swerving"), "unknown controller 'swerving'"),
-        (renamed("stay_back", "zipper"), "holds scenario 'zipper', not one of stay_back, merger, give_way"),
-        (renamed("0.09", "cheap"), "has texts where numbers belong, in column counted_seconds"),
+        ("steps.csv", renamed("0.09", "cheap"), "has texts where numbers belong, in column counted_seconds"),
     ],
 )
-def test_results_that_are_no_results_are_refused_in_one_line(spoil, message, compared, tmp_path, capsys):
+def test_results_that_are_no_results_are_refused_in_one_line(name, spoilt, message, compared, tmp_path, refused):
     directory = shutil.copytree(compared, tmp_path / "results", ignore=shutil.ignore_patterns("*.html"))
-    spoil(directory)
-    assert message in failure(capsys, "report", str(directory), "--out", str(tmp_path / "page.html"))
-    assert not (tmp_path / "page.html").exists()
+    text = (directory / name).read_text()
+    (directory / name).unlink()
+    if spoilt is not None:
+        content = spoilt(text) if callable(spoilt) else spoilt
+        (directory / name).write_text(content, errors="surrogateescape")
+    assert message in refused("report results --out page.html")
 
 
 def test_results_know_the_settings_of_their_environments(compared):
@@ -83,22 +73,19 @@ def test_results_know_the_settings_of_their_environments(compared):
     assert config == {"semantics": "paper", "solver": "gradient", "human_reward": "learned", "costs": "published"}
 
 
-def test_the_best_fixed_model_is_shown_beside_switching_at_the_papers_conservative_lambda():
-    rows = [("naive", 1.0), ("switching:0.6", 3.0), ("tom", 5.0), ("switching:0.1", 4.0), ("turn", 2.0)]
-    rows += [("switching:0.001", 4.5)]
-    summaries = pd.DataFrame(
-        [
-            {
-                "scenario": "merger",
-                "controller": name,
-                "reward": reward,
-                "kind": config["type"],
-                "price": config.get("lambda"),
-            }
-            for name, reward in rows
-            for config in [controller_config(name)]
-        ]
+def summarised(rewards):
+    """A summary of controllers; files of values are not read."""
+    configs = [controller_config(name.removesuffix(":own.npz")) for name in rewards]
+    return pd.DataFrame(rewards.items(), columns=["controller", "reward"]).assign(
+        scenario="merger",
+        kind=[config["type"] for config in configs],
+        price=[config.get("lambda") for config in configs],
     )
+
+
+def test_the_best_fixed_model_is_shown_beside_switching_at_the_papers_conservative_lambda():
+    rewards = {"naive": 1, "switching:0.6": 3, "tom": 5, "switching:0.1": 4, "turn": 2, "switching:0.001": 4.5}
+    summaries = summarised(rewards)
     assert telling_pair(summaries, "merger") == ["tom", "switching:0.1"]  # the paper's
     assert telling_pair(summaries[summaries["price"] != 0.1], "merger") == ["tom", "switching:0.001"]
     assert telling_pair(summaries[summaries["reward"] < 3], "merger") == ["naive", "turn"]
@@ -106,31 +93,17 @@ def test_the_best_fixed_model_is_shown_beside_switching_at_the_papers_conservati
 
 
 def test_learned_values_are_shown_rather_than_switching_where_both_were_compared():
-    rows = [
-        ("tom", 5.0),
-        ("switching:0.1", 4.0),
-        ("learned:10", 3.0),
-        ("learned:0.1:own.npz", 4.9),
-        ("learned:0.01", 5),
-    ]
-    configs = [controller_config(name) if "own" not in name else {"type": "learned", "lambda": 0.1} for name, _ in rows]
-    summaries = pd.DataFrame(rows, columns=["controller", "reward"]).assign(
-        scenario="merger",
-        kind=[config["type"] for config in configs],
-        price=[config.get("lambda") for config in configs],
-    )
+    rewards = {"tom": 5, "switching:0.1": 4, "learned:10": 3, "learned:0.1:own.npz": 4.9, "learned:0.01": 5}
+    summaries = summarised(rewards)
     assert telling_pair(summaries, "merger") == ["tom", "learned:0.1:own.npz"]  # at the paper's lambda
     assert telling_pair(summaries.drop(index=3), "merger") == ["tom", "learned:0.01"]
     assert choosing_controllers(summaries, "merger") == ["learned:0.1:own.npz", "switching:0.1"]
 
 
 def test_a_timeline_has_a_row_for_every_controller_that_chooses_online():
-    steps = [
-        {"controller": name, "step": step, "model": model}
-        for name in ("tom", "switching:0.1", "learned:0.1")
-        for step, model in enumerate(("tom", "naive"))
-    ]
-    records = pd.DataFrame(steps).assign(scenario="merger", seed=0, planning_seconds=1e-3, decision_seconds=1e-4)
+    names = ["tom", "switching:0.1", "learned:0.1"]
+    records = pd.DataFrame({"controller": np.repeat(names, 2), "step": [0, 1] * 3, "model": ["tom", "naive"] * 3})
+    records = records.assign(scenario="merger", seed=0, planning_seconds=1e-3, decision_seconds=1e-4)
     above, *rows = timeline(records, "merger").axes
-    assert [row.get_title(loc="left") for row in rows] == ["switching:0.1", "learned:0.1"]
+    assert [row.get_title(loc="left") for row in rows] == names[1:]
     assert len({line.get_color() for line in above.lines}) == 3

@@ -20,17 +20,15 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
         summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
     """
-    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    reward, counted, fixed = rows["reward"], rows["counted_ms"], rows[rows["kind"] == "fixed"]
+    rows = summaries.query("scenario == @scenario").set_index("controller")
+    reward, counted, fixed = rows["reward"], rows["counted_ms"], rows.query("kind == 'fixed'")
     if fixed.empty:
         pair = telling_pair(summaries, scenario)
         return " ".join(
             [*(f"{name} earns a reward of {reward[name]:.2f} per step." for name in pair), _collisions(rows)]
         )
     best, cheapest = str(fixed["reward"].idxmax()), str(fixed["counted_ms"].fillna(float("inf")).idxmin())
-    driven = (
-        records[records["scenario"] == scenario].groupby(["controller", "seed"])["reward"].mean().unstack("controller")
-    )
+    driven = records.query("scenario == @scenario").pivot_table("reward", "seed", "controller")
     gains = (driven[best] - driven[cheapest]).dropna()
     low, high = interval(gains)
     text = f"Planning every step with {best} earns a reward of {reward[best]:.2f} per step"

@@ -31,8 +31,7 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
         seeds: of the starts.
         price: lambda [reward per second].
     """
-    rows = table.reset_index()
-    rows = rows[rows["seed"].isin(seeds)].reset_index(drop=True)
+    rows = table.query("seed in @seeds").reset_index()
     rows["meta_reward"] = _meta_reward(rows, price)
     return rows.loc[rows.groupby("seed")["meta_reward"].idxmax()].set_index("seed")
 
@@ -85,13 +84,13 @@ def remarks(behind: pd.DataFrame, scenario: str, price: float) -> dict[str, str]
         scenario: its name.
         price: at which they are judged.
     """
-    own = behind[behind["scenario"] == scenario].set_index("controller")
+    own = behind.query("scenario == @scenario").set_index("controller")
     kinds = own["kind"]
     priced = [kind for kind in CHOOSING if kind in set(kinds)]
     said: dict[str, list[str]] = {name: [] for name in kinds.index[~kinds.isin([*priced, "search"])]}
     said[own.loc[kinds.isin(FIXED_ORDERS), "regret"].idxmin()].append("best for all starts")
     for kind in priced:
-        everywhere = behind[behind["kind"] == kind].pivot(index="controller", columns="scenario", values="regret")
+        everywhere = behind.query("kind == @kind").pivot(index="controller", columns="scenario", values="regret")
         here, common = everywhere[scenario].idxmin(), everywhere.mean(axis=1).idxmin()
         at_price = [name for name in kinds.index[kinds == kind] if isclose(controller_config(name)["lambda"], price)]
         chosen = [(name, "lambda = price") for name in at_price]

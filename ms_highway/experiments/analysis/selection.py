@@ -46,7 +46,7 @@ def select(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> Sel
         summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
     """
-    rows = summaries[summaries["scenario"] == scenario]
+    rows = summaries.query("scenario == @scenario")
     names, filmed, dearest = list(rows["controller"]), telling_pair(summaries, scenario), reference(summaries, scenario)
     paper = [name for name in names if name in paper_controllers(scenario)]
     main = names if len(names) <= MOST_CONTROLLERS else paper or names[:MOST_CONTROLLERS]
@@ -85,8 +85,8 @@ def telling_pair(summaries: pd.DataFrame, scenario: str) -> list[str]:
     These are the fixed model of the highest mean reward, and the first of `choosing_controllers`; where either is
     missing, the first two; the only one where there is one.
     """
-    rows = summaries[summaries["scenario"] == scenario].set_index("controller")
-    fixed, choosing = rows[rows["kind"] == "fixed"], choosing_controllers(summaries, scenario)
+    rows = summaries.query("scenario == @scenario").set_index("controller")
+    fixed, choosing = rows.query("kind == 'fixed'"), choosing_controllers(summaries, scenario)
     return list(rows.index[:2]) if fixed.empty or not choosing else [str(fixed["reward"].idxmax()), choosing[0]]
 
 

@@ -22,7 +22,7 @@ def best_schedules(summaries: pd.DataFrame, scenario: str, computation: str = "c
         scenario: its name.
         computation: the column that measures it.
     """
-    rows = summaries[summaries["scenario"] == scenario]
+    rows = summaries.query("scenario == @scenario")
     known = (
         rows[rows["kind"].isin(FIXED_ORDERS)]
         .dropna(subset=[computation])
@@ -52,7 +52,7 @@ def meta_rewards(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
         By lambda, ascending: each of `choosing` with that lambda, such as ``switching``, NaN where it was not compared;
         every fixed model by its name; and ``best schedule``, the most that any fixed model, schedule or period has.
     """
-    rows = summaries[summaries["scenario"] == scenario].dropna(subset="counted_ms")
+    rows = summaries.query("scenario == @scenario").dropna(subset="counted_ms")
     online = {name: own.set_index("price") for name, own in choosing(rows).items()}
     ordered = rows[rows["kind"].isin(FIXED_ORDERS)].set_index("controller")
     seconds = ordered["counted_ms"] / 1e3

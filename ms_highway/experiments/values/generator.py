@@ -48,7 +48,8 @@ def draw_scenario(random: Random) -> Scenario:
         ladder=("naive", "turn", "tom"),
         prices=(0.1, 0.1),
         robot_weights=_robot_weights(random, leads),
-        human_weights=_human_weights(random, leads),
+        human_weights=({"target_lane": _between(random, 60, 1000)} if random.random() < 0.75 else {})
+        | ({"gap": _between(random, 10, 90)} if leads and random.random() < 0.4 else {}),
         robot_gap=random.uniform(0.2, 0.4),
         human_gap=random.uniform(0.2, 0.4),
         cones=tuple(cones),
@@ -69,11 +70,6 @@ def _robot_weights(random: Random, leads: bool) -> dict[str, float]:
     if random.random() < 0.3:
         weights |= {"partner_target_lane": _between(random, 100, 500), "partner_merged": random.choice([0.0, 5.0])}
     return weights
-
-
-def _human_weights(random: Random, leads: bool) -> dict[str, float]:
-    weights = {"target_lane": _between(random, 60, 1000)} if random.random() < 0.75 else {}
-    return weights | ({"gap": _between(random, 10, 90)} if leads and random.random() < 0.4 else {})
 
 
 def _between(random: Random, low: float, high: float) -> float:

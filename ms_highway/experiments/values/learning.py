@@ -7,16 +7,15 @@ not, and on any number of devices.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from itertools import product
+from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 from zlib import crc32
 
 import numpy as np
 from jax.sharding import Mesh
 
-from ms_highway.experiments.directory import ResultsDirectory, cannot_resume
+from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.experiments.values.fitting import fit, new_network
 from ms_highway.experiments.values.rollouts import Course, Driving, Random, Rollouts
 from ms_highway.metareasoning.learned_value import Baseline
@@ -25,12 +24,13 @@ from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import human_model
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import pack
-from ms_highway.runtime.files import replacing
+from ms_highway.runtime.files import reading, replacing
 from ms_highway.simulation.records import DECIDES
 
 BLIND = {"lambda": ("log10 lambda",), "gradients": ("d/d ",)}
 """Parts of the names of inputs that `Learning` can do without, by what it is called."""
 
+REMEDY = "remove it, or choose another --out"
 LEAST_SPREAD = 1e-3  # of an input
 UNSEEN = 1e9  # spread of an input that is left out
 HELD_OUT_STARTS = 8
@@ -76,7 +76,7 @@ class Learning:
         """Fit values to rollouts in round ``number``, from 1."""
         over_top, names = self.baseline == "top", input_names(self.baseline)
         random = self.stream(number, EVALUATION if over_top else HELD_OUT)
-        costs: tuple[float, ...] = tuple(self.costs.values())
+        costs = tuple(self.costs.values())
         centre, spread = np.zeros(len(names), np.float32), np.ones(len(names), np.float32)
         shape = len(names), len(costs) - (not over_top)
         network = new_network(random, *shape)
@@ -123,7 +123,7 @@ class Progress(NamedTuple):
     regrets: Mapping[str, float] = {}
 
 
-def learn(learning: Learning, courses: Sequence[Course], kept: Path | None, mesh: Mesh) -> Iterator[Progress]:
+def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh) -> Iterator[Progress]:
     """Learn values on some courses.
 
     Args:
@@ -142,23 +142,22 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path | None, mesh
         (course.name, course.steps, course.rungs, crc32(pack(course.game).numbers.tobytes())) for course in courses
     ]
     settings = {**asdict(learning), "courses": games}
-    if kept is not None:
-        ResultsDirectory(kept).take_up(settings)
-        ResultsDirectory(kept).write_settings(settings)
+    ResultsDirectory(kept).take_up(settings)
+    ResultsDirectory(kept).write_settings(settings)
     held_out = [_HeldOut(learning, course, mesh) for course in courses if course.share == 1 and not course.several]
     values, done = None, list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, course in enumerate(courses):
-            file = None if kept is None else kept / f"{number}-{place}.npz"
-            if file is None or not file.exists():
+            file = kept / f"{number}-{place}.npz"
+            if file.exists():
+                with reading(file, REMEDY), file.open("rb") as opened, np.load(opened) as archive:
+                    rollouts = Rollouts(**archive)
+            else:
                 random, states = learning.stream(number, COURSE, place), learning.states[values is not None]
                 driving = learning.driving(course, values, mesh)
                 rollouts = driving.roll_out(random, max(1, round(course.share * states)), len(learning.costs))
-                if file is not None:
-                    with replacing(file) as path, path.open("wb") as opened:
-                        np.savez(opened, **rollouts._asdict())
-            else:
-                rollouts = _read(file)
+                with replacing(file) as path:
+                    np.savez(path, **rollouts._asdict())
             done.append(rollouts)
             yield Progress(number, course.name)
         values = learning.values(done, number)
@@ -168,14 +167,6 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path | None, mesh
 def rollouts_directory(out: Path) -> Path:
     """Return the directory that keeps the rollouts of values that will be written to ``out``."""
     return out.with_name(f"{out.name}.rollouts")
-
-
-def _read(file: Path) -> Rollouts:
-    try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as archive:
-            return Rollouts(**archive)
-    except (BadZipFile, EOFError, OSError, TypeError, ValueError) as error:
-        raise cannot_resume(file, error, "remove it, or choose another --out") from error
 
 
 class _HeldOut:
@@ -188,9 +179,7 @@ class _HeldOut:
         self.learning, self.course, self.mesh = learning, course, mesh
         self.starts, self.weights = course.starts(learning.stream(EVALUATION, HELD_OUT), HELD_OUT_STARTS)
         rungs, steps = range(len(course.rungs)), np.arange(course.steps)
-        orders = [
-            np.where(steps < end, one, other) for end, one, other in product(SWITCHES, rungs, rungs) if one != other
-        ]
+        orders = [np.where(steps < end, *pair) for end in SWITCHES for pair in permutations(rungs, 2)]
         orders += [np.full(course.steps, rung) for rung in rungs]
         self.orders = self._outcomes(None, np.array(orders), np.ones(len(orders)))
 

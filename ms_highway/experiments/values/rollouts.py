@@ -252,6 +252,4 @@ def _random_orders(random: Random, count: int, course: Course) -> Array:
     return orders
 
 
-@jax.jit
-def _describe(game: Game, states: Any) -> Array:
-    return jax.vmap(partial(describe, game, surroundings=game.number > 1))(states)
+_describe = jax.jit(lambda game, states: jax.vmap(partial(describe, game, surroundings=game.number > 1))(states))

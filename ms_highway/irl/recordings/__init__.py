@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias
 
 Driver: TypeAlias = Literal["keyboard", "optimal", "maxent", "mpc"]
 
-DRIVERS: dict[Driver, str] = {
+DRIVERS = {
     "keyboard": "a person, with the arrow keys",
     "optimal": "window by window, the local optimum of the reward among cars whose routes it knows",
     "maxent": "like optimal, but its controls are drawn from p(u) ~ exp(R(u) / temperature)",

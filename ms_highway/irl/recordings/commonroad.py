@@ -13,7 +13,8 @@ from scipy.interpolate import BSpline, make_smoothing_spline
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.arrays import Points, Values
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.runtime.files import temporary_directory
+from ms_highway.runtime.extras import needing
+from ms_highway.runtime.files import reading, temporary_directory
 
 SPEED_LIMIT = 29.06  # m/s, 65 mph: on US-101, whose scenarios have no traffic signs
 
@@ -121,13 +122,9 @@ def _open(path: Path) -> Any:
     """Return the scenario of a file, an object of commonroad-io."""
     with temporary_directory() as directory, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about irrelevant things, such as unknown locations
-        try:
+        with needing("commonroad"):
             from commonroad.common.reader.file_reader_xml import XMLFileReader  # by itself, without protobuf
-        except ImportError as error:
-            raise ImportError(
-                "CommonRoad needs the extra 'commonroad': pip install 'ms-highway[commonroad]'"
-            ) from error
-        try:
+        with reading(path, "fetch it again", " as a CommonRoad scenario"):
             readable = path
             if path.name.endswith(COMPRESSED):
                 readable = directory / path.name.removesuffix(".gz")
@@ -141,10 +138,6 @@ def _open(path: Path) -> Any:
                     if text.strip() and not abs(float(text)) <= MOST_RADIANS:
                         raise ValueError(f"an orientation of {text} rad")
             return XMLFileReader(readable).open()[0]
-        except Exception as error:  # unpacking, parsing and the library raise many kinds
-            raise ValueError(
-                f"{path} is no CommonRoad scenario, or damaged ({type(error).__name__}: {error}); fetch it again"
-            ) from error
 
 
 def _convert(scenario: Any, counted: set[tuple]) -> Recording:

@@ -12,6 +12,7 @@ import numpy as np
 from ms_highway.envs.demonstration import demonstration_game
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.recordings.recording import Recording
+from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import naming, part_of, temporary
 
 FORMAT = 1
@@ -81,13 +82,9 @@ def _recording(name: str, tracks: np.ndarray, expected: tuple[int, ...]) -> Reco
 
 
 def _minari() -> Any:
-    try:
+    with needing("demonstrations"):
         import h5py  # noqa: F401
         import minari
-    except ImportError as error:
-        raise ImportError(
-            "demonstrations need the extra 'demonstrations': pip install 'ms-highway[demonstrations]'"
-        ) from error
     return minari
 
 

@@ -1,7 +1,6 @@
 """Draw predicted drivers: errors, likelihood, calibration, paths in examples, and feature counts."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,7 +17,7 @@ from ms_highway.irl.moments import HORIZONS, STEPS, Moments, cut_moments
 from ms_highway.irl.outlook import expected_path
 from ms_highway.irl.predictors import PREDICTORS, predictions
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.runtime.arrays import Car, Vector
+from ms_highway.runtime.arrays import Vector
 
 RECORDED, OTHERS = "#111318", "#c4c9d1"
 STYLES = {
@@ -89,7 +88,7 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
     across = float(np.ptp(moments.lanes, axis=1).max() + 2 * np.max(moments.lane_width))
     height = 10 * across / (stretch[1] - stretch[0]) + 0.6  # inches, at one scale along and across
     figure = Figure(figsize=(11, 0.6 + height * len(chosen)), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(len(chosen), 1))
+    panels = figure.subplots(len(chosen), squeeze=False)[:, 0]
     for axes, (title, number) in zip(panels, chosen.items(), strict=True):
         where = np.argwhere(moments.predicted)[number]
         _example(axes, moments, where, {name: path[number] for name, path in paths.items()}, stretch)
@@ -100,7 +99,7 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
         misses = ", ".join(f"{PREDICTORS[name]} {off[name][number, -1]:.1f} m" for name in DRAWN)
         text = f"{title}, {starts[number, 3]:.1f} m/s; off after {STEPS / 10:g} s: {misses}"
         axes.set_title(text, loc="left", fontsize="medium")
-    panels[-1].set_xlabel("along the road [m]")
+    axes.set_xlabel("along the road [m]")
     handles = [
         Line2D([], [], color=STYLES[name][0], marker=STYLES[name][1], markersize=4, label=PREDICTORS.get(name, name))
         for name in paths
@@ -125,7 +124,8 @@ def _example(
             if other != car:
                 axes.plot(*there[:, :2].T, color=OTHERS, linewidth=1, zorder=2)
             edge, face = (RECORDED, "#ffffff") if other == car else ("#8a93a5", "#d9dce2")
-            axes.add_patch(car_outline(state, sizes[other], zorder=3, edgecolor=edge, facecolor=face))
+            style = {"angle": np.degrees(state[2]), "rotation_point": "center", "edgecolor": edge, "facecolor": face}
+            axes.add_patch(Rectangle(state[:2] - sizes[other] / 2, *sizes[other], zorder=3, **style))
     for order, (name, path) in enumerate(paths.items()):
         color, marker = STYLES[name]
         line = np.concatenate([now[None, car, :2], path]) - origin[:2]
@@ -222,19 +222,5 @@ def draw_road(axes: Axes, lanes: Vector, lane_width: float, stretch: tuple[float
         axes.axhline(edge, color=EDGE, linewidth=1.2, zorder=1)
     for edge in (lanes[1:] + lanes[:-1]) / 2:
         axes.axhline(edge, color=MARKING, linewidth=0.8, linestyle=(0, (8, 8)), zorder=1)
-    axes.set(xlim=stretch, ylim=(right + lane_width / 2, left - lane_width / 2))
-    axes.set_aspect("equal", adjustable="box")
+    axes.set(xlim=stretch, ylim=(right + lane_width / 2, left - lane_width / 2), aspect="equal")
     axes.set_yticks(lanes, [f"{round(y, 1) + 0.0:.1f}" for y in lanes], fontsize="x-small")
-
-
-def car_outline(state: Car, size: Vector, **style: Any) -> Rectangle:
-    """Return the outline of a car seen from above, to be added to axes.
-
-    Args:
-        state: ``(x, y, heading, speed)`` in metres, radians and metres per second.
-        size: length and width [m].
-        style: of the outline, see ``matplotlib.patches.Rectangle``.
-    """
-    (x, y, heading, _), (length, width) = map(float, state), map(float, size)
-    corner = x - length / 2, y - width / 2
-    return Rectangle(corner, length, width, angle=np.degrees(heading), rotation_point="center", **style)

@@ -13,12 +13,9 @@ COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185, "le
 
 def records(**rewards):
     """An episode of one step for every reward of a controller, ``_`` standing for ``:0.`` in its name."""
-    rows = []
-    for name, values in rewards.items():
-        controller = name.replace("_", ":0.")
-        for seed, reward in enumerate(values):
-            rows.append({"controller": controller, "seed": seed, "reward": float(reward), "step": 0})
-    table = pd.DataFrame(rows).assign(scenario="merger", model="naive", status="planned", collision=False)
+    rows = [(name.replace("_", ":0."), *each) for name, values in rewards.items() for each in enumerate(values)]
+    table = pd.DataFrame(rows, columns=["controller", "seed", "reward"]).astype({"reward": float})
+    table = table.assign(scenario="merger", step=0, model="naive", status="planned", collision=False)
     return table.assign(planning_seconds=0.001, decision_seconds=0.0, counted_seconds=table["controller"].map(COUNTED))
 
 
@@ -85,17 +82,6 @@ def test_tables_tell_the_steps_whose_plans_failed_where_there_are_any():
 
 
 def test_a_sweep_tells_them_as_well():
-    rows = [
-        {
-            "controller": name,
-            "seed": seed,
-            "reward": 1.0,
-            "counted_seconds": 0.1,
-            "share_naive": 1.0,
-            "collisions": 0,
-            "fallbacks": count,
-        }
-        for seed, (name, count) in enumerate((("naive", 0), ("naive", 3), ("turn", 0)))
-    ]
-    summaries = summary(pd.DataFrame(rows).assign(scenario="merger"))
-    assert cells(summaries, "merger")["fallback steps"].tolist() == ["3", "0"]
+    table = pd.DataFrame({"controller": ["naive", "naive", "turn"], "seed": [0, 1, 2], "fallbacks": [0, 3, 0]})
+    table = table.assign(scenario="merger", reward=1.0, counted_seconds=0.1, share_naive=1.0, collisions=0)
+    assert cells(summary(table), "merger")["fallback steps"].tolist() == ["3", "0"]
