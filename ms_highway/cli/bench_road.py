@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ms_highway.benchmarks.road.names import DRIVERS, SCENES, TRAFFIC, known_scenes
+from ms_highway.benchmarks.road import DRIVERS, SCENES, TRAFFIC, known_scenes
 from ms_highway.cli.console import add_command, count_episodes, draw_unseen, print_tables
 from ms_highway.cli.options import MOST_PROCESSES, MOST_SEEDS, add_number
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from ms_highway.cli.console import add_command, count_episodes, print_tables, telling
 from ms_highway.cli.options import add_number
-from ms_highway.irl.names import REAL_WEIGHTS, SIMULATED_WEIGHTS, Others
+from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS, Others
 from ms_highway.irl.recordings import DRIVERS, TEMPERATURE
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from jax import numpy as jnp
 from ms_highway.game.learned_drivers import Drivers, RewardTraits
 from ms_highway.game.neighbours import Leader, leaders
 from ms_highway.game.scenario import TIME_STEP
+from ms_highway.irl import Others
 from ms_highway.irl.arrays import CarFlags, CarNumbers, Cars, CarStates, Scalar, Traits
 from ms_highway.irl.moments import PAST, STEPS, Moments, lanes_of
-from ms_highway.irl.names import Others
 from ms_highway.irl.outlook import SIDES, Modes
 from ms_highway.optimization.kalman import Gaussian, updated
 from ms_highway.planning.held_control import held_acceleration, held_curvature

@@ -13,11 +13,11 @@ from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.neighbours import leaders
 from ms_highway.game.reward import RewardModel
 from ms_highway.game.scenario import PAPER_DYNAMICS
+from ms_highway.irl import Others
 from ms_highway.irl.arrays import Flags, Parameters, Paths, Steps, Values
 from ms_highway.irl.learning import folds
 from ms_highway.irl.maximum_entropy import differentiate, fit_weights, window_log_likelihoods
 from ms_highway.irl.moments import AT, HORIZONS, Moments, cut_moments
-from ms_highway.irl.names import Others
 from ms_highway.irl.outlook import expected_path, log_density, region_level
 from ms_highway.irl.predictors import PREDICTORS, Prediction, check_drivers, predictions
 from ms_highway.irl.recordings.recording import Recording
@@ -56,7 +56,7 @@ class Evaluation(Structure, omit_defaults=True):
             number of ``windows``.
         windows: number of predictions.
         tracks: number of drivers.
-        others: see `ms_highway.irl.names.Others`.
+        others: see `ms_highway.irl.Others`.
         folds: weights of each fold of a cross-validation.
     """
 
@@ -162,7 +162,7 @@ def cross_validate(
         model: the weights to learn and those given.
         horizon: K, the length of windows in steps.
         parts: the number of folds.
-        others: motion of the other cars in predictions, see `ms_highway.irl.names.Others`.
+        others: motion of the other cars in predictions, see `ms_highway.irl.Others`.
         progress: called with a message when a part begins.
 
     Raises:

@@ -14,10 +14,10 @@ from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT, RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
+from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS
 from ms_highway.irl.arrays import Controls, Numbers, Values
 from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit_weights, window_log_likelihoods
 from ms_highway.irl.moments import cut_moments
-from ms_highway.irl.names import REAL_WEIGHTS, SIMULATED_WEIGHTS
 from ms_highway.irl.recordings.demonstrators import optimal
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.seconds_ahead import learn_drivers

@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 from msgspec import structs
 
 from ms_highway.game.learned_drivers import FittedPeer, LearnedDrivers, Spread
+from ms_highway.irl import Others
 from ms_highway.irl.driving import predict
 from ms_highway.irl.lane_following import KalmanSettings, fit_kalman, lane_modes
 from ms_highway.irl.moments import Moments
-from ms_highway.irl.names import Others
 from ms_highway.irl.outlook import Modes, fit_spread
 from ms_highway.irl.peers import HIGHWAY_ENV_IDM, IdmParameters, fit_idm, idm, steady_motion, turn_and_accelerate
 from ms_highway.runtime.structures import Structure, read
@@ -78,7 +78,7 @@ def predictions(moments: Moments, learned: LearnedDrivers, others: Others = "pre
     Args:
         moments: to predict.
         learned: the drivers, and parameters and spread of the peers.
-        others: what learned drivers meet, see `ms_highway.irl.names.Others`; peers predict everybody by themselves.
+        others: what learned drivers meet, see `ms_highway.irl.Others`; peers predict everybody by themselves.
 
     Raises:
         ValueError: if a peer lacks, see `check_drivers`, or the motion of the others is unknown.

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from ms_highway.benchmarks.road.names import DRIVERS, OTHER_SCENES, SCENES
+from ms_highway.benchmarks.road import DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results

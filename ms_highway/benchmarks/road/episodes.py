@@ -14,8 +14,8 @@ import gymnasium as gym
 import numpy as np
 from highway_env.envs import UTurnEnv
 
+from ms_highway.benchmarks.road import TRAFFIC, driver_config
 from ms_highway.benchmarks.road.measures import Watch
-from ms_highway.benchmarks.road.names import TRAFFIC, driver_config
 from ms_highway.benchmarks.road.peers import PEERS
 from ms_highway.envs.road import drive
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
@@ -36,7 +36,7 @@ class Block(NamedTuple):
     Attributes:
         scene: identifier of a stock environment.
         driver: name of what drives the ego.
-        traffic: a name of `ms_highway.benchmarks.road.names.TRAFFIC`.
+        traffic: a name of `ms_highway.benchmarks.road.TRAFFIC`.
     """
 
     scene: str
