@@ -1,6 +1,7 @@
 """What the tests share: games, starts, reference episodes, and one cache of compilations for all runs."""
 
 import os
+import resource
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import accumulate
@@ -26,6 +27,7 @@ SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WA
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ms-highway-tests"
 LARGEST = 500e6  # bytes of the cache
+MOST_MEMORY = 3e6  # kB of a worker
 
 XLA_DEFAULTS = "--xla_cpu_max_isa= --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
 """XLA's own defaults, stated so that commands leave them unchanged. XLA reads its flags once, but JAX names a compiled
@@ -63,9 +65,10 @@ def still_shared() -> Iterator[None]:
 
 @pytest.fixture(scope="module", autouse=True)
 def little_memory() -> Iterator[None]:
-    """Forget what a file has compiled; all files together would take gigabytes."""
+    """Forget what has been compiled where it takes much memory: that of all files would take many gigabytes."""
     yield
-    jax.clear_caches()
+    if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > MOST_MEMORY:
+        jax.clear_caches()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
