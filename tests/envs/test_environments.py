@@ -273,6 +273,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "context", [None, *(pytest.param(name, marks=pytest.mark.slow) for name in ("spawn", "forkserver"))]
 )
@@ -312,6 +313,7 @@ worker.join()
 """
 
 
+@pytest.mark.slow
 def test_a_worker_that_was_forked_after_jax_had_begun_says_so_instead_of_waiting_for_ever():
     done = subprocess.run([sys.executable, "-c", FORKED], timeout=600, capture_output=True, text=True)
     assert done.stdout.count("start it with context='forkserver' or 'spawn'") == 2

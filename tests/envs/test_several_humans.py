@@ -11,6 +11,7 @@ AGENT = {"type": "ContinuousAction"}
 STRAIGHT = np.zeros(2, np.float32)
 
 
+@pytest.mark.slow
 def test_a_robot_under_theory_of_mind_merges_into_the_stream_before_the_cones():
     _, states, _, infos = drive(make("dense_merge", "tom"))
     assert len(infos) == 80

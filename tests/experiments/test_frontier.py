@@ -44,6 +44,7 @@ def tried(searched):
     return table.assign(**{str(price): table["reward"] - price * table["counted_seconds"] for price in PRICES})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("price", PRICES)
 def test_nothing_that_was_tried_from_a_start_is_better_than_its_best_order(searched, tried, price):
     found = pd.read_csv(searched / "orders.csv").query("price == @price").set_index("seed")["meta_reward"]
@@ -62,6 +63,7 @@ def test_nothing_that_was_tried_from_a_start_is_better_than_its_best_order(searc
     assert said.max() == pytest.approx(everywhere.max())
 
 
+@pytest.mark.slow
 def test_the_search_finds_orders_that_are_better_than_all_with_a_single_switch(searched, batch):
     """Round 1 tries some of these orders; most it does not."""
     names = [f"schedule:{one}={end},{other}" for one, other in (LADDER, LADDER[::-1]) for end in range(1, STEPS)]
@@ -74,6 +76,7 @@ def test_the_search_finds_orders_that_are_better_than_all_with_a_single_switch(s
         assert (found > single).any()
 
 
+@pytest.mark.slow
 def test_the_best_orders_earn_in_the_environment_what_the_search_says(searched):
     for row in pd.read_csv(searched / "orders.csv").query("price == 0.03").to_dict("records"):
         env = make_environment("merger", row["controller"], ladder=LADDER)
@@ -82,6 +85,7 @@ def test_the_best_orders_earn_in_the_environment_what_the_search_says(searched):
         assert steps["counted_seconds"].mean() == pytest.approx(row["counted_seconds"])
 
 
+@pytest.mark.slow
 def test_a_search_at_many_prices_tries_little_more_than_one_at_three(batch):
     few, many = Outcomes(batch), Outcomes(batch)
     assert list(search(few, range(SEEDS), [0.01, 0.1, 1.0], 8, 4)) == [1, 2, 3, 4, 5]
@@ -98,6 +102,7 @@ def test_a_search_among_several_humans_changes_the_models_of_all_and_of_one():
     assert any("/" in name for name in names)
 
 
+@pytest.mark.slow
 def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path, capsys):
     directory, file = tmp_path / "out", "merger_episodes.csv"
     directory.mkdir()
@@ -124,6 +129,7 @@ def test_the_name_of_an_order_stands_for_its_models_step_by_step():
     assert controller_name(LADDER, np.array([[0, 1], [0, 1], [1, 1]])) == "schedule:naive/turn=2,turn"
 
 
+@pytest.mark.slow
 def test_outcomes_that_were_damaged_are_named(searched, tmp_path, refused):
     shutil.copytree(searched, tmp_path / "out")
     (tmp_path / "out" / "merger_episodes.csv").write_text("controller,seed\n")

@@ -54,6 +54,7 @@ def learned(request, tmp_path_factory):
     )
 
 
+@pytest.mark.slow
 def test_each_round_ends_in_values_of_all_examples_so_far(learned):
     _, course, done = learned
     assert [(step.round, step.course) for step in done] == [(1, course.name), (1, ""), (2, course.name), (2, "")]
@@ -62,6 +63,7 @@ def test_each_round_ends_in_values_of_all_examples_so_far(learned):
     assert all(step.regrets == {} if course.several else step.regrets["merger"] >= 0 for step in done[1::2])
 
 
+@pytest.mark.slow
 def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_devices(learned, tmp_path):
     learning, course, done = learned
     kept = tmp_path / "kept"
@@ -77,6 +79,7 @@ def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_d
         next(learn(learning, [course], kept, device_mesh()))
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_values(learned, tmp_path):
     learning, course, done = learned
     *_, last = learn(replace(learning, rounds=1, seed=4), [course], tmp_path, device_mesh())
@@ -108,6 +111,7 @@ def test_generated_scenes_begin_without_a_collision_and_share_their_shapes():
             assert all(abs(x - other) > 0.15 for other, lane in scenario.cars[:place] if lane == y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["merger", pytest.param("dense_merge", marks=pytest.mark.slow)])
 def test_the_command_learns_values_that_drive(scenario, tmp_path, capsys):
     file, (config, quick) = tmp_path / "values.npz", QUICK[scenario]

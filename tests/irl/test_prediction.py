@@ -77,6 +77,7 @@ def test_errors_are_what_a_known_path_is_off():
     assert wrong["log_p"]["5"] < right["log_p"]["5"]
 
 
+@pytest.mark.slow
 def test_learned_drivers_brake_behind_a_car_that_stands_and_know_nothing_of_the_future():
     moments = cut_moments([following(60.0, leader=0.0)])
     path = np.asarray(predict(moments, DRIVERS.bare).path)[0, 0]

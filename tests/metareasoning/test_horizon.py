@@ -80,6 +80,7 @@ def test_the_expansion_is_that_of_the_rewards_of_the_whole_plan(played, influenc
     np.testing.assert_allclose(expansion.influence, expected, rtol=1e-2, atol=1e-3 * abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rung", [0, 1, 2])
 def test_over_a_horizon_of_one_step_the_gains_are_those_of_algorithm_1(played, rung):
     game, state = played("merger", seed=3)

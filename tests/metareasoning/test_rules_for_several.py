@@ -93,6 +93,7 @@ def estimates():
     return OneStepGains(Switching(COSTS, 0.0, RUNGS))
 
 
+@pytest.mark.slow
 def test_gains_are_estimated_for_every_human_alone(outcome):
     game, seen = outcome
     decision = chosen(estimates(), game, seen)
@@ -123,6 +124,7 @@ def test_a_driver_measures_the_time_of_decisions_within_a_budget(outcome):
     assert {step.status for step in steps} == {"planned"}
 
 
+@pytest.mark.slow
 def test_a_top_rung_that_does_not_respond_gains_what_algorithm_1_says(played):
     game, state = played("merger")
     switching = Switching(Costs(0.0, np.zeros(2)), 0.0, RUNGS[:2])

@@ -58,6 +58,7 @@ def run_with_low_latency(*compiled, **environment):
     return flags, *(int(number) for number in numbers), np.array(controls.split(), dtype=float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [[], pytest.param(["decision"], marks=pytest.mark.slow)])
 def test_low_latency_makes_a_plan_and_a_decision_one_kernel_each_that_plans_the_same(played, more):
     _, *outside, _, controls = run_with_low_latency(*more)

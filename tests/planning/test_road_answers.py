@@ -80,6 +80,7 @@ def busy_human():
     return jax.jit(commuter_among)(BUSY, PLANNING, 0, cut_in, keeping_velocity(BUSY))
 
 
+@pytest.mark.slow
 def test_the_reward_is_the_commuters_on_a_straight_road():
     human = busy_human()
     learned = linear_reward(commuter_weights(), 30.0)

@@ -43,6 +43,7 @@ def missing(scene, goals=(-4.0, 0.0, 4.0)):
     return np.asarray(room_missing(now_in(scene), found.driven, np.asarray(goals, np.float32)[LANES]))
 
 
+@pytest.mark.slow
 def test_on_a_free_road_no_speed_is_lost_after_a_plan_at_the_desired_speed():
     assert lost(scene_of(robot=(0.0, 0.0, 0.0, 30.0)))[KEEPING_SPEED] < 0.01
 

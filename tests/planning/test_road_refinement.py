@@ -48,6 +48,7 @@ SCENES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("lane", [0, 1, 2])
 def test_refining_never_earns_less_and_keeps_within_limits(name, lane):

@@ -27,6 +27,7 @@ def address():
         return f"127.0.0.1:{free.getsockname()[1]}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("killed", "first"), [(0, "600"), (2, "600"), (2, "0")])
 def test_when_a_process_dies_the_others_end_with_one_sentence_even_if_process_0_is_done(killed, first, address):
     processes = [
