@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from roads import PLANNING, WEIGHTS, scene_of
 
 from ms_highway.game.road import TRAFFIC
