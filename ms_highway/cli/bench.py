@@ -72,7 +72,7 @@ def _bench(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.throughput import throughput
     from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
     from ms_highway.experiments.comparison import paper_controllers
-    from ms_highway.experiments.directory import write_json
+    from ms_highway.runtime.files import write_json
 
     if (options.batches and options.peer) or (options.devices and not options.batches):
         raise ValueError("--peer is about plans, and --devices about --batches; leave one out")

@@ -77,7 +77,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.road.blocks import run_blocks
     from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, row, summary
     from ms_highway.cli.results_directory import write_table
-    from ms_highway.experiments.directory import write_json
+    from ms_highway.runtime.files import write_json
     from ms_highway.visualization.tables import grid
 
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))

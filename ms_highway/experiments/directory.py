@@ -12,7 +12,7 @@ from typing import Any, NotRequired, TypedDict
 
 import msgspec
 
-from ms_highway.runtime.files import PART, read_json, reading, replacing
+from ms_highway.runtime.files import PART, read_json, reading, write_json
 from ms_highway.runtime.jax_settings import cores
 
 SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
@@ -119,12 +119,6 @@ def this_run(command: str = "") -> Run:
         "machine": {"processor": _processor(), "cores": cores(), "platform": platform.platform()},
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
     }
-
-
-def write_json(file: Path, content: Any) -> None:
-    """Write indented JSON; the file is whole, or as it was."""
-    with replacing(file) as path:
-        path.write_text(json.dumps(content, indent=2) + "\n")
 
 
 def _processor() -> str:

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from jax import numpy as jnp
+
+from ms_highway.runtime.arrays import Scalar
 
 MOST_ITERATIONS = 5000
 """Upper bound on the gradient steps of a plan; more take seconds."""
@@ -66,3 +69,8 @@ def longest_step(horizon: int, time_step: float) -> float:
     moved = SPEED * time_step**2 * np.maximum(np.subtract.outer(steps, steps), 0)
     steepest = 2 * STEEPEST * float(np.linalg.norm(moved, 2)) ** 2
     return 1 / steepest if steepest > 0 else np.inf
+
+
+def longest_traced_step(horizon: int, time_step: Scalar) -> Scalar:
+    """Return `longest_step` for a time step that JAX may trace: it falls with its fourth power."""
+    return longest_step(horizon, time_step=1.0) / jnp.asarray(time_step) ** 4

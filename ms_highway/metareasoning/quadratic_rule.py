@@ -6,7 +6,7 @@ All controls are scaled, see `ms_highway.game.game`, and ravelled: n = 2 steps n
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 from jax import numpy as jnp
@@ -57,7 +57,6 @@ class QuadraticRule(ABC):
     trust_radius: Scalar = 1.5
     trust_tolerance: Scalar = TRUST_TOLERANCE
     cooldown: Index = 3
-    in_one_kernel: ClassVar[bool]
 
     @abstractmethod
     def executed(self, game: Game, outcome: Outcome) -> tuple[Vector, Vector, Scalar]:

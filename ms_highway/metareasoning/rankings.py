@@ -12,6 +12,7 @@ from ms_highway.game.neighbours import far_behind
 from ms_highway.metareasoning.rule import Decision, Memory, Outcome, unestimated
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
+from ms_highway.planning.plans import one_step_later
 from ms_highway.runtime.arrays import Controls, HumansControl, Index, PerHuman, Trajectories
 
 LANES_AWAY = 1.5  # lanes to the side, beyond which a robot that changes lanes does not collide with a car
@@ -88,7 +89,7 @@ class Influence(MostImportant):
     def unimportance(self, game: Game, outcome: Outcome) -> PerHuman:
         """Return the negative influence of every human."""
         last, state = 1 + game.number, jnp.asarray(outcome.after)
-        robot, humans = (jnp.concatenate([side[..., 1:, :], side[..., -1:, :]], axis=-2) for side in outcome.plan)
+        robot, humans = one_step_later(outcome.plan)
         others = move_all(game, state[1:last], humans)
         absent = jnp.stack(coast(game.dynamics, far_behind(state[0]), game.planner.horizon))
 

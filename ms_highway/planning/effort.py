@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from jax import numpy as jnp
 
 from ms_highway.game.game import Game
-from ms_highway.game.planning_settings import MOST_ITERATIONS, SHARE, longest_step
+from ms_highway.game.planning_settings import MOST_ITERATIONS, SHARE, longest_traced_step
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Controls, State
 
@@ -77,7 +77,7 @@ class Effort:
             return game
         if game.planner.solver == "damped_newton":
             return replace(game, planner=replace(game.planner, newton_steps=self.steps))
-        longest = longest_step(game.planner.horizon, time_step=1.0) / jnp.asarray(game.dynamics.time_step) ** 4
+        longest = longest_traced_step(game.planner.horizon, game.dynamics.time_step)
         length = jnp.minimum(LENGTH, SHARE * longest)
         return replace(game, planner=replace(game.planner, iterations=self.steps, step_size=length, solver="gradient"))
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game, constant_velocity, each_human, pair, swap_players
-from ms_highway.game.planning_settings import PlanningSettings, gradient_steps, longest_step
+from ms_highway.game.planning_settings import PlanningSettings, gradient_steps, longest_traced_step
 from ms_highway.planning.human_models import following_control
 from ms_highway.planning.plans import Plan, plan_against
 from ms_highway.runtime.arrays import Control, Controls, Index, State
@@ -38,7 +38,7 @@ def next_controls(game: Game, state: State, robot: Controls) -> Float[Any, "huma
     shortened = planner.horizon > LOOKAHEAD
     if shortened:
         iterations, usual = gradient_steps(PlanningSettings(LOOKAHEAD))
-        length = jnp.minimum(usual, longest_step(LOOKAHEAD, 1.0) / jnp.asarray(game.dynamics.time_step) ** 4)
+        length = jnp.minimum(usual, longest_traced_step(LOOKAHEAD, game.dynamics.time_step))
         planner = replace(planner, horizon=LOOKAHEAD, iterations=iterations, step_size=length)
     game = replace(game, planner=planner)
 

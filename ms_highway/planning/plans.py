@@ -23,6 +23,11 @@ class Plan(NamedTuple):
     humans: HumansControls
 
 
+def one_step_later(plan: Plan) -> Plan:
+    """Return what is left of a plan after its first step, its last controls repeated."""
+    return Plan(*(jnp.concatenate([side[..., 1:, :], side[..., -1:, :]], axis=-2) for side in plan))
+
+
 def cold_start(game: Game, state: State) -> Plan:
     """Return the plan that plans start from without a last one.
 

@@ -26,6 +26,26 @@ Vector: TypeAlias = Float[Any, "n"]
 Matrix: TypeAlias = Float[Any, "n n"]
 Numbers: TypeAlias = Float[Any, "*shape"]
 
+Control: TypeAlias = Float[Any, "2"]
+Controls: TypeAlias = Float[Any, "steps 2"]
+ManyControls: TypeAlias = Float[Any, "*batch steps 2"]
+Trajectory: TypeAlias = Float[Any, "fields steps"]
+"""Motion of one car over the steps of a plan, the fields of its `ms_highway.game.dynamics.Motion` stacked."""
+
+Car: TypeAlias = Float[Any, "4"]  # x, y [m], heading [rad], speed [m/s]
+State: TypeAlias = Float[Any, "cars 4"]  # robot, humans, scripted cars
+HumansControl: TypeAlias = Float[Any, "humans 2"]  # omega, acceleration
+HumansControls: TypeAlias = Float[Any, "humans steps 2"]
+Trajectories: TypeAlias = Float[Any, "cars fields steps"]
+Times: TypeAlias = Float[Any, "*times"]
+
+Weights: TypeAlias = Float[Any, "features"]
+HumansWeights: TypeAlias = Float[Any, "humans features"]
+Rungs: TypeAlias = Int[Any, "humans"]  # the place on the ladder of every human's model
+Gains: TypeAlias = Float[Any, "humans rungs"]
+Belief: TypeAlias = Float[Any, "humans models"]
+PerHuman: TypeAlias = Float[Any, "humans"]
+
 
 def unrolled_reduce(function: Callable[[jax.Array, jax.Array], jax.Array], values: Numbers, axis: int = -1) -> Array:
     """Reduce the values along an axis by a function of two."""
@@ -41,25 +61,3 @@ def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], star
     """Loop over the places that are chosen, in as many rounds as there are: time is additive in them."""
     order = jnp.argsort(~chosen, stable=True)
     return jax.lax.fori_loop(0, jnp.sum(chosen), lambda place, found: function(order[place], found), start)
-
-
-Control: TypeAlias = Float[Any, "2"]
-Controls: TypeAlias = Float[Any, "steps 2"]
-ManyControls: TypeAlias = Float[Any, "*batch steps 2"]
-Trajectory: TypeAlias = Float[Any, "fields steps"]
-"""Motion of one car over the steps of a plan, the fields of its `ms_highway.game.dynamics.Motion` stacked."""
-
-
-Car: TypeAlias = Float[Any, "4"]  # x, y [m], heading [rad], speed [m/s]
-State: TypeAlias = Float[Any, "cars 4"]  # robot, humans, scripted cars
-HumansControl: TypeAlias = Float[Any, "humans 2"]  # omega, acceleration
-HumansControls: TypeAlias = Float[Any, "humans steps 2"]
-Trajectories: TypeAlias = Float[Any, "cars fields steps"]
-Times: TypeAlias = Float[Any, "*times"]
-
-Weights: TypeAlias = Float[Any, "features"]
-HumansWeights: TypeAlias = Float[Any, "humans features"]
-Rungs: TypeAlias = Int[Any, "humans"]  # the place on the ladder of every human's model
-Gains: TypeAlias = Float[Any, "humans rungs"]
-Belief: TypeAlias = Float[Any, "humans models"]
-PerHuman: TypeAlias = Float[Any, "humans"]

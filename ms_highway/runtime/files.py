@@ -174,3 +174,9 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text())
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
+
+
+def write_json(file: Path, content: Any) -> None:
+    """Write indented JSON; the file is whole, or as it was."""
+    with replacing(file) as path:
+        path.write_text(json.dumps(content, indent=2) + "\n")

@@ -24,7 +24,7 @@ from ms_highway.metareasoning.belief import counted_on, first_belief, infer
 from ms_highway.metareasoning.rule import Memory, Order, Outcome, at_price, decide, first_memory
 from ms_highway.planning.effort import starts_warm
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.planning.plans import Plan, cold_start
+from ms_highway.planning.plans import Plan, cold_start, one_step_later
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import Belief, Car, Control, Gains, HumansWeights, Index, Rungs, Scalar, State, Weights
@@ -210,8 +210,7 @@ def _follow(game: Game, car: Car, plan: Plan, rest: Rest) -> tuple[Control, Inde
     """Return the scaled control to execute, its status and the remaining plan, see `ms_highway.control.fallback`."""
     finite = jnp.stack([jnp.isfinite(controls).all() for controls in plan]).all()
     status, left = fallback_status(finite, rest.steps, game.planner.horizon)
-    after = jax.tree.map(lambda last: jnp.concatenate([last[..., 1:, :], last[..., -1:, :]], axis=-2), rest.plan)
-    followed = jax.tree.map(partial(jnp.where, finite), plan, after)
+    followed = jax.tree.map(partial(jnp.where, finite), plan, one_step_later(rest.plan))
     braking = braking_control(game, car) / game.planner.control_scale
     return jnp.where(status == BRAKING, braking, followed.robot[0]), status, Rest(followed, left)
 
