@@ -52,8 +52,10 @@ class InteractionEnv(StageEnv):
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
       ``"best"``.
     * ``costs``: T(M) of a plan in which one human is predicted by M, all others by the first rung:
-      ``"published"`` (default with one human), ``"measured"`` on this machine (default with several), or seconds by
-      model (``tom@8`` in proportion). T of any plan is additive in the humans.
+      ``"published"`` (default with one human); ``"shipped"`` (default with several), what plans take on one core, with
+      which budgets are not content: they measure; ``"measured"`` on this machine in the first step; or seconds by model
+      (``tom@8`` in proportion). T of any plan is additive in the humans. Only where choices depend on times that were
+      measured, which ``info["clocked"]`` says, may the same seed be another episode.
     * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
@@ -117,7 +119,7 @@ class InteractionEnv(StageEnv):
             "action": {"type": "Autopilot"},
             "controller": {"type": "learned" if several else "switching", "lambda": scenario.prices[1]},
             "ladder": list(scenario.ladder),
-            "costs": "measured" if several else "published",
+            "costs": "shipped" if several else "published",
             "semantics": "paper",
             "human_reward": None,
             "humans": scenario.humans,
@@ -147,6 +149,7 @@ class InteractionEnv(StageEnv):
     def _read(self) -> None:
         super()._read()
         self.game, self._seconds = self.settings.game(self.scenario), self.settings.seconds
+        self._costs: Costs | None = None
 
     def _reset(self) -> None:
         """Build the road, place the cars, and say who drives them."""
@@ -194,27 +197,33 @@ class InteractionEnv(StageEnv):
         if isinstance(self.action_type, (Autopilot, HumanModelAction)):
             if self.settings.beliefs == "learned":
                 game = self.game
-            cars[0].drive_with(self._driver(game, states), cars[1:])
+            cars[0].drive_with(self._driver(game), cars[1:])
 
-    def _driver(self, game: Game, states: State) -> Driver:
-        """Return the robot's driver; what it needs to know of planning times is measured now, and not within a step."""
+    def _driver(self, game: Game) -> Driver:
+        """Return the robot's driver, with unknown costs if they are yet to be measured."""
         settings, controller = self.settings, controller_settings(self.config["controller"])
-        models, humans, asked = settings.models, settings.humans, isinstance(self.action_type, HumanModelAction)
-        needed = asked or controller.chooses or humans == 1 or self._seconds
-        costs = self.costs(states) if needed else Costs.of([nan] * len(models), humans)
-        start = Start(models, costs, settings.semantics, humans, self.episode_steps, self.np_random)
-        rule = Order(np.zeros((1, 1), int), models) if asked else controller.rule(start)
+        models = settings.models
+        unknown = Costs.of([nan] * len(models), settings.humans)
+        costs = unknown if settings.measures and self._costs is None else self.costs(self.car_states)
+        start = Start(models, costs, settings.semantics, settings.humans, self.episode_steps, self.np_random)
+        if isinstance(self.action_type, HumanModelAction):
+            rule: Any = Order(np.zeros((1, 1), int), models)
+        else:
+            rule = controller.rule(start)
         return Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
 
     def costs(self, states: State) -> Costs:
         """Planning times on the ladder; where they are to be measured, once after each change of the configuration."""
-        models, humans = self.settings.models, self.settings.humans
+        settings, models = self.settings, self.settings.models
+        if self._costs is None and settings.measures:
+            quantile, way_out = settings.controller.quantile, settings.way_out
+            self._costs = measure_costs(self.game, models, states, quantile=quantile, way_out=way_out)
+        elif self._costs is None:
+            self._costs = Costs.of([self._seconds[model.name] for model in models], settings.humans)
         if self._seconds is None:
-            base, each = measure_costs(
-                self.game, models, states, quantile=self.settings.controller.quantile, way_out=self.settings.way_out
-            )
-            self._seconds = {model.name: float(base + own) for model, own in zip(models, each, strict=True)}
-        return Costs.of([self._seconds[model.name] for model in models], humans)
+            seconds = (self._costs.base + np.asarray(self._costs.each)).tolist()
+            self._seconds = {model.name: own for model, own in zip(models, seconds, strict=True)}
+        return self._costs
 
     def counted_seconds(self, names: Sequence[str]) -> float | None:
         """Return T of a plan in which humans are predicted by these models [s]; None where it is not known."""
@@ -255,6 +264,10 @@ class InteractionEnv(StageEnv):
 
     def _simulate(self, action: Any = None) -> None:
         """Let all cars plan and move, evaluate the robot's new state, and let the agent pay for the model it chose."""
+        if self._costs is None and isinstance(self.action_type, (Autopilot, HumanModelAction)):
+            self.costs(self.car_states)  # measures in the first step, as JAX must not begin before it
+            if self.settings.measures and self.settings.controller.chooses:
+                self.robot.drive_with(self._driver(self.robot.controller.game), self.road.vehicles[1:])
         super()._simulate(action)
         self._collided |= self.collision
         step = self.robot.last_step
@@ -274,6 +287,7 @@ class InteractionEnv(StageEnv):
             return info
         info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
         info["timing"] = Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds)
+        info["clocked"] = self.settings.measures and self.settings.controller.chooses
         info["gains"], counted = step.highest_gains(), self.counted_seconds(step.models)
         known = {"belief": step.belief, "counted_seconds": counted}
         info |= {name: value for name, value in known.items() if value is not None}

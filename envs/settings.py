@@ -14,7 +14,7 @@ from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
-from ms_highway.metareasoning.rule import PUBLISHED_COSTS
+from ms_highway.metareasoning.rule import PUBLISHED_COSTS, SHIPPED_COSTS
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.effort import seconds_of
 from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
@@ -23,7 +23,10 @@ HUMAN_REWARDS = {"paper": "learned", "released": "published"}
 """The humans' reward that belongs to each semantics."""
 
 LADDER = "give a list of human models, cheapest first, or say 'best'"
-COSTS = "say 'published', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
+COSTS = (
+    "say 'published', 'shipped', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, "
+    "'tom': 0.37}"
+)
 REWARD = (
     "say 'learned', 'published', or give finite weights by name, such as {'speed': 2, 'lane_alignment': 75}; weights "
     "that were learned are in ms_highway.game.learned_reward.load(path).weights"
@@ -39,7 +42,7 @@ class Settings(Struct, frozen=True):
 
     controller: Any
     ladder: Annotated[Literal["best"] | tuple[str, ...], Meta(description=LADDER)]
-    costs: Annotated[Literal["published", "measured"] | dict[str, NotNegative], Meta(description=COSTS)]
+    costs: Annotated[Literal["published", "shipped", "measured"] | dict[str, NotNegative], Meta(description=COSTS)]
     semantics: Semantics
     human_reward: Annotated[Literal["learned", "published"] | dict[str, Number] | None, Meta(description=REWARD)]
     humans: int
@@ -117,12 +120,18 @@ class Settings(Struct, frozen=True):
         """T(M) by name [s], also of models in an order as far as it is known; None where it is to be measured."""
         if self.costs == "measured":
             return None
-        given = PUBLISHED_COSTS if self.costs == "published" else self.costs
+        named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS}
+        given = named[self.costs] if isinstance(self.costs, str) else self.costs
         others = map(human_model, self.controller.names()) if isinstance(self.controller, OrderSettings) else ()
         known = {
             model.name: seconds_of(model, given, gradient_steps(self.planning)[0]) for model in (*others, *self.models)
         }
         return {**given, **{name: seconds for name, seconds in known.items() if seconds is not None}}
+
+    @property
+    def measures(self) -> bool:
+        """Whether choices depend on planning times that are measured: the same seed may then be another episode."""
+        return self.costs == "measured" or (self.costs == "shipped" and self.controller.budget is not None)
 
     @property
     def human_weights(self) -> Mapping[str, float]:

@@ -33,7 +33,6 @@ examples:
   ms-highway --import zipper values learn zipper --out zipper.npz"""
 
 DECIDED = 0.4  # of an episode among several humans, in which it is decided whether the robot merges
-COSTS = {"naive": 0.002, "turn": 0.003, "tom": 0.0036}  # s, of a plan with this model for one of several humans
 SEVERAL: dict[str, Any] = {
     "baseline": "cheapest",
     "prices": (30.0, 30.0),
@@ -116,6 +115,8 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     from ms_highway.experiments.values.generator import generated_courses
     from ms_highway.experiments.values.learning import Learning
     from ms_highway.experiments.values.rollouts import Course
+    from ms_highway.metareasoning.rule import SHIPPED_COSTS
+    from ms_highway.metareasoning.rule import SHIPPED_COSTS
     from ms_highway.planning.effort import starts_warm
     from ms_highway.planning.human_models import cheapest_first, human_model
 
@@ -130,7 +131,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         if options.generated or options.without:
             raise ValueError("--generated and --without are for scenarios with one human")
         given = config.get("costs", {})
-        config["costs"] = given if isinstance(given, str) else {**COSTS, **given}
+        config["costs"] = given if isinstance(given, str) else {**SHIPPED_COSTS, **given}
     solvers = [{"solver": solver} for solver in dict.fromkeys(options.solvers or [])]
     batches = [
         make_batch(Comparison({scenario.name: scenario.ladder[:1]}, 1, config={**config, **solver}), scenario.name)

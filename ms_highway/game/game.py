@@ -67,8 +67,8 @@ class Game:
 
     def human(self, human: Index = 0) -> Reward:
         """Return the reward of a human."""
-        weights = self.humans.weights[0] if self.number == 1 else jnp.asarray(self.humans.weights)[human]
-        return replace(self.humans, weights=weights)
+        weights = self.humans.weights if isinstance(human, int) else jnp.asarray(self.humans.weights)
+        return replace(self.humans, weights=weights[0 if self.number == 1 else human])
 
 
 @cache

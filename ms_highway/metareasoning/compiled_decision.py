@@ -1,7 +1,7 @@
 """Decide live: compiled once, called with few arguments, timed warm."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -39,15 +39,22 @@ class CompiledDecision:
 
     def __init__(self, rule: Rule, game: Game) -> None:
         network = getattr(rule, "network", None)
-        self._numbers, layout = pack((rule if network is None else replace(rule, network=None), game))
-        leaves, structure = jax.tree.flatten(network)
-        self._leaves = [jnp.asarray(leaf) for leaf in leaves]
+        self._numbers, self._layout = pack((rule if network is None else replace(rule, network=None), game))
         self.rule, self.game = rule, game
-        fuses = game.number == 1 and getattr(rule, "in_one_kernel", False)
-        self.function = decide_function(layout, structure, fuses)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledDecision, (self.rule, self.game)  # compiled functions cannot be pickled
+
+    @cached_property
+    def _leaves(self) -> list[jax.Array]:
+        return [jnp.asarray(leaf) for leaf in jax.tree.leaves(getattr(self.rule, "network", None))]
+
+    @cached_property
+    def function(self) -> jax.stages.Wrapped:
+        """See `decide_function`; made at the first call, as JAX must not begin before the first step."""
+        network = jax.tree.structure(getattr(self.rule, "network", None))
+        fuses = self.game.number == 1 and getattr(self.rule, "in_one_kernel", False)
+        return decide_function(self._layout, network, fuses)
 
     def decide(self, memory: Memory, observed: Observation) -> tuple[Decision, float]:
         """Return the decision, in NumPy arrays, and the seconds that it took.

@@ -49,7 +49,7 @@ WRONG = [
     ({"ladder": ["tom", "naive"]}, "cheapest first"),
     ({"ladder": []}, "impossible ladder"),
     ({"ladder": "tom"}, "config['ladder'] is 'tom'; give a list of human models"),
-    ({"costs": "free"}, "config['costs'] is 'free'; say 'published', 'measured', or give seconds"),
+    ({"costs": "free"}, "config['costs'] is 'free'; say 'published', 'shipped', 'measured', or give seconds"),
     ({"costs": {"naive": 0.1}}, "without seconds for 'turn'"),
     ({"costs": {"naive": -0.1, "turn": 1, "tom": 1}}, "config['costs']['naive'] is -0.1; say 'published'"),
     ({"costs": np.array([0.1, 0.2, 0.3])}, "config['costs'] is [0.1, 0.2, 0.3]"),

@@ -258,11 +258,11 @@ import numpy as np
 
 if __name__ == "__main__":
     envs = gym.make_vec(
-        "ms_highway:ms-highway/merger-v0",
+        "ms_highway:ms-highway/{scenario}-v0",
         num_envs=2,
         vectorization_mode="async",
         vector_kwargs={{"context": {context!r}}},
-        config={{"controller": {{"type": "fixed", "model": "naive"}}}},
+        config={{"controller": {{"type": "fixed", "model": "naive"}}, "costs": "measured"}},
     )
     envs.reset(seed=[3, 3])
     observations, rewards, _, _, infos = envs.step(np.zeros(2, dtype=int))
@@ -275,12 +275,34 @@ if __name__ == "__main__":
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "context", [None, *(pytest.param(name, marks=pytest.mark.slow) for name in ("spawn", "forkserver"))]
+    ("scenario", "context"),
+    [("merger", None), ("merger", "spawn"), ("merger", "forkserver"), ("dense-merge", None)],
 )
-def test_workers_of_a_vector_environment_find_and_step_the_environments(context, tmp_path):
+def test_workers_of_a_vector_environment_find_and_step_the_environments(scenario, context, tmp_path):
     script = tmp_path / "vector.py"
-    script.write_text(VECTOR.format(context=context))
+    script.write_text(VECTOR.format(scenario=scenario, context=context))
     done = subprocess.run([sys.executable, script], timeout=600, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+UNBEGUN = """
+import gymnasium as gym
+from jax._src import xla_bridge
+
+import ms_highway
+
+for name in [name for name in gym.registry if name.startswith("ms-highway/")]:
+    for controller in ["learned", "switching", "horizon", "budget", "nearest"]:
+        numbers = {"budget": {"milliseconds": 20}, "nearest": {"count": 1}}.get(controller, {"lambda": 1.0})
+        env = gym.make(name, config={} if "demonstration" in name else {"controller": {"type": controller} | numbers})
+        env.reset(seed=0)
+        assert not xla_bridge.backends_are_initialized(), (name, controller)
+"""
+
+
+@pytest.mark.slow
+def test_no_environment_begins_to_compute_before_its_first_step():
+    done = subprocess.run([sys.executable, "-c", UNBEGUN], timeout=300, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 
