@@ -116,7 +116,6 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     from ms_highway.experiments.values.learning import Learning
     from ms_highway.experiments.values.rollouts import Course
     from ms_highway.metareasoning.rule import SHIPPED_COSTS
-    from ms_highway.metareasoning.rule import SHIPPED_COSTS
     from ms_highway.planning.effort import starts_warm
     from ms_highway.planning.human_models import cheapest_first, human_model
 

@@ -257,7 +257,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     environment, costs = _environment(scenario, configs[0]), dict[str, float]()
     for one in settings:
         if one.seconds is None:
-            remedy = "say 'published', or give seconds by model" + (SEVERAL if one.humans > 1 else "")
+            remedy = "say 'shipped', or give seconds by model" + (SEVERAL if one.humans > 1 else "")
             raise ValueError(f"costs are {one.costs!r}, and a simulation cannot measure plans; {remedy}")
         costs |= one.seconds
     controllers = {name: one.controller for name, one in zip(names, settings, strict=True)}

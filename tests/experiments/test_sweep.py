@@ -116,10 +116,9 @@ def test_a_part_that_was_damaged_is_named(swept, tmp_path, refused):
     ("arguments", "message"),
     [
         ("merger --seeds 1000000 --part 1", "parts; there may be 1000000, of --part episodes each"),
-        ("merger --set costs=measured", "cannot measure plans"),
         (
-            "dense_merge",
-            "costs are 'measured', and a simulation cannot measure plans; say 'published', or give seconds",
+            "dense_merge --set costs=measured",
+            "costs are 'measured', and a simulation cannot measure plans; say 'shipped', or give seconds",
         ),
         ("dense_merge --set costs=naive=0.1", "without seconds for 'turn'"),
         ("merger --devices 1000", "1000 devices are wanted; this process has"),
