@@ -97,6 +97,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
       ``compile_seconds`` of the last plan, see `ms_highway.control.road.RoadStep`;
     * ``traits``, ``belief``: what is known of the driver on each path then, None if that is not configured;
     * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then;
+    * ``late``: how many of these plans were not ready within the budget, so that the plan before drove on;
     * ``model_counts``: how many cars each model predicted, summed over these plans;
     * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
     * ``destination``: node of the road network, None without one;
@@ -164,6 +165,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         return {name: getattr(robot.last_step, name, value) for name, value in UNTIL_FIRST.items()} | {
             "decisions": [step.planning_seconds + step.decision_seconds for step in robot.steps],
             "sources": [step.source for step in robot.steps],
+            "late": sum(step.status == "late" for step in robot.steps),
             "model_counts": Counter(name for step in robot.steps for name in step.models if name),
             "acceleration": max(robot.accelerations, default=0.0),
             "jerk": max(robot.jerks, default=0.0),

@@ -1,12 +1,12 @@
 """Read the configuration of a driver for stock environments."""
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct, ValidationError, convert
 
-from ms_highway.control.road import RoadDriver
+from ms_highway.control.road import SHIPPED_COSTS, RoadDriver
 from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RungChoice
 from ms_highway.planning.compiled_plans import Costs
@@ -22,6 +22,7 @@ NUMBERED: dict[str, tuple[Callable[..., RungChoice], str]] = {
     "budget": (BudgetedRungs, "its milliseconds, such as budget:5"),
 }
 Wish = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
+COSTS = "say 'shipped', 'measured', or give milliseconds from 0 by rung, such as {'tom': 0.5}"
 IN_ORDER = f"give rungs of {', '.join(PACKAGE_MODELS)} in this order, {PACKAGE_MODELS[0]} among them"
 
 
@@ -34,8 +35,9 @@ class RoadSettings(Struct, frozen=True):
             refinement.
         price: reward that a second of computation costs.
         budget: milliseconds of computation per plan, instead of a price; None for no budget.
-        costs: milliseconds that each rung adds to a plan per car, by name, 0 where left out; None to measure
-            them. With given ones and a price, episodes can be repeated exactly; a budget counts the time of decisions.
+        costs: ``"shipped"``; ``"measured"`` in the first step among others; or milliseconds that each rung adds to a
+            plan per car, by name, 0 where left out. Unless they are measured, episodes at a price can be repeated
+            exactly; a budget counts the time of decisions.
         ladder: rungs to choose from, of `ms_highway.planning.human_models.PACKAGE_MODELS` in their order.
         desired_speed: [m/s]; None for what the scene rewards.
         acceleration: total acceleration at most [m/s^2].
@@ -51,9 +53,7 @@ class RoadSettings(Struct, frozen=True):
     driver: Annotated[str, Meta(description=f"choose one of {', '.join(map(repr, DRIVERS))}")] = "priced"
     price: NotNegative = 1.0
     budget: Wish = None
-    costs: Annotated[
-        dict[str, NotNegative] | None, Meta(description="give milliseconds from 0 by rung, such as {'tom': 0.5}")
-    ] = None
+    costs: Annotated[Literal["shipped", "measured"] | dict[str, NotNegative], Meta(description=COSTS)] = "shipped"
     ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = PACKAGE_MODELS
     desired_speed: Wish = None
     acceleration: Positive = 5.0
@@ -71,7 +71,7 @@ class RoadSettings(Struct, frozen=True):
         return read(cls, "config", {} if config is None else config)
 
     def __post_init__(self) -> None:
-        refuse_unknown("config['costs']", self.costs or (), PACKAGE_MODELS)
+        refuse_unknown("config['costs']", self.costs if isinstance(self.costs, dict) else (), PACKAGE_MODELS)
         if PACKAGE_MODELS[0] not in self.ladder or self.ladder != tuple(
             rung for rung in PACKAGE_MODELS if rung in self.ladder
         ):
@@ -118,8 +118,8 @@ class RoadSettings(Struct, frozen=True):
 
     def build(self, planning: RoadPlanning) -> RoadDriver:
         """Return a driver with these limits and wishes."""
-        costs = None
-        if self.costs is not None:
+        costs = SHIPPED_COSTS if self.costs == "shipped" else None
+        if isinstance(self.costs, dict):
             costs = Costs(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in PACKAGE_MODELS]))
         refines = self.driver != "proposals"
         return RoadDriver(planning, self.choice(), refines, costs=costs, traits=self.traits, belief=self.belief)

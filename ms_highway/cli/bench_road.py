@@ -17,7 +17,8 @@ Success means, without a crash: merge, the ramp is passed; roundabout, the ring 
 episode; exit and intersection, what highway-env says (is_success, has_arrived); elsewhere, the ego has stayed on the
 road until the end. A car that stands still never crashes: read collisions beside success. The ego is not at fault where
 it was rear-ended in a lane that it had kept for a second. |a| is the largest acceleration in any frame of the
-simulation [m/s^2], jerk the root mean square [m/s^3], ms the time of a decision, without compilation.
+simulation [m/s^2], jerk the root mean square [m/s^3], ms the time of a decision, without compilation, late the share of
+plans that were not ready within a budget. Choices count the time of models at what this package ships.
 
 Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS, fixed:RUNG (naive, idm, turn, tom) and proposals,
 which refines nothing; with +traits, the desired speed and headway of each car are estimated, with +belief, the model
@@ -44,6 +45,7 @@ COLUMNS = {
     "|a|": "{max_acceleration:.1f}",
     "jerk": "{jerk:.1f}",
     "ms p50 (p99)": "{p50_ms:.2f} ({p99_ms:.2f})",
+    "late": "{late:.0%}",
 }
 """What tables show of a driver's figures, by heading."""
 
@@ -52,14 +54,19 @@ def add_bench_road(commands: Any) -> None:
     """Add the command ``bench road`` to a parser's subparsers."""
     parser = add_command(commands, "bench road", "measure drivers in highway-env's own scenes", HELP, EXAMPLES)
     parser.add_argument(
-        "scenes", nargs="*", metavar="SCENE", help=f"stock environments, -v0 if not said (default: {' '.join(SCENES)})"
+        "scenes",
+        nargs="*",
+        metavar="SCENE",
+        help=f"stock environments, all versions if none is said (default: {' '.join(SCENES)})",
     )
     parser.add_argument(
         "--drivers", nargs="+", metavar="DRIVER", default=DRIVERS, help=f"what drives (default: {' '.join(DRIVERS)})"
     )
     add_number(parser, "--seeds", 20, "episodes of each")
     add_number(parser, "--seed", 0, "of the first episode", least=0, most=MOST_SEEDS)
-    traffic = "highway-env's IDM (default), learned commuters, or IDM that never yields to the ego"
+    traffic = (
+        "highway-env's IDM (default), its aggressive drivers, learned commuters, or IDM that never yields to the ego"
+    )
     parser.add_argument("--traffic", choices=list(TRAFFIC), default="idm", help=traffic)
     add_number(parser, "--jobs", None, "processes at once (default: number of cores)", most=MOST_PROCESSES)
     for name, metavar, text in (

@@ -96,6 +96,7 @@ class RoadScene:
         moving: which of the others can move; obstacles cannot.
         priority: which of the others the robot has to give way to where their ways cross.
         traits: of the drivers of others, None where nothing is known of them.
+        accelerations: of others since the last look, 0 of new ones; None where nobody has looked before [m/s^2].
     """
 
     route: Path
@@ -120,6 +121,7 @@ class RoadScene:
     moving: Flags
     priority: Flags
     traits: Traits | None = None
+    accelerations: Traffic | None = None
 
     @property
     def reach(self) -> Sizes:

@@ -40,7 +40,8 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     """Return the robot's control if it leaves as good a way out as any, else the first control of the best escape.
 
     A way out is better if it keeps `MARGIN` to all others than if it only does not collide. Of equally good escapes,
-    that which earns most is the best. Where nothing is free of collisions, the control stays.
+    that which earns most is the best. Where nothing is free of collisions, the robot brakes at least as the softest of
+    the manoeuvres do that brake: as that of them which earns most.
 
     Args:
         game: of the robot.
@@ -56,8 +57,11 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS)
     clear = clearance(escapes, now)
     earned = jax.vmap(lambda way: unrolled_sum(motion_reward(game.scene, game.robot, observe(way), now)))(escapes)
-    best = jnp.argmax(jnp.where(clear == clear.max(), earned, -jnp.inf))
-    replaced = clear.max() > kept
+    hopeless = jnp.maximum(clear.max(), kept) == 0
+    brakes = jnp.tile(ACCELERATIONS < 0, len(clear) // len(ACCELERATIONS))
+    best = jnp.argmax(jnp.where(jnp.where(hopeless, brakes, clear == clear.max()), earned, -jnp.inf))
+    slows = (control * game.planner.control_scale - keep_velocity(game.dynamics, state[0]))[1]
+    replaced = jnp.where(hopeless, slows > ACCELERATIONS[ACCELERATIONS < 0].max(), clear.max() > kept)
     return Escape(jnp.where(replaced, controls[best, 0], control), replaced)
 
 

@@ -11,6 +11,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
+from ms_highway.benchmarks.road import SCENES, known_scenes
 from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, run_episode, summary
 from ms_highway.benchmarks.road.measures import Watch, measured
 
@@ -107,6 +108,16 @@ def test_drivers_are_named_with_what_they_know_of_others(name, settings):
     assert (made.driver, made.traits, made.belief) == settings
 
 
+def test_a_scene_without_a_version_is_driven_in_all_of_them_the_newest_first():
+    assert known_scenes(["roundabout", "merge-v0", "merge"]) == [
+        "roundabout-v1",
+        "roundabout-v0",
+        "merge-v0",
+        "merge-v1",
+    ]
+    assert {scene for scene in SCENES if "-v1" in scene} >= {"roundabout-v1", "merge-v1", "exit-v1", "u-turn-v1"}
+
+
 def test_idm_is_paid_for_its_speed_like_an_ego_with_target_speeds():
     env = make_driver(Block("roundabout-v0", "idm"))
     env.reset(seed=0)
@@ -119,7 +130,7 @@ def test_idm_is_paid_for_its_speed_like_an_ego_with_target_speeds():
 @pytest.mark.slow
 def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path, capsys):
     file, log = tmp_path / "road.json", tmp_path / "road.csv"
-    command = "bench road highway-fast merge-v0 --drivers idm idle --seeds 2 --seed 5"
+    command = "bench road highway-fast-v0 merge-v0 --drivers idm idle --seeds 2 --seed 5"
     run(f"{command} --json {file} --log {log} --films {tmp_path}")
     results = json.loads(file.read_text())
     drivers = {scene: list(figures) for scene, figures in results.items()}

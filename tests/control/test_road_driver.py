@@ -56,7 +56,7 @@ def test_models_are_chosen_by_gains_and_costs():
 
 
 def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there():
-    measured = RoadDriver(PLANNING, PricedRungs(1.0))
+    measured = RoadDriver(PLANNING, PricedRungs(1.0), costs=None)
     measured.step(scene_of())
     assert measured.costs is None
     assert measured.step(scene_of()).model == ""
@@ -65,6 +65,35 @@ def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there(
     assert measured.costs.each.shape == (len(PACKAGE_MODELS),)
     assert measured.costs.each.min() >= 0
     assert second.compile_seconds < first.compile_seconds
+
+
+def test_costs_that_are_shipped_make_the_same_choices_every_time():
+    steps = [RoadDriver(PLANNING, PricedRungs(300.0)).step(SCENE) for _ in range(3)]
+    assert len({step.models for step in steps}) == 1
+    np.testing.assert_array_equal(steps[0].control, steps[2].control)
+
+
+def test_a_plan_beyond_its_budget_is_followed_a_step_later():
+    late, usual = driver(BudgetedRungs(0.0)), driver(FixedRung("naive"))
+    steps = [late.step(SCENE) for _ in range(3)]
+    first, second = usual.step(SCENE), usual.step(SCENE)
+    assert [step.status for step in steps] == ["late"] * 3
+    assert [step.source for step in steps] == ["braking", "last plan", "last plan"]
+    assert not any(step.failed for step in steps)
+    np.testing.assert_array_equal(steps[0].control, [0.0, -PLANNING.grip])
+    np.testing.assert_array_equal(steps[1].control, first.plan[1])
+    np.testing.assert_array_equal(steps[2].control, second.plan[1])
+
+
+def test_a_car_that_brakes_harder_than_its_model_says_is_expected_to_go_on_braking():
+    slower = replace(
+        SCENE, states=SCENE.states - np.array([[0, 0, 0, 1.2 * (car == 0)] for car in range(TRAFFIC)], np.float32)
+    )
+    for model in ("naive", "idm", "tom"):
+        surprised, unaware = driver(FixedRung(model)), driver(FixedRung(model))
+        surprised.step(SCENE)
+        seen, new = surprised.step(slower), unaware.step(slower)
+        assert seen.humans[0, -1, 0] < new.humans[0, -1, 0] - 5.0  # m, after 4 s at first at -6 m/s^2
 
 
 def test_nothing_compiles_after_the_first_step(caplog):

@@ -62,6 +62,31 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the
     assert max(accelerations) <= min(road["acceleration"] + 1e-9, 5.0)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "seed", "ahead", "why"),
+    [
+        ("highway-fast-v0", 2, 0.011, "a plan that lacked room to stop won over sound ones"),
+        ("roundabout-v1", 1, 0.0, "a car that braked for others was expected to go on"),
+    ],
+)
+def test_the_robot_no_longer_crashes_where_it_did(name, seed, ahead, why):
+    env = driven(name, "priced")
+    env.reset(seed=seed)
+    car = env.unwrapped.vehicle
+    car.position = car.position + ahead * car.direction
+    for _ in range(10):
+        env.step(env.action_space.sample())
+    assert not car.crashed, why
+
+
+def test_a_budget_that_no_plan_keeps_makes_all_plans_late_and_says_so():
+    env = driven("merge-v0", "budget:0.001")
+    roads = [env.step(0)[4]["road"] for _ in range(2)]
+    assert [road["late"] for road in roads] == [len(road["decisions"]) for road in roads]
+    assert roads[1]["source"] == "last plan"
+
+
 @pytest.mark.parametrize("frequency", [1, 5])
 def test_it_plans_five_times_a_second_whatever_the_policy_frequency_is(frequency):
     env = driven("merge-v0", config={"policy_frequency": frequency})

@@ -113,6 +113,18 @@ def test_room_to_stop_is_missing_where_the_robot_is_too_close_and_too_fast():
     assert (missing[-1] == 0).all()
 
 
+@pytest.mark.parametrize(
+    ("place", "better"),
+    [(75.0, "lacks no room, and earns less"), (23.7, "hits nobody"), (14.0, "hits more softly")],
+)
+def test_a_sound_plan_is_preferred_then_one_that_hits_nobody_then_the_softest(place, better):
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 12.0), cars=[(place, 0, 0.0)])
+    _, scores = scores_of(scene, KEEPING, (0.0, -4.9 if place > 20 else -1.0))
+    keeps, brakes = np.asarray(scores.preference)
+    assert brakes > keeps + 100, better
+    assert (scores.broken[1], scores.impact[1] > 0) == (place < 70, place < 20)
+
+
 def test_no_room_is_missing_behind_a_faster_car_nor_beside_one():
     scene = scene_of(cars=[(10.0, 0, 25.0), (90.0, 1, 0.0)])
     _, scores = scores_of(scene, KEEPING, (0.0, -1.0))

@@ -71,9 +71,13 @@ def test_a_control_that_leaves_a_way_out_stays(game, escape):
     np.testing.assert_array_equal(kept, control)
 
 
-def test_where_nothing_is_free_of_collisions_the_control_stays(game, escape):
+@pytest.mark.parametrize(("acceleration", "brakes"), [(8.0, True), (0.0, True), (-6.0, False)])
+def test_where_nothing_is_free_of_collisions_the_robot_brakes_at_least_softly(game, escape, acceleration, brakes):
     state = beside(game, [-8.0, 0.0, 8.0]).at[1:, 1].set(0.0).at[1:, 0].set(jnp.array([-1.0, 0.5, 1.0]))
-    control = jnp.array([0.0, 0.1], jnp.float32)
+    scale, steady = np.asarray(game.planner.control_scale), np.asarray(keep_velocity(game.dynamics, state[0]))
+    control = jnp.asarray((steady + np.array([0.0, acceleration])) / scale, jnp.float32)
     kept, replaced = escape(state, control)
-    assert not replaced
-    np.testing.assert_array_equal(kept, control)
+    assert bool(replaced) == brakes
+    assert (np.asarray(kept) * scale - steady)[1] <= -4.0 + 1e-3
+    if not brakes:
+        np.testing.assert_array_equal(kept, control)

@@ -8,12 +8,13 @@ from collections.abc import Iterable
 from typing import Any
 
 SCENES = (
-    *("highway-fast-v0", "merge-v0", "roundabout-v0", "exit-v0", "intersection-v0"),
-    *("intersection-v2", "two-way-v0", "u-turn-v0", "racetrack-v0"),
+    *("highway-fast-v0", "merge-v1", "merge-v0", "roundabout-v1", "roundabout-v0", "exit-v1", "exit-v0"),
+    *("intersection-v2", "intersection-v1", "intersection-v0", "two-way-v0", "u-turn-v1", "u-turn-v0"),
+    *("racetrack-v1", "racetrack-v0"),
 )
-"""Stock scenes that are measured by default."""
+"""Stock scenes that are measured by default, in all versions, the newest first."""
 
-OTHER_SCENES = ("highway-v0", "merge-v1", "roundabout-v1", "exit-v1", "u-turn-v1", "racetrack-v1", "racetrack-oval-v0")
+OTHER_SCENES = ("highway-v0", "racetrack-oval-v1", "racetrack-oval-v0")
 
 PEERS = ("idm", "idle", "random")
 """Drivers that are not this package's."""
@@ -23,6 +24,7 @@ DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", "pro
 
 TRAFFIC = {
     "idm": "highway_env.vehicle.behavior.IDMVehicle",
+    "aggressive": "highway_env.vehicle.behavior.AggressiveVehicle",
     "commuter": "ms_highway.vehicle.CommuterVehicle",
     "unyielding": "ms_highway.benchmarks.road.peers.UnyieldingVehicle",
 }
@@ -30,16 +32,18 @@ TRAFFIC = {
 
 
 def known_scenes(names: Iterable[str]) -> list[str]:
-    """Return identifiers of scenes, each once; a name without a version stands for version 0.
+    """Return identifiers of scenes, each once; a name without a version stands for all versions, the newest first.
 
     Raises:
         ValueError: for one that is not known.
     """
-    scenes = list(dict.fromkeys(name if re.search(r"-v\d+$", name) else f"{name}-v0" for name in names))
-    for name in scenes:
-        if name not in SCENES + OTHER_SCENES:
+    scenes = []
+    for name in names:
+        known = [scene for scene in SCENES + OTHER_SCENES if name in (scene, re.sub(r"-v\d+$", "", scene))]
+        if not known:
             raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(SCENES + OTHER_SCENES)}")
-    return scenes
+        scenes += known
+    return list(dict.fromkeys(scenes))
 
 
 def driver_config(name: str) -> dict[str, Any]:

@@ -64,6 +64,7 @@ class Episode:
             turned [m/s^2].
         squared_jerk: the mean of the squared change of acceleration per second [m^2/s^6].
         decisions: duration of each decision, without compilation [s].
+        late: number of plans that were not ready within their budget.
         sources: number of decisions by what drove then, where the driver says so.
         rungs: number of cars that each rung predicted, summed over decisions.
     """
@@ -82,6 +83,7 @@ class Episode:
     max_acceleration_of_centre: float
     squared_jerk: float
     decisions: tuple[float, ...]
+    late: int
     sources: Counter[str]
     rungs: Counter[str]
 
@@ -152,6 +154,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         reward=sum(rewards),
         **watch.motion(),
         decisions=tuple(seconds for road in roads for seconds in road["decisions"]),
+        late=sum(road.get("late", 0) for road in roads),
         sources=Counter(source for road in roads for source in road.get("sources", ())),
         rungs=sum((road.get("model_counts", Counter()) for road in roads), Counter[str]()),
     )
@@ -188,6 +191,7 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
     * ``max_acceleration``, ``max_acceleration_of_centre``: largest in any frame [m/s^2];
     * ``jerk``: root mean square over all frames [m/s^3];
     * ``p50_ms``, ``p99_ms``: quantiles over all decisions of all episodes [ms];
+    * ``late``: share of the plans that were not ready within their budget;
     * ``steps``: mean number per episode;
     * ``sources``: shares of the decisions by what drove, where the driver says so;
     * ``rungs``: shares of the cars that each rung predicted;
@@ -209,6 +213,7 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
         "jerk": np.sqrt(np.average(of.squared_jerk, weights=of.frames)),
         "p50_ms": p50,
         "p99_ms": p99,
+        "late": sum(of.late) / sum(map(len, of.decisions)),
         "steps": np.mean(of.steps),
         "sources": _shares(of.sources),
         "rungs": _shares(of.rungs),

@@ -27,9 +27,10 @@ from ms_highway.planning.road.proposals import (
     simulate_plans,
 )
 from ms_highway.planning.road.refinement import Aim, refine
-from ms_highway.planning.road.scoring import Scores, score
+from ms_highway.planning.road.scoring import UNSOUND, Scores, score
 from ms_highway.planning.road.settings import IDM, NAIVE, TOM, TURN, RoadPlanning, RoadWeights
-from ms_highway.planning.road.traffic import Situation, situation_of
+from ms_highway.planning.road.traffic import Situation, assumed_traits, situation_of
+from ms_highway.planning.road.traits import followed, jointly
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, Vector, for_each
 
 REFINED = -1
@@ -132,7 +133,7 @@ def plan_road(
 
     collides = few.scores.collides  # if others only follow: nobody is counted on to make way
     few, manners = jax.lax.cond(optimises.any(), again, lambda: (few, following))
-    best = jnp.argmax(few.scores.preference - jnp.where(collides & ~collides.all(), weights.collision, 0.0))
+    best = jnp.argmax(few.scores.preference - UNSOUND * (collides & ~few.scores.broken))
     chosen, drives = numbers[best], jax.tree.map(lambda field: field[best, None], few)
     if refines:
         aim = Aim(scene, planning, few.plans.lane[best], optimises & (rungs == TOM))
@@ -158,8 +159,13 @@ def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:
 
 def _following(now: Situation, rungs: Places, plans: int) -> Manners:
     """Return the manners of others who keep their speed, or follow."""
-    follows = (rungs >= IDM) & now.scene.moving
-    return Manners(follows, jnp.zeros_like(follows), jnp.zeros((plans, len(rungs), now.planning.steps)))
+    scene, planning = now.scene, now.planning
+    follows = (rungs >= IDM) & scene.moving
+    manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((plans, len(rungs), planning.steps)))
+    if scene.accelerations is None:
+        return manners
+    modelled = jointly(scene, followed(scene, assumed_traits(scene)), planning.time_step)
+    return manners._replace(surprise=scene.accelerations - jnp.where(follows, modelled, 0.0))
 
 
 def _answers(now: Situation, rungs: Places, optimises: Flags, driven: DrivenPlans) -> EachStep:

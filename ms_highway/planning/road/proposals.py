@@ -7,7 +7,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.road import LANES, Flags, Pose, Traffic, interpolate, place
-from ms_highway.planning.car_following import FAR, idm_acceleration
+from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration
 from ms_highway.planning.road.arrays import EachStep, Lane, PlanFlags, Plans, States, World
 from ms_highway.planning.road.motion import advance, within_tyres
 from ms_highway.planning.road.traffic import (
@@ -56,6 +56,7 @@ SLOWEST = 3.0  # m/s, below which steering is not sharper than at this speed
 PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
 CREEPING = 3.0  # m/s, at which cars come that stand
+FADES = 1.0  # s, in which others who do not do what their model says come back to it
 
 STOPPING = 3.5
 """Deceleration before crossings [m/s^2]."""
@@ -68,11 +69,13 @@ class Manners(NamedTuple):
         follows: whether each follows by the Intelligent Driver Model.
         given: whether its accelerations are given.
         accelerations: those, for every plan [m/s^2].
+        surprise: what its last acceleration was above what its model says, which fades [m/s^2]; none by default.
     """
 
     follows: Flags
     given: Flags
     accelerations: EachStep
+    surprise: Traffic = np.zeros(1, np.float32)
 
 
 class Profiles(NamedTuple):
@@ -145,23 +148,25 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
     scene, planning, dt = now.scene, now.planning, now.planning.time_step
     half, traits = scene.size[0] / 2, assumed_traits(scene)
     across, start = aside(scene, planning.times), (scene.robot, scene.states[:, 0], scene.states[:, 3])
+    surprises = jnp.exp(-planning.times / FADES)[:, None] * manners.surprise
 
     def one(plan: Profiles, order: EachStep) -> tuple:
         def go(carry: tuple, step: tuple) -> tuple[tuple, tuple]:
-            (car, along, speeds), (held, sideways, ordered) = carry, step
+            (car, along, speeds), (held, sideways, ordered, surprise) = carry, step
             where = on_route(now.ways, along, sideways)
             control = jnp.where(plan.given, held, _control(now, plan, car, along, where, speeds))
             control = within_tyres(planning, car[3], control)
             gaps = scene.gaps + along[scene.leaders] - along
             answer = follow_all(scene, traits, where, speeds, gaps, (car[0] + half, car[1:2], car[3]))
-            unanswered = jnp.where(scene.moving, 0.0, -speeds)  # who has crashed slides to a stop
-            acceleration = jnp.where(manners.given, ordered, jnp.where(manners.follows, answer, unanswered))
+            modelled = jnp.where(manners.given, ordered, jnp.where(manners.follows, answer, 0.0))
+            acceleration = jnp.clip(modelled + surprise, -HARDEST, HARDEST)
+            acceleration = jnp.where(scene.moving, acceleration, -speeds)  # who has crashed slides to a stop
             acceleration = jnp.where(speeds < 0, 0.0, jnp.maximum(acceleration, -speeds / dt))
             moved, after = along + speeds * dt, speeds + acceleration * dt
             ahead = advance(scene, planning, car, control)
             return (ahead, moved, after), (ahead, control, moved, after, *on_route(now.ways, moved, sideways))
 
-        return jax.lax.scan(go, start, (plan.controls, across.T, order.T))[1]
+        return jax.lax.scan(go, start, (plan.controls, across.T, order.T, surprises))[1]
 
     states, controls, *others = jax.vmap(one)(plans, manners.accelerations)
     along, speeds, s, d, cosine = (jnp.swapaxes(field, 1, 2) for field in others)

@@ -29,6 +29,7 @@ EARLY = 0.15  # s, that cars which cross may come earlier or later
 CLEARANCE = 1.0  # m, around where others cross the robot's way
 UNSURE = 6.0  # m/s^2, of the accelerations that others may have
 DECIDED = 1  # step after which stopping has to be possible
+UNSOUND = 1e3  # more than plans earn or cost otherwise
 AWAITED = 6.0  # s, in which a crossing car has to come to count
 
 
@@ -40,7 +41,7 @@ class Scores(NamedTuple):
         others: cost of each of the others.
         answerable: the part of it that may change if a car answers the robot: not that of cars ahead of it in its lane,
             and not what happens after the plan.
-        collides: whether a plan comes too close to somebody.
+        intrusion: depth in the margin around others [m]; at most that margin where nobody is hit.
         impact: highest difference of velocities at which it hits somebody for good [m/s]; 0 if it does not.
         leaves: whether it leaves the road.
         missing: metres that are missing to stop behind the car ahead, after the plan.
@@ -49,7 +50,7 @@ class Scores(NamedTuple):
     own: Plans
     others: EachCar
     answerable: EachCar
-    collides: PlanFlags
+    intrusion: Plans
     impact: Plans
     leaves: PlanFlags
     missing: Plans
@@ -61,8 +62,14 @@ class Scores(NamedTuple):
 
     @property
     def preference(self) -> Plans:
-        """What plans are chosen by: what they earn; if all hit somebody, how softly they do."""
-        return jnp.where((self.impact > 0).all(), -self.impact, self.total)
+        """What plans are chosen by: sound ones first, then those that hit nobody, then those that hit most softly."""
+        faults = jnp.where(self.impact > 0, 2 + self.impact, self.broken + self.intrusion)
+        return self.total - UNSOUND * faults
+
+    @property
+    def collides(self) -> PlanFlags:
+        """Whether a plan comes too close to somebody."""
+        return self.intrusion > 0
 
     @property
     def broken(self) -> PlanFlags:
@@ -87,7 +94,7 @@ def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
         - weights.goal * urgency(scene, lanes)
         - weights.off_road * (leaves.astype(float) + closed)
     )
-    others, hit, impact = _meetings(now, driven, lanes)
+    others, intrusion, impact = _meetings(now, driven, lanes)
     leading_s, leading_d, cosine = on_route(now.ways, scene.states[:, 0], scene.states[:, 1])
     leads = (leading_s > scene.robot[0]) & (jnp.abs(leading_d - scene.robot[1]) < scene.size[1]) & (cosine > CROSSING)
     missing = missing_room(now, driven, goal[:, -1])
@@ -97,7 +104,7 @@ def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
         own=planning.time_step * per_second.sum(axis=1) + per_plan - jnp.where(charged.any(axis=-1), 0.0, lost),
         others=others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0),
         answerable=jnp.where(leads, 0.0, others),
-        collides=hit.any(axis=(1, 2)),
+        intrusion=intrusion,
         impact=impact,
         leaves=leaves | closed,
         missing=missing.max(axis=1),
@@ -126,8 +133,8 @@ def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
     return (beyond > beyond[:, :1] + 0.1).any(axis=1)
 
 
-def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar, EachFlag, Plans]:
-    """Return what the nearness of others costs, where plans hit them, and how hard they do.
+def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar, Plans, Plans]:
+    """Return what the nearness of others costs, how deep plans are in their margins, and how hard they hit somebody.
 
     The impact is the highest difference of velocities when bodies first touch.
     """
@@ -144,21 +151,21 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
     touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)
     first = touch & (jnp.cumsum(touch, axis=-1) == 1)
     squared = speed**2 + speeds**2 - 2 * speed * speeds * jnp.cos(own[2] - others[2])
-    impact = jnp.where(first, jnp.sqrt(jnp.maximum(squared, 1e-4)), 0.0).max(axis=(1, 2))
     revised, steps = _avoidable(now, driven)[..., None], jnp.arange(planning.steps)
     fading = FADING**steps * jnp.where(revised & (dt * steps > SOON), weights.avoidable, 1.0)
     near = jnp.clip(1 - clear / weights.comfortable, 0.0, 1.0) ** 2
     slowed = jnp.diff(speeds, axis=-1, prepend=jnp.broadcast_to(scene.states[:, 3:], (*speeds.shape[:-1], 1))) / dt
     endangered = (driven.s < s) & (speeds > speed)  # behind a faster robot, gaps open by themselves
     imposed = jnp.where(endangered, jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
-    hit = clear < MARGIN
+    depth = MARGIN - clear
     cost = (
         dt * weights.near * jnp.sum(near * fading, axis=-1)
         + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
-        + weights.collision * jnp.max(jnp.where(hit, fading, 0.0), axis=-1)
+        + weights.collision * jnp.max(jnp.where(depth > 0, fading, 0.0), axis=-1)
         + weights.blocking * blocks(now, driven) * jnp.where(revised[..., 0], weights.avoidable, 1.0)
     )
-    return cost, hit, impact
+    impact = jnp.where(first, jnp.sqrt(jnp.maximum(squared, 1e-4)), 0.0).max(axis=(1, 2))
+    return cost, jnp.maximum(depth, 0.0).max(axis=(1, 2)), impact
 
 
 def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
