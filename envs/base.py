@@ -12,7 +12,7 @@ from highway_env.road.road import Road
 from ms_highway.control.driver import Driver, fixed
 from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.configuration import Changes, Config, read_own
-from ms_highway.envs.controllers import Start, controller_settings
+from ms_highway.envs.controllers import controller_settings
 from ms_highway.envs.graphics import InteractionViewer, Shown
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction
@@ -202,7 +202,7 @@ class InteractionEnv(StageEnv):
         models, humans, asked = settings.models, settings.humans, isinstance(self.action_type, HumanModelAction)
         needed = asked or controller.chooses or humans == 1 or self._seconds
         costs = self.costs(states) if needed else Costs.of([nan] * len(models), humans)
-        start = Start(models, costs, settings.semantics, humans, self.episode_steps, self.np_random)
+        start = settings.start(costs, self.episode_steps, self.np_random)
         rule = Order(np.zeros((1, 1), int), models) if asked else controller.rule(start)
         return Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
 
