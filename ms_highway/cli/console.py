@@ -75,13 +75,17 @@ def printing() -> Iterator[None]:
 
 
 def print_tables(*tables: "Table") -> None:
-    """Print to standard output, wide enough also where it is no terminal."""
+    """Print to standard output, no wider than the terminal or COLUMNS, and where there is neither, than a page."""
     from rich.console import Console
 
-    console = Console(width=max(Console().width, TABLE_WIDTH))
+    from ms_highway.visualization.tables import fitting
+
+    known = sys.stdout.isatty() or "COLUMNS" in os.environ
+    console = Console(width=None if known else TABLE_WIDTH)
     with printing():
         for table in tables:
-            console.print(table)
+            for part in fitting(table, console):
+                console.print(part)
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
