@@ -94,7 +94,8 @@ def build_parser() -> argparse.ArgumentParser:
         default=[],
         metavar="MODULE",
         help="a Python module, also of the current directory, to be imported first: one that adds scenarios "
-        "(ms_highway.add_scenario), human models (ms_highway.register) or features of rewards (ms_highway.add_feature)",
+        "(ms_highway.add_scenario), human models (ms_highway.register), decision rules (ms_highway.add_rule) or "
+        "features of rewards (ms_highway.add_feature)",
     )
     parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")
     parser.set_defaults(simulates=False)

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import imageio.v3 as imageio
 import pandas as pd
@@ -11,6 +12,9 @@ from commands import run
 
 from ms_highway.cli.main import main
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS
+from ms_highway.envs.controllers import CONTROLLERS
+from ms_highway.envs.short_names import SHORT_NAMES
+from ms_highway.planning.human_models import MODELS
 
 NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
 
@@ -138,6 +142,23 @@ def test_a_command_knows_the_scenarios_of_a_module_that_it_imports(tmp_path, mon
     finally:
         del ENVIRONMENTS["empty"], SCENARIOS["empty"]
     assert pd.read_csv("results/summary.csv")["reward"].item() > 2  # nothing stands in the way
+
+
+@pytest.mark.slow
+def test_commands_know_the_rules_and_models_of_a_module_that_they_import(tmp_path, monkeypatch):
+    monkeypatch.chdir(Path(__file__).parents[2])
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    asked = "--set ladder=coasting,tom --controllers coasting near:6"
+    try:
+        for command in ("compare merger --set costs=measured", "sweep merger --set costs=coasting=0.09,tom=0.37"):
+            out = tmp_path / command.partition(" ")[0]
+            run(f"--import notebooks.examples.rule {command} {asked} --seeds 2 --out {out}")
+            summary = pd.read_csv(out / "summary.csv").set_index("controller")
+            assert (summary["counted_ms"] > 0).all()
+            assert summary["kind"]["near:6"] == "near"
+            assert 0 < summary["share_tom"]["near:6"] < 1
+    finally:
+        del MODELS["coasting"], CONTROLLERS["near"], SHORT_NAMES["near"]
 
 
 @pytest.mark.slow
