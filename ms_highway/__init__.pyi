@@ -1,4 +1,4 @@
-"""The public names, where type checkers and the lazy loader of `ms_highway` find them."""
+# The public names, where type checkers and the lazy loader of `ms_highway` find them.
 
 from . import benchmarks as benchmarks
 from . import cli as cli

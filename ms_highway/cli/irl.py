@@ -179,7 +179,8 @@ def _fit_reward(options: argparse.Namespace) -> None:
 
 
 RECORD_HELP = """\
-Record episodes of driving on a highway as a Minari data set, in $MINARI_DATASETS_PATH or ~/.minari/datasets.
+Record episodes of driving on a highway (ms-highway/demonstration-v0) as a Minari data set, in $MINARI_DATASETS_PATH or
+~/.minari/datasets.
 
 Every episode is on disk when the next begins; stopped and started again with the same data set and settings, it goes
 on where it was. With --driver keyboard the arrow keys drive: up and down for speed, left and right to steer."""
