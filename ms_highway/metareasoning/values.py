@@ -122,7 +122,7 @@ class Values:
             now = ",".join(f"{name}={seconds:.9g}" for name, seconds in zip(names, each, strict=True))
             then = ",".join(f"{name}={known[name]:.9g}" for name in names)
             if np.isnan(each).any():
-                raise ValueError(f"{message} at costs of {then}, not those measured here; use them, or {REMEDY}")
+                raise ValueError(f"{message} at costs of {then}, not those measured here; give these costs")
             raise ValueError(f"{message} at costs of {then}, not {now}; use those costs, or {REMEDY} --set costs={now}")
         return Costs(costs.base, (learned - costs.base).astype(np.float32))
 
