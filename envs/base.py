@@ -46,9 +46,9 @@ class InteractionEnv(StageEnv):
       nearest humans; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom",
       "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
       repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the episode starts. All of
-      them and their short names: `ms_highway.envs.short_names.controller_config`; `ms_highway.add_rule` adds more. Any of them with ``"belief": True``
-      infers from what a human does which model predicts it (`ms_highway.planning.hypotheses`), and counts on no
-      response that it does not show.
+      them and their short names: `ms_highway.envs.short_names.controller_config`; `ms_highway.add_rule` adds more.
+      Any of them with ``"belief": True`` infers from what a human does which model predicts it
+      (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
       ``"best"``.
     * ``costs``: T(M) of a plan in which one human is predicted by M, all others by the first rung:
