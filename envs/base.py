@@ -12,7 +12,7 @@ from highway_env.road.road import Road
 from ms_highway.control.driver import Driver, fixed
 from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.configuration import Changes, Config, read_own
-from ms_highway.envs.controllers import Start, controller_settings
+from ms_highway.envs.controllers import controller_settings
 from ms_highway.envs.graphics import InteractionViewer, Shown
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction
@@ -46,9 +46,9 @@ class InteractionEnv(StageEnv):
       nearest humans; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom",
       "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
       repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the episode starts. All of
-      them and their short names: `ms_highway.envs.short_names.controller_config`. Any of them with ``"belief": True``
-      infers from what a human does which model predicts it (`ms_highway.planning.hypotheses`), and counts on no
-      response that it does not show.
+      them and their short names: `ms_highway.envs.short_names.controller_config`; `ms_highway.add_rule` adds more.
+      Any of them with ``"belief": True`` infers from what a human does which model predicts it
+      (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
       ``"best"``.
     * ``costs``: T(M) of a plan in which one human is predicted by M, all others by the first rung:
@@ -202,14 +202,11 @@ class InteractionEnv(StageEnv):
     def _driver(self, game: Game) -> Driver:
         """Return the robot's driver, with unknown costs if they are yet to be measured."""
         settings, controller = self.settings, controller_settings(self.config["controller"])
-        models = settings.models
-        unknown = Costs.of([nan] * len(models), settings.humans)
+        unknown = Costs.of([nan] * len(settings.models), settings.humans)
         costs = unknown if settings.measures and self._costs is None else self.costs(self.car_states)
-        start = Start(models, costs, settings.semantics, settings.humans, self.episode_steps, self.np_random)
-        if isinstance(self.action_type, HumanModelAction):
-            rule: Any = Order(np.zeros((1, 1), int), models)
-        else:
-            rule = controller.rule(start)
+        start = settings.start(costs, self.episode_steps, self.np_random)
+        asked = isinstance(self.action_type, HumanModelAction)
+        rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)
         return Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
 
     def costs(self, states: State) -> Costs:

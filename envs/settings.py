@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 from warnings import warn
 
+import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import force_setattr
 
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
-from ms_highway.envs.controllers import ControllerSettings, OrderSettings, controller_settings
+from ms_highway.envs.controllers import ControllerSettings, OrderSettings, Start, controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
@@ -16,6 +17,7 @@ from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
 from ms_highway.metareasoning.rule import PUBLISHED_COSTS, SHIPPED_COSTS
 from ms_highway.optimization.solvers import Solver
+from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.effort import seconds_of
 from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
 
@@ -127,6 +129,10 @@ class Settings(Struct, frozen=True):
             model.name: seconds_of(model, given, gradient_steps(self.planning)[0]) for model in (*others, *self.models)
         }
         return {**given, **{name: seconds for name, seconds in known.items() if seconds is not None}}
+
+    def start(self, costs: Costs, steps: int, random: np.random.Generator) -> Start:
+        """Return what a rule is built from: the costs of plans on the ladder, an episode's steps, and what draws."""
+        return Start(self.models, costs, self.semantics, self.humans, steps, random)
 
     @property
     def measures(self) -> bool:

@@ -1,9 +1,11 @@
-"""Parse the short names of controllers, such as ``learned:0.1`` or ``schedule:tom=6,naive``."""
+"""Parse the short names of controllers, such as ``learned:0.1`` or ``schedule:tom=6,naive``; add some of one's own."""
 
 from typing import Any
 
+from msgspec.structs import fields
+
 from ms_highway.envs.configuration import Config
-from ms_highway.envs.controllers import controller_settings
+from ms_highway.envs.controllers import CHOOSING, CONTROLLERS, ControllerSettings, controller_settings
 from ms_highway.planning.human_models import is_model, model_names
 
 BELIEF = "+belief"
@@ -22,6 +24,33 @@ SHORT_NAMES = {
     "random": ("shares", "random:naive=0.7,tom=0.3"),
 }
 """By type of the controller: the key that the second part of its short name fills, and an example."""
+
+PACKAGE_CONTROLLERS = tuple(CONTROLLERS)
+
+
+def add_rule(settings: type[ControllerSettings]) -> None:
+    """Make a decision rule of one's own known by its name, to configurations and commands of this process.
+
+    Its short name is ``near:6`` where the first field of the settings is a number, and ``near`` where they have none.
+    A field ``price`` that is named ``lambda`` makes it a rule that chooses at a lambda. Added again, a rule takes the
+    place of the one that had its name.
+
+    Args:
+        settings: class of the rule's settings, whose ``rule`` makes it, and whose tag is its name.
+
+    Raises:
+        ValueError: if the class is no such one, or the name is one of the package's, a human model's or no word.
+    """
+    if not issubclass(settings, ControllerSettings) or settings.rule is ControllerSettings.rule:
+        raise ValueError(f"{settings.__name__} makes no rule; give a ControllerSettings with a method `rule`")
+    name = settings.__struct_config__.tag
+    if name in PACKAGE_CONTROLLERS or is_model(name) or not (str(name).isidentifier() and str(name).islower()):
+        remedy = f"choose a tag of one word in lower case other than {', '.join(PACKAGE_CONTROLLERS)} and human models"
+        raise ValueError(f"a rule cannot be called {name!r}; {remedy}")
+    keys = [each.encode_name for each in fields(settings) if each.name != "belief"]
+    CONTROLLERS[name], SHORT_NAMES[str(name)] = settings, (keys[0], f"{name}:1") if keys else ("", str(name))
+    if "lambda" in keys and name not in CHOOSING:
+        CHOOSING.append(str(name))
 
 
 def named_controller(text: str) -> Any:
@@ -71,6 +100,10 @@ def controller_config(text: str) -> Config:
 
 def _parts(kind: str, key: str, rest: str) -> Config:
     """Return what the second part of a short name says of a controller."""
+    if not key:
+        if rest:
+            raise ValueError
+        return {}
     if key not in ("models", "shares"):
         number, _, values = rest.partition(":")
         if number != number.strip():

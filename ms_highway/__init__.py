@@ -1,7 +1,26 @@
 """A robot car that decides online which model of the human driver is worth its computation.
 
-Importing the package registers its environments with Gymnasium, see `envs`, and those of highway-env; the names in
-``__init__.pyi`` are loaded when they are first used. `ms_highway.cli` is the command.
+The method is that of Sripathy, Bobu, Brown and Dragan (ICRA 2021), the roads are highway-env's, and what computes is
+JAX. To start::
+
+    import gymnasium as gym
+    import ms_highway  # registers the environments
+
+    env = gym.make("ms-highway/merger-v0", config={"controller": {"type": "learned", "lambda": 1.0}})
+    observation, info = env.reset(seed=0)
+    observation, reward, terminated, truncated, info = env.step(0)  # the robot drives itself
+
+or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
+
+* Environments: ``ms-highway/stay-back-v0``, ``merger-v0`` and ``give-way-v0``, the paper's, and ``dense-merge-v0`` and
+  ``crossing-crowd-v0``, with several humans, see `InteractionEnv`; and ``demonstration-v0``, traffic to record driving
+  in, see `ms_highway.envs.DemonstrationEnv`. `drive` lets the robot drive highway-env's own.
+* One's own: `register` adds a human model, `add_rule` a decision rule, `add_scenario` a scenario, `add_feature` a
+  feature of rewards.
+* Parts: `plan`, one plan; `Driver`, what drives a car by any rule; `RobotVehicle` and `HumanVehicle`, for roads of
+  one's own.
+
+The names in ``__init__.pyi`` are loaded when they are first used.
 """
 
 from ms_highway.runtime import forks, interrupt  # noqa: F401  # a hook is set when the first is imported

@@ -1,4 +1,4 @@
-"""The public names, where type checkers and the lazy loader of `ms_highway` find them."""
+# The public names, where type checkers and the lazy loader of `ms_highway` find them.
 
 from . import benchmarks as benchmarks
 from . import cli as cli
@@ -19,8 +19,10 @@ from .control.driver import fixed as fixed
 from .envs import SCENARIOS as SCENARIOS
 from .envs import add_scenario as add_scenario
 from .envs.base import InteractionEnv as InteractionEnv
+from .envs.controllers import ControllerSettings as ControllerSettings
 from .envs.road import RoadPolicy as RoadPolicy
 from .envs.road import drive as drive
+from .envs.short_names import add_rule as add_rule
 from .envs.spaces import Autopilot as Autopilot
 from .game.game import Game as Game
 from .game.reward import add_feature as add_feature

@@ -5,7 +5,9 @@ import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from itertools import pairwise
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
@@ -39,19 +41,26 @@ class Command(argparse.ArgumentParser):
         Raises:
             ValueError: always.
         """
-        raise ValueError(f"{message}; see {self.prog} --help")
+        misplaced = message.startswith("unrecognized") and "--import" in message
+        remedy = "--import MODULE goes before the command" if misplaced else f"see {self.prog} --help"
+        raise ValueError(f"{message}; {remedy}")
 
 
 def add_command(commands: Any, name: str, summary: str, description: str, epilog: str = "") -> Command:
     """Add a command to a parser's subparsers; its description and epilog are printed as they are."""
     return commands.add_parser(
         name,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=help_width()),
         allow_abbrev=False,  # --seed is not short for --seeds
         help=summary,
         description=description,
         epilog=epilog,
     )
+
+
+def help_width() -> int:
+    """Return the width of help texts [characters]: that of the terminal, but no more than that of a page."""
+    return min(get_terminal_size().columns, TABLE_WIDTH) - 2
 
 
 def draw_unseen() -> None:
@@ -75,13 +84,17 @@ def printing() -> Iterator[None]:
 
 
 def print_tables(*tables: "Table") -> None:
-    """Print to standard output, wide enough also where it is no terminal."""
+    """Print to standard output, no wider than the terminal or COLUMNS, and where there is neither, than a page."""
     from rich.console import Console
 
-    console = Console(width=max(Console().width, TABLE_WIDTH))
+    from ms_highway.visualization.tables import fitting
+
+    known = sys.stdout.isatty() or "COLUMNS" in os.environ
+    console = Console(width=None if known else TABLE_WIDTH)
     with printing():
         for table in tables:
-            console.print(table)
+            for part in fitting(table, console):
+                console.print(part)
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
@@ -104,10 +117,16 @@ def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
 
 @contextmanager
 def telling() -> Iterator[Callable[[str], None]]:
-    """Show progress messages on standard error; yields the function that sets the message."""
+    """Show progress messages on standard error, line by line where it is no terminal; yields what sets the message."""
     with _progress(transient=True) as bar:
         task = bar.add_task("reading", total=None)
-        yield lambda message: bar.update(task, description=message)
+
+        def tell(message: str) -> None:
+            bar.update(task, description=message)
+            if not bar.console.is_terminal:
+                print(message, file=sys.stderr, flush=True)
+
+        yield tell
 
 
 def _progress(*columns: Any, transient: bool = False) -> "Progress":

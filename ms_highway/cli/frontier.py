@@ -74,6 +74,10 @@ def _frontier(options: argparse.Namespace) -> None:
         raise ValueError(f"{product} is {orders} orders in a round; it must be {MOST} or less")
     asked, mesh = comparison(options, ["switching"], options.prices), use_devices(options.devices)
     batches = {name: make_batch(asked, name) for name in asked.controllers}
+    for name, batch in batches.items():
+        if unknown := [model for model in batch.models if model not in batch.costs]:
+            remedy = "regrets need it; give its seconds by --set costs=MODEL=SECONDS,..., or leave it out"
+            raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
     with own_results(options, asked.common_config()) as record:
         every = [Outcomes(batch, options.out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()]
         record()

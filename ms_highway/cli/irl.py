@@ -122,8 +122,8 @@ def _evaluate(options: argparse.Namespace) -> None:
             raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
         learned = named(options.theta)
         check_drivers(learned.drivers, f"--theta {options.theta}")
-    recordings = read(options.data)
     with telling() as tell:
+        recordings = read(options.data)
         if options.theta:
             found = evaluate_reward(recordings, learned, options.others, progress=tell)
         else:
@@ -166,9 +166,9 @@ def _fit_reward(options: argparse.Namespace) -> None:
 
     if options.out.is_dir():
         raise ValueError(f"--out is {options.out}, a directory; name a .json file")
-    recordings = read(options.data)
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
     with telling() as tell:
+        recordings = read(options.data)
         learned = learn_reward(recordings, *model(options, recordings), source, progress=tell)
     save(learned, options.out)
     print_tables(*learned_tables(learned))
@@ -179,7 +179,8 @@ def _fit_reward(options: argparse.Namespace) -> None:
 
 
 RECORD_HELP = """\
-Record episodes of driving on a highway as a Minari data set, in $MINARI_DATASETS_PATH or ~/.minari/datasets.
+Record episodes of driving on a highway (ms-highway/demonstration-v0) as a Minari data set, in $MINARI_DATASETS_PATH or
+~/.minari/datasets.
 
 Every episode is on disk when the next begins; stopped and started again with the same data set and settings, it goes
 on where it was. With --driver keyboard the arrow keys drive: up and down for speed, left and right to steer."""

@@ -7,13 +7,14 @@ import shlex
 import sys
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
 from ms_highway.cli.bench import add_bench
 from ms_highway.cli.bench_road import add_bench_road
 from ms_highway.cli.compare import add_compare
-from ms_highway.cli.console import Command, printing
+from ms_highway.cli.console import Command, help_width, printing
 from ms_highway.cli.frontier import add_frontier
 from ms_highway.cli.irl import add_evaluate, add_fit, add_record
 from ms_highway.cli.report import add_report
@@ -81,7 +82,11 @@ def _set_jax_up(options: argparse.Namespace) -> None:
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands, whose result has the function that runs the command in ``run``."""
-    parser = Command(prog="ms-highway", description="Robot cars that choose how hard to think about human drivers.")
+    parser = Command(
+        prog="ms-highway",
+        description="Robot cars that choose how hard to think about human drivers.",
+        formatter_class=partial(argparse.HelpFormatter, width=help_width()),
+    )
     parser.add_argument(
         "--no-compilation-cache",
         action="store_true",
@@ -94,7 +99,8 @@ def build_parser() -> argparse.ArgumentParser:
         default=[],
         metavar="MODULE",
         help="a Python module, also of the current directory, to be imported first: one that adds scenarios "
-        "(ms_highway.add_scenario), human models (ms_highway.register) or features of rewards (ms_highway.add_feature)",
+        "(ms_highway.add_scenario), human models (ms_highway.register), decision rules (ms_highway.add_rule) or "
+        "features of rewards (ms_highway.add_feature)",
     )
     parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")
     parser.set_defaults(simulates=False)

@@ -42,8 +42,9 @@ keys; these are the usual ones:
   semantics=released      the paper's released code exactly (default: paper, its dynamics and a damped theory of mind)
   human_reward=published  what humans drive for: learned from demonstrations (default), published (default in released
                           semantics), or a file that `ms-highway irl fit` wrote
-  ladder=naive,tom        models to choose from, cheapest first (default: the scenario's), or best, the rungs that were
-                          found to serve best; tom@8 plans in 8 ascent steps, tom@8+warm from the last plan's rest
+  ladder=naive,tom        models to choose from, cheapest first (default: the scenario's), or best, the rungs that
+                          were found to serve best; tom@8 plans in 8 ascent steps, tom@8+warm from the rest of
+                          the last plan
   costs=measured          T(M), the seconds per plan that controllers decide with: published (0.09, 0.17, 0.37), the
                           default; shipped, the default among several humans, under budgets measured ones; measured on
                           this machine, not in simulations; or seconds by model, as in costs=naive=0.1,turn=0.2,tom=0.5
@@ -52,10 +53,10 @@ keys; these are the usual ones:
   horizon=10              controls in a plan (default: 5), each of time_step=0.1 seconds; iterations=20 gradient steps
                           of step_size=0.03 are chosen to suit the horizon unless they are given
   control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
-  grip=8                  acceleration that tyres hold in all [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: no limit)
+  grip=8                  acceleration that tyres hold in all [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none)
   humans=6                number of humans, 2 to 12, in {" and ".join(SCENARIO_NAMES[3:])}
-  yielding=never          what humans do beside the robot: usual, plan for their reward (default); never yield, but keep
-                          their velocity; always make room for it; or mixed, each of them never or always
+  yielding=never          what humans do beside the robot: usual, plan for their reward (default); never yield, but
+                          keep their velocity; always make room for it; or mixed, each of them never or always
   way_out=false           let plans leave no escape from humans who do not yield
 
 A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""

@@ -37,22 +37,19 @@ def add_video(commands: Any) -> None:
 
 
 def _video(options: argparse.Namespace) -> None:
-    from ms_highway.envs import ENVIRONMENTS, environment_id
-    from ms_highway.envs.short_names import controller_config
-    from ms_highway.experiments.comparison import paper_controllers
+    from ms_highway.envs import ENVIRONMENTS
+    from ms_highway.experiments.comparison import Comparison, paper_controllers
     from ms_highway.visualization import video
     from ms_highway.visualization.video import side_by_side
 
-    environment_id(options.scenario)
+    controllers = [options.controller or paper_controllers(options.scenario)[-1]]
+    controllers += [options.against] if options.against else []
+    config = configuration(options)
+    Comparison({options.scenario: controllers}, config=config).check()
     if options.width is not None:
         video.check_width(options.width, ENVIRONMENTS[options.scenario].default_config()["screen_width"])
     video.check_format(options.out)
-    controllers = [options.controller or paper_controllers(options.scenario)[-1]]
-    controllers += [options.against] if options.against else []
-    for controller in controllers:
-        controller_config(controller)
     draw_unseen()
-    config = configuration(options)
     films = [video.film(options.scenario, controller, options.seed, **config) for controller in controllers]
     pictures = side_by_side(films) if options.against else films[0].pictures
     if options.width is not None:

@@ -21,7 +21,7 @@ from ms_highway.control.fallback import BRAKING, PREVIOUS_PLAN, STATUSES, WAY_OU
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import read_own
-from ms_highway.envs.controllers import ControllerSettings, OrderSettings, Start
+from ms_highway.envs.controllers import ControllerSettings, OrderSettings
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.comparison import Comparison
@@ -139,12 +139,8 @@ class Batch:
         Raises:
             ValueError: if its values were learned on another ladder, or with other costs.
         """
-        costs, semantics = (
-            Costs.of([self.costs[name] for name in self.rungs], self.humans),
-            self.environment.settings.semantics,
-        )
-        start = Start(self.loop.rule.ladder, costs, semantics, self.humans, self.steps, np.random.default_rng())
-        return settings.rule(start)
+        costs = Costs.of([self.costs[name] for name in self.rungs], self.humans)
+        return settings.rule(self.environment.settings.start(costs, self.steps, np.random.default_rng()))
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:
         """Return what the simulation is given for these episodes, drawn as the environment draws it at a reset.

@@ -5,10 +5,14 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
+import numpy as np
+
 from ms_highway.envs import ENVIRONMENTS, environment_id
-from ms_highway.envs.settings import HUMAN_REWARDS
+from ms_highway.envs.configuration import read_own
+from ms_highway.envs.settings import HUMAN_REWARDS, Settings
 from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.records import columns
+from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import rung_names
 
 USUAL = ("semantics", "solver", "human_reward", "costs")
@@ -41,11 +45,15 @@ class Comparison:
         """Check everything before anything is run or written.
 
         Raises:
-            ValueError: for an unknown scenario or controller, or an impossible configuration.
+            ValueError: for an unknown scenario or controller, an impossible configuration, or a controller that does
+                not fit it.
         """
         for scenario, controllers in self.controllers.items():
             for controller in controllers:
-                self.environment_config(scenario, controller)
+                settings = read_own(Settings, self.environment_config(scenario, controller))
+                seconds = settings.seconds or {}
+                costs = Costs.of([seconds.get(model.name, np.nan) for model in settings.models], settings.humans)
+                settings.controller.rule(settings.start(costs, 1, np.random.default_rng()))
 
     def environment_config(self, scenario: str, controller: str) -> dict[str, Any]:
         """Return the whole configuration of the environment of a scenario and a controller.

@@ -5,6 +5,7 @@ waver by more than what drivers want differs. So the weights that matter in a la
 moment, driving on together, come closest to where they were recorded 1, 2, 3 and 5 s later.
 """
 
+from itertools import count
 from typing import NamedTuple
 
 import jax
@@ -72,10 +73,8 @@ def learn_drivers(
     known = _afterwards(moments).among(chosen)
     if not known.counts.any():
         raise ValueError(f"no driver was seen for {SURE / 10:g} s on end; nothing can be learned seconds ahead")
-    progress("fitting drivers seconds ahead")
-    found, drivers = _fit_drivers(moments, known)
-    progress("fitting the spread around drivers who were not learned from")
-    modes = _predict_unknown(moments, known, found, chosen) or predict(moments, drivers)
+    found, drivers = _fit_drivers(moments, known, lambda step: progress(f"fitting drivers seconds ahead, {step}"))
+    modes = _predict_unknown(moments, known, found, chosen, progress) or predict(moments, drivers)
     spread = fit_spread(modes, np.where(chosen[moments.which][:, None, None], moments.recorded, np.nan))
     deviations = dict(zip(NAMES, _deviations(found, moments, known), strict=True)) if intervals else {}
     progress("fitting the predictors to compare with")
@@ -93,16 +92,17 @@ def _afterwards(moments: Moments) -> _Known:
 
 
 def _fit_drivers(
-    moments: Moments, known: _Known, begin: Parameters | None = None, iterations: int = MOST
+    moments: Moments, known: _Known, progress: Progress, begin: Parameters | None = None, iterations: int = MOST
 ) -> tuple[Parameters, Drivers]:
     """Return the logarithms of `FIRST` and of the factors of `CHANGING` that bring drivers closest to the recorded.
 
     Also return the drivers, with the intentions that make their lane changes most likely.
     """
     first, number = np.concatenate([np.log(list(FIRST.values())), np.zeros(len(CHANGING))]), known.counts.sum()
-    given = _in_single_precision(moments)
+    given, evaluations = _in_single_precision(moments), count(1)
 
     def value(logarithms: Parameters) -> tuple[Scalar, Parameters]:
+        progress(f"evaluation {next(evaluations)}")
         off, slope = _mean_off(logarithms, given, known)
         far = (logarithms - first) / DEVIATIONS
         return float(off) + far @ far / (2 * number), np.asarray(slope, dtype=float) + far / DEVIATIONS / number
@@ -157,7 +157,9 @@ def _off(logarithms: Parameters, moments: Moments, known: _Known) -> tuple[Cars,
     return jax.lax.map(one, (moments, known), batch_size=AT_ONCE)
 
 
-def _predict_unknown(moments: Moments, known: _Known, begin: Parameters, chosen: Flags) -> Modes | None:
+def _predict_unknown(
+    moments: Moments, known: _Known, begin: Parameters, chosen: Flags, progress: Progress
+) -> Modes | None:
     """Predict every group of recordings by what is learned from the others; None if there are too few groups.
 
     The spread around predictions of drivers who were learned from would be too narrow for others.
@@ -166,8 +168,14 @@ def _predict_unknown(moments: Moments, known: _Known, begin: Parameters, chosen:
     if len(names) < FOLDS:
         return None
     fold = np.searchsorted(names, moments.group) % FOLDS
-    rest = [known.among(fold != number) for number in range(FOLDS)]
-    return moments.by_fold(fold, [predict(moments, _fit_drivers(moments, each, begin, REFIT)[1]) for each in rest])
+
+    def without(number: int) -> Modes:
+        def tell(step: str) -> None:
+            progress(f"fitting the spread around other drivers, part {number + 1} of {FOLDS}, {step}")
+
+        return predict(moments, _fit_drivers(moments, known.among(fold != number), tell, begin, REFIT)[1])
+
+    return moments.by_fold(fold, list(map(without, range(FOLDS))))
 
 
 def _deviations(found: Parameters, moments: Moments, known: _Known) -> list[float]:

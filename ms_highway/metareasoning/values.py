@@ -101,7 +101,7 @@ class Values:
         names = [model.name for model in models]
         message = f"{self.place}: values were learned on the ladder {' '.join(self.ladder)}"
         if unknown := [name for name in names if name not in self.ladder]:
-            raise ValueError(f"{message}, without {unknown[0]!r}; {REMEDY} --ladder {' '.join(names)}")
+            raise ValueError(f"{message}, without {unknown[0]!r}; {REMEDY} --set ladder={','.join(names)}")
         if self.baseline == "cheapest" and names[0] != self.ladder[0]:
             raise ValueError(f"{message}, over {self.ladder[0]!r}; begin the ladder with it, or {REMEDY}")
         places = [self.estimated.index(name) for name in names if name in self.estimated]
@@ -121,7 +121,9 @@ class Values:
         if not np.allclose(learned, each, rtol=CLOSE, atol=0):
             now = ",".join(f"{name}={seconds:.9g}" for name, seconds in zip(names, each, strict=True))
             then = ",".join(f"{name}={known[name]:.9g}" for name in names)
-            raise ValueError(f"{message} at costs of {then}, not {now}; use those costs, or {REMEDY} --costs {now}")
+            if np.isnan(each).any():
+                raise ValueError(f"{message} at costs of {then}, not those measured here; give these costs")
+            raise ValueError(f"{message} at costs of {then}, not {now}; use those costs, or {REMEDY} --set costs={now}")
         return Costs(costs.base, (learned - costs.base).astype(np.float32))
 
 

@@ -16,7 +16,7 @@ from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
 from ms_highway.visualization.colors import color_of, controller_colors, model_colors
-from ms_highway.visualization.tables import grid
+from ms_highway.visualization.tables import grid, two_digits
 
 LEGEND_COLUMNS = 5
 PERCENT = "success", "late"  # columns that are shares
@@ -24,7 +24,7 @@ FORMS = {
     "controller": "{controller}",
     "reward/step": "{reward:.2f}",
     "90 % interval": "{reward_low:.2f}, {reward_high:.2f}",
-    "counted ms": "{counted_ms:.0f}",
+    "counted ms": "{counted_ms}",
     "plan ms": "{planning_ms:.2f}",
     "decide ms": "{decision_ms:.2f}",
     "shares": "",
@@ -56,6 +56,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     filled -= set() if "success" in filled else {"late", "cycle_ms_p50"}  # of interest where plans take long
     filled -= set() if rows.get("fallbacks", rows["episodes"]).any() else {"fallbacks"}
     shares = f"{' / '.join(models)} %", " / ".join(f"{{{share_column(name)}:.0f}}" for name in models)
+    rows["counted_ms"] = rows["counted_ms"].map(two_digits)
     texts = {}
     for heading, form in ((heading, form) if form else shares for heading, form in FORMS.items()):
         if {part[1] for part in Formatter().parse(form)} - {None} <= filled:
@@ -64,8 +65,14 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
 
 def table(summaries: pd.DataFrame, scenario: str) -> Table:
-    """Return the summary of one scenario, to be printed."""
-    return grid(scenario, cells(summaries, scenario).to_dict("records"))
+    """Return the summary of one scenario, to be printed; it says which controllers' T(M) is not known."""
+    texts = cells(summaries, scenario).replace(" / ", "/", regex=True)
+    shown = grid(scenario, texts.to_dict("records"))
+    unknown = summaries.query("scenario == @scenario and counted_ms.isna()")["controller"]
+    if len(unknown):
+        remedy = "put its model on the ladder, or give its seconds by costs"
+        shown.caption = f"counted ms: T(M) is not known of {', '.join(unknown)}; {remedy}"
+    return shown
 
 
 def episode_count(rows: pd.DataFrame) -> str:

@@ -1,13 +1,15 @@
-"""Let a rule of your own choose between human models of your own, with one human and with two, live and in a batch.
+r"""Let a rule of your own choose between human models of your own, with one human and with two, live and in a batch.
 
 A rule is a frozen dataclass that JAX knows (`ms_highway.metareasoning.rule.Rule`): it looks at the last step and
-chooses a rung of the ladder for every human. A model is one as well (`ms_highway.HumanModel`). `notebooks/MAP.md` says
-how to give both a short name. Run::
+chooses a rung of the ladder for every human. Its settings name it and make it when an episode starts. A model is a
+dataclass as well (`ms_highway.HumanModel`). Run it, or make both known to any command::
 
     python notebooks/examples/rule.py
+    ms-highway --import notebooks.examples.rule compare merger --set ladder=coasting,tom \
+      --set costs=coasting=0.09,tom=0.37 --controllers near:6 tom --out results/near
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import gymnasium as gym
@@ -15,8 +17,8 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway import Driver, HumanModel, PredictedHuman, TheoryOfMind, metareasoning, simulation
-from ms_highway.experiments.batch import make_batch
+from ms_highway import ControllerSettings, HumanModel, PredictedHuman, add_rule, metareasoning, register
+from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 
 
@@ -48,22 +50,32 @@ class Near:
         return metareasoning.rule.unestimated(memory, jnp.where(seen[:, 0] < self.distance, len(self.ladder) - 1, 0))
 
 
-rule = Near(6.0, (Coasting(), TheoryOfMind()))
-for scenario, config in {"merger": {}, "dense_merge": {"humans": 2, "horizon": 5, "costs": "published"}}.items():
-    env = gym.make(f"ms_highway:ms-highway/{scenario.replace('_', '-')}-v0", config=config).unwrapped
-    env.reset(seed=0)
-    env.robot.drive_with(Driver(env.game, rule), env.robot.companions)
-    rewards, models, done = [], [], False
-    while not done:
-        _, reward, terminated, truncated, info = env.step(0)
-        done = terminated or truncated
-        rewards.append(reward)
-        models += info["models"]
-    print(f"{scenario}: reward per step {np.mean(rewards):.2f}, tom in {np.mean(np.array(models) == 'tom'):.0%}")
+class NearSettings(ControllerSettings, frozen=True, tag="near"):
+    """What ``{"type": "near", "distance": 6}`` says, and ``near:6``."""
 
-    batch = make_batch(Comparison({scenario: ["naive"]}, seeds=20, config=config), scenario)
-    episodes = batch.episodes(batch.keys())
-    episodes = replace(episodes, schedules=np.full_like(episodes.schedules, simulation.records.DECIDES))
-    records = simulation.loop.simulate(replace(batch.loop, rule=rule), episodes)
-    used = np.mean(records.rungs == len(rule.ladder) - 1)
-    print(f"20 episodes at once: reward per step {records.reward.mean():.2f}, tom in {used:.0%}")
+    distance: float  # m
+
+    def rule(self, start):
+        return Near(self.distance, start.ladder)
+
+
+register(Coasting(), before="idm")
+add_rule(NearSettings)
+
+if __name__ == "__main__":
+    common = {"ladder": ["coasting", "tom"], "costs": {"coasting": 0.09, "tom": 0.37}}
+    for scenario, own in {"merger": {}, "dense_merge": {"humans": 2, "horizon": 5}}.items():
+        config = {**common, **own, "controller": {"type": "near", "distance": 6}}
+        env = gym.make(f"ms_highway:ms-highway/{scenario.replace('_', '-')}-v0", config=config)
+        env.reset(seed=0)
+        rewards, models, done = [], [], False
+        while not done:
+            _, reward, terminated, truncated, info = env.step(0)
+            done = terminated or truncated
+            rewards.append(reward)
+            models += info["models"]
+        print(f"{scenario}: reward per step {np.mean(rewards):.2f}, tom in {np.mean(np.array(models) == 'tom'):.0%}")
+
+        records = simulated(Comparison({scenario: ["near:6"]}, seeds=20, config=common | own))
+        used = np.mean(records["model"] == "tom")
+        print(f"20 episodes at once: reward per step {records['reward'].mean():.2f}, tom in {used:.0%}")

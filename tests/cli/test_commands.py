@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import imageio.v3 as imageio
 import pandas as pd
@@ -11,6 +12,9 @@ from commands import run
 
 from ms_highway.cli.main import main
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS
+from ms_highway.envs.controllers import CONTROLLERS
+from ms_highway.envs.short_names import SHORT_NAMES
+from ms_highway.planning.human_models import MODELS
 
 NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
 
@@ -45,10 +49,19 @@ def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, 
         ("compare merger --controllers random:naive=0.7,tom=0.2", "['shares'] sum to 0.9; change one"),
         ("--import brief.py compare", "--import brief.py: give the name of a module, such as brief"),
         ("compare merger --set ladder=tom,naive", "cheapest first"),
+        ("compare merger --set ladder=naive,tom@8 --controllers naive learned:1", "without 'tom@8'; learn values"),
+        ("compare merger --set costs=measured --controllers naive learned:1", "not those measured here"),
+        ("compare dense_merge --set ladder=turn,tom --controllers turn learned:1", "begin the ladder with it"),
+        ("compare merger --controllers naive schedule:naive/tom=1,tom", "has 2 models for 1 humans"),
+        ("sweep merger --set ladder=naive,tom@8 --controllers naive learned:1 --out sweep", "without 'tom@8'"),
+        ("frontier merger --set ladder=naive,tom@8 --controllers learned", "without 'tom@8'"),
+        ("frontier merger --controllers idm", "T(M) of 'idm' in merger is not known, but regrets need it"),
+        ("video merger --set ladder=naive,tom@8 --against learned:1 --out film.mp4", "without 'tom@8'"),
         ("compare merger --set horizon", "say it like --set horizon=10"),
         ("compare merger --set controller=tom", "who drives is no key"),
         ("compare merger --set horizn=10", "did you mean 'horizon'?"),
         ("compare merger --set horizon=ten", "config['horizon'] is 'ten'"),
+        ("compare --import mine", "unrecognized arguments: --import; --import MODULE goes before the command"),
         ("compare merger --seed 1000", "unrecognized arguments: --seed 1000"),
         ("compare merger --lambdas 1:1.01:25", "lambdas are '1:1.01:25'; give a number like 0.1, or LOW:"),
         ("compare merger --lambdas 0.1:10:1000000000000", "lambdas are '0.1:10:1000000000000'"),
@@ -130,6 +143,23 @@ def test_a_command_knows_the_scenarios_of_a_module_that_it_imports(tmp_path, mon
     finally:
         del ENVIRONMENTS["empty"], SCENARIOS["empty"]
     assert pd.read_csv("results/summary.csv")["reward"].item() > 2  # nothing stands in the way
+
+
+@pytest.mark.slow
+def test_commands_know_the_rules_and_models_of_a_module_that_they_import(tmp_path, monkeypatch):
+    monkeypatch.chdir(Path(__file__).parents[2])
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    asked = "--set ladder=coasting,tom --controllers coasting near:6"
+    try:
+        for command in ("compare merger --set costs=measured", "sweep merger --set costs=coasting=0.09,tom=0.37"):
+            out = tmp_path / command.partition(" ")[0]
+            run(f"--import notebooks.examples.rule {command} {asked} --seeds 2 --out {out}")
+            summary = pd.read_csv(out / "summary.csv").set_index("controller")
+            assert (summary["counted_ms"] > 0).all()
+            assert summary["kind"]["near:6"] == "near"
+            assert 0 < summary["share_tom"]["near:6"] < 1
+    finally:
+        del MODELS["coasting"], CONTROLLERS["near"], SHORT_NAMES["near"]
 
 
 @pytest.mark.slow

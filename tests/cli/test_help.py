@@ -1,5 +1,6 @@
 """Help: what it teaches, and that it is there at once."""
 
+import os
 import re
 import subprocess
 import sys
@@ -27,10 +28,12 @@ print(f"loaded: {sorted({'highway_env', 'jax', 'matplotlib', 'pandas', 'rich', '
 
 
 def test_help_teaches_every_command_and_loads_neither_jax_nor_highway_env_nor_what_draws():
-    run = subprocess.run([sys.executable, "-c", HELP, *COMMANDS], capture_output=True, text=True, check=True)
+    wide = {**os.environ, "COLUMNS": "300"}
+    run = subprocess.run([sys.executable, "-c", HELP, *COMMANDS], capture_output=True, text=True, check=True, env=wide)
     before, *texts = run.stdout.split("usage: ms-highway")
     assert (before, len(texts)) == ("", 1 + len(COMMANDS))
     assert min(map(len, texts)) > 250
+    assert max(map(len, run.stdout.splitlines())) <= 120
     assert run.stdout.endswith("loaded: []\n")
 
 

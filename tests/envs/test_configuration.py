@@ -7,8 +7,19 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from ms_highway.envs import ENVIRONMENTS, SCENARIOS, DemonstrationEnv, MergerEnv, add_scenario, environment_id
-from ms_highway.envs.short_names import controller_config, named_controller
+from ms_highway import Switching, always
+from ms_highway.envs import (
+    ENVIRONMENTS,
+    SCENARIOS,
+    DemonstrationEnv,
+    MergerEnv,
+    add_scenario,
+    controllers,
+    environment_id,
+    short_names,
+)
+from ms_highway.envs.controllers import ControllerSettings, SwitchingSettings
+from ms_highway.envs.short_names import add_rule, controller_config, named_controller
 
 PAIR, SEVERAL = "merger", "dense_merge"
 NAN_MODEL = {"type": "fixed", "model": "naive"}
@@ -201,6 +212,49 @@ def test_a_scenario_of_ones_own_needs_a_name_of_its_own(name):
     with pytest.raises(ValueError, match=f"cannot be called '{name}'; choose one word in lower case"):
         add_scenario(environment)
     assert list(SCENARIOS) == ["stay_back", "merger", "give_way", "dense_merge", "crossing_crowd"]
+
+
+class Plain(ControllerSettings, tag="plain"):
+    """A rule without numbers."""
+
+    def rule(self, start):
+        return always(start.ladder[0])
+
+
+class Dear(SwitchingSettings, tag="dear"):
+    """A rule at a lambda."""
+
+
+def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one(monkeypatch):
+    for name in ("CONTROLLERS", "SHORT_NAMES", "CHOOSING"):
+        monkeypatch.setattr(short_names, name, getattr(short_names, name).copy())
+    monkeypatch.setattr(controllers, "CONTROLLERS", short_names.CONTROLLERS)
+    for rule in (Plain, Dear, Dear):  # added again, it takes its own place
+        add_rule(rule)
+    assert controller_config("plain+belief") == {"type": "plain", "belief": True}
+    assert controller_config("dear:0.3") == {"type": "dear", "lambda": 0.3}
+    assert [*controllers.CHOOSING, "dear"] == short_names.CHOOSING
+    for wrong, example in (("plain:1", "plain"), ("dear", "dear:1")):
+        with pytest.raises(ValueError, match=f"cannot be read; write it like {example}$"):
+            controller_config(wrong)
+
+
+@pytest.mark.parametrize(
+    ("rule", "message"),
+    [
+        (
+            type("Rule", (Plain,), {}, tag="switching"),
+            "cannot be called 'switching'; choose a tag of one word",
+        ),
+        (type("Rule", (Plain,), {}, tag="tom"), "cannot be called 'tom'"),
+        (type("Rule", (Plain,), {}, tag="two words"), "cannot be called 'two words'"),
+        (type("Rule", (ControllerSettings,), {}, tag="idle"), "Rule makes no rule; give a ControllerSettings with a"),
+        (Switching, "Switching makes no rule"),
+    ],
+)
+def test_a_rule_of_ones_own_needs_a_name_of_its_own_and_makes_a_rule(rule, message):
+    with pytest.raises(ValueError, match=message):
+        add_rule(rule)
 
 
 def test_an_unknown_scenario_is_refused_by_name():

@@ -107,6 +107,10 @@ def test_every_reference_in_a_docstring_leads_somewhere():
     assert dead == []
 
 
+def test_the_text_of_the_package_names_every_environment_that_it_registers():
+    assert all(f"{name}-v0``" in ms_highway.__doc__ for name in ms_highway._ENVIRONMENTS)
+
+
 def is_text(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 

@@ -1,13 +1,20 @@
 """The tables and sentences of README and page of results are those of the files that are kept beside the page."""
 
 import json
+import re
 import runpy
+from itertools import chain
 from types import SimpleNamespace
 
+import pandas as pd
 import pytest
 from test_pages import README, RESULTS, ROOT, TEXTS
 
+from ms_highway.benchmarks.road.episodes import Block, Episode
 from ms_highway.experiments.analysis.tradeoff import meta_rewards
+from ms_highway.experiments.frontier import INDEX, KEPT_COLUMNS
+from ms_highway.experiments.records import columns
+from ms_highway.planning.human_models import PAPER_MODELS
 
 KEPT = RESULTS.parent
 COLLECTED = SimpleNamespace(**runpy.run_path(str(KEPT / "collect.py")))
@@ -82,6 +89,17 @@ def test_collisions_in_the_text_are_those_that_were_counted():
     assert f"in {summaries('limit_9', 'merger')['collision_episodes']['tom']:.0f} of 300 episodes of Merger" in FLOWING
     for scenario in ("merger", "give_way"):
         assert not summaries("limit_50", scenario)["collision_episodes"].any()
+
+
+def test_the_columns_of_all_csv_files_are_explained_and_no_others():
+    glossary = TEXTS[RESULTS].partition("## Columns of CSV files")[2]
+    rows = [line.split("|")[1] for line in glossary.splitlines() if line.startswith("| `")]
+    kept = [pd.read_csv(KEPT / f"{name}.csv", nrows=0) for name in COLLECTED.TABLES]
+    road = {*Block._fields, *Episode.__annotations__, "p50_ms", "max_ms"} - {"decisions", "sources", "rungs"}
+    found = {*chain(*kept), *columns(PAPER_MODELS, PAPER_MODELS[1:]), *INDEX, *KEPT_COLUMNS, "meta_reward", *road}
+    assert {re.sub("^(gain|share|humans)_.*", r"\1_MODEL", name) for name in found} == set(
+        re.findall(r"`(\w+)`", "".join(rows))
+    )
 
 
 def test_no_figure_is_without_a_page():
