@@ -98,6 +98,15 @@ def test_an_impossible_configuration_is_refused(config, message):
         ms_highway.drive(gym.make("merge-v0"), config)
 
 
+@pytest.mark.parametrize("name", ["merge-v0", "roundabout-v1"])
+def test_where_a_reward_takes_no_continuous_action_the_error_says_so(name):
+    continuous = {"action": {"type": "ContinuousAction"}}
+    message = f"reward of {name} cannot take a ContinuousAction.*make it with config={{'action': {{'type': 'Discrete"
+    env = ms_highway.drive(gym.make(name))
+    with pytest.raises(ValueError, match=message):
+        env.reset(options={"config": continuous})
+
+
 @pytest.mark.parametrize("name", ["parking-v0", "parking-ActionRepeat-v0", "lane-keeping-v0", "ms-highway/merger-v0"])
 def test_where_there_is_no_road_to_follow_the_error_says_what_works(name):
     with pytest.raises(ValueError, match=f"{name}.*the robot drives highway, merge, roundabout"):
