@@ -90,7 +90,7 @@ class InteractionEnv(StageEnv):
     ``info`` holds after every step: ``control``, what the robot did, by whatever action: ``acceleration`` [m/s^2] and
     ``steering`` [rad], which, divided by the ends of its ranges, is the ``ContinuousAction`` that does the same;
     ``models``, the name of every human's model; ``model``, the most expensive of them;
-    ``gains``, the highest estimated gain of each model over all humans; ``status``, ``human_status``, a status for each
+    ``gains``, the highest estimated gain of each model over all humans, net of the price: what the choice is by; ``status``, ``human_status``, a status for each
     human; ``timing``, ``counted_seconds``, T of the plan; with a controller's ``belief``, ``belief``, the probability
     of every model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also
     holds ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in

@@ -20,8 +20,8 @@ from ms_highway.visualization.tables import grid
 SMALLEST = 0.1  # reward: the least end of a linear scale of advantages
 PRICE = 1.0  # of a second, on pages
 CAPTION = (
-    "What planning a step with each model is worth more than with the cheapest one, net of its price and of a margin for "
-    "doubt: the highest is chosen. Above, along an episode that the values choose for: shades are the margin, the "
+    "What planning a step with each model is worth more than with the cheapest one, net of its price and of a margin "
+    "for doubt: the highest is chosen. Above, along an episode that the values choose for: shades are the margin, the "
     "background is the model in use. "
     "Below, where the human starts elsewhere: the model that is chosen, and what the most expensive one is worth."
 )
@@ -50,9 +50,10 @@ def draw_values(scenario: str, price: float, values: str = SHIPPED_VALUES, seed:
 def along(figure: Figure | SubFigure, seen: Seen) -> None:
     """Draw what planning a step with each model is worth more than with the cheapest one, before every step.
 
-    Lines are what is compared to choose: the highest one is, or the cheapest model where all are below 0. Shades are its
-    margin for doubt, down to what the networks expect in the mean; in doubt, a more expensive model plans. The scale is
-    linear up to 0.1 and logarithmic beyond. Below, the reward after each step; the background is the model in use.
+    Lines are what is compared to choose: the highest one is, or the cheapest model where all are below 0. Shades are
+    the margin for doubt, down to what the networks expect in the mean; in doubt, a more expensive model plans. The
+    scale is linear up to 0.1 and logarithmic beyond. Below, the reward after each step; the background is the model in
+    use.
     """
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.8, 1])
     cheapest, *others = seen.models
