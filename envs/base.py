@@ -89,13 +89,13 @@ class InteractionEnv(StageEnv):
 
     ``info`` holds after every step: ``control``, what the robot did, by whatever action: ``acceleration`` [m/s^2] and
     ``steering`` [rad], which, divided by the ends of its ranges, is the ``ContinuousAction`` that does the same;
-    ``models``, the name of every human's model; ``model``, the most expensive of them;
-    ``gains``, the highest estimated gain of each model over all humans, net of the price: what the choice is by; ``status``, ``human_status``, a status for each
-    human; ``timing``, ``counted_seconds``, T of the plan; with a controller's ``belief``, ``belief``, the probability
-    of every model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also
-    holds ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in
-    the target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the first cone
-    ahead in its lane, infinite without one [m].
+    ``models``, the name of every human's model; ``model``, the most expensive of them; ``gains``, the highest estimated
+    gain of each model over all humans, by which the choice is made, see `ms_highway.metareasoning.rule.Decision`;
+    ``status``, ``human_status``, a status for each human; ``timing``, ``counted_seconds``, T of the plan; with a
+    controller's ``belief``, ``belief``, the probability of every model for every human, [humans, 4] in the order naive,
+    idm, turn, tom. In scenarios with streams it also holds ``humans_MODEL``, how many humans each model above the first
+    predicts; ``success``, whether the robot is in the target lane and has not collided so far; and
+    ``distance_to_cones``, from the robot's front to the first cone ahead in its lane, infinite without one [m].
 
     Attributes:
         settings: of the configuration.
