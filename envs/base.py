@@ -33,7 +33,8 @@ class InteractionEnv(StageEnv):
     with streams, their rewards are drawn for every episode: some humans yield more readily than others, and some hardly
     at all; the robot succeeds if it ends in the target lane and never collides.
 
-    Configuration, beside highway-env's own; defaults that are not named here are the scenario's:
+    Configuration, beside highway-env's own; defaults that are not named here are the scenario's. All changes, by
+    ``reset`` or ``configure``, act from the next reset on, and ``config`` is that of the episode until then:
 
     * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
       "lambda": 0.1}``: the agent chooses the model of every human; ``{"type": "ContinuousAction"}``: the agent drives,
@@ -88,13 +89,15 @@ class InteractionEnv(StageEnv):
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push
     each other nor stop, and ``info["collision_effect"]`` says so.
 
-    ``info`` holds after every step: ``models``, the name of every human's model; ``model``, the most expensive of them;
-    ``gains``, the highest estimated gain of each model over all humans; ``status``, ``human_status``, a status for each
-    human; ``timing``, ``counted_seconds``, T of the plan; with a controller's ``belief``, ``belief``, the probability
-    of every model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also
-    holds ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in
-    the target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the first cone
-    ahead in its lane, infinite without one [m].
+    ``info`` holds after every step: ``control``, what the robot did, by whatever action: ``acceleration`` [m/s^2] and
+    ``steering`` [rad], which, divided by the ends of its ranges, is the ``ContinuousAction`` that does the same;
+    ``models``, the name of every human's model; ``model``, the most expensive of them; ``gains``, the highest estimated
+    gain of each model over all humans, by which the choice is made, see `ms_highway.metareasoning.rule.Decision`;
+    ``status``, ``human_status``, a status for each human; ``timing``, ``counted_seconds``, T of the plan; with a
+    controller's ``belief``, ``belief``, the probability of every model for every human, [humans, 4] in the order naive,
+    idm, turn, tom. In scenarios with streams it also holds ``humans_MODEL``, how many humans each model above the first
+    predicts; ``success``, whether the robot is in the target lane and has not collided so far; and
+    ``distance_to_cones``, from the robot's front to the first cone ahead in its lane, infinite without one [m].
 
     Attributes:
         settings: of the configuration.

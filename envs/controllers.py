@@ -1,6 +1,7 @@
 """The controllers of a robot: their configurations by type; for short names see `ms_highway.envs.short_names`."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import nan
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -229,7 +230,7 @@ class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
         if self.values != ONE_STEP:
-            return Budget(_learned(self.values, start, 0.0), start.costs, self.budget)
+            return Budget(replace(_learned(self.values, start, 0.0), cautious=False), start.costs, self.budget)
         switching = Switching(start.costs, 0.0, start.ladder)
         return Budget(OneStepGains(switching), start.costs, self.budget)
 

@@ -72,7 +72,7 @@ class DemonstrationSettings(Struct, frozen=True):
 class DemonstrationEnv(StageEnv):
     """A car to drive along a road of three lanes, among cars on routes that nothing changes.
 
-    Configuration, beside highway-env's own:
+    Configuration, beside highway-env's own, of which changes act from the next reset on:
 
     * ``density``: of the traffic, ``sparse``, ``medium`` or ``dense``, see `ms_highway.envs.demonstration.DENSITIES`.
     * ``action``: ranges of highway-env's ``ContinuousAction``; `KEYBOARD_ACTION` suits a person.

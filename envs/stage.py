@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import action_factory
+from highway_env.envs.common.action import ContinuousAction, action_factory
 from highway_env.envs.common.observation import observation_factory
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import RoadNetwork
@@ -90,6 +90,7 @@ class StageEnv(AbstractEnv):
     action_space: spaces.Space | None
     viewer: Viewer | None
     game: Game
+    _running, _coming = False, None  # whether there is an episode; the configuration of the next one
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
@@ -101,12 +102,16 @@ class StageEnv(AbstractEnv):
         return merged(cls.settings_type, cls.types, cls.default_config() if config is None else config, changes)
 
     def configure(self, config: Config | None) -> None:
-        """Change the configuration, all of it or nothing.
+        """Change the configuration, all of it or nothing; during an episode, from the next reset on.
 
         Raises:
             ValueError: for an unknown key or an impossible value.
         """
-        self.config = self.checked_config(config, self.config)
+        config = self.checked_config(config, self._coming or self.config)
+        if self._running:
+            self._coming = config
+            return
+        self.config, self._coming = config, None
         self._read()
         super().configure(None)
 
@@ -143,17 +148,31 @@ class StageEnv(AbstractEnv):
         Raises:
             ValueError: for unknown options or an impossible configuration.
         """
-        self.options, before = options or {}, self.config
+        self.options = options or {}
         refuse_unknown("the reset options", self.options, self.reset_options)
+        before, self._running = (self.config, self._coming, self._running), False
         try:
-            start = super().reset(seed=seed, options=options)
+            if self._coming or "config" in self.options:
+                self.configure(self.options.get("config"))
+            start = super().reset(seed=seed)
         except ValueError:
-            self.config = before
+            self.config, self._coming, self._running = before
             self._read()
             raise
+        self._running = True
         if self.config["manual_control"]:
             self.action_type.act(self.action_type.last_action)  # keys that nobody touches also mean something
         return start
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, Config]:
+        """Let all cars act and move for a time step.
+
+        Raises:
+            ValueError: for an action that is impossible; nothing has moved then.
+        """
+        if isinstance(self.action_type, ContinuousAction) and action is not None and not np.isfinite(action).all():
+            raise ValueError(f"action {action!r} is not finite; give numbers of the space {self.action_space}")
+        return super().step(action)
 
     def _place(self, cars: list[Any]) -> None:
         """Put cars on the road, the first of them to be driven."""
@@ -198,7 +217,7 @@ class StageEnv(AbstractEnv):
         info = {"speed": self.vehicle.speed, "collision_effect": "reward only"}
         if self.steps == 0:
             return info
-        happened = {"collision": self.collision, "crashed": self.vehicle.hit}
+        happened = {"collision": self.collision, "crashed": self.vehicle.hit, "control": dict(self.vehicle.action)}
         return info | {"action": action, "rewards": self._rewards(action)} | happened
 
     def render(self) -> np.ndarray | None:

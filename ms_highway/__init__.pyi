@@ -32,6 +32,8 @@ from .game.scenario import Scenario as Scenario
 from .game.scenario import build_game as build_game
 from .game.scenario import driving_game as driving_game
 from .game.scene import Scene as Scene
+from .irl.forecast import Forecast as Forecast
+from .irl.forecast import predict as predict
 from .metareasoning.horizon import WholeHorizon as WholeHorizon
 from .metareasoning.rule import PUBLISHED_COSTS as PUBLISHED_COSTS
 from .metareasoning.rule import Order as Order

@@ -1,13 +1,14 @@
 """Let a robot drive the controlled vehicles of a stock highway-env environment."""
 
 from collections import Counter
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
+from typing import Any, Self
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
-from highway_env.envs import LaneKeepingEnv, ParkingEnv
+from highway_env.envs import LaneKeepingEnv, MergeEnv, ParkingEnv, RoundaboutEnv
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import (
     ActionType,
@@ -16,6 +17,8 @@ from highway_env.envs.common.action import (
     DiscreteMetaAction,
     MultiAgentAction,
 )
+from highway_env.road.road import LaneIndex
+from highway_env.vehicle.controller import MDPVehicle
 
 from ms_highway.control.road import RoadDriver
 from ms_highway.envs.road.graphics import show
@@ -52,7 +55,8 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
         observation, reward, terminated, truncated, info = env.step(None)
 
     Args:
-        env: a highway, merge, roundabout, intersection, exit, two-way, u-turn or racetrack environment.
+        env: a highway, merge, roundabout, intersection, exit, two-way, u-turn or racetrack environment. highway-env
+            itself cannot make merge and roundabout with ``ContinuousAction``.
         config: any of these keys, see `ms_highway.envs.road.settings.RoadSettings`: ``driver`` (``"priced"`` by
             default; ``"fixed:naive"``, ``"proposals"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
             ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs``,
@@ -69,12 +73,13 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
 
 
 def check_drivable(env: Any) -> None:
-    """Check that an environment is one of highway-env's, with roads to follow.
+    """Check that an environment is one of highway-env's, with roads to follow and actions that its reward can take.
 
     Raises:
         ValueError: naming what works.
     """
     base, reason = env.unwrapped, None
+    name = base.spec.id if base.spec else type(base).__name__
     if isinstance(base, ParkingEnv):
         reason = "has no road to follow"
     elif isinstance(base, LaneKeepingEnv):
@@ -82,7 +87,51 @@ def check_drivable(env: Any) -> None:
     elif not isinstance(base, AbstractEnv) or isinstance(base, StageEnv):
         reason = "is none of highway-env's own environments"
     if reason:
-        raise ValueError(f"{base.spec.id if base.spec else type(base).__name__} {reason}; the robot drives {WORKS}")
+        raise ValueError(f"{name} {reason}; the robot drives {WORKS}")
+    kind = base.action_type
+    if isinstance(base, (MergeEnv, RoundaboutEnv)) and type(kind) is ContinuousAction and kind.size > 1:
+        remedy = "make it with config={'action': {'type': 'DiscreteMetaAction'}}"
+        raise ValueError(f"the reward of {name} cannot take a ContinuousAction, as it asks for lane changes; {remedy}")
+
+
+class Twin(MDPVehicle):
+    """highway-env's own car in the place of a robot, on the way to a lane; no road knows it.
+
+    Attributes:
+        told: the meta-action that it follows.
+    """
+
+    told = "IDLE"
+
+    @classmethod
+    def of(cls, robot: RoadRobot, target: LaneIndex) -> Self:
+        """Return the twin of a robot, on the way to a lane if that is within reach, or else in the robot's own."""
+        if not robot.road.network.get_lane(target).is_reachable_from(robot.position):
+            target = robot.lane_index
+        options = {"target_lane_index": target, "target_speeds": robot.target_speeds, "route": robot.route}
+        return cls(robot.road, robot.position, robot.heading, robot.speed, **options)
+
+    def on_state_update(self) -> None:
+        """Do not look for the lane that it is on, which takes long and is not asked for."""
+
+    def nearest(self, robot: RoadRobot, names: Iterable[str]) -> Self:
+        """Return it as it is after the meta-action that takes it nearest to its robot, which has driven meanwhile.
+
+        Near is what differs little in position [m] and velocity [m/s]. Of equals, such as a lane change where there is
+        no other lane, it is the idle one.
+        """
+        frames, dt = len(robot.actions), robot.frame
+        ends = [self._after(name, frames, dt) for name in sorted(names, key=lambda name: name != "IDLE")]
+        return min(ends, key=lambda end: np.linalg.norm([end.position - robot.position, end.velocity - robot.velocity]))
+
+    def _after(self, name: str, frames: int, dt: float) -> Self:
+        car = copy(self)
+        car.told, car.position, car.route = name, self.position.copy(), self.route and list(self.route)
+        car.act(name)
+        for _ in range(frames):
+            car.act()
+            car.step(dt)
+        return car
 
 
 class Driven(gym.Wrapper, RecordConstructorArgs):
@@ -91,7 +140,9 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     The environment keeps its spaces, reward and time limits.
 
     Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
-    control in between. ``info["road"]`` says how, for the first controlled vehicle:
+    control in between. ``info["road"]["action"]`` is what the robots did in this step, an action of the environment's
+    space, to be imitated, see `action_done`; None before the first. ``info["action"]`` is only what highway-env's
+    rewards are told: idle, or the control of the step before. Of the first controlled vehicle, ``info["road"]`` says:
 
     * ``models``, ``gains``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``,
       ``compile_seconds`` of the last plan, see `ms_highway.control.road.RoadStep`;
@@ -115,13 +166,22 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         self.settings = RoadSettings.read(config)
         self.robots: list[RoadRobot] = []
         self._drivers: list[RoadDriver] = []  # kept, as each measures the costs of its models once
+        self._aims: Sequence[LaneIndex] = ()  # of what the robots do, if told as meta-actions
         show(env)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode, and put a robot in the place of every controlled vehicle."""
+        """Start an episode, and put a robot in the place of every controlled vehicle.
+
+        Raises:
+            ValueError: if options give the environment actions that its reward cannot take.
+        """
         restore_traffic(self.env)
         show(self.env)
-        observation, info = self.env.reset(seed=seed, options=options)
+        try:
+            observation, info = self.env.reset(seed=seed, options=options)
+        except ValueError:
+            check_drivable(self.env)
+            raise
         base = self._base
         planning = self.settings.planning(desired_speed_of(base))
         self.robots = []
@@ -134,7 +194,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             robot = replace_ego(base, RoadRobot.create_from, number)
             robot.drive_with(driver, goal, self.settings.acceleration)
             self.robots.append(robot)
-        return observation, {**info, "road": self._told()}
+        self._aims = [robot.lane_index for robot in self.robots]
+        return observation, {**info, "road": self._told() | {"action": None}}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Let the robot drive for a step; the action is ignored.
@@ -148,8 +209,13 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             )
         for robot in self.robots:
             robot.forget()
-        *outcome, info = self.env.step(unheeded(self._base.action_type))
-        return *outcome, {**info, "road": self._told()}
+        starts = list(map(Twin.of, self.robots, self._aims))
+        kind = self._base.action_type
+        *outcome, info = self.env.step(unheeded(kind))
+        kinds = getattr(kind, "agents_action_types", [kind])
+        done, self._aims = zip(*map(action_done, kinds, self.robots, starts), strict=True)
+        done = done if isinstance(kind, MultiAgentAction) else done[0]
+        return *outcome, {**info, "road": self._told() | {"action": done}}
 
     def render(self) -> Any:
         """Show the road, the plan, the predictions and the rungs."""
@@ -180,7 +246,32 @@ def unheeded(action_type: ActionType) -> Any:
         return tuple(map(unheeded, action_type.agents_action_types))
     if isinstance(action_type, DiscreteMetaAction):
         return action_type.actions_indexes["IDLE"]
-    action = normalised(action_type, action_type.controlled_vehicle.action)
+    return _nearest_in(action_type, action_type.controlled_vehicle.action)
+
+
+def action_done(action_type: ActionType, robot: RoadRobot, start: Twin) -> tuple[Any, LaneIndex]:
+    """Return what a robot did in a step, as an action of its environment, and the lane that this aims at.
+
+    A continuous action is the mean over the frames of the step, clipped to the space; of a ``DiscreteAction``, the one
+    nearest to that. A meta-action is that under which highway-env's own car would have come nearest, see
+    `Twin.nearest`: it follows one that began to change lanes, so each change is told once, when it begins to show.
+
+    Args:
+        action_type: of the robot.
+        robot: after the step.
+        start: its twin before the step.
+    """
+    if isinstance(action_type, DiscreteMetaAction):
+        end = start.nearest(robot, action_type.actions_indexes)
+        return action_type.actions_indexes[end.told], end.target_lane_index
+    frames = robot.actions
+    mean = {key: float(np.mean([frame[key] for frame in frames])) for key in frames[0]}
+    return _nearest_in(action_type, mean), robot.lane_index
+
+
+def _nearest_in(action_type: ContinuousAction, executed: Mapping[str, float]) -> Any:
+    """Return the action of a space that is nearest to what a vehicle executed, see `normalised`."""
+    action = normalised(action_type, executed)
     if isinstance(action_type, DiscreteAction):
         places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(int)
         return int(np.ravel_multi_index(tuple(places), (action_type.actions_per_axis,) * action_type.size))

@@ -47,7 +47,7 @@ keys; these are the usual ones:
                           the last plan
   costs=measured          T(M), the seconds per plan that controllers decide with: published (0.09, 0.17, 0.37), the
                           default; shipped, the default among several humans, under budgets measured ones; measured on
-                          this machine, not in simulations; or seconds by model, as in costs=naive=0.1,turn=0.2,tom=0.5
+                          this machine, not in simulations; or seconds by model: costs=naive=0.1,turn=0.2,tom=0.5
   solver=newton           how the robot improves its plans: gradient, the paper's steps (default); newton under naive
                           and turn; or damped_newton (default among several humans)
   horizon=10              controls in a plan (default: 5), each of time_step=0.1 seconds; iterations=20 gradient steps

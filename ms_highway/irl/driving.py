@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.learned_drivers import Drivers, RewardTraits
+from ms_highway.game.learned_drivers import Drivers, LearnedDrivers, RewardTraits
 from ms_highway.game.neighbours import Leader, leaders
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl import Others
@@ -37,7 +37,7 @@ def predict(moments: Moments, drivers: Drivers, others: Others = "predicted") ->
 
     Args:
         moments: whose future is read only if the others move as recorded.
-        drivers: what was learned.
+        drivers: what was learned; of `LearnedDrivers`, as they come with the package, the drivers alone.
         others: see `Others`.
 
     Raises:
@@ -45,7 +45,8 @@ def predict(moments: Moments, drivers: Drivers, others: Others = "predicted") ->
     """
     if others not in get_args(Others):
         raise ValueError(f"others are {others!r}; give one of {', '.join(get_args(Others))}")
-    modes = in_batches(lambda some: _all_modes(drivers, some, others), moments)
+    bare = drivers.bare if isinstance(drivers, LearnedDrivers) else drivers
+    modes = in_batches(lambda some: _all_modes(bare, some, others), moments)
     return Modes(*map(moments.drivers, modes))
 
 

@@ -72,6 +72,14 @@ def learn_peers(moments: Moments) -> dict[str, FittedPeer]:
     return fitted
 
 
+def prediction(name: str, moments: Moments, learned: LearnedDrivers, others: Others = "predicted") -> Prediction:
+    """Predict the drivers of moments by one of `PREDICTORS`, see `predictions`."""
+    if name not in PEERS:
+        return Prediction(predict(moments, learned, others), learned.spread)
+    peer, fitted = PEERS[name], learned.peers[name]
+    return Prediction(peer.predict(moments, peer.parameters(**fitted.parameters)), fitted.spread)
+
+
 def predictions(moments: Moments, learned: LearnedDrivers, others: Others = "predicted") -> dict[str, Prediction]:
     """Predict the drivers of moments by what was learned and by every peer that was fitted beside it.
 
@@ -84,11 +92,7 @@ def predictions(moments: Moments, learned: LearnedDrivers, others: Others = "pre
         ValueError: if a peer lacks, see `check_drivers`, or the motion of the others is unknown.
     """
     check_drivers(learned)
-    found = {"model": Prediction(predict(moments, learned.bare, others), learned.spread)}
-    for name, peer in PEERS.items():
-        fitted = learned.peers[name]
-        found[name] = Prediction(peer.predict(moments, peer.parameters(**fitted.parameters)), fitted.spread)
-    return found
+    return {name: prediction(name, moments, learned, others) for name in PREDICTORS}
 
 
 def check_drivers(drivers: LearnedDrivers | None, reward: str = "this reward") -> LearnedDrivers:

@@ -51,6 +51,8 @@ class LearnedValue:
         centre, spread: of the inputs, by which they are standardised.
         ladder: human models, cheapest first (static).
         baseline: over which rung values are estimated (static).
+        cautious: whether gains are what is compared to choose, net of the price and of a margin for doubt; or else what
+            is expected, as budgets need it (static).
     """
 
     costs: Costs
@@ -62,6 +64,7 @@ class LearnedValue:
     spread: Float[Array, "inputs"]
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
     baseline: Baseline = field(default="top", metadata={"static": True})
+    cautious: bool = field(default=True, metadata={"static": True})
     in_one_kernel: ClassVar[bool] = True
 
     def look(self, game: Game, memory: Memory, outcome: Outcome) -> Numbers:
@@ -83,7 +86,8 @@ class LearnedValue:
         """Return the best rung for a human, the gains over the one in use, and whether they could not be estimated.
 
         A rung counts by its mean advantage over the top less its uncertainty: `CAUTION` standard deviations among the
-        networks, and `NOISE_CAUTION` standard deviations of what they saw happen. In doubt, the top rung plans.
+        networks, and `NOISE_CAUTION` standard deviations of what they saw happen. In doubt, the top rung plans. At
+        prices that were not learned, nothing is compared.
         """
         price, (least, largest) = jnp.asarray(self.price), jnp.asarray(self.prices)
         bounded, top = jnp.clip(price, least, largest), len(self.ladder) - 1
@@ -94,7 +98,8 @@ class LearnedValue:
         cautious = means - CAUTION * apart - NOISE_CAUTION * jnp.mean(noise, axis=0).at[top].set(0.0)
         failed = ~jnp.isfinite(cautious).all()
         chosen = jnp.where(failed | (price < least), top, jnp.where(price > largest, 0, jnp.argmax(cautious)))
-        return chosen, jnp.where(failed, jnp.nan, means - means[rung]), failed
+        compared, unknown = (cautious, failed | (price != bounded)) if self.cautious else (means, failed)
+        return chosen, jnp.where(unknown, jnp.nan, compared - compared[rung]), failed
 
     def _over_cheapest(self, seen: Vector, rung: Index) -> tuple[Any, Any, Any]:
         """Return the best rung for a human, the gains over the first, and whether they could not be estimated.
@@ -107,7 +112,7 @@ class LearnedValue:
         doubts = jnp.concatenate([nothing, jnp.std(means, axis=0)])
         known = jnp.isfinite(gains).all()
         values = gains - CAUTION * doubts - self.price * jnp.asarray(self.costs.each)
-        return jnp.where(known, jnp.argmax(values), 0), gains, ~known
+        return jnp.where(known, jnp.argmax(values), 0), values if self.cautious else gains, ~known
 
 
 def network_inputs(

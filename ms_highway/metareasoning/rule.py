@@ -65,8 +65,9 @@ class Decision(NamedTuple):
 
     Attributes:
         memory: with the rungs of the coming step.
-        gains: estimated gain of each rung for every human, NaN where none was estimated: over the rung in use and less
-            the price of its time; those of values with the baseline ``cheapest`` over the first rung, without a price.
+        gains: estimated gain of each rung for every human, NaN where none was estimated: what is compared to choose,
+            over the rung in use and less the price of its time. Those of learned values are also less a margin for
+            doubt, and with the baseline ``cheapest`` over the first rung; those for budgets have no price and margin.
         failed: whether the rule could not estimate what it needs.
     """
 

@@ -67,13 +67,16 @@ BATCH = 32  # items; more are hardly faster and waste more on the last batch
 def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
     """Compute a function of all items; return NumPy arrays.
 
-    The last batch is padded with copies of the last item, so that the function is compiled once for any n.
+    The last batch is padded with copies of the last item, so that the function is compiled once for any n but 1: a
+    single item is computed alone, as it is often awaited.
 
     Args:
-        function: from a pytree of arrays [BATCH, ...] to a pytree of arrays [BATCH, ...].
+        function: from a pytree of arrays [BATCH, ...] to a pytree of arrays [BATCH, ...], and of [1, ...].
         items: pytree of arrays [n, ...].
     """
     number = len(jax.tree.leaves(items)[0])
+    if number == 1:
+        return jax.tree.map(np.asarray, function(items))
     results = []
     for first in range(0, number, BATCH):
         batch = jax.tree.map(

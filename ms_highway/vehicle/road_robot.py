@@ -126,11 +126,15 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         route: roads to follow, None without a route.
         last_step: of the driver, None before the first.
         applied: curvature and acceleration in the last frame [1/m, m/s^2].
+        frame: duration of the last one [s].
         steps: of the driver since `forget`.
+        actions: highway-env's ``acceleration`` [m/s^2] and ``steering`` [rad] in each frame since `forget`.
         accelerations: largest total acceleration in each frame since `forget` [m/s^2]: of the control, and of the
             velocity between frames, with and without slip.
         jerks: change of the acceleration within the last `PERIOD`, in each frame since `forget` [m/s^3].
     """
+
+    action: dict[str, float]
 
     def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
         super().__init__(road, position, heading, speed)
@@ -138,7 +142,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         self.last_step: RoadStep | None = None
         self.applied = self._wanted = np.zeros(2)
         self._before: Velocity | None = None
-        self._elapsed, self._frame = np.inf, PERIOD
+        self._elapsed, self.frame = np.inf, PERIOD
         self._executed: list[tuple[float, float]] = []
         self.drive_with(None)
         self.forget()
@@ -157,6 +161,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
     def forget(self) -> None:
         """Forget the record of steps and frames."""
         self.steps: list[RoadStep] = []
+        self.actions: list[dict[str, float]] = []
         self.accelerations: list[float] = []
         self.jerks: list[float] = []
 
@@ -167,7 +172,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan if it is time for it; ignore actions."""
-        due = self._elapsed + self._frame / 2 >= PERIOD
+        due = self._elapsed + self.frame / 2 >= PERIOD
         if action is None and self.driver is not None and due and not self.crashed:
             self.last_step = self.driver.step(self.look())
             self.steps.append(self.last_step)
@@ -178,6 +183,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         if self.crashed:
             self.color = VehicleGraphics.RED
             super().step(dt)
+            self.actions.append(dict(self.action))
             return
         now = Velocity(self.speed, self.heading)
         before = self._before or now
@@ -186,7 +192,8 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         self.action = {"steering": steering_of(curvature, self.LENGTH), "acceleration": along}
         sliding = Velocity(now.speed, now.course + _slip(curvature, self.LENGTH))
         super().step(dt)
-        self._before, self._elapsed, self._frame = sliding, self._elapsed + dt, dt
+        self.actions.append(dict(self.action))
+        self._before, self._elapsed, self.frame = sliding, self._elapsed + dt, dt
         changed = max(sliding.change(before), Velocity(self.speed, self.heading).change(now))
         across = now.speed**2 * curvature
         self.accelerations.append(max(hypot(along, across), changed / dt))

@@ -23,7 +23,7 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
     """Draw what was decided in an episode, and what it was worth; a column per episode.
 
     Above, the estimated net gains of switching to each model, on which Algorithm 1 decides: one above zero is taken. A
-    learned value of computation counts all that follows; it takes the highest, with caution where it is in doubt. Gains
+    learned value of computation counts all that follows, less a margin for doubt; it takes the highest. Gains
     are drawn at the step that is planned next; the scale is linear up to 0.01 and logarithmic beyond. Below, the
     reward per step, on a strip of the models in use.
 

@@ -20,8 +20,9 @@ from ms_highway.visualization.tables import grid
 SMALLEST = 0.1  # reward: the least end of a linear scale of advantages
 PRICE = 1.0  # of a second, on pages
 CAPTION = (
-    "What planning a step with each model is worth more than with the cheapest one, net of its price. Above, along an "
-    "episode that the values choose for: shades are the doubt of the networks, the background is the model in use. "
+    "What planning a step with each model is worth more than with the cheapest one, net of its price and of a margin "
+    "for doubt: the highest is chosen. Above, along an episode that the values choose for: shades are the margin, the "
+    "background is the model in use. "
     "Below, where the human starts elsewhere: the model that is chosen, and what the most expensive one is worth."
 )
 
@@ -49,16 +50,17 @@ def draw_values(scenario: str, price: float, values: str = SHIPPED_VALUES, seed:
 def along(figure: Figure | SubFigure, seen: Seen) -> None:
     """Draw what planning a step with each model is worth more than with the cheapest one, before every step.
 
-    Lines are means over the networks; shades reach up by their standard deviation, since a more expensive model plans
-    where there is doubt. The scale is linear up to 0.1 and logarithmic beyond. Below, the reward after each step; the
-    background is the model in use.
+    Lines are what is compared to choose: the highest one is, or the cheapest model where all are below 0. Shades are
+    the margin for doubt, down to what the networks expect in the mean; in doubt, a more expensive model plans. The
+    scale is linear up to 0.1 and logarithmic beyond. Below, the reward after each step; the background is the model in
+    use.
     """
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.8, 1])
     cheapest, *others = seen.models
-    mean, spread = seen.along.mean.T[1:], seen.along.deviation.T[1:]
-    draw_steps((upper, lower), seen.used, dict(zip(others, mean, strict=True)), seen.rewards, SMALLEST)
-    for name, low, doubt in zip(others, mean, spread, strict=True):
-        upper.fill_between(range(len(low)), low, low + doubt, color=color_of(name), alpha=0.25, linewidth=0)
+    compared, expected = seen.along.compared.T[1:], seen.along.expected.T[1:]
+    draw_steps((upper, lower), seen.used, dict(zip(others, compared, strict=True)), seen.rewards, SMALLEST)
+    for name, line, mean in zip(others, compared, expected, strict=True):
+        upper.fill_between(range(len(line)), mean, line, color=color_of(name), alpha=0.25, linewidth=0)
     upper.set_ylabel("worth more [reward],\nnet of its price")
     upper.set_title("along an episode", loc="left", fontsize="medium")
     lower.set_ylabel("reward per step")
@@ -69,11 +71,11 @@ def along(figure: Figure | SubFigure, seen: Seen) -> None:
 def around(figure: Figure | SubFigure, seen: Seen) -> None:
     """Draw the chosen model, and the advantage of the most expensive one over the cheapest, by where the human is.
 
-    The line is where the most expensive model is worth as much as the cheapest one, by the mean over the networks:
-    where it is chosen beyond that, the networks differ. The cross is the start itself.
+    The line is where the most expensive model is worth as much as the cheapest one; a model between may be worth more
+    than both. The cross is the start itself.
     """
     left, right = figure.subplots(1, 2, sharey=True)
-    names, chosen, worth = seen.models, seen.around.chosen, seen.around.mean[..., -1]
+    names, chosen, worth = seen.models, seen.around.chosen, seen.around.compared[..., -1]
     ends = seen.behind[0], seen.behind[-1], seen.faster[0], seen.faster[-1]
     place = {"extent": ends, "origin": "lower", "aspect": "auto", "interpolation": "nearest"}
     left.imshow(chosen, model_colors(names), vmin=-0.5, vmax=len(names) - 0.5, **place)

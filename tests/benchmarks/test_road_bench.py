@@ -87,6 +87,14 @@ def test_an_episode_that_ends_because_the_ego_leaves_the_road_is_no_success():
     assert {(episode.crashed, episode.off_road, episode.success) for episode in episodes} == {(False, True, False)}
 
 
+def test_a_u_turn_is_a_success_for_who_stays_on_the_road():
+    episodes = [run_episode(Block("u-turn-v0", "idle"), seed) for seed in range(1000, 1016)]
+    assert {(episode.crashed or episode.off_road, episode.success) for episode in episodes} == {
+        (True, False),
+        (False, True),
+    }
+
+
 @pytest.mark.parametrize("driver", ["idm", "random"])
 def test_the_same_seed_gives_the_same_episode(driver):
     block = Block("merge-v0", driver)

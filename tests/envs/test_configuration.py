@@ -155,6 +155,25 @@ def test_a_refused_change_leaves_the_environment_as_it_was():
     assert env.step(0)[4]["model"] == "naive"
 
 
+def test_what_is_configured_during_an_episode_acts_from_the_next_reset_on_all_of_it():
+    env, longer = make(controller=NAN_MODEL, duration=0.3), {"type": "fixed", "model": "turn"}
+    env.reset(seed=0)
+    before = dict(env.config)
+    env.configure({"controller": longer, "duration": 0.2})
+    env.configure({"grip": 7.0})
+    assert env.config == before
+    assert [(info["model"], ends) for *_, ends, info in map(env.step, [0] * 3)] == [
+        ("naive", False),
+        ("naive", False),
+        ("naive", True),
+    ]
+    with pytest.raises(ValueError, match="'duration'"):
+        env.reset(options={"config": {"duration": -1}})
+    env.reset(seed=0)
+    assert env.config == before | {"controller": longer, "duration": 0.2, "grip": 7.0}
+    assert [(info["model"], ends) for *_, ends, info in map(env.step, [0] * 2)] == [("turn", False), ("turn", True)]
+
+
 def test_a_controller_that_is_set_in_the_configuration_itself_drives_from_the_next_reset_on():
     env = make(controller=NAN_MODEL)
     env.config["controller"] = {"type": "fixed", "model": "turn"}

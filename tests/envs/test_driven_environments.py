@@ -8,10 +8,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.envs.registration import registry
+from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 import ms_highway
 from ms_highway.envs.graphics import PAPER, model_color
+from ms_highway.envs.road.driven import Twin, action_done
 from ms_highway.envs.road.graphics import PANEL
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -55,6 +57,7 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the
     observation, reward, terminated, _, info = env.step(env.action_space.sample())
     road = info["road"]
     assert env.observation_space.contains(observation)
+    assert env.action_space.contains(road["action"])
     assert np.isfinite([road["planning_seconds"], road["decision_seconds"], road["jerk"], *np.atleast_1d(reward)]).all()
     assert not np.any(terminated)
     assert road["source"] in ("refined", "proposal", "last plan", "braking")
@@ -100,6 +103,35 @@ def test_actions_change_nothing_and_a_time_limit_in_steps_is_kept():
         np.testing.assert_array_equal(outcome[0], same[0])
         assert (outcome[1], outcome[4]["action"]) == (same[1], 1)  # of which highway-env thinks that it is idle
         assert outcome[2:4] == (False, step == 14)
+
+
+@pytest.mark.parametrize("config", [{"policy_frequency": 5}, CONTINUOUS])
+def test_who_imitates_what_is_told_of_the_robot_drives_as_it_did(config):
+    env, stock, lanes = driven("highway-fast-v0", config=config), gym.make("highway-fast-v0", config=config), set()
+    stock.reset(seed=0)
+    assert env.reset(seed=0)[1]["road"]["action"] is None
+    for _ in range(15):
+        stock.step(env.step(None)[4]["road"]["action"])
+        own, other = env.unwrapped.vehicle, stock.unwrapped.vehicle
+        lanes.add(own.lane_index)
+        assert np.linalg.norm(own.position - other.position) < (1e-3 if config is CONTINUOUS else 3.0)
+    assert own.speed != 25.0
+
+
+@pytest.mark.parametrize("name", ["LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER"])
+def test_a_robot_that_drove_like_highway_envs_own_car_did_its_meta_action(name):
+    env = driven("highway-v0", config={"initial_lane_id": 1})
+    robot, kind = env.robots[0], env.unwrapped.action_type
+    start = Twin.of(robot, robot.lane_index)
+    car = MDPVehicle(robot.road, robot.position, robot.heading, robot.speed)
+    car.act(name)
+    for _ in range(15):
+        car.act()
+        car.step(1 / 15)
+        robot.actions.append(car.action)
+    robot.frame, robot.position, robot.heading, robot.speed = 1 / 15, car.position, car.heading, car.speed
+    done, aim = action_done(kind, robot, start)
+    assert (kind.actions[done], aim) == (name, car.target_lane_index)
 
 
 @pytest.mark.parametrize("config", [{}, CONTINUOUS])

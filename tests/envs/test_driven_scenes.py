@@ -6,7 +6,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 import ms_highway
-from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego
+from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego, success
 from ms_highway.vehicle.road_robot import RoadRobot
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -34,6 +34,11 @@ def made(name, **config):
 )
 def test_where_to_and_how_fast_is_what_the_scene_asks_for(name, destination, speed):
     assert (destination_of(made(name)), desired_speed_of(made(name))) == (destination, speed)
+
+
+def test_success_is_told_where_a_scene_grants_time_enough_for_its_goal():
+    told = {name: success(made(name)) for name in ("roundabout-v0", "exit-v0", "merge-v0", "u-turn-v0", "two-way-v0")}
+    assert list(told.values()) == [False, False, False, None, None]
 
 
 def test_a_destination_that_is_drawn_is_the_end_of_the_route():
@@ -96,6 +101,15 @@ def test_what_others_have_set_in_highway_envs_drivers_is_left_alone(monkeypatch)
 def test_an_impossible_configuration_is_refused(config, message):
     with pytest.raises(ValueError, match=message):
         ms_highway.drive(gym.make("merge-v0"), config)
+
+
+@pytest.mark.parametrize("name", ["merge-v0", "roundabout-v1"])
+def test_where_a_reward_takes_no_continuous_action_the_error_says_so(name):
+    continuous = {"action": {"type": "ContinuousAction"}}
+    message = f"reward of {name} cannot take a ContinuousAction.*make it with config={{'action': {{'type': 'Discrete"
+    env = ms_highway.drive(gym.make(name))
+    with pytest.raises(ValueError, match=message):
+        env.reset(options={"config": continuous})
 
 
 @pytest.mark.parametrize("name", ["parking-v0", "parking-ActionRepeat-v0", "lane-keeping-v0", "ms-highway/merger-v0"])

@@ -138,6 +138,31 @@ def test_the_autopilot_refuses_other_actions():
         make("merger").unwrapped.step(7)
 
 
+@pytest.mark.parametrize("scenario", ["merger", "demonstration"])
+def test_an_action_that_is_not_finite_is_refused_before_anything_moves(scenario):
+    action = {"config": {"action": {"type": "ContinuousAction"}}}
+    env = gym.make(f"ms-highway/{scenario}-v0", disable_env_checker=True, **action).unwrapped
+    env.reset(seed=0)
+    before = env.car_states
+    with pytest.raises(ValueError, match=r"nan.* is not finite; give numbers of the space Box\(-1.0, 1.0"):
+        env.step(np.array([0.0, np.nan]))
+    np.testing.assert_array_equal(env.car_states, before)
+    assert (env.time, env.steps) == (0, 0)
+
+
+def test_the_control_of_a_robot_divided_by_the_ranges_is_the_action_that_does_the_same():
+    robot = gym.make("ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
+    copy = gym.make("ms-highway/merger-v0", config={"action": {"type": "ContinuousAction"}})
+    (first, _), _ = robot.reset(seed=0), copy.reset(seed=0)
+    for _ in range(5):
+        seen, *_, info = robot.step(0)
+        done = np.array([info["control"]["acceleration"] / 5.0, info["control"]["steering"] / 0.1], np.float32)
+        followed = copy.step(done)[0]
+        assert np.abs(done).max() < 1
+        np.testing.assert_allclose(seen[0], followed[0], atol=1e-5)
+    assert not np.allclose(first, seen)
+
+
 def test_a_continuous_action_drives_the_robot():
     env = make("merger", action=ACTIONS["continuous"])
     _, states, *_ = drive(env, steps=1, action=np.array([1.0, 0.0]))

@@ -8,6 +8,7 @@ import pytest
 from commands import run
 from msgspec import structs
 
+import ms_highway
 from ms_highway.game.learned_drivers import Spread
 from ms_highway.game.learned_reward import load, shipped
 from ms_highway.game.reward import RewardModel
@@ -25,7 +26,7 @@ from ms_highway.irl.evaluation import (
 from ms_highway.irl.moments import cut_moments
 from ms_highway.irl.outlook import Modes, expected_path, fit_spread, log_density, one_mode, region_level
 from ms_highway.irl.peers import steady_motion
-from ms_highway.irl.predictors import PREDICTORS, Prediction, predictions
+from ms_highway.irl.predictors import PEERS, PREDICTORS, Prediction, prediction, predictions
 from ms_highway.irl.recordings.recording import Recording
 
 DRIVERS = shipped("us101").drivers
@@ -235,3 +236,65 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
 )
 def test_bad_input_is_one_clear_message_and_nothing_is_written(arguments, message, refused):
     assert message in refused(f"irl {arguments}")
+
+
+@pytest.mark.parametrize("predictor", [pytest.param("model", marks=pytest.mark.slow), *PEERS])
+def test_a_moment_is_predicted_as_it_would_be_in_a_recording(predictor):
+    recording, number = following(20.0), 3
+    moments = nth(recording, number)
+    known = prediction(predictor, moments, DRIVERS).modes
+    found = ms_highway.predict(
+        recording.states[: 10 * number + 1], recording.lanes, 29.0, seconds=3, predictor=predictor, lane_width=3.4
+    )
+    assert found.mean.shape == (2, 30, 2)
+    assert found.times[[0, -1]].tolist() == pytest.approx([0.1, 3.0])
+    np.testing.assert_allclose(found.weights[0], np.asarray(known.probability)[0], rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(found.means[0], np.asarray(known.path)[0, :, :30], atol=2e-3)
+    np.testing.assert_allclose(found.weights.sum(axis=1), 1.0, rtol=1e-5)
+    for covariances in (found.covariances, found.covariance):
+        assert (np.linalg.eigvalsh(covariances) > 0).all()
+
+
+def test_half_of_the_drivers_are_within_the_ellipse_of_a_covariance_that_holds_half():
+    random, scene = np.random.default_rng(0), ([[0.0, 0.0, 0.0, 20.0]], [0.0], 30.0)
+    for predictor in ("lane_modes", "constant_velocity"):
+        found, spread = ms_highway.predict(*scene, predictor=predictor), DRIVERS.peers[predictor].spread
+        scales, freedom = np.asarray(spread.scales(1, 50))[0, -1], float(spread.freedom(50)[-1])
+        drawn = scales * random.standard_normal((20000, 2)) / np.sqrt(random.chisquare(freedom, (20000, 1)) / freedom)
+        far = np.einsum("ni,ij,nj->n", drawn, np.linalg.inv(found.covariances[0, -1]), drawn)
+        assert np.mean(far < 2 * np.log(2)) == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.slow
+def test_constant_velocity_keeps_it_and_drivers_on_one_lane_have_nowhere_to_change_to():
+    states = [[0.0, 0.0, 0.0, 20.0], [30.0, 0.0, 0.0, 5.0]]
+    kept = ms_highway.predict(states, [0.0], 30.0, seconds=2, predictor="constant_velocity")
+    np.testing.assert_allclose(kept.mean[:, -1], [[40.0, 0.0], [40.0, 0.0]], atol=1e-3)
+    learned = ms_highway.predict(states, [0.0], 30.0)
+    np.testing.assert_allclose(learned.weights, [[1, 0, 0]] * 2, atol=1e-6)
+    assert learned.mean[0, -1, 0] < learned.mean[1, -1, 0]  # who follows has braked
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"states": [0.0, 0.0, 0.0, 20.0]}, r"states are of shape \(4,\)"),
+        ({"states": [[0.0, 0.0, np.nan, 20.0]]}, "not all seen now; give finite numbers"),
+        ({"states": np.zeros((0, 4))}, r"states are of shape \(0, 4\)"),
+        ({"lanes": []}, r"lanes are \[\]; give the lateral position"),
+        ({"speed_limit": 0}, "speed_limit is 0; give a positive number"),
+        ({"lane_width": np.nan}, "lane_width is nan; give a positive number"),
+        ({"seconds": 8}, "seconds are 8; give a number from 0.1 to 5"),
+        ({"seconds": np.nan}, "seconds are nan; give a number from 0.1 to 5"),
+        ({"sizes": [1, 2, 3]}, r"sizes are \[1, 2, 3\]; give length and width"),
+        ({"predictor": "oracle"}, "predictor is 'oracle'; choose one of model, constant_velocity"),
+    ],
+)
+def test_what_cannot_be_predicted_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        ms_highway.predict(**{"states": [[0.0, 0.0, 0.0, 20.0]], "lanes": [0.0, 4.0], "speed_limit": 30.0} | changes)
+
+
+def test_learned_drivers_predict_as_they_come_with_the_package():
+    moments = nth(following(20.0), 5)
+    np.testing.assert_array_equal(predict(moments, DRIVERS).path, predict(moments, DRIVERS.bare).path)

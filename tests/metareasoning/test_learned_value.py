@@ -76,6 +76,25 @@ def test_it_chooses_from_the_first_step_on_and_thinks_where_it_pays():
     assert 2 <= models.count("tom") <= 20
 
 
+@pytest.mark.parametrize(("scenario", "price"), [("merger", 10.0), ("stay_back", 1.0)])
+def test_the_highest_gain_that_is_told_is_the_model_that_plans(scenario, price):
+    env, before, seen = make_environment(scenario, f"learned:{price}"), "naive", set()
+    env.reset(seed=0)
+    for _ in range(20):
+        *_, info = env.step(0)
+        gains = {before: 0.0} | info["gains"]
+        assert max(gains, key=gains.get) == info["model"]
+        seen.add(before := info["model"])
+    assert len(seen) > 1 or scenario == "stay_back"
+
+
+def test_at_a_price_that_was_not_learned_nothing_is_compared():
+    env = make_environment("merger", "learned:0")
+    env.reset(seed=0)
+    *_, info = env.step(0)
+    assert (info["model"], info["gains"], info["choice_failed"]) == ("tom", {}, False)
+
+
 def test_values_that_are_not_finite_are_not_chosen_by_and_info_says_so():
     env = make_environment("merger", "learned:1")
     env.reset(seed=0)
@@ -114,8 +133,8 @@ def test_values_of_another_ladder_or_other_costs_are_refused_with_the_remedy():
 def test_a_part_of_the_ladder_weighs_rewards_as_the_whole_ladder_does(played):
     game, state = played("merger")
     whole, part = (SHIPPED.rule(LADDER[:size], Costs(0.0, COSTS[:size]), 10.0) for size in (3, 2))
-    seen = describe_quickly(game, state)
-    gains = [float(rule.choose(first_memory(rule, 1), seen).gains[0, 1]) for rule in (whole, part)]
+    seen, memory = describe_quickly(game, state), first_memory(part, 1)
+    gains = [float(replace(rule, cautious=False).choose(memory, seen).gains[0, 1]) for rule in (whole, part)]
     assert gains[0] == pytest.approx(gains[1], rel=1e-4)  # of turn over naive
 
 
@@ -185,8 +204,10 @@ def test_surroundings_describe_every_human_by_finite_numbers_and_change_places_w
 
 @pytest.mark.parametrize(("price", "rung"), [(0.0, "tom"), (500.0, "turn"), (5000.0, "naive")])
 def test_over_the_cheapest_rung_dearer_planning_chooses_cheaper_models(two, price, rung):
-    decision = chosen(over_naive((0.5, 1.0), price), *two)
-    np.testing.assert_allclose(decision.gains, [[0.0, 0.5, 1.0]] * 2, atol=1e-6)
+    rule = over_naive((0.5, 1.0), price)
+    decision, expected = chosen(rule, *two), chosen(replace(rule, cautious=False), *two)
+    np.testing.assert_allclose(decision.gains, [np.array([0.0, 0.5, 1.0]) - price * SEVERAL.each] * 2, atol=1e-6)
+    np.testing.assert_allclose(expected.gains, [[0.0, 0.5, 1.0]] * 2, atol=1e-6)
     assert decision.memory.rungs.tolist() == [("naive", "turn", "tom").index(rung)] * 2
     assert decision.memory.step == 1
     assert not decision.failed

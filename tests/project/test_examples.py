@@ -51,6 +51,12 @@ def test_robots_of_the_examples_choose_their_models_and_drive_without_a_crash_an
     found = re.findall(r"per step ([\d.]+), tom in (\d+)%", printed["rule"])
     assert len(found) == 4  # one human and two, live and in a batch
     assert all(float(reward) > 5 and 0 < int(used) < 50 for reward, used in found)
+    errors = list(map(float, re.findall(r"off by +([\d.]+) m", printed["predict"])))
+    assert len(errors) == 3
+    assert max(errors) < 5
+    off, by_mean = map(float, re.findall(r"by ([\d.]+)", printed["imitate"])[:2])
+    assert off < 0.9 * by_mean
+    assert printed["imitate"].strip().endswith("crashed: False")
     largest = re.findall(r"at most ([\d.]+) m/s\^2", printed["stock_road"])
     assert largest
     assert max(map(float, largest)) <= 4.0  # that it asks for

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from highway_env.envs import UTurnEnv
 
 from ms_highway.benchmarks.road import TRAFFIC, driver_config
 from ms_highway.benchmarks.road.measures import Watch
@@ -123,8 +122,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
     """Drive one episode.
 
     It is no success after a crash. Where the scene has a goal, `ms_highway.envs.road.stock.success` decides at its end;
-    elsewhere, and in ``u-turn``, whose 191 m to the road back are more than its 10 s allow, the ego has stayed on the
-    road in all frames.
+    elsewhere, the ego has stayed on the road in all frames.
 
     Args:
         block: says what drives where.
@@ -143,7 +141,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         roads.append(info["road"])
         done = terminated or truncated or inner.time >= max(LONGEST, inner.config.get("duration", 0.0))
     off_road = bool(watch.off_road or (terminated and not watch.crashed and not inner.vehicle.on_road))
-    reached = None if isinstance(inner, UTurnEnv) else success(inner)
+    reached = success(inner)
     return Episode(
         seed=seed,
         success=not watch.crashed and bool(not off_road if reached is None else reached),

@@ -24,13 +24,13 @@ class Advantages(NamedTuple):
     """What planning a step with each rung is worth more than with the cheapest one, net of its price.
 
     Attributes:
-        mean: of the networks' estimates, an array [..., rungs].
-        deviation: standard deviation among the networks, an array [..., rungs].
+        compared: what the choice is by, less a margin for doubt, an array [..., rungs].
+        expected: without the margin, an array [..., rungs].
         chosen: the rung that is chosen, an array [...].
     """
 
-    mean: Array
-    deviation: Array
+    compared: Array
+    expected: Array
     chosen: Array
 
 
@@ -107,12 +107,11 @@ def estimate(rule: LearnedValue, game: Game, states: np.ndarray) -> Advantages:
 
 @jax.jit
 def _estimate(rule: LearnedValue, game: Game, states: Array) -> Advantages:
-    memory, alone = first_memory(rule, game.number), jax.tree.map(lambda part: part[:, None], rule.network)
+    memory = first_memory(rule, game.number)
 
     def one(state: Array) -> Advantages:
         seen = describe(game, state, surroundings=rule.baseline == "cheapest")
-        decision = rule.choose(memory, seen)
-        each = jax.vmap(lambda network: replace(rule, network=network).choose(memory, seen).gains[0])(alone)
-        return Advantages(decision.gains[0], each.std(axis=0), decision.memory.rungs[0])
+        decision, bold = rule.choose(memory, seen), replace(rule, cautious=False).choose(memory, seen)
+        return Advantages(decision.gains[0], bold.gains[0], decision.memory.rungs[0])
 
     return jax.vmap(one)(states)
