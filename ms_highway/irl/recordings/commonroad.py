@@ -137,7 +137,10 @@ def _open(path: Path) -> Any:
                 for text in orientation.itertext():
                     if text.strip() and not abs(float(text)) <= MOST_RADIANS:
                         raise ValueError(f"an orientation of {text} rad")
-            return XMLFileReader(readable).open()[0]
+            try:
+                return XMLFileReader(readable).open()[0]
+            except (AssertionError, AttributeError, TypeError) as error:  # of elements that lack
+                raise ValueError(str(error)) from error
 
 
 def _convert(scenario: Any, counted: set[tuple]) -> Recording:
