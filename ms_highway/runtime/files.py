@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import tempfile
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -28,6 +29,7 @@ DAMAGES = (
     RuntimeError,  # of archives that are encrypted, and of JSON nested too deeply
     SyntaxError,  # of XML
     ValueError,
+    tokenize.TokenError,  # of headers of arrays
     zipfile.BadZipFile,
     zlib.error,
 )
