@@ -130,7 +130,7 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
 @cache
 def _still(cars: int, steps: int) -> Array:
     """Return zero controls of some cars."""
-    return jnp.zeros((cars, steps, 2))
+    return jnp.zeros((cars, steps, 2), jnp.float32)
 
 
 @cache

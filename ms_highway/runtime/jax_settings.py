@@ -4,9 +4,11 @@ import os
 import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
@@ -48,6 +50,11 @@ def _add_flag(option: str, flag: str) -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if option not in flags and (not flags or flags.startswith("-")):
         os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
+
+
+def single_precision() -> AbstractContextManager[Any]:
+    """Let JAX compute in float32 in a block, also where the user has switched ``jax_enable_x64`` on."""
+    return jax.enable_x64(False) if jax.config.jax_enable_x64 else nullcontext()
 
 
 def cores() -> int:
