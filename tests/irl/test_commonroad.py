@@ -4,6 +4,7 @@ import gzip
 import re
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -111,6 +112,18 @@ def test_ramps_and_the_opposite_direction_are_no_lanes(tmp_path):
     ramp = lanelet(5, -10.0, np.linspace(0, 1, 30)[:, None] * [120, -40])
     (recording,) = read(tmp_path, scenario(lanelets=opposite + ramp + two_lanes()))
     np.testing.assert_allclose(recording.lanes, [0, 3.5], atol=1e-6)
+
+
+def test_reading_takes_about_as_many_times_longer_as_there_are_more_lanes(tmp_path):
+    seconds = []
+    for number, lanes in enumerate((2, 50, 250)):
+        side_by_side = "".join(lanelet(1000 + lane, 3.5 * lane, straight(0, 200)) for lane in range(lanes))
+        (tmp_path / str(number)).mkdir()
+        start = time.perf_counter()
+        (recording,) = read(tmp_path / str(number), scenario(lanelets=side_by_side))
+        seconds.append(time.perf_counter() - start)
+        assert len(recording.lanes) == lanes
+    assert seconds[2] < 3 * 250 / 50 * seconds[1]
 
 
 def test_a_track_counts_once_among_the_files_of_one_recording(tmp_path):
