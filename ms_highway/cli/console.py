@@ -79,9 +79,11 @@ def print_tables(*tables: "Table") -> None:
     from rich.console import Console
 
     console = Console(width=max(Console().width, TABLE_WIDTH))
-    with printing():
+    with console.capture() as printed:  # or else rich would end the process where nobody reads
         for table in tables:
             console.print(table)
+    with printing():
+        sys.stdout.write(printed.get())
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:

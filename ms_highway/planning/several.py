@@ -1,8 +1,5 @@
 """Plan with a human model for each human: one compiled function for all assignments of models to several humans."""
 
-from functools import partial
-
-import jax
 import numpy as np
 from jax import numpy as jnp
 

@@ -54,7 +54,24 @@ def _add_flag(option: str, flag: str) -> None:
 
 def single_precision() -> AbstractContextManager[Any]:
     """Let JAX compute in float32 in a block, also where the user has switched ``jax_enable_x64`` on."""
-    return jax.enable_x64(False) if jax.config.jax_enable_x64 else nullcontext()
+    double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
+    return jax.enable_x64(False) if double else nullcontext()
+
+
+def check_platforms() -> None:
+    """Start JAX where ``JAX_PLATFORMS`` asks for more than the CPU.
+
+    Raises:
+        ValueError: if it has no such devices.
+    """
+    platforms = jax.config.values["jax_platforms"]
+    if platforms and platforms != "cpu":
+        try:
+            jax.devices()
+        except (AssertionError, RuntimeError) as error:  # an assertion where the plugin is not installed
+            why = f" ({error})" if str(error) else ""
+            remedy = "unset it, or install JAX for these devices"
+            raise ValueError(f"JAX_PLATFORMS is {platforms!r}, of which JAX finds no device{why}; {remedy}") from error
 
 
 def cores() -> int:

@@ -99,9 +99,9 @@ def test_what_is_temporary_can_be_removed_at_once():
 
 def test_what_is_wrong_with_a_file_names_it_and_what_is_wrong_with_the_program_does_not(tmp_path):
     file = tmp_path / "settings.json"
-    with pytest.raises(ValueError, match=r"settings\.json cannot be read as text \(.*No such file.*\); write it"):
-        with reading(file, "write it", " as text"):
-            file.read_text()
+    named = pytest.raises(ValueError, match=r"settings\.json cannot be read as text \(.*No such file.*\); write it")
+    with named, reading(file, "write it", " as text"):
+        file.read_text()
     for error in (AttributeError, NameError, TypeError):
         with pytest.raises(error), reading(file, "write it"):
             raise error

@@ -89,6 +89,6 @@ def test_an_address_that_is_in_use_or_impossible_is_refused(wrong, address):
 def test_a_server_that_is_not_process_0_is_not_waited_for_without_end(address, monkeypatch):
     monkeypatch.setattr("ms_highway.runtime.peers.PATIENCE", 0.2)
     host, port = address.split(":")
-    with socket.create_server((host, int(port))), pytest.raises(ValueError, match="process 0 has ended or is silent"):
-        with together(address, 2, 1):
-            pass
+    refused = pytest.raises(ValueError, match="process 0 has ended or is silent")
+    with socket.create_server((host, int(port))), refused, together(address, 2, 1):
+        pass
