@@ -151,8 +151,11 @@ class InteractionEnv(StageEnv):
 
     def _read(self) -> None:
         super()._read()
-        self.game, self._seconds = self.settings.game(self.scenario), self.settings.seconds
+        settings, models = self.settings, self.settings.models
+        self.game, self._seconds = settings.game(self.scenario), settings.seconds
         self._costs: Costs | None = None
+        if self._seconds is not None and not settings.measures:
+            self._costs = Costs.of([self._seconds[model.name] for model in models], settings.humans)
 
     def _reset(self) -> None:
         """Build the road, place the cars, and say who drives them."""
@@ -206,8 +209,7 @@ class InteractionEnv(StageEnv):
         """Return the robot's driver, with unknown costs if they are yet to be measured."""
         settings, controller = self.settings, controller_settings(self.config["controller"])
         unknown = Costs.of([nan] * len(settings.models), settings.humans)
-        costs = unknown if settings.measures and self._costs is None else self.costs(self.car_states)
-        start = settings.start(costs, self.episode_steps, self.np_random)
+        start = settings.start(self._costs or unknown, self.episode_steps, self.np_random)
         asked = isinstance(self.action_type, HumanModelAction)
         rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)
         return Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
@@ -215,11 +217,9 @@ class InteractionEnv(StageEnv):
     def costs(self, states: State) -> Costs:
         """Planning times on the ladder; where they are to be measured, once after each change of the configuration."""
         settings, models = self.settings, self.settings.models
-        if self._costs is None and settings.measures:
+        if self._costs is None:
             quantile, way_out = settings.controller.quantile, settings.way_out
             self._costs = measure_costs(self.game, models, states, quantile=quantile, way_out=way_out)
-        elif self._costs is None:
-            self._costs = Costs.of([self._seconds[model.name] for model in models], settings.humans)
         if self._seconds is None:
             seconds = (self._costs.base + np.asarray(self._costs.each)).tolist()
             self._seconds = {model.name: own for model, own in zip(models, seconds, strict=True)}
@@ -265,8 +265,8 @@ class InteractionEnv(StageEnv):
     def _simulate(self, action: Any = None) -> None:
         """Let all cars plan and move, evaluate the robot's new state, and let the agent pay for the model it chose."""
         if self._costs is None and isinstance(self.action_type, (Autopilot, HumanModelAction)):
-            self.costs(self.car_states)  # measures in the first step, as JAX must not begin before it
-            if self.settings.measures and self.settings.controller.chooses:
+            self.costs(self.car_states)  # measured in the first step, as JAX must not begin before it
+            if self.robot.controller is not None and self.settings.controller.chooses:
                 self.robot.drive_with(self._driver(self.robot.controller.game), self.road.vehicles[1:])
         super()._simulate(action)
         self._collided |= self.collision

@@ -91,10 +91,12 @@ def print_tables(*tables: "Table") -> None:
 
     known = sys.stdout.isatty() or "COLUMNS" in os.environ
     console = Console(width=None if known else TABLE_WIDTH)
-    with printing():
+    with console.capture() as printed:  # or else rich would end the process where nobody reads
         for table in tables:
             for part in fitting(table, console):
                 console.print(part)
+    with printing():
+        sys.stdout.write(printed.get())
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:

@@ -29,6 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, or 2 after one line on standard error if the input is at fault."""
     given = sys.argv[1:] if arguments is None else arguments
     try:
+        if sys.stdout is None:
+            raise OSError("standard output is closed; redirect it, to /dev/null if nobody is to read it")
         for text in given:
             if any("\ud800" <= letter <= "\udfff" for letter in text):  # how Python keeps other bytes
                 raise ValueError(f"{text!r} is not UTF-8, the encoding of all results; rename it")
@@ -70,9 +72,10 @@ def _import(modules: Sequence[str]) -> None:
 
 def _set_jax_up(options: argparse.Namespace) -> None:
     """Set JAX up as the command needs it; if compiled planners cannot be kept, say so and continue."""
-    from ms_highway.runtime.jax_settings import high_throughput, keep_compilations, low_latency
+    from ms_highway.runtime.jax_settings import check_platforms, high_throughput, keep_compilations, low_latency
 
     (high_throughput if options.simulates else low_latency)()
+    check_platforms()
     if not options.no_compilation_cache:
         try:
             keep_compilations()

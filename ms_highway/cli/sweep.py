@@ -1,6 +1,7 @@
 """The command ``ms-highway sweep``."""
 
 import argparse
+import json
 from contextlib import ExitStack
 from typing import Any
 
@@ -83,7 +84,7 @@ def _sweep(options: argparse.Namespace) -> None:
             kinds = [options.out / kind for kind in (module.EPISODES, module.STEPS)]
             record = stack.enter_context(own_results(options, job.settings(), *kinds))
         if processes > 1:
-            stack.enter_context(together(options.coordinator, processes, place))
+            stack.enter_context(together(options.coordinator, processes, place, json.dumps(job.settings())))
         counts = module.run_sweep(job, use_devices(options.devices))
         already = next(counts)
         if place == 0 and job.missing():

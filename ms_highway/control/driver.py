@@ -1,6 +1,7 @@
 """Drive among humans, one or several, with the models that a rule chooses for them."""
 
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -19,6 +20,7 @@ from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Control, Rungs, State
 from ms_highway.runtime.forks import refuse_after_fork
+from ms_highway.runtime.timing import timed
 
 QUANTILE = 0.99  # of decisions' seconds, for budgets
 
@@ -175,7 +177,8 @@ class Driver:
             return seconds
         seconds += self._decision.warm_up(state)
         if isinstance(self.rule, Budget) and not self.rule.deciding:
-            self._rule = replace(self.rule, deciding=self._decision.measure(state, quantile=QUANTILE))
+            measured, measuring = timed(partial(self._decision.measure, state, quantile=QUANTILE))
+            self._rule, seconds = replace(self.rule, deciding=measured), seconds + measuring
             self._decision = CompiledDecision(self.rule, self.game)
         return seconds
 

@@ -49,7 +49,7 @@ class ResultsDirectory:
             ValueError: if the file cannot be read.
         """
         with reading(self.path / SETTINGS_FILE, "choose another directory"):
-            return dict(read_json(self.path / SETTINGS_FILE))
+            return msgspec.convert(read_json(self.path / SETTINGS_FILE), dict[str, Any])
 
     def take_up(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Return the settings of results that can begin here, or be resumed: these, or those that are known.

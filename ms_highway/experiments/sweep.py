@@ -68,6 +68,10 @@ class Sweep:
         """The parts that this process computes."""
         return self.parts[self.place :: self.processes]
 
+    def places(self, part: int) -> tuple[int, int]:
+        """Return the first of a part's episodes among all, and the one after its last."""
+        return part * self.part, (part + 1) * self.part
+
     def size(self, *parts: int) -> int:
         """Return the number of episodes in parts: in the last one, what is left."""
         return sum(min(self.part, self.episodes - part * self.part) for part in parts)
@@ -122,6 +126,9 @@ def run_sweep(sweep: Sweep, mesh: Mesh | None = None) -> Iterator[int]:
             with reading(file, "remove it, to have it computed again"):
                 if (found := parquet.read_metadata(file).num_rows) != rows:
                     raise ValueError(f"it has {found} rows and should have {rows}")
+                held = pd.read_parquet(file, columns=["controller", "seed"]).drop_duplicates()
+                if [*held.itertuples(index=False, name=None)] != batch.keys(*sweep.places(part)):
+                    raise ValueError("it holds other episodes than its number says")
     if sweep.place == 0:
         results.write_settings(sweep.settings())
     count, together = sweep.size(*sweep.own) - sweep.size(*lacking), 1 if mesh is None else mesh.size
@@ -134,7 +141,7 @@ def run_sweep(sweep: Sweep, mesh: Mesh | None = None) -> Iterator[int]:
 
 def _compute(sweep: Sweep, batch: Batch, parts: list[int], mesh: Mesh | None) -> Iterator[int]:
     """Compute parts, one on each device, and write them, the row per episode last: then the part is done."""
-    shares = [batch.keys(part * sweep.part, (part + 1) * sweep.part) for part in parts]
+    shares = [batch.keys(*sweep.places(part)) for part in parts]
     records = batch.simulate([key for share in shares for key in share], mesh)
     first = 0
     for part, share in zip(parts, shares, strict=True):

@@ -7,7 +7,6 @@ and ``ladder`` [rungs].
 """
 
 import re
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from ms_highway.planning.human_models import MODELS, PAPER_MODELS, HumanModel, N
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Array, State
 from ms_highway.runtime.compilation import jit_quickly
-from ms_highway.runtime.files import reading
+from ms_highway.runtime.files import read_arrays, reading
 
 SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY)}
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
@@ -96,7 +95,8 @@ def read_episodes(file: Path) -> tuple[str, dict[str, Array]]:
             f"and a kind of {', '.join(PAPER_MODELS)} or {SWITCHING}NUMBER"
         )
     with reading(file, "name the logs that were released", " as a reference file"):
-        episodes = _arrays(file)
+        arrays = read_arrays(file, MOST_BYTES)
+        episodes = {name: arrays[name] for name in ARRAYS}
     count, steps = (*episodes["states"].shape, 0, 0)[:2]
     shapes = {
         "states": (max(count, 1), max(steps, 2), len(SCENARIOS[scenario].cars), 4),
@@ -121,18 +121,6 @@ def read_episodes(file: Path) -> tuple[str, dict[str, Array]]:
     if not known or len(set(rungs)) < len(rungs):
         raise ValueError(f"{file}: ladder {rungs} or models are no places in {', '.join(PAPER_MODELS)}")
     return scenario, episodes
-
-
-def _arrays(file: Path) -> dict[str, Array]:
-    """Return the arrays of a reference file, as far as they can be read safely."""
-    if not file.is_file():
-        raise ValueError("it is a directory or a device")
-    with zipfile.ZipFile(file) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
-    if size > MOST_BYTES:
-        raise ValueError(f"it unpacks to {size} bytes; no log is larger than {MOST_BYTES}")
-    with np.load(file, allow_pickle=False) as archive:
-        return {name: archive[name] for name in ARRAYS}
 
 
 _rewards = jit_quickly(reward)

@@ -26,6 +26,7 @@ from ms_highway.runtime.arrays import (
     HumansControls,
     Index,
     ManyControls,
+    SameArray,
     Scalar,
     State,
     Trajectories,
@@ -117,10 +118,10 @@ def swap_roles(game: Game, human: Index = 0) -> Game:
     return replace(game, robot=game.human(human), humans=_alone(game.robot), planner=planner)
 
 
-def constant_velocity(game: Game, car: Car) -> Controls:
-    """Return the scaled controls of a car that keeps speed and heading over the horizon."""
-    control = keep_velocity(game.dynamics, car) / game.planner.control_scale
-    return jnp.broadcast_to(control, (game.planner.horizon, 2))
+def constant_velocity(game: Game, cars: Float[SameArray, "*cars 4"]) -> Float[SameArray, "*cars steps 2"]:
+    """Return the scaled controls of cars that keep speed and heading over the horizon."""
+    control = keep_velocity(game.dynamics, cars)[..., None, :] / game.planner.control_scale
+    return cars.__array_namespace__().repeat(control, game.planner.horizon, axis=-2)
 
 
 def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:

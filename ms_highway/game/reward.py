@@ -42,6 +42,8 @@ Feature: TypeAlias = Callable[[Scene, Motion, Motion], Scalar]
 OWN_FEATURES: dict[str, Feature] = {}
 """User-defined features by name, see `add_feature`."""
 
+MOST_WEIGHT = 1e30  # which single precision holds
+
 TIME_HEADWAY = 1.0
 """Time gap between bumpers that the headway feature wants by default, besides 2 m [s]."""
 
@@ -142,8 +144,8 @@ def linear_reward(
             "add one of your own with ms_highway.add_feature, or --import the module that does"
         )
     for name, value in values.items():
-        if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.isfinite(value):
-            raise ValueError(f"the weight of {name} is {value!r}; it must be a finite number")
+        if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.abs(value) <= MOST_WEIGHT:
+            raise ValueError(f"the weight of {name} is {value!r}; it must be a finite number, at most {MOST_WEIGHT:g}")
     names = names or features_for(values)
     if names != tuple(name for name in (*FEATURES, *OWN_FEATURES) if name in names):
         raise ValueError(f"the features {', '.join(names)} are not in the order of FEATURES, then user-defined ones")

@@ -1,7 +1,6 @@
 """Learned values of computation and their file: the network, over which baseline, and what it was learned on."""
 
 import json
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -10,8 +9,8 @@ from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
+import msgspec
 import numpy as np
 from jaxtyping import Float
 
@@ -19,7 +18,8 @@ from ms_highway.metareasoning.learned_value import Baseline, LearnedValue, Netwo
 from ms_highway.metareasoning.situation import description_names
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.files import replacing
+from ms_highway.runtime.files import read_arrays, reading, replacing
+from ms_highway.runtime.structures import NotNegative, Positive, Structure, read
 
 SHIPPED_VALUES = "shipped"
 """Stands for the values that come with the package: learned with one human, or among several."""
@@ -27,7 +27,8 @@ SHIPPED_VALUES = "shipped"
 SHIPPED_FILES = "values.npz", "several_values.npz"
 VERSION = 2
 REMEDY = "learn values with `ms-highway values learn`"
-DAMAGES = AttributeError, BadZipFile, EOFError, LookupError, RecursionError, TypeError, ValueError, zlib.error
+MOST_BYTES = 2**24  # of a file, unpacked; those of the package have a hundredth
+SIZES = 1e-9, 1e9  # of spreads and prices; other numbers are no larger, either, so that nothing overflows
 CLOSE = 1e-6  # relative difference of costs that are the same
 
 
@@ -70,22 +71,25 @@ class Values:
             raise ValueError(f"the ladder has the models {list(self.ladder)}; there must be two at least")
         if self.inputs != input_names(self.baseline):
             raise ValueError("the inputs of the network are those of another version")
-        sizes = [len(self.inputs), *(np.shape(biases)[-1] for _, biases in self.network)]
-        shapes = [np.shape(weights)[1:] for weights, _ in self.network]
-        if shapes != list(pairwise(sizes)) or sizes[-1] != 2 * len(self.estimated):
-            raise ValueError(f"the layers of the network are of shapes {shapes}, for {len(self.ladder)} models")
-        standard = np.array([self.centre, self.spread])
-        numbers = [standard, *(part for layer in self.network for part in layer)]
-        if standard.shape[1:] != (sizes[0],) or not all(np.isfinite(part).all() for part in numbers):
-            raise ValueError("the numbers of the network are not finite, or not as many as its inputs")
-        positive = (*self.spread, *self.prices)
-        wanted = (len(self.ladder), 2) if self.baseline == "top" else (0, 0)
+        layers = [part for layer in self.network for part in layer]
+        shapes = [np.shape(part) for part in layers]
+        networks, sizes = shapes[0][:1] if shapes else (), [len(self.inputs)]
+        sizes += [size for shape in shapes[1::2] for size in shape[-1:]]
+        wanted = [networks + shape for one, other in pairwise(sizes) for shape in ((one, other), (other,))]
+        if shapes != wanted or 0 in networks or sizes[-1] != 2 * len(self.estimated):
+            raise ValueError(f"the layers of the networks are of shapes {shapes}, for {len(self.ladder)} models")
+        least, most = SIZES
+        numbers = [self.centre, self.spread, self.costs, self.prices, *layers]
+        standard = np.shape(self.centre), np.shape(self.spread)
+        if set(standard) != {(sizes[0],)} or not all((np.abs(part) <= most).all() for part in numbers):
+            raise ValueError(f"the numbers of the networks are beyond {most:g}, or not as many as their inputs")
+        counts = (len(self.ladder), 2) if self.baseline == "top" else (0, 0)
         if (
-            min(positive) <= 0
-            or (len(self.costs), len(self.prices)) != wanted
+            min((*self.spread, *self.prices)) < least
+            or (len(self.costs), len(self.prices)) != counts
             or list(self.prices) != sorted(self.prices)
         ):
-            raise ValueError(f"spreads and prices must be positive; costs are {self.costs}, prices {self.prices}")
+            raise ValueError(f"spreads or prices are below {least:g}; costs are {self.costs}, prices {self.prices}")
 
     @property
     def estimated(self) -> tuple[str, ...]:
@@ -127,6 +131,17 @@ class Values:
         return Costs(costs.base, (learned - costs.base).astype(np.float32))
 
 
+class _About(Structure):
+    """What a file of values says of itself, as in `Values`."""
+
+    ladder: tuple[str, ...]
+    costs: tuple[NotNegative, ...]
+    prices: tuple[Positive, ...]
+    baseline: Baseline
+    inputs: tuple[str, ...]
+    provenance: dict[str, Any]
+
+
 def input_names(baseline: Baseline) -> tuple[str, ...]:
     """Return the names of a network's inputs."""
     return (*description_names(), "log10 lambda") if baseline == "top" else description_names(surroundings=True)
@@ -134,8 +149,7 @@ def input_names(baseline: Baseline) -> tuple[str, ...]:
 
 def save_values(values: Values, path: Path) -> None:
     """Write learned values as a NumPy archive, atomically."""
-    named = ("ladder", "costs", "prices", "baseline", "inputs", "provenance")
-    about = {"version": VERSION, **{name: getattr(values, name) for name in named}}
+    about = {"version": VERSION, **{name: getattr(values, name) for name in _About.__struct_fields__}}
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about, default=dict))}
     arrays |= {"centre": values.centre, "spread": values.spread}
     for number, (weights, biases) in enumerate(values.network):
@@ -156,10 +170,8 @@ def load_values(which: str | PathLike[str], humans: int = 1) -> Values:
     """
     if which == SHIPPED_VALUES:
         return _shipped(SHIPPED_FILES[humans > 1])
-    try:
+    with reading(Path(which), f"{REMEDY} --out {which}", " as learned values"):
         return _read(Path(which), Path(which).stat().st_mtime_ns)
-    except OSError as error:
-        raise ValueError(f"{which} cannot be read as learned values: {error}; {REMEDY} --out {which}") from error
 
 
 @cache
@@ -171,21 +183,15 @@ def _shipped(name: str) -> Values:
 @cache
 def _read(path: Path, changed: int) -> Values:
     """Read a file, once for every time that it was ``changed``."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        about = json.loads(str(arrays["about"]))
-        if about["version"] != VERSION:
-            raise ValueError(f"it is of version {about['version']}, not {VERSION}")
-        layers = range((len(arrays) - 3) // 2)
-        return Values(
-            network=tuple((arrays[f"weights_{number}"], arrays[f"biases_{number}"]) for number in layers),
-            centre=arrays["centre"],
-            spread=arrays["spread"],
-            **{name: tuple(about[name]) for name in ("ladder", "costs", "prices", "inputs")},
-            baseline=about["baseline"],
-            provenance=about["provenance"],
-            place=str(path),
-        )
-    except DAMAGES as error:
-        raise ValueError(f"{path} is damaged or no file of learned values: {error}; {REMEDY} --out {path}") from error
+    arrays = read_arrays(path, MOST_BYTES)
+    about = json.loads(str(arrays.pop("about")))
+    version = about.pop("version", None) if isinstance(about, dict) else None
+    if version != VERSION:
+        raise ValueError(f"it is of version {version}, not {VERSION}")
+    if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
+        raise ValueError(f"{wrong[0]} holds {arrays[wrong[0]].dtype}; it must hold numbers")
+    with np.errstate(over="ignore"):
+        numbers = {name: array.astype(np.float32) for name, array in arrays.items()}
+    centre, spread, layers = numbers.pop("centre"), numbers.pop("spread"), range(len(numbers) // 2)
+    network = tuple((numbers[f"weights_{number}"], numbers[f"biases_{number}"]) for number in layers)
+    return Values(network, centre, spread, **msgspec.structs.asdict(read(about, _About)), place=str(path))

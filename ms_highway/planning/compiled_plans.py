@@ -71,9 +71,8 @@ class CompiledPlans:
         if start is not None:
             begin = np.concatenate([start.robot[None], start.humans], dtype=np.float32)
         elif self.game.planner.solver == "damped_newton":
-            begin = np.concatenate(
-                [np.asarray(part).reshape(-1, *part.shape[-2:]) for part in cold_start(self.game, state)]
-            )
+            robot, humans = cold_start(self.game, np.asarray(state))
+            begin = np.concatenate([robot[None], humans], dtype=np.float32)
         else:
             begin = _still(1 + self.game.number, self.game.planner.horizon)
         if self.game.number > 1:
@@ -131,7 +130,7 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
 @cache
 def _still(cars: int, steps: int) -> Array:
     """Return zero controls of some cars."""
-    return jnp.zeros((cars, steps, 2))
+    return jnp.zeros((cars, steps, 2), jnp.float32)
 
 
 @cache

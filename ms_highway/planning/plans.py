@@ -35,7 +35,7 @@ def cold_start(game: Game, state: State) -> Plan:
     """
     cars = 1 + game.number
     if game.planner.solver == "damped_newton":
-        controls = jnp.stack([constant_velocity(game, car) for car in jnp.unstack(state[:cars])])
+        controls = constant_velocity(game, state[:cars])
     else:
         controls = jnp.zeros((cars, game.planner.horizon, 2))
     return Plan(controls[0], controls[1:])

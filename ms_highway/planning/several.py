@@ -1,8 +1,5 @@
 """Plan with a human model for each human: one compiled function for all assignments of models to several humans."""
 
-from functools import partial
-
-import jax
 import numpy as np
 from jax import numpy as jnp
 
@@ -54,8 +51,7 @@ def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rung
     """
     bases = [base_of(model) for model in ladder]
     answers = np.array([type(base) is TheoryOfMind for base in bases])
-    kept = jax.vmap(partial(constant_velocity, game))(state[1 : 1 + game.number])
-    expected: HumansControls = kept
+    expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
     for rung, model in enumerate(ladder):
         if not answers[rung] and type(bases[rung]) is not Naive:
             expected = _predict(model, rung, game, state, rungs, start, expected)

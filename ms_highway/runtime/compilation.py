@@ -9,6 +9,8 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
+from ms_highway.runtime.jax_settings import single_precision
+
 
 @cache
 def quick_options() -> dict[str, bool]:
@@ -49,7 +51,7 @@ def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array
 
 
 def jit_quickly(function: Callable[..., Any], **options: Hashable) -> Callable[..., Any]:
-    """Apply `jax.jit` with `quick_options` and further compiler options.
+    """Apply `jax.jit` with `quick_options` and further compiler options; compute in single precision.
 
     XLA is asked at the first call, so that importing a module does not start JAX.
     """
@@ -58,7 +60,12 @@ def jit_quickly(function: Callable[..., Any], **options: Hashable) -> Callable[.
     def compiled() -> jax.stages.Wrapped:
         return jax.jit(function, compiler_options={**quick_options(), **options})
 
-    return wraps(function)(lambda *arguments: compiled()(*arguments))
+    @wraps(function)
+    def computed(*arguments: Any) -> Any:
+        with single_precision():
+            return compiled()(*arguments)
+
+    return computed
 
 
 BATCH = 32  # items; more are hardly faster and waste more on the last batch

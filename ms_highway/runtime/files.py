@@ -4,16 +4,36 @@ import json
 import os
 import shutil
 import tempfile
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
 
+import numpy as np
+
 PART = ".part."
 """How the names of files begin that are being written, or were when a process was killed."""
 
 LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # names of `part_of`, and of nobody else
+
+DAMAGES = (
+    ArithmeticError,
+    EOFError,
+    LookupError,
+    MemoryError,  # of arrays that declare sizes beyond all memory
+    OSError,
+    RuntimeError,  # of archives that are encrypted, and of JSON nested too deeply
+    SyntaxError,  # of XML
+    ValueError,
+    tokenize.TokenError,  # of headers of arrays
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What readers raise for files that are damaged or not there."""
 
 _temporary: set[Path] = set()  # what `temporary` is to remove
 
@@ -147,7 +167,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path, remedy: str, kind: str = "") -> Iterator[None]:
-    """Let whatever goes wrong in the block name the file that it reads.
+    """Let what is wrong with a file, any of `DAMAGES`, name it; other errors in the block are the program's own.
 
     Args:
         path: of the file.
@@ -155,12 +175,32 @@ def reading(path: Path, remedy: str, kind: str = "") -> Iterator[None]:
         kind: what the file is read as, beginning with `` as``.
 
     Raises:
-        ValueError: in place of any other error.
+        ValueError: in place of any of `DAMAGES`.
     """
     try:
         yield
-    except Exception as error:  # of many kinds: whatever libraries stumble over
+    except DAMAGES as error:
         raise ValueError(f"{path} cannot be read{kind} ({str(error).strip()}); {remedy}") from error
+
+
+def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
+    """Return the arrays of a NumPy archive.
+
+    Args:
+        path: of the file.
+        most: how many bytes it may unpack to.
+
+    Raises:
+        ValueError: if that is no file, or unpacks to more; any other of `DAMAGES`, if it is damaged.
+    """
+    if not path.is_file():
+        raise ValueError("it is missing, a directory or a device")
+    with zipfile.ZipFile(path) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > most:
+        raise ValueError(f"it unpacks to {size} bytes; none is larger than {most}")
+    with np.load(path, allow_pickle=False) as arrays:
+        return {name: np.asarray(array) for name, array in arrays.items()}
 
 
 def read_json(path: Path) -> Any:

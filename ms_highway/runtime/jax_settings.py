@@ -4,9 +4,11 @@ import os
 import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
@@ -48,6 +50,28 @@ def _add_flag(option: str, flag: str) -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if option not in flags and (not flags or flags.startswith("-")):
         os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
+
+
+def single_precision() -> AbstractContextManager[Any]:
+    """Let JAX compute in float32 in a block, also where the user has switched ``jax_enable_x64`` on."""
+    double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
+    return jax.enable_x64(False) if double else nullcontext()
+
+
+def check_platforms() -> None:
+    """Start JAX where ``JAX_PLATFORMS`` asks for more than the CPU.
+
+    Raises:
+        ValueError: if it has no such devices.
+    """
+    platforms = jax.config.values["jax_platforms"]
+    if platforms and platforms != "cpu":
+        try:
+            jax.devices()
+        except (AssertionError, RuntimeError) as error:  # an assertion where the plugin is not installed
+            why = f" ({error})" if str(error) else ""
+            remedy = "unset it, or install JAX for these devices"
+            raise ValueError(f"JAX_PLATFORMS is {platforms!r}, of which JAX finds no device{why}; {remedy}") from error
 
 
 def cores() -> int:

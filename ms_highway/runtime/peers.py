@@ -7,6 +7,7 @@ breaks shows that the process at its other end has ended. The computation itself
 import socket
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from hashlib import sha256
 from select import select
 from threading import Event, Thread
 from time import sleep
@@ -25,7 +26,7 @@ Links: TypeAlias = dict[socket.socket, int]
 
 
 @contextmanager
-def together(address: str, of: int, place: int) -> Iterator[None]:
+def together(address: str, of: int, place: int, task: str = "") -> Iterator[None]:
     """Run the block once all processes are connected; end this process if another ends meanwhile.
 
     Process 0, through which the others know of each other, leaves the block when all have said that they are done.
@@ -34,16 +35,17 @@ def together(address: str, of: int, place: int) -> Iterator[None]:
         address: ``HOST:PORT`` of process 0, which listens only there.
         of: number of processes.
         place: index of this process, from 0.
+        task: what they compute, the same for all: who cannot name it is a stranger, and not counted.
 
     Raises:
-        ValueError: if the address is wrong or in use, or the others do not connect or give another number.
+        ValueError: if the address is wrong or in use, or the others do not connect or give another number or task.
     """
     links: Links = {}
     leaving = Event()
     watching = Thread(target=_watch, args=(links, leaving), daemon=True)
     try:
         try:
-            _connect(links, address, of, place)
+            _connect(links, address, of, place, task)
         except (ValueError, OSError, OverflowError) as error:
             remedy = "give HOST:PORT, a free port of the machine of process 0"
             raise ValueError(f"--coordinator {address}: {error}; {remedy}") from error
@@ -64,7 +66,7 @@ def together(address: str, of: int, place: int) -> Iterator[None]:
             link.close()
 
 
-def _connect(links: Links, address: str, of: int, place: int) -> None:
+def _connect(links: Links, address: str, of: int, place: int, task: str) -> None:
     name, _, port = address.rpartition(":")
     host = name.strip("[]"), int(port)
     if not host[0]:
@@ -74,7 +76,7 @@ def _connect(links: Links, address: str, of: int, place: int) -> None:
         with socket.create_server(host, family=family) as server:
             server.settimeout(PATIENCE)
             while lacking := sorted({*range(1, of)}.difference(links.values())):
-                _accept(links, server, of, lacking)
+                _accept(links, server, {_greeting(each, of, task): each for each in lacking})
         _test_silence(links)
         _say(links, BEGIN)
         return
@@ -86,25 +88,35 @@ def _connect(links: Links, address: str, of: int, place: int) -> None:
     else:
         raise OSError(f"process 0 was not there within {PATIENCE} s")
     _test_silence(links)
-    _say(links, f"{place} {of}")
-    heard = _hear(*links)
+    (link,) = links
+    _say(links, _greeting(place, of, task))
+    link.settimeout(of * PATIENCE)  # in which process 0 hears from all, if it is process 0
+    heard = _hear(link)
+    link.settimeout(None)
     if heard != BEGIN:
-        raise OSError(heard or "process 0 has ended")
+        raise OSError(heard or "process 0 has ended or is silent")
 
 
-def _accept(links: Links, server: socket.socket, of: int, lacking: list[int]) -> None:
+def _greeting(place: int, of: int, task: str) -> str:
+    return f"{place} {of} {sha256(task.encode()).hexdigest()}"
+
+
+def _accept(links: Links, server: socket.socket, lacking: dict[str, int]) -> None:
     """Connect process 0 with one that it lacks, or refuse whoever comes."""
     try:
         link, _ = server.accept()
     except TimeoutError:
-        names = ", ".join(map(str, lacking))
+        names = ", ".join(map(str, lacking.values()))
         raise OSError(f"process {names} did not come within {PATIENCE} s") from None
     link.settimeout(GREETING)
-    greeting = _hear(link)
-    if greeting in [f"{place} {of}" for place in lacking]:
-        links[link] = int(greeting.split()[0])
+    greeting = ""
+    with suppress(OSError):
+        greeting = link.recv(200).decode(errors="replace").strip()  # at once: whoever dribbles would hold up the others
+    if greeting in lacking:
+        links[link] = lacking[greeting]
     else:
-        _say([link], f"process 0 counts {of} processes, and waits for {lacking}")
+        waiting = ", ".join(map(str, lacking.values()))
+        _say([link], f"process 0 waits for process {waiting}, of as many, with the same task")
         link.close()
 
 

@@ -13,6 +13,7 @@ MOST = 1e300
 Finite = Annotated[float, msgspec.Meta(gt=-MOST, lt=MOST)]
 """A number that is neither infinite nor NaN."""
 
+NotNegative = Annotated[float, msgspec.Meta(ge=0, lt=MOST)]
 Positive = Annotated[float, msgspec.Meta(gt=0, lt=MOST)]
 
 

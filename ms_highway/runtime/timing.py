@@ -7,6 +7,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from ms_highway.runtime.jax_settings import single_precision
+
 _warm: set[Hashable] = set()  # compiled functions that have run, with the shapes of their arguments
 
 
@@ -17,7 +19,8 @@ def warm_up(function: Callable[..., Any], *arguments: Any) -> float:
     if key in _warm:
         return 0.0
     start = perf_counter()
-    jax.block_until_ready(function(*arguments))
+    with single_precision():
+        jax.block_until_ready(function(*arguments))
     _warm.add(key)
     return perf_counter() - start
 
@@ -31,5 +34,6 @@ def forget() -> None:
 def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
     """Return the result of a warm computation, and the seconds until it was ready."""
     start = perf_counter()
-    result = jax.block_until_ready(function(*arguments))
+    with single_precision():
+        result = jax.block_until_ready(function(*arguments))
     return result, perf_counter() - start

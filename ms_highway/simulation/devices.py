@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from ms_highway.runtime.jax_settings import cores
+from ms_highway.runtime.jax_settings import cores, single_precision
 
 AXIS = "items"  # of a mesh of devices
 CHUNK = 8  # items that a processor computes together, one in each lane of AVX2
@@ -78,7 +78,8 @@ def _compute(
     counts = np.array([len(share) for share in shares])
     indices = np.concatenate([np.pad(share, (0, size - len(share)), mode="edge") for share in shares])
     used = NamedSharding(Mesh(mesh.devices[: len(shares)], mesh.axis_names), PartitionSpec(AXIS))
-    given = jax.device_put((jax.tree.map(lambda part: np.asarray(part)[indices], items), counts), used)
+    with single_precision():
+        given = jax.device_put((jax.tree.map(lambda part: np.asarray(part)[indices], items), counts), used)
     leaves, structure = jax.tree.flatten(given)
     own = zip(*([shard.data for shard in leaf.addressable_shards] for leaf in leaves), strict=True)
     with ThreadPoolExecutor(len(shares)) as threads:  # a device's first computation compiles its program

@@ -194,3 +194,20 @@ def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_pa
     assert line.startswith("ms-highway: config['step_size'] is 0.5")
     assert "warn(" not in said
     assert ".py" not in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("around", "message"),
+    [
+        ("{} >&-", "standard output is closed"),
+        ("{} | true; exit ${{PIPESTATUS[0]}}", "Broken pipe"),
+        ("JAX_PLATFORMS=cuda {}", "JAX_PLATFORMS is 'cuda'"),
+    ],
+)
+def test_a_command_that_cannot_print_or_compute_says_so_in_one_line(around, message, tmp_path):
+    command = around.format(f"{sys.executable} -m ms_highway {NAIVE} {tmp_path}")
+    ran = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert ran.returncode == 2
+    (line,) = [line for line in ran.stderr.splitlines() if not line.startswith("episodes")]
+    assert message in line

@@ -103,12 +103,14 @@ def test_processes_that_are_asked_for_different_sweeps_do_not_mix_them(swept, tm
     assert not (tmp_path / "out" / "episodes").exists()
 
 
-def test_a_part_that_was_damaged_is_named(swept, tmp_path, refused):
+@pytest.mark.parametrize(("kind", "copied"), [("episodes", False), ("episodes", True), ("steps", True)])
+def test_a_part_that_was_damaged_or_is_a_copy_of_another_is_named(kind, copied, swept, tmp_path, refused):
     shutil.copytree(swept, tmp_path / "out")
-    part = tmp_path / "out" / "episodes" / "part-000002.parquet"
-    part.write_bytes(part.read_bytes()[:100])
+    part = tmp_path / "out" / kind / "part-000002.parquet"
+    part.write_bytes(part.with_stem("part-000001").read_bytes() if copied else part.read_bytes()[:100])
     line = refused(f"{SWEEP} out")
     assert "part-000002.parquet cannot be read" in line
+    assert not copied or "holds other episodes" in line
     assert "remove it" in line
 
 

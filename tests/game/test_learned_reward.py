@@ -42,6 +42,8 @@ def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
         ("demonstrations", ("horizon",), "5", "horizon is '5': Expected `int`"),
         ("demonstrations", ("feature_counts",), {}, "feature counts"),
         ("demonstrations", ("covariance",), (-np.eye(4)).tolist(), "covariance"),
+        ("demonstrations", ("covariance", 0, 0), 10**400, r"covariance\[0\]\[0\] is 10.*out of range"),
+        ("demonstrations", ("weights", "speed"), 1e300, "the weight of speed is 1e\\+300"),
         ("demonstrations", ("learned",), ["gap"], "gap"),
         ("demonstrations", ("surprise",), 1, "unknown field `surprise`"),
         ("us101", ("drivers", "prior", "noise"), None, "drivers.prior: .*missing required field `noise`"),

@@ -1,6 +1,8 @@
 """Learned values of computation, over the top rung or the cheapest: what they look at, choose, and their files."""
 
+import io
 import json
+import zipfile
 from dataclasses import replace
 from functools import partial
 
@@ -143,26 +145,91 @@ def test_values_that_are_no_file_are_refused_by_the_key():
         gym.make("ms-highway/merger-v0", config={"controller": learned(1.0, values=5)})
 
 
-@pytest.mark.parametrize("damage", ["missing", "empty", "text", "cut", "version", "inputs", "nan"])
-def test_a_file_that_cannot_be_used_is_refused_by_name(tmp_path, damage):
-    file = tmp_path / "values.npz"
-    save_values(SHIPPED, file)
-    content = file.read_bytes()
-    with np.load(file) as archive:
-        arrays = dict(archive)
-    about = json.loads(str(arrays["about"]))
+@pytest.fixture
+def file(tmp_path):
+    save_values(SHIPPED, tmp_path / "values.npz")
+    return tmp_path / "values.npz"
+
+
+def refused(file, problem=""):
+    with pytest.raises(ValueError, match=rf"values\.npz cannot be read.*{problem}.*`ms-highway values learn` --out"):
+        make_environment("merger", f"learned:1:{file}")
+
+
+@pytest.mark.parametrize("damage", ["missing", "empty", "text", "cut"])
+def test_what_is_no_file_of_values_is_refused_by_name(file, damage):
+    content = {"missing": b"", "empty": b"", "text": b"values", "cut": file.read_bytes()[:60_000]}[damage]
+    file.write_bytes(content)
     if damage == "missing":
         file.unlink()
-    elif damage in ("empty", "text", "cut"):
-        file.write_bytes({"empty": b"", "text": b"values", "cut": content[: len(content) // 2]}[damage])
-    else:
-        changes = {"version": {"version": 99}, "inputs": {"inputs": ["speed"]}, "nan": {}}[damage]
-        arrays["about"] = np.array(json.dumps(about | changes))
-        if damage == "nan":
-            arrays["centre"] = arrays["centre"] * np.nan
-        np.savez(file, **arrays)
-    with pytest.raises(ValueError, match=r"values\.npz.*`ms-highway values learn` --out"):
-        make_environment("merger", f"learned:1:{file}")
+    refused(file)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"version": 99}, "version 99"),
+        ({"inputs": ["speed"]}, "another version"),
+        ({"costs": ["0.1", "0.2", "0.3"]}, r"costs\[0\] is '0.1'"),
+        ({"costs": [[0.1], 0.2, 0.3]}, r"costs\[0\] is \[0.1\]"),
+        ({"costs": None}, "costs is None"),
+        ({"costs": [0.1, 0.2, 10**400]}, "out of range"),
+        ({"costs": [0.1, 0.2, -0.3]}, ">= 0"),
+        ({"prices": [10**30, 10**31]}, "beyond 1e"),
+        ({"ladder": 3}, "ladder is 3"),
+        ({"provenance": []}, "provenance is"),
+    ],
+)
+def test_a_file_that_says_wrong_things_of_itself_is_refused_by_them(file, change, problem):
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    np.savez(file, **arrays | {"about": np.array(json.dumps(json.loads(str(arrays["about"])) | change))})
+    refused(file, problem)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "problem"),
+    [
+        ("about", lambda about: np.array("[" * 100_000), "recursion"),
+        ("centre", lambda centre: centre * np.nan, "beyond 1e"),
+        ("centre", lambda centre: centre[:-1], "not as many"),
+        ("spread", lambda spread: spread * np.float32(1e-42), "below 1e-09"),
+        ("biases_2", lambda biases: biases.astype(complex), "complex128; it must hold numbers"),
+        ("biases_2", lambda biases: np.zeros(biases.shape, "M8[s]"), "datetime64"),
+        ("biases_2", lambda biases: biases.astype(object), "[Pp]ickle|allow_pickle"),
+        ("biases_2", lambda biases: biases + np.float64(1e300), "beyond 1e"),
+        ("biases_1", lambda biases: biases[:1], "shapes"),
+        ("biases_0", lambda biases: biases[0, 0], "shapes"),
+    ],
+)
+def test_arrays_that_make_no_network_are_refused(file, name, change, problem):
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    np.savez(file, **arrays | {name: change(arrays[name])})
+    refused(file, problem)
+
+
+def test_networks_of_no_ensemble_are_refused_and_other_orders_of_bytes_are_not(file):
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    layers = [name for name in arrays if name[-1].isdigit()]
+    np.savez(file, **arrays | {name: arrays[name].astype(">f8") for name in layers})
+    for one, other in zip(jax.tree.leaves(load_values(file).network), jax.tree.leaves(SHIPPED.network), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.savez(file, **arrays | {name: arrays[name][:0] for name in layers})
+    refused(file, "shapes")
+
+
+def test_archives_that_declare_or_unpack_to_more_than_values_have_are_refused_before_they_are_read(file):
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("about.npy", bytes(20_000_000))
+    refused(file, "unpacks to 20000000 bytes")
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": (10**13,)})
+    for part, problem in ((header.getvalue(), "allocate|EOF"), (header.getvalue().replace(b"}", b"("), "EOF")):
+        with zipfile.ZipFile(file, "w") as archive:
+            archive.writestr("about.npy", part)
+        refused(file, problem)
 
 
 def over_naive(gains, price=0.0):

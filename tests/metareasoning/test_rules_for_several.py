@@ -122,6 +122,8 @@ def test_a_driver_measures_the_time_of_decisions_within_a_budget(outcome):
     assert steps[0].models == ("naive",) * 4
     assert np.isfinite(steps[1].gains).all(axis=0).tolist() == [True, False, True]
     assert {step.status for step in steps} == {"planned"}
+    again = Driver(game, Budget(estimates(), COSTS, 10.0), budget=10.0)
+    assert again.step(seen.after).compile_seconds > again.rule.deciding  # compiles nothing, and measures again
 
 
 @pytest.mark.slow

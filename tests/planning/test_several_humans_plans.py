@@ -15,6 +15,7 @@ from ms_highway.planning.human_models import MODELS, Turn, ladder
 from ms_highway.planning.plans import cold_start
 from ms_highway.planning.several import plan_for
 from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.runtime.timing import timed
 
 FAR = 2000.0  # m
 LADDER = ladder(["naive", "idm", "turn", "tom@2", "tom"])
@@ -85,10 +86,13 @@ def test_a_plan_takes_as_many_steps_as_the_most_that_a_rung_in_use_asks_for(thre
     assert abs(brief - full).max() > 1e-4
 
 
-def test_plans_start_from_zero_controls_or_from_keeping_the_velocity(three):
+def test_plans_start_from_zero_controls_or_at_once_from_keeping_the_velocity(three, plans):
     game, state = three
     kept = np.asarray(cold_start(game, state).humans[2, 4]) * game.planner.control_scale
     assert kept == pytest.approx([0.0, 0.2 * state[3, 3]], rel=1e-5)
+    *_, begin, _ = plans.call(state, [TOM] * 3)
+    np.testing.assert_allclose(begin[3, 4] * game.planner.control_scale, kept, rtol=1e-6)
+    assert min(timed(plans.call, state, [TOM] * 3)[1] for _ in range(20)) < 3e-4  # s, that no report counts
     papers = replace(game, planner=replace(game.planner, solver="gradient"))
     assert not np.concatenate([each.ravel() for each in cold_start(papers, state)]).any()
 

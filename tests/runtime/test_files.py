@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from ms_highway.runtime.files import append, held, remove_temporary, replacing, temporary_directory, tidy
+from ms_highway.runtime.files import append, held, reading, remove_temporary, replacing, temporary_directory, tidy
 
 SIZE = 20_000  # bytes
 
@@ -95,3 +95,13 @@ def test_what_is_temporary_can_be_removed_at_once():
         (directory / "file").touch()
         remove_temporary()
         assert not directory.exists()
+
+
+def test_what_is_wrong_with_a_file_names_it_and_what_is_wrong_with_the_program_does_not(tmp_path):
+    file = tmp_path / "settings.json"
+    named = pytest.raises(ValueError, match=r"settings\.json cannot be read as text \(.*No such file.*\); write it")
+    with named, reading(file, "write it", " as text"):
+        file.read_text()
+    for error in (AttributeError, NameError, TypeError):
+        with pytest.raises(error), reading(file, "write it"):
+            raise error

@@ -1,6 +1,8 @@
 """Compiled functions that are kept: where, and by whom."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -70,3 +72,40 @@ def test_compilations_are_kept_where_the_environment_says(tmp_path, monkeypatch)
     assert keep_compilations() == tmp_path / "cache" / "ms_highway" / "compiled"
     monkeypatch.setenv("XDG_CACHE_HOME", "cache")  # a relative path, which the standard has ignored
     assert keep_compilations() == tmp_path / "home" / ".cache" / "ms_highway" / "compiled"
+
+
+DOUBLE_PRECISION = """
+import warnings
+import gymnasium
+import jax
+import ms_highway
+from ms_highway.cli.main import main
+from ms_highway.experiments.runner import make_environment
+
+warnings.filterwarnings("error", message="Explicitly requested dtype")
+assert jax.config.jax_enable_x64
+for scenario, *controllers in (
+    ("dense_merge", "budget:20"), ("merger", "naive", "switching:0.1", "horizon:0.1", "tom@8+warm")
+):
+    for name in controllers:
+        env = make_environment(scenario, name)
+        env.reset(seed=0)
+        for _ in range(2):
+            *_, info = env.step(0)
+            assert info["status"] == "planned", (name, info)
+for name in ("merge-v0", "intersection-v0"):
+    env = ms_highway.drive(gymnasium.make(name))
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(env.action_space.sample())
+assert main(["sweep", "merger", "--controllers", "tom", "--seeds", "2", "--out", "out"]) == 0
+"""
+
+
+@pytest.mark.slow
+def test_everything_drives_in_single_precision_where_a_program_computes_in_double(tmp_path):
+    program = [sys.executable, "-c", DOUBLE_PRECISION]
+    ran = subprocess.run(
+        program, cwd=tmp_path, env={**os.environ, "JAX_ENABLE_X64": "1"}, capture_output=True, text=True
+    )
+    assert ran.returncode == 0, ran.stderr

@@ -4,6 +4,7 @@ import socket
 import subprocess
 import sys
 import time
+from hashlib import sha256
 from threading import Thread
 
 import pytest
@@ -49,15 +50,16 @@ def test_a_stranger_is_not_counted_and_only_the_named_address_listens(address):
     begun = []
 
     def take_part(place):
-        with together(address, 2, place):
+        with together(address, 2, place, "a sweep"):
             begun.append(place)
 
     threads = [Thread(target=take_part, args=(place,)) for place in range(2)]
     threads[0].start()
-    for line in (b"hello\n", b"1 3\n", b"7 2\n", b"0 2\n"):
+    another = sha256(b"another sweep").hexdigest().encode()
+    for line in (b"hello\n", b"1 2", b"1 2\n", b"1 2 " + another + b"\n", b"\xff" * 100, b"1 3\n"):
         with connected(host, int(port)) as stranger:
             stranger.sendall(line)
-            assert "counts 2 processes" in stranger.makefile().readline()
+            assert "waits for process 1" in stranger.makefile().readline()
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.2", int(port)), 1).close()
     assert not begun
@@ -81,4 +83,12 @@ def test_an_address_that_is_in_use_or_impossible_is_refused(wrong, address):
     host, port = address.split(":")
     refused = pytest.raises(ValueError, match="give HOST:PORT, a free port")
     with socket.create_server((host, int(port))), refused, together(wrong.format(address), 2, 0):
+        pass
+
+
+def test_a_server_that_is_not_process_0_is_not_waited_for_without_end(address, monkeypatch):
+    monkeypatch.setattr("ms_highway.runtime.peers.PATIENCE", 0.2)
+    host, port = address.split(":")
+    refused = pytest.raises(ValueError, match="process 0 has ended or is silent")
+    with socket.create_server((host, int(port))), refused, together(address, 2, 1):
         pass

@@ -24,7 +24,7 @@ from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import human_model
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import pack
-from ms_highway.runtime.files import reading, replacing
+from ms_highway.runtime.files import read_arrays, reading, replacing
 from ms_highway.simulation.records import DECIDES
 
 BLIND = {"lambda": ("log10 lambda",), "gradients": ("d/d ",)}
@@ -150,8 +150,9 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
         for place, course in enumerate(courses):
             file = kept / f"{number}-{place}.npz"
             if file.exists():
-                with reading(file, REMEDY), file.open("rb") as opened, np.load(opened) as archive:
-                    rollouts = Rollouts(**archive)
+                with reading(file, REMEDY):  # it is not compressed
+                    arrays = read_arrays(file, file.stat().st_size)
+                    rollouts = Rollouts(*map(arrays.__getitem__, Rollouts._fields))
             else:
                 random, states = learning.stream(number, COURSE, place), learning.states[values is not None]
                 driving = learning.driving(course, values, mesh)

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.spatial import cKDTree
 
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.arrays import Points, Values
@@ -66,8 +67,7 @@ class LaneCoordinates(NamedTuple):
     def locate(self, points: Points) -> LanePosition:
         """Return the positions on the road of points of the map."""
         samples = np.linspace(0, self.length, max(int(self.length / SPACING), 2))
-        distance = np.linalg.norm(points[:, None] - self.curve(samples), axis=-1)
-        x = samples[distance.argmin(axis=1)]
+        x = samples[cKDTree(self.curve(samples)).query(points)[1]]
         for _ in range(ITERATIONS):
             nearest_end = np.clip(x, 0, self.length)
             tangent = self.curve(nearest_end, 1)
@@ -137,7 +137,10 @@ def _open(path: Path) -> Any:
                 for text in orientation.itertext():
                     if text.strip() and not abs(float(text)) <= MOST_RADIANS:
                         raise ValueError(f"an orientation of {text} rad")
-            return XMLFileReader(readable).open()[0]
+            try:
+                return XMLFileReader(readable).open()[0]
+            except (AssertionError, AttributeError, TypeError) as error:  # of elements that lack
+                raise ValueError(str(error)) from error
 
 
 def _convert(scenario: Any, counted: set[tuple]) -> Recording:
@@ -209,10 +212,13 @@ def _road(network: Any) -> tuple[LaneCoordinates, Values, float]:
     lines = [np.concatenate([lanelet.center_vertices for lanelet in chain]) for chain in chains]
     if not np.ptp(np.concatenate(lines), axis=0).max() <= MOST_METRES:
         raise ValueError(f"lanelets are not finite, or more than {MOST_METRES:g} m apart; {MEND}")
-    # Take the line that has most lines parallel to it: a ramp has none but itself.
-    offsets = max(
-        (_offsets(fit_lane_coordinates(line), lines) for line in lines), key=lambda offset: np.isfinite(offset).sum()
-    )
+    # Take the line that has most lines parallel to it, one of which stands for all: a ramp has none but itself.
+    offsets, alone = np.full(len(lines), np.nan), np.full(len(lines), True)
+    for place, line in enumerate(lines):
+        if alone[place]:
+            found = _offsets(fit_lane_coordinates(line), lines)
+            alone &= np.isnan(found)
+            offsets = max(offsets, found, key=lambda offset: np.isfinite(offset).sum())
     if not np.isfinite(offsets).any():
         raise ValueError("no lane is straight enough to measure driving along it")
     leftmost = int(np.nanargmin(offsets))
@@ -231,10 +237,10 @@ def _chains(network: Any) -> Iterator[list[Any]]:
     for start in network.lanelets:
         if known.keys() & set(start.predecessor):
             continue
-        chain = [start]
-        while following := [known[i] for i in chain[-1].successor if i in known and known[i] not in chain]:
-            chain.append(following[0])
-        yield chain
+        chain = {start.lanelet_id: start}
+        while following := [i for i in known[next(reversed(chain))].successor if i in known and i not in chain]:
+            chain[following[0]] = known[following[0]]
+        yield list(chain.values())
 
 
 def _offsets(road: LaneCoordinates, lines: list[Points]) -> Values:
@@ -244,8 +250,9 @@ def _offsets(road: LaneCoordinates, lines: list[Points]) -> Values:
     from 40 m away: nobody drives at its median offset, 23 m.
     """
     offsets = np.full(len(lines), np.nan)
-    for line, points in enumerate(map(road.locate, lines)):
-        middle = np.median(points.y)
-        if points.x[-1] > points.x[0] and np.median(np.abs(points.y - middle)) < LANE_SPREAD:
+    located, ends = road.locate(np.concatenate(lines)), np.cumsum([len(line) for line in lines])[:-1]
+    for line, (x, y) in enumerate(zip(np.split(located.x, ends), np.split(located.y, ends), strict=True)):
+        middle = np.median(y)
+        if x[-1] > x[0] and np.median(np.abs(y - middle)) < LANE_SPREAD:
             offsets[line] = middle
     return offsets
