@@ -41,6 +41,7 @@ from ms_highway.irl.windows import Windows, control_deviation, driver_game, feat
 from ms_highway.optimization.estimation import grouped_covariance, slope_differences
 from ms_highway.optimization.second_derivatives import floored, second_order_expansion
 from ms_highway.runtime.compilation import in_batches, jit_quickly
+from ms_highway.runtime.jax_settings import double_precision
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
 MANY = 600  # windows, of which half as many are fitted first
@@ -167,7 +168,7 @@ def log_likelihoods(
 
 def window_log_likelihoods(derivatives: FeatureDerivatives, found: Fit | LearnedReward) -> Values:
     """Return `log_likelihoods` of the scaled controls in every window under a reward, in double precision."""
-    with jax.enable_x64(True):
+    with double_precision():
         theta = jnp.array([found.weights[name] for name in found.model.names])
         data = FeatureDerivatives(*map(jnp.asarray, derivatives))
         return np.asarray(log_likelihoods(data, theta, found.temperature, found.model.floor, found.tails))
@@ -199,7 +200,7 @@ def fit_weights(
     if near is None and number > MANY:
         near = fit_weights(derivatives.of(np.arange(0, number, number * 2 // MANY)), model, strict=False)
     remedy = "learn fewer weights, or from more driving"
-    with jax.enable_x64(True):
+    with double_precision():
         given = jnp.array([float(value) for value in model.given.values()])
         data = FeatureDerivatives(*map(jnp.asarray, derivatives)), model.floor, model.signs(), given
 

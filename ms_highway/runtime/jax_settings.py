@@ -2,9 +2,10 @@
 
 import os
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
@@ -52,10 +53,24 @@ def _add_flag(option: str, flag: str) -> None:
         os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
 
 
+_double = ContextVar("double", default=False)  # whether a block asks for double precision
+
+
 def single_precision() -> AbstractContextManager[Any]:
     """Let JAX compute in float32 in a block, also where the user has switched ``jax_enable_x64`` on."""
-    double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
+    double = jax.config.values["jax_enable_x64"] and not _double.get()
     return jax.enable_x64(False) if double else nullcontext()
+
+
+@contextmanager
+def double_precision() -> Iterator[None]:
+    """Let JAX compute in float64 in a block, `single_precision` within it notwithstanding."""
+    before = _double.set(True)
+    try:
+        with jax.enable_x64(True):
+            yield
+    finally:
+        _double.reset(before)
 
 
 def check_platforms() -> None:

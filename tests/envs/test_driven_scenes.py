@@ -89,7 +89,10 @@ def test_what_others_have_set_in_highway_envs_drivers_is_left_alone(monkeypatch)
         ({"ladder": ("tom", "naive")}, "in this order"),
         ({"ladder": "naive"}, "'naive'; give rungs of naive, idm, turn, tom in this order"),
         ({"costs": {"tim": 1}}, r"unknown key 'tim' in config\['costs'\]; did you mean 'tom'"),
-        ({"costs": {"naive": 1, "tom": -1}}, r"config\['costs'\]\['tom'\] is -1; give milliseconds from 0"),
+        (
+            {"costs": {"naive": 1, "tom": -1}},
+            r"config\['costs'\]\['tom'\] is -1; say 'shipped', 'measured', or give mill",
+        ),
         ({"price": -1}, r"config\['price'\] is -1; it must be a number from 0"),
         ({"acceleration": 0}, r"config\['acceleration'\] is 0; it must be a positive number"),
         ({"desired_speed": float("nan")}, "is nan; it must be a positive number, or None"),

@@ -103,7 +103,8 @@ def test_a_search_among_several_humans_changes_the_models_of_all_and_of_one():
 
 
 @pytest.mark.slow
-def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path, capsys):
+def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
     directory, file = tmp_path / "out", "merger_episodes.csv"
     directory.mkdir()
     shutil.copy(searched / "settings.json", directory)

@@ -17,6 +17,7 @@ from ms_highway.game.collision_risk import (
 )
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.runtime.jax_settings import double_precision
 
 
 def by_formula(scene, cars):
@@ -50,7 +51,7 @@ def test_the_risk_and_its_first_two_derivatives_are_those_of_the_formula(played,
     """Four cars are near a cone, in any direction."""
     scene = played("stay_back")[0].scene
     noise = np.random.default_rng(0).normal(0, [3, 3, 1, 2], (6, 4, 4))
-    with jax.enable_x64(True):
+    with double_precision():
         scene = jax.tree.map(partial(jnp.asarray, dtype=jnp.float64), scene)
         states = jnp.asarray(noise).at[..., :2].add(scene.obstacles[0])
         found = jit_quickly(jax.vmap(derivative(lambda cars: computed(scene, cars)[0])))(states)
