@@ -53,10 +53,11 @@ class InteractionEnv(StageEnv):
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
       ``"best"``.
     * ``costs``: T(M) of a plan in which one human is predicted by M, all others by the first rung:
-      ``"published"`` (default with one human); ``"shipped"`` (default with several), what plans take on one core, with
-      which budgets are not content: they measure; ``"measured"`` on this machine in the first step; or seconds by model
-      (``tom@8`` in proportion). T of any plan is additive in the humans. Only where choices depend on times that were
-      measured, which ``info["clocked"]`` says, may the same seed be another episode.
+      ``"published"`` (default with one human); ``"shipped"`` (default with several), what plans among several humans
+      take on one core; ``"measured"`` on this machine in the first step; or seconds by model (``tom@8`` in
+      proportion). T of any plan is additive in the humans. With ``"shipped"``, budgets choose by measured times, and
+      ``counted_seconds`` stay the shipped ones. The same seed is another episode only where the clock has a say, which
+      ``info["clocked"]`` tells.
     * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
@@ -287,7 +288,9 @@ class InteractionEnv(StageEnv):
             return info
         info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
         info["timing"] = Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds)
-        info["clocked"] = self.settings.measures and self.settings.controller.chooses
+        asked, controller = isinstance(self.action_type, HumanModelAction), self.settings.controller
+        clocked = self.settings.measures and (asked or controller.chooses)
+        info["clocked"] = clocked or (not asked and controller.budget is not None)
         info["gains"], counted = step.highest_gains(), self.counted_seconds(step.models)
         known = {"belief": step.belief, "counted_seconds": counted}
         info |= {name: value for name, value in known.items() if value is not None}

@@ -108,7 +108,10 @@ class Twin(MDPVehicle):
         """Return the twin of a robot, on the way to a lane if that is within reach, or else in the robot's own."""
         if not robot.road.network.get_lane(target).is_reachable_from(robot.position):
             target = robot.lane_index
-        options = {"target_lane_index": target, "target_speeds": robot.target_speeds, "route": robot.route}
+        onward = list(robot.route or ())  # highway-env's cars warn of a route that begins elsewhere
+        while onward and onward[0][0] != target[1] and onward[0][:2] != target[:2]:
+            onward.pop(0)
+        options = {"target_lane_index": target, "target_speeds": robot.target_speeds, "route": onward or None}
         return cls(robot.road, robot.position, robot.heading, robot.speed, **options)
 
     def on_state_update(self) -> None:
@@ -264,7 +267,7 @@ def action_done(action_type: ActionType, robot: RoadRobot, start: Twin) -> tuple
     if isinstance(action_type, DiscreteMetaAction):
         end = start.nearest(robot, action_type.actions_indexes)
         return action_type.actions_indexes[end.told], end.target_lane_index
-    frames = robot.actions
+    frames = robot.actions or [robot.action]
     mean = {key: float(np.mean([frame[key] for frame in frames])) for key in frames[0]}
     return _nearest_in(action_type, mean), robot.lane_index
 

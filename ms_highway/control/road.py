@@ -15,6 +15,7 @@ from ms_highway.game.road import TRAFFIC, Places, RoadScene, Traits
 from ms_highway.metareasoning.belief import first_belief
 from ms_highway.metareasoning.road import RungChoice, counted_rungs, updated_road_belief
 from ms_highway.optimization.kalman import Gaussian
+from ms_highway.planning.car_following import HARDEST
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.plan import REFINED, LastPlan, RoadPlan, no_plan, plan_road, worth_of_answers
@@ -29,7 +30,7 @@ from ms_highway.runtime.timing import timed, warm_up
 SHIPPED_COSTS = Costs(0.005, np.array([0.0, 0.0, 0.001, 0.0015]))
 """Planning time among naive cars, and what each car adds under each model, as measured on one core [s]."""
 
-HARDEST = 0.95  # share of the grip from which a plan that breaks a constraint counts as braking
+BRAKING_SHARE = 0.95  # share of the grip from which a plan that breaks a constraint counts as braking
 SOURCES = {REFINED: "refined", LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 REPEATS = 9  # plans that are timed for the costs of models
 
@@ -162,7 +163,7 @@ class RoadDriver:
         self._last = LastPlan(np.concatenate([kept[1:], kept[-1:]]), plan.path[-1, :2])
         if status != PLANNED or late:
             return rest, LATE if status == PLANNED else status, source
-        hardest = plan.broken and wanted[0, 1] < -HARDEST * grip
+        hardest = plan.broken and wanted[0, 1] < -BRAKING_SHARE * grip
         return wanted, status, "braking" if hardest else SOURCES.get(int(plan.chosen), "proposal")
 
     def _prepared(self, scene: RoadScene) -> Costs:
@@ -221,8 +222,8 @@ class DriversSeen:
         """
         seen, speeds = scene.names.tolist(), scene.states[:, 3].tolist()
         changes = [speed - self._speeds.get(name, speed) for name, speed in zip(seen, speeds, strict=True)]
-        changes = np.nan_to_num(changes, nan=0.0).astype(np.float32)
-        scene = replace(scene, accelerations=changes / np.float32(self.time_step))
+        accelerations = np.nan_to_num(np.array(changes, np.float32) / self.time_step)
+        scene = replace(scene, accelerations=accelerations.clip(-HARDEST, HARDEST).astype(np.float32))
         self._speeds = dict(zip(seen, speeds, strict=True))
         if not self.traits and not self.belief:
             return scene, None

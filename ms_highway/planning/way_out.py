@@ -60,8 +60,8 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     hopeless = jnp.maximum(clear.max(), kept) == 0
     brakes = jnp.tile(ACCELERATIONS < 0, len(clear) // len(ACCELERATIONS))
     best = jnp.argmax(jnp.where(jnp.where(hopeless, brakes, clear == clear.max()), earned, -jnp.inf))
-    slows = (control * game.planner.control_scale - keep_velocity(game.dynamics, state[0]))[1]
-    replaced = jnp.where(hopeless, slows > ACCELERATIONS[ACCELERATIONS < 0].max(), clear.max() > kept)
+    softest = jnp.where(brakes, controls[:, 0, 1], -jnp.inf).max()
+    replaced = jnp.where(hopeless, control[1] > softest, clear.max() > kept)
     return Escape(jnp.where(replaced, controls[best, 0], control), replaced)
 
 

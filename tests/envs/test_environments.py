@@ -310,6 +310,22 @@ def test_workers_of_a_vector_environment_find_and_step_the_environments(scenario
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize(
+    ("config", "clocked"),
+    [
+        ({}, False),
+        ({"costs": "measured"}, True),
+        ({"costs": "measured", "controller": {"type": "fixed", "model": "naive"}}, False),
+        ({"controller": {"type": "budget", "milliseconds": 500, "values": "one_step"}}, True),
+        ({"costs": "measured", "action": {"type": "HumanModelAction", "lambda": 1.0}}, True),
+    ],
+)
+def test_info_tells_where_the_clock_has_a_say(config, clocked):
+    env = gym.make("ms-highway/merger-v0", config={"ladder": ["naive", "turn"]} | config)
+    env.reset(seed=0)
+    assert env.step(env.action_space.sample())[4]["clocked"] == clocked
+
+
 UNBEGUN = """
 import gymnasium as gym
 from jax._src import xla_bridge

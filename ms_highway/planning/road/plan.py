@@ -143,7 +143,7 @@ def plan_road(
         refined = _judged(now, given, manners._replace(accelerations=accelerations[None]))
         unanswered = _judged(now, given, _following(now, rungs, 1))
         broken = refined.scores.broken[0] | unanswered.scores.collides[0]
-        better = ~broken & (refined.scores.total[0] >= drives.scores.total[0])
+        better = ~broken & (refined.scores.preference[0] >= drives.scores.preference[0])
         chosen = jnp.where(better, REFINED, chosen)
         drives = jax.tree.map(lambda new, old: jnp.where(better, new, old), refined, drives)
     driven = drives.driven
