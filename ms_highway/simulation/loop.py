@@ -27,7 +27,19 @@ from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan, cold_start, one_step_later
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
-from ms_highway.runtime.arrays import Belief, Car, Control, Gains, HumansWeights, Index, Rungs, Scalar, State, Weights
+from ms_highway.runtime.arrays import (
+    Belief,
+    Car,
+    Control,
+    Flag,
+    Gains,
+    HumansWeights,
+    Index,
+    Rungs,
+    Scalar,
+    State,
+    Weights,
+)
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.simulation.devices import device_mesh, share_among
 from ms_highway.simulation.records import ALWAYS_YIELDS, DECIDES, USUAL, Episodes, Loop, Records
@@ -103,11 +115,16 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
     first = jax.tree.map(lambda part: jnp.broadcast_to(part, (size, *part.shape)), _before(loop))
     first = first._replace(state=jnp.asarray(episodes.starts, jnp.float32))
     schedules = jnp.moveaxis(jnp.asarray(episodes.schedules), 1, 0)  # [steps, episodes, humans]
-    if decides:
-        first = _choose(loop, first, own, schedules[0], _for_each(loop, partial(_still, loop.game), first))
+    following = jnp.concatenate([schedules[1:], schedules[-1:]])
+    if decides:  # a step before the first one, in which nothing moves, so that choices are compiled once
+        schedules, following = (
+            jnp.concatenate([one, rest])
+            for one, rest in ((jnp.full_like(schedules[:1], DECIDES), schedules), (schedules[:1], following))
+        )
     chunks, last = (count[0] + together - 1) // together, 2 * len(loop.models)  # behind all models
 
-    def one_step(now: _Now, scheduled: Int[jax.Array, "2 episodes humans"]) -> tuple[_Now, Records]:
+    def one_step(now: _Now, step: tuple[Flag, Int[jax.Array, "2 episodes humans"]]) -> tuple[_Now, Records]:
+        begins, scheduled = step
         rungs = _counted(loop, jnp.where(scheduled[0] == DECIDES, now.memory.rungs, scheduled[0]), now.belief)
         now = now._replace(memory=now.memory._replace(rungs=rungs))
         kinds = 2 * rungs[:, 0] + (scheduled[1] == DECIDES).any(axis=1)
@@ -115,14 +132,14 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
 
         def one_chunk(number: Index, done: tuple[_Now, Records]) -> tuple[_Now, Records]:
             places = jax.lax.dynamic_slice_in_dim(order, number * together, together)
-            stepped = _step(loop, *jax.tree.map(lambda part: part[places], (now, own, scheduled[1])))
+            stepped = _step(loop, begins, *jax.tree.map(lambda part: part[places], (now, own, scheduled[1])))
             return jax.tree.map(lambda part, new: part.at[places].set(new, unique_indices=True), done, stepped)
 
         return jax.lax.fori_loop(0, chunks, one_chunk, (now, _no_records(now)))
 
-    following = jnp.concatenate([schedules[1:], schedules[-1:]])
-    _, records = jax.lax.scan(one_step, first, jnp.stack([schedules, following], axis=1))
-    return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
+    begins = jnp.arange(len(schedules)) < decides
+    _, records = jax.lax.scan(one_step, first, (begins, jnp.stack([schedules, following], axis=1)))
+    return jax.tree.map(lambda part: jnp.swapaxes(part[int(decides) :], 0, 1), records)
 
 
 def _for_each(loop: Loop, function: Callable[..., Any], *items: Any) -> Any:
@@ -165,10 +182,21 @@ def _counted(
     return jnp.where(responds[rungs] & ~jax.vmap(counted_on)(belief), usual, rungs)
 
 
-def _step(loop: Loop, now: _Now, own: _Own, coming: Int[jax.Array, "chunk humans"]) -> tuple[_Now, Records]:
-    """Advance a chunk of episodes by one step."""
-    moved, records = _for_each(loop, partial(_move, loop), now, own, _plan(loop, now, own))
-    return (moved.now if isinstance(loop.rule, Order) else _choose(loop, now, own, coming, moved)), records
+def _step(
+    loop: Loop, begins: Flag, now: _Now, own: _Own, coming: Int[jax.Array, "chunk humans"]
+) -> tuple[_Now, Records]:
+    """Advance a chunk of episodes by one step; before they begin, only choose the rungs of the first one."""
+
+    def go() -> tuple[_Moved, Records]:
+        return _for_each(loop, partial(_move, loop), now, own, _plan(loop, now, own))
+
+    if isinstance(loop.rule, Order):
+        moved, records = go()
+        return moved.now, records
+    moved, records = jax.lax.cond(
+        begins, lambda: (_for_each(loop, partial(_still, loop.game), now), _no_records(now)), go
+    )
+    return _choose(loop, now, own, coming, moved), records
 
 
 def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
