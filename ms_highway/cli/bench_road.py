@@ -84,6 +84,8 @@ def _bench_road(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.road.blocks import run_blocks
     from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, row, summary
     from ms_highway.cli.results_directory import write_table
+    from ms_highway.control.road import SHIPPED_COSTS
+    from ms_highway.planning.human_models import PACKAGE_MODELS
     from ms_highway.runtime.files import write_json
     from ms_highway.visualization.tables import grid
 
@@ -112,9 +114,11 @@ def _bench_road(options: argparse.Namespace) -> None:
                     write_table(pd.DataFrame(rows), options.log)
 
     count_episodes(driven(), 0, len(blocks) * len(seeds))
+    costs = zip(PACKAGE_MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
+    counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
     for scene, figures in results.items():
         rows = [
             {heading: form.format(driver=driver, **figures[driver]) for heading, form in COLUMNS.items()}
             for driver in drivers
         ]
-        print_tables(grid(f"{scene}: {len(seeds)} episodes", rows, left=2))
+        print_tables(grid(f"{scene}: {len(seeds)} episodes; choices count {counted} ms a car", rows, left=2))

@@ -28,7 +28,6 @@ from ms_highway.simulation.records import ALWAYS_YIELDS, NEVER_YIELDS, USUAL, Lo
 
 STEPS, SEEDS = 5, 2
 PAPERS = ladder(["naive", "turn", "tom"])
-decided = jax.jit(decide)  # traced once for both of its uses in a batch
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class OneOf:
     ladder: tuple = field(metadata={"static": True})
 
     def look(self, game, memory, outcome):
-        decision = jax.lax.switch(self.which, [partial(decided, rule) for rule in self.rules], game, memory, outcome)
+        decision = jax.lax.switch(self.which, [partial(decide, rule) for rule in self.rules], game, memory, outcome)
         after, gains, _ = jax.tree.map(jnp.float32, decision)
         return jnp.concatenate([after.rungs[:, None], after.last_check, gains], axis=1)
 
