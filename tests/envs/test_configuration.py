@@ -95,7 +95,14 @@ WRONG = [
     ({"observation": {"type": "Sonar"}}, "its 'type' must be one of CarStates"),
     ({"observation": {"type": "Kinematics", "absolut": True}}, "did you mean 'absolute'"),
     ([], "the configuration is []; it must be a dictionary"),
+    (
+        {"ladder": ["tom@4", "tom"], "costs": "shipped", "controller": {"type": "nearest", "count": 1, "belief": True}},
+        "the ladder begins with tom@4, which counts on a response",
+    ),
 ]
+
+
+UNLEARNED = {"ladder": ["naive", "idm"], "costs": "shipped", "controller": {"type": "learned", "lambda": 1}}
 
 
 def make(scenario=PAIR, **config):
@@ -147,6 +154,7 @@ def test_a_refused_change_leaves_the_environment_as_it_was():
     for config, message in (
         ({"duration": 1.0, "semantics": "real"}, "semantics"),
         ({"action": paralysed}, "control must be enabled"),  # says highway-env
+        (UNLEARNED, "were learned on the ladder"),
     ):
         with pytest.raises(ValueError, match=message):
             env.reset(options={"config": config})
@@ -172,6 +180,19 @@ def test_what_is_configured_during_an_episode_acts_from_the_next_reset_on_all_of
     env.reset(seed=0)
     assert env.config == before | {"controller": longer, "duration": 0.2, "grip": 7.0}
     assert [(info["model"], ends) for *_, ends, info in map(env.step, [0] * 2)] == [("turn", False), ("turn", True)]
+
+
+@pytest.mark.parametrize("change", ["configure", "reset"])
+def test_a_controller_that_does_not_fit_the_ladder_changes_nothing_in_an_episode(change):
+    env = make(controller=NAN_MODEL)
+    env.reset(seed=0)
+    env.step(0)
+    cars = env.car_states
+    with pytest.raises(ValueError, match="were learned on the ladder"):
+        env.configure(UNLEARNED) if change == "configure" else env.reset(options={"config": UNLEARNED})
+    np.testing.assert_array_equal(env.car_states, cars)
+    assert (env.steps, env.step(0)[4]["model"]) == (1, "naive")
+    env.reset(seed=0)
 
 
 def test_a_controller_that_is_set_in_the_configuration_itself_drives_from_the_next_reset_on():
