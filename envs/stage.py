@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import ContinuousAction, action_factory
+from highway_env.envs.common.action import action_factory
 from highway_env.envs.common.observation import observation_factory
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import RoadNetwork
@@ -170,7 +170,9 @@ class StageEnv(AbstractEnv):
         Raises:
             ValueError: for an action that is impossible; nothing has moved then.
         """
-        if isinstance(self.action_type, ContinuousAction) and action is not None and not np.isfinite(action).all():
+        if isinstance(self.action_type, Autopilot) and action is not None:
+            self.action_type.check(action)
+        elif action is not None and not np.isfinite(action).all():
             raise ValueError(f"action {action!r} is not finite; give numbers of the space {self.action_space}")
         return super().step(action)
 
