@@ -2,10 +2,12 @@
 
 import re
 from dataclasses import replace
+from typing import Annotated
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from msgspec import Meta, defstruct
 
 from ms_highway import Switching, always
 from ms_highway.envs import (
@@ -265,10 +267,16 @@ class Dear(SwitchingSettings, tag="dear"):
     """A rule at a lambda."""
 
 
-def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one(monkeypatch):
+@pytest.fixture
+def rules(monkeypatch):
+    """Tables of rules to which some may be added."""
     for name in ("CONTROLLERS", "SHORT_NAMES", "CHOOSING"):
         monkeypatch.setattr(short_names, name, getattr(short_names, name).copy())
     monkeypatch.setattr(controllers, "CONTROLLERS", short_names.CONTROLLERS)
+
+
+@pytest.mark.usefixtures("rules")
+def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one():
     for rule in (Plain, Dear, Dear):  # added again, it takes its own place
         add_rule(rule)
     assert controller_config("plain+belief") == {"type": "plain", "belief": True}
@@ -277,6 +285,34 @@ def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one(monke
     for wrong, example in (("plain:1", "plain"), ("dear", "dear:1")):
         with pytest.raises(ValueError, match=f"cannot be read; write it like {example}$"):
             controller_config(wrong)
+    add_rule(type("Rule", (Plain,), {}, tag="dear"))
+    assert controllers.CHOOSING == short_names.CHOOSING
+
+
+@pytest.mark.usefixtures("rules")
+@pytest.mark.parametrize(
+    ("own", "known"),
+    [
+        ({"top": int}, {"cc:3": {"top": 3}, "cc": None, "cc:3.5": None}),
+        ({"top": Annotated[int, Meta(ge=0)] | None}, {"cc:3": {"top": 3}}),
+        ({"top": (float, 2.0), "last": (str, "")}, {"cc:3": {"top": 3.0}, "cc": {}}),
+        ({"kind": str}, {"cc:near": {"kind": "near"}, "cc": None}),
+        ({"models": (int, 1)}, {"cc:3": {"models": 3}}),
+        ({"models": (list[str], [])}, {"cc": {}, "cc:3": None}),
+        ({"models": list[str]}, {"cc": None, "cc:3": None}),
+        ({"top": int, "last": int}, {"cc": None, "cc:3": None}),
+    ],
+)
+def test_the_short_name_of_a_rule_of_ones_own_is_read_by_the_type_of_its_first_field(own, known):
+    own = [(name, *(kind if isinstance(kind, tuple) else (kind,))) for name, kind in own.items()]
+    rule = {"rule": Plain.rule}
+    add_rule(defstruct("Rule", own, bases=(ControllerSettings,), namespace=rule, tag="cc", frozen=True, kw_only=True))
+    for text, config in known.items():
+        if config is None:
+            with pytest.raises(ValueError, match=f"controller '{text}'"):
+                controller_config(text)
+        else:
+            assert controller_config(text) == {"type": "cc"} | config
 
 
 @pytest.mark.parametrize(
