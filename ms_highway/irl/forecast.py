@@ -64,7 +64,8 @@ def predict(
             Intelligent Driver Model; ``"constant_velocity"``; and others of the literature.
         sizes: length and width of all cars, or of each [cars, 2] [m].
         lane_width: of a lane [m].
-        learned: drivers, or the reward that has them, and how far off every predictor is; by default those of US-101 that come with the package.
+        learned: drivers, or the reward that has them, and how far off every predictor is; by default those of US-101
+            that come with the package.
 
     Raises:
         ValueError: for arrays of other shapes, cars that are not seen now, an unknown predictor or a number out of
