@@ -150,14 +150,15 @@ class StageEnv(AbstractEnv):
         """
         self.options = options or {}
         refuse_unknown("the reset options", self.options, self.reset_options)
-        before, self._running = (self.config, self._coming, self._running), False
+        before, self._running = (self.config, self._coming, self._running, self.time, self.steps), False
         try:
             if self._coming or "config" in self.options:
                 self.configure(self.options.get("config"))
             start = super().reset(seed=seed)
         except ValueError:
-            self.config, self._coming, self._running = before
+            self.config, self._coming, self._running, self.time, self.steps = before
             self._read()
+            self.define_spaces()
             raise
         self._running = True
         if self.config["manual_control"]:

@@ -104,6 +104,7 @@ WRONG = [
 ]
 
 
+CONTINUOUS = {"action": {"type": "ContinuousAction"}}
 UNLEARNED = {"ladder": ["naive", "idm"], "costs": "shipped", "controller": {"type": "learned", "lambda": 1}}
 
 
@@ -184,14 +185,21 @@ def test_what_is_configured_during_an_episode_acts_from_the_next_reset_on_all_of
     assert [(info["model"], ends) for *_, ends, info in map(env.step, [0] * 2)] == [("turn", False), ("turn", True)]
 
 
-@pytest.mark.parametrize("change", ["configure", "reset"])
-def test_a_controller_that_does_not_fit_the_ladder_changes_nothing_in_an_episode(change):
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda env: env.configure(UNLEARNED), "were learned on the ladder"),
+        (lambda env: env.reset(options={"config": UNLEARNED}), "were learned on the ladder"),
+        (lambda env: env.reset(options={"config": CONTINUOUS, "initial_states": [[0]]}), "needs an array"),
+    ],
+)
+def test_a_change_that_is_refused_in_an_episode_leaves_it_as_it_was(change, message):
     env = make(controller=NAN_MODEL)
     env.reset(seed=0)
     env.step(0)
     cars = env.car_states
-    with pytest.raises(ValueError, match="were learned on the ladder"):
-        env.configure(UNLEARNED) if change == "configure" else env.reset(options={"config": UNLEARNED})
+    with pytest.raises(ValueError, match=message):
+        change(env)
     np.testing.assert_array_equal(env.car_states, cars)
     assert (env.steps, env.step(0)[4]["model"]) == (1, "naive")
     env.reset(seed=0)
