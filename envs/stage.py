@@ -87,6 +87,8 @@ class StageEnv(AbstractEnv):
     reset_options: ClassVar[tuple[str, ...]] = ("config",)
     config: Config
     metadata: Config
+    time: float
+    steps: int
     action_space: spaces.Space | None
     viewer: Viewer | None
     game: Game
