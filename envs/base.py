@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from math import nan
 from typing import Any, ClassVar
 
 import jax
 import numpy as np
 from highway_env.road.road import Road
 
-from ms_highway.control.driver import Driver, fixed
+from ms_highway.control.driver import Driver, drivable, fixed
 from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.configuration import Changes, Config, read_own
 from ms_highway.envs.controllers import controller_settings
@@ -144,19 +143,20 @@ class InteractionEnv(StageEnv):
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
-        """See `StageEnv.checked_config`; the ladder is spelt out."""
+        """See `StageEnv.checked_config`; the ladder is spelt out, and the controller of an autopilot fits it."""
         config = super().checked_config(changes, config)
         settings = read_own(Settings, config)
         settings.check(cls.scenario)
+        if config["action"]["type"] == "Autopilot":
+            start = settings.start(settings.known_costs, 1, np.random.default_rng())
+            drivable(settings.controller.rule(start), settings.controller.belief)
         return config | {"ladder": [model.name for model in settings.models]}
 
     def _read(self) -> None:
         super()._read()
-        settings, models = self.settings, self.settings.models
+        settings = self.settings
         self.game, self._seconds = settings.game(self.scenario), settings.seconds
-        self._costs: Costs | None = None
-        if self._seconds is not None and not settings.measures:
-            self._costs = Costs.of([self._seconds[model.name] for model in models], settings.humans)
+        self._costs: Costs | None = None if settings.measures else settings.known_costs
 
     def _reset(self) -> None:
         """Build the road, place the cars, and say who drives them."""
@@ -209,8 +209,7 @@ class InteractionEnv(StageEnv):
     def _driver(self, game: Game) -> Driver:
         """Return the robot's driver, with unknown costs if they are yet to be measured."""
         settings, controller = self.settings, controller_settings(self.config["controller"])
-        unknown = Costs.of([nan] * len(settings.models), settings.humans)
-        start = settings.start(self._costs or unknown, self.episode_steps, self.np_random)
+        start = settings.start(self._costs or settings.known_costs, self.episode_steps, self.np_random)
         asked = isinstance(self.action_type, HumanModelAction)
         rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)
         return Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)

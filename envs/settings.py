@@ -135,6 +135,12 @@ class Settings(Struct, frozen=True):
         return Start(self.models, costs, self.semantics, self.humans, steps, random)
 
     @property
+    def known_costs(self) -> Costs:
+        """Costs of plans on the ladder, NaN where they are to be measured."""
+        seconds = {} if self.measures else self.seconds or {}
+        return Costs.of([seconds.get(model.name, np.nan) for model in self.models], self.humans)
+
+    @property
     def measures(self) -> bool:
         """Whether choices depend on planning times that are measured: the same seed may then be another episode."""
         return self.costs == "measured" or (self.costs == "shipped" and self.controller.budget is not None)

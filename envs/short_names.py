@@ -1,8 +1,10 @@
 """Parse the short names of controllers, such as ``learned:0.1`` or ``schedule:tom=6,naive``; add some of one's own."""
 
-from typing import Any
+from contextlib import suppress
+from typing import Annotated, Any, get_args, get_origin
 
-from msgspec.structs import fields
+from msgspec import ValidationError, convert
+from msgspec.structs import FieldInfo, fields
 
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.controllers import CHOOSING, CONTROLLERS, ControllerSettings, controller_settings
@@ -31,9 +33,10 @@ PACKAGE_CONTROLLERS = tuple(CONTROLLERS)
 def add_rule(settings: type[ControllerSettings]) -> None:
     """Make a decision rule of one's own known by its name, to configurations and commands of this process.
 
-    Its short name is ``near:6`` where the first field of the settings is a number, and ``near`` where they have none.
-    A field ``price`` that is named ``lambda`` makes it a rule that chooses at a lambda. Added again, a rule takes the
-    place of the one that had its name.
+    Its short name is ``near:6`` where the first field of the settings is a number or a text and all others have
+    defaults, and ``near`` where all of them have; other rules have none. A first field ``price`` that is named
+    ``lambda`` makes it a rule that chooses at a lambda. Added again, a rule takes the place of the one that had its
+    name.
 
     Args:
         settings: class of the rule's settings, whose ``rule`` makes it, and whose tag is its name.
@@ -47,9 +50,18 @@ def add_rule(settings: type[ControllerSettings]) -> None:
     if name in PACKAGE_CONTROLLERS or is_model(name) or not (str(name).isidentifier() and str(name).islower()):
         remedy = f"choose a tag of one word in lower case other than {', '.join(PACKAGE_CONTROLLERS)} and human models"
         raise ValueError(f"a rule cannot be called {name!r}; {remedy}")
-    keys = [each.encode_name for each in fields(settings) if each.name != "belief"]
-    CONTROLLERS[name], SHORT_NAMES[str(name)] = settings, (keys[0], f"{name}:1") if keys else ("", str(name))
-    if "lambda" in keys and name not in CHOOSING:
+    own = [each for each in fields(settings) if each.name != "belief"]
+    CONTROLLERS[name] = settings
+    SHORT_NAMES.pop(str(name), None)
+    if not any(each.required for each in own):
+        SHORT_NAMES[str(name)] = "", str(name)
+    if own and not any(each.required for each in own[1:]):
+        with suppress(ValidationError):
+            _parsed("1", own[0])
+            SHORT_NAMES[str(name)] = own[0].encode_name, f"{name}:1"
+    if name in CHOOSING:
+        CHOOSING.remove(name)
+    if SHORT_NAMES.get(str(name), ("",))[0] == "lambda":
         CHOOSING.append(str(name))
 
 
@@ -100,15 +112,14 @@ def controller_config(text: str) -> Config:
 
 def _parts(kind: str, key: str, rest: str) -> Config:
     """Return what the second part of a short name says of a controller."""
-    if not key:
-        if rest:
-            raise ValueError
-        return {}
-    if key not in ("models", "shares"):
-        number, _, values = rest.partition(":")
-        if number != number.strip():
+    if kind not in ("schedule", "period", "random"):
+        first = next((each for each in fields(CONTROLLERS[kind]) if each.encode_name == key), None)
+        if not rest and not (first and first.required):
+            return {}
+        value, _, values = rest.partition(":")
+        if first is None or not value or value != value.strip():
             raise ValueError  # the name would have spaces or line breaks, in files too
-        return {key: int(number) if key == "count" else float(number)} | ({"values": values} if values else {})
+        return {key: _parsed(value, first)} | ({"values": values} if values else {})
     pairs = [part.split("=") for part in rest.split(",")]
     if kind == "random":
         return {key: {name: float(share) for name, share in pairs}}
@@ -117,3 +128,8 @@ def _parts(kind: str, key: str, rest: str) -> Config:
     if any(len(steps) > MOST_DIGITS for _, steps in pairs):
         raise ValueError
     return {key: [name for name, steps in pairs for _ in range(int(steps))]}
+
+
+def _parsed(text: str, of: FieldInfo) -> Any:
+    """Return a text as a field's type says, whatever its limits."""
+    return convert(text, get_args(of.type)[0] if get_origin(of.type) is Annotated else of.type, strict=False)

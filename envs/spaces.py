@@ -71,14 +71,17 @@ class Autopilot(ActionType):
         """Return the space."""
         return spaces.Discrete(1)
 
-    def act(self, action: int) -> None:
-        """Nothing to do: the robot plans when the road asks all vehicles to act.
+    def check(self, action: Any) -> None:
+        """Check an action before anything moves.
 
         Raises:
-            ValueError: if the action is not 0.
+            ValueError: if it is not 0.
         """
         if action != 0:
             raise ValueError(f"action {action!r} is not 0, the only action of the autopilot")
+
+    def act(self, action: Any) -> None:
+        """Nothing to do: the robot plans when the road asks all vehicles to act."""
 
 
 class HumanModelAction(Autopilot):
@@ -93,12 +96,15 @@ class HumanModelAction(Autopilot):
         rungs, humans = len(self.env.settings.models), self.env.settings.humans
         return spaces.Discrete(rungs) if humans == 1 else spaces.MultiDiscrete([rungs] * humans)
 
-    def act(self, action: Any) -> None:
-        """Choose the models of the coming plan.
+    def check(self, action: Any) -> None:
+        """Check an action before anything moves.
 
         Raises:
-            ValueError: if the action is no place in the ladder, or not one for each of several humans.
+            ValueError: if it is no place in the ladder, or not one for each of several humans.
         """
         if not self.space().contains(action):
             raise ValueError(f"action {action!r} is no place in the ladder {self.env.config['ladder']}")
+
+    def act(self, action: Any) -> None:
+        """Choose the models of the coming plan."""
         self.controlled_vehicle.controller.rule = Order(np.reshape(action, (1, -1)), self.env.settings.models)

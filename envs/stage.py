@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import ContinuousAction, action_factory
+from highway_env.envs.common.action import action_factory
 from highway_env.envs.common.observation import observation_factory
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import RoadNetwork
@@ -87,6 +87,8 @@ class StageEnv(AbstractEnv):
     reset_options: ClassVar[tuple[str, ...]] = ("config",)
     config: Config
     metadata: Config
+    time: float
+    steps: int
     action_space: spaces.Space | None
     viewer: Viewer | None
     game: Game
@@ -150,14 +152,15 @@ class StageEnv(AbstractEnv):
         """
         self.options = options or {}
         refuse_unknown("the reset options", self.options, self.reset_options)
-        before, self._running = (self.config, self._coming, self._running), False
+        before, self._running = (self.config, self._coming, self._running, self.time, self.steps), False
         try:
             if self._coming or "config" in self.options:
                 self.configure(self.options.get("config"))
             start = super().reset(seed=seed)
         except ValueError:
-            self.config, self._coming, self._running = before
+            self.config, self._coming, self._running, self.time, self.steps = before
             self._read()
+            self.define_spaces()
             raise
         self._running = True
         if self.config["manual_control"]:
@@ -170,7 +173,9 @@ class StageEnv(AbstractEnv):
         Raises:
             ValueError: for an action that is impossible; nothing has moved then.
         """
-        if isinstance(self.action_type, ContinuousAction) and action is not None and not np.isfinite(action).all():
+        if isinstance(self.action_type, Autopilot) and action is not None:
+            self.action_type.check(action)
+        elif action is not None and not np.isfinite(action).all():
             raise ValueError(f"action {action!r} is not finite; give numbers of the space {self.action_space}")
         return super().step(action)
 

@@ -25,6 +25,21 @@ from ms_highway.runtime.timing import timed
 QUANTILE = 0.99  # of decisions' seconds, for budgets
 
 
+def drivable(rule: Rule | Order, belief: bool) -> Rule | Order:
+    """Return a rule as a `Driver` takes it: with a belief, an order gets a rung for humans who do not respond.
+
+    Raises:
+        ValueError: as `Driver` does.
+    """
+    check_rule(rule)
+    if belief and isinstance(rule, Order) and not isinstance(rule.ladder[0], Naive):
+        return replace(rule, rungs=np.asarray(rule.rungs) + 1, ladder=(Naive(), *rule.ladder))
+    if belief and rule.ladder[0].responds:
+        message = f"the ladder begins with {rule.ladder[0].name}, which counts on a response"
+        raise ValueError(f"{message}; with a belief, begin it with a model that does not, such as naive")
+    return rule
+
+
 class Driver:
     """Plan every step with the models that a rule chooses.
 
@@ -55,7 +70,7 @@ class Driver:
         belief: bool = False,
     ) -> None:
         self.budget, self.way_out, self.infers = budget, way_out, belief
-        self._rule = self._checked(rule)
+        self._rule = drivable(rule, belief)
         self.game = game
         self.reset()
 
@@ -67,19 +82,9 @@ class Driver:
     @rule.setter
     def rule(self, rule: Rule | Order) -> None:
         orders = isinstance(self._rule, Order) and isinstance(rule, Order)
-        self._rule = self._checked(rule)
+        self._rule = drivable(rule, self.infers)
         if not orders:
             self.game = self._game  # compiles the decision by the new one
-
-    def _checked(self, rule: Rule | Order) -> Rule | Order:
-        """Check a rule; with a belief, an order gets a rung for humans who do not respond."""
-        check_rule(rule)
-        if self.infers and isinstance(rule, Order) and not isinstance(rule.ladder[0], Naive):
-            return replace(rule, rungs=np.asarray(rule.rungs) + 1, ladder=(Naive(), *rule.ladder))
-        if self.infers and rule.ladder[0].responds:
-            message = f"the ladder begins with {rule.ladder[0].name}, which counts on a response"
-            raise ValueError(f"{message}; with a belief, begin it with a model that does not, such as naive")
-        return rule
 
     @property
     def game(self) -> Game:

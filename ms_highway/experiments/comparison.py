@@ -5,14 +5,10 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
-import numpy as np
-
 from ms_highway.envs import ENVIRONMENTS, environment_id
-from ms_highway.envs.configuration import read_own
-from ms_highway.envs.settings import HUMAN_REWARDS, Settings
+from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.records import columns
-from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import rung_names
 
 USUAL = ("semantics", "solver", "human_reward", "costs")
@@ -50,10 +46,7 @@ class Comparison:
         """
         for scenario, controllers in self.controllers.items():
             for controller in controllers:
-                settings = read_own(Settings, self.environment_config(scenario, controller))
-                seconds = settings.seconds or {}
-                costs = Costs.of([seconds.get(model.name, np.nan) for model in settings.models], settings.humans)
-                settings.controller.rule(settings.start(costs, 1, np.random.default_rng()))
+                self.environment_config(scenario, controller)
 
     def environment_config(self, scenario: str, controller: str) -> dict[str, Any]:
         """Return the whole configuration of the environment of a scenario and a controller.
@@ -88,7 +81,7 @@ def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
         ValueError: for an unknown scenario or an impossible configuration.
     """
     environment_id(scenario)
-    whole = ENVIRONMENTS[scenario].checked_config(config)
+    whole = ENVIRONMENTS[scenario].checked_config({**config, "controller": controller_config("naive")})
     return round(whole["duration"] * whole["policy_frequency"])
 
 

@@ -75,9 +75,13 @@ def check_records(records: pd.DataFrame) -> None:
     absent = sorted({*NEVER_EMPTY, COUNTED} - set(records))
     if absent:
         raise ValueError(f"it has no column {', '.join(absent)}")
-    for name in (*NUMBERS, *(name for name in records if name.startswith(gain_column("")))):
+    more = tuple(column("") for column in (gain_column, count_column))
+    for name in (*NUMBERS, *(name for name in records if name.startswith(more))):
         if len(records) and not pd.api.types.is_numeric_dtype(records[name]):
             raise ValueError(f"it has texts where numbers belong, in column {name}")
+    for name in records.columns.intersection(["collision", "success"]):
+        if not records[name].dropna().isin([True, False]).all():
+            raise ValueError(f"it has something else than True and False in column {name}")
     for column, known, names in (
         ("scenario", ENVIRONMENTS.__contains__, ", ".join(ENVIRONMENTS)),
         ("model", is_model, model_names()),

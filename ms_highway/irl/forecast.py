@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import shipped
+from ms_highway.game.learned_reward import LearnedReward, shipped
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.moments import PAST, STEPS, Moments
 from ms_highway.irl.outlook import expected_path
-from ms_highway.irl.predictors import PREDICTORS, check_drivers, prediction
+from ms_highway.irl.predictors import check_drivers, prediction
 
 ROOM = 16  # cars: arrays grow by so many, so that few numbers of cars compile anew
 WITHIN = 0.5  # probability of the region by which covariances are chosen
@@ -48,7 +48,7 @@ def predict(
     predictor: str = "model",
     sizes: Any = (5.0, 2.0),
     lane_width: float = 4.0,
-    learned: LearnedDrivers | None = None,
+    learned: LearnedReward | LearnedDrivers | None = None,
 ) -> Forecast:
     """Predict all cars of a moment on a straight road, together, every 0.1 s.
 
@@ -64,7 +64,8 @@ def predict(
             Intelligent Driver Model; ``"constant_velocity"``; and others of the literature.
         sizes: length and width of all cars, or of each [cars, 2] [m].
         lane_width: of a lane [m].
-        learned: drivers, and how far off every predictor is; by default those of US-101 that come with the package.
+        learned: drivers, or the reward that has them, and how far off every predictor is; by default those of US-101
+            that come with the package.
 
     Raises:
         ValueError: for arrays of other shapes, cars that are not seen now, an unknown predictor or a number out of
@@ -86,11 +87,11 @@ def predict(
             raise ValueError(f"{name} is {value!r}; give a positive number")
     if not TIME_STEP <= seconds <= STEPS * TIME_STEP:
         raise ValueError(f"seconds are {seconds!r}; give a number from {TIME_STEP:g} to {STEPS * TIME_STEP:g}")
-    if predictor not in PREDICTORS:
-        raise ValueError(f"predictor is {predictor!r}; choose one of {', '.join(PREDICTORS)}")
     moment = _moment(past, np.sort(centres), np.broadcast_to(bodies, (cars, 2)), lane_width, speed_limit)
     steps = round(seconds / TIME_STEP)
-    modes, spread = prediction(predictor, moment, check_drivers(learned or shipped("us101").drivers))
+    learned = learned or shipped("us101")
+    drivers = check_drivers(learned.drivers if isinstance(learned, LearnedReward) else learned)
+    modes, spread = prediction(predictor, moment, drivers)
     weights, means = np.asarray(modes.probability)[:cars], np.asarray(modes.path)[:cars, :, :steps]
     freedom, number = np.asarray(spread.freedom(STEPS))[:steps], means.shape[1]
     wider = freedom * np.expm1(-2 / freedom * np.log1p(-WITHIN)) / (-2 * np.log1p(-WITHIN))  # squares at the edge

@@ -73,8 +73,14 @@ def learn_peers(moments: Moments) -> dict[str, FittedPeer]:
 
 
 def prediction(name: str, moments: Moments, learned: LearnedDrivers, others: Others = "predicted") -> Prediction:
-    """Predict the drivers of moments by one of `PREDICTORS`, see `predictions`."""
-    if name not in PEERS:
+    """Predict the drivers of moments by one of `PREDICTORS`, see `predictions`.
+
+    Raises:
+        ValueError: for an unknown name, or motion of the others.
+    """
+    if name not in PREDICTORS:
+        raise ValueError(f"predictor is {name!r}; choose one of {', '.join(PREDICTORS)}")
+    if name == "model":
         return Prediction(predict(moments, learned, others), learned.spread)
     peer, fitted = PEERS[name], learned.peers[name]
     return Prediction(peer.predict(moments, peer.parameters(**fitted.parameters)), fitted.spread)

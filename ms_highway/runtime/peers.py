@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from hashlib import sha256
 from select import select
 from threading import Event, Thread
-from time import sleep
+from time import monotonic, sleep
 from typing import TypeAlias
 
 from ms_highway.runtime.interrupt import end
@@ -18,6 +18,7 @@ from ms_highway.runtime.interrupt import end
 PATIENCE = 300  # s, for which processes wait for the next one at the beginning
 PAUSE = 0.2  # s, between attempts to connect
 GREETING = 5  # s, within which a process that connects must say which one it is
+LONGEST = 200  # bytes of a line
 SILENCE = 60  # s, after which a connection is tested
 BEGIN, DONE = "begin", "done"
 
@@ -108,12 +109,14 @@ def _accept(links: Links, server: socket.socket, lacking: dict[str, int]) -> Non
     except TimeoutError:
         names = ", ".join(map(str, lacking.values()))
         raise OSError(f"process {names} did not come within {PATIENCE} s") from None
-    link.settimeout(GREETING)
-    greeting = ""
+    greeting, deadline = b"", monotonic() + GREETING  # of all of it: whoever dribbles would hold up the others
     with suppress(OSError):
-        greeting = link.recv(200).decode(errors="replace").strip()  # at once: whoever dribbles would hold up the others
-    if greeting in lacking:
-        links[link] = lacking[greeting]
+        while not greeting.endswith(b"\n") and len(greeting) < LONGEST:
+            link.settimeout(max(deadline - monotonic(), 0.0))
+            greeting += link.recv(LONGEST) or b"\n"
+    link.settimeout(GREETING)
+    if (said := greeting.decode(errors="replace").strip()) in lacking:
+        links[link] = lacking[said]
     else:
         waiting = ", ".join(map(str, lacking.values()))
         _say([link], f"process 0 waits for process {waiting}, of as many, with the same task")
@@ -136,7 +139,7 @@ def _say(links: Iterable[socket.socket], line: str) -> None:
 def _hear(link: socket.socket) -> str:
     """Return the next line; empty when the connection has broken or its time is up."""
     with suppress(OSError), link.makefile("rb", buffering=0) as lines:
-        return lines.readline(200).decode(errors="replace").strip()
+        return lines.readline(LONGEST).decode(errors="replace").strip()
     return ""
 
 

@@ -59,7 +59,7 @@ def fitting(table: Table, console: Console) -> Iterator[Table]:
 
 
 def two_digits(value: float) -> str:
-    """Return a number of two significant digits at least, without decimals from 10 on."""
+    """Return a number of at most two significant digits below 10, and without decimals from there on."""
     return f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}"
 
 

@@ -51,9 +51,9 @@ def along(figure: Figure | SubFigure, seen: Seen) -> None:
     """Draw what planning a step with each model is worth more than with the cheapest one, before every step.
 
     Lines are what is compared to choose: the highest one is, or the cheapest model where all are below 0. Shades are
-    the margin for doubt, down to what the networks expect in the mean; in doubt, a more expensive model plans. The
-    scale is linear up to 0.1 and logarithmic beyond. Below, the reward after each step; the background is the model in
-    use.
+    the margin for doubt, between the line and what the networks expect in the mean; in doubt, a more expensive model
+    plans. The scale is linear up to 0.1 and logarithmic beyond. Below, the reward after each step; the background is
+    the model in use.
     """
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.8, 1])
     cheapest, *others = seen.models

@@ -2,10 +2,12 @@
 
 import re
 from dataclasses import replace
+from typing import Annotated
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from msgspec import Meta, defstruct
 
 from ms_highway import Switching, always
 from ms_highway.envs import (
@@ -95,7 +97,15 @@ WRONG = [
     ({"observation": {"type": "Sonar"}}, "its 'type' must be one of CarStates"),
     ({"observation": {"type": "Kinematics", "absolut": True}}, "did you mean 'absolute'"),
     ([], "the configuration is []; it must be a dictionary"),
+    (
+        {"ladder": ["tom@4", "tom"], "costs": "shipped", "controller": {"type": "nearest", "count": 1, "belief": True}},
+        "the ladder begins with tom@4, which counts on a response",
+    ),
 ]
+
+
+CONTINUOUS = {"action": {"type": "ContinuousAction"}}
+UNLEARNED = {"ladder": ["naive", "idm"], "costs": "shipped", "controller": {"type": "learned", "lambda": 1}}
 
 
 def make(scenario=PAIR, **config):
@@ -147,6 +157,7 @@ def test_a_refused_change_leaves_the_environment_as_it_was():
     for config, message in (
         ({"duration": 1.0, "semantics": "real"}, "semantics"),
         ({"action": paralysed}, "control must be enabled"),  # says highway-env
+        (UNLEARNED, "were learned on the ladder"),
     ):
         with pytest.raises(ValueError, match=message):
             env.reset(options={"config": config})
@@ -172,6 +183,26 @@ def test_what_is_configured_during_an_episode_acts_from_the_next_reset_on_all_of
     env.reset(seed=0)
     assert env.config == before | {"controller": longer, "duration": 0.2, "grip": 7.0}
     assert [(info["model"], ends) for *_, ends, info in map(env.step, [0] * 2)] == [("turn", False), ("turn", True)]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda env: env.configure(UNLEARNED), "were learned on the ladder"),
+        (lambda env: env.reset(options={"config": UNLEARNED}), "were learned on the ladder"),
+        (lambda env: env.reset(options={"config": CONTINUOUS, "initial_states": [[0]]}), "needs an array"),
+    ],
+)
+def test_a_change_that_is_refused_in_an_episode_leaves_it_as_it_was(change, message):
+    env = make(controller=NAN_MODEL)
+    env.reset(seed=0)
+    env.step(0)
+    cars = env.car_states
+    with pytest.raises(ValueError, match=message):
+        change(env)
+    np.testing.assert_array_equal(env.car_states, cars)
+    assert (env.steps, env.step(0)[4]["model"]) == (1, "naive")
+    env.reset(seed=0)
 
 
 def test_a_controller_that_is_set_in_the_configuration_itself_drives_from_the_next_reset_on():
@@ -244,10 +275,16 @@ class Dear(SwitchingSettings, tag="dear"):
     """A rule at a lambda."""
 
 
-def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one(monkeypatch):
+@pytest.fixture
+def rules(monkeypatch):
+    """Tables of rules to which some may be added."""
     for name in ("CONTROLLERS", "SHORT_NAMES", "CHOOSING"):
         monkeypatch.setattr(short_names, name, getattr(short_names, name).copy())
     monkeypatch.setattr(controllers, "CONTROLLERS", short_names.CONTROLLERS)
+
+
+@pytest.mark.usefixtures("rules")
+def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one():
     for rule in (Plain, Dear, Dear):  # added again, it takes its own place
         add_rule(rule)
     assert controller_config("plain+belief") == {"type": "plain", "belief": True}
@@ -256,6 +293,34 @@ def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one(monke
     for wrong, example in (("plain:1", "plain"), ("dear", "dear:1")):
         with pytest.raises(ValueError, match=f"cannot be read; write it like {example}$"):
             controller_config(wrong)
+    add_rule(type("Rule", (Plain,), {}, tag="dear"))
+    assert controllers.CHOOSING == short_names.CHOOSING
+
+
+@pytest.mark.usefixtures("rules")
+@pytest.mark.parametrize(
+    ("own", "known"),
+    [
+        ({"top": int}, {"cc:3": {"top": 3}, "cc": None, "cc:3.5": None}),
+        ({"top": Annotated[int, Meta(ge=0)] | None}, {"cc:3": {"top": 3}}),
+        ({"top": (float, 2.0), "last": (str, "")}, {"cc:3": {"top": 3.0}, "cc": {}}),
+        ({"kind": str}, {"cc:near": {"kind": "near"}, "cc": None}),
+        ({"models": (int, 1)}, {"cc:3": {"models": 3}}),
+        ({"models": (list[str], [])}, {"cc": {}, "cc:3": None}),
+        ({"models": list[str]}, {"cc": None, "cc:3": None}),
+        ({"top": int, "last": int}, {"cc": None, "cc:3": None}),
+    ],
+)
+def test_the_short_name_of_a_rule_of_ones_own_is_read_by_the_type_of_its_first_field(own, known):
+    own = [(name, *(kind if isinstance(kind, tuple) else (kind,))) for name, kind in own.items()]
+    rule = {"rule": Plain.rule}
+    add_rule(defstruct("Rule", own, bases=(ControllerSettings,), namespace=rule, tag="cc", frozen=True, kw_only=True))
+    for text, config in known.items():
+        if config is None:
+            with pytest.raises(ValueError, match=f"controller '{text}'"):
+                controller_config(text)
+        else:
+            assert controller_config(text) == {"type": "cc"} | config
 
 
 @pytest.mark.parametrize(

@@ -133,19 +133,25 @@ def test_the_agent_that_chooses_the_model_waits_for_compilation_only_once():
     assert [env.step(place)[4]["timing"].compile_seconds for place in (0, 1, 2)][1:] == [0.0, 0.0]
 
 
-def test_the_autopilot_refuses_other_actions():
-    with pytest.raises(ValueError, match="action 7 is not 0"):
-        make("merger").unwrapped.step(7)
+NOT_FINITE = np.array([0.0, np.nan]), r"nan.* is not finite; give numbers of the space Box\(-1.0, 1.0"
 
 
-@pytest.mark.parametrize("scenario", ["merger", "demonstration"])
-def test_an_action_that_is_not_finite_is_refused_before_anything_moves(scenario):
-    action = {"config": {"action": {"type": "ContinuousAction"}}}
-    env = gym.make(f"ms-highway/{scenario}-v0", disable_env_checker=True, **action).unwrapped
+@pytest.mark.parametrize(
+    ("scenario", "kind", "action", "message"),
+    [
+        ("merger", "continuous", *NOT_FINITE),
+        ("demonstration", "continuous", *NOT_FINITE),
+        ("merger", "autopilot", 7, "action 7 is not 0"),
+        ("merger", "human_model", 99, "99 is no place in the ladder"),
+    ],
+)
+def test_an_impossible_action_is_refused_before_anything_moves(scenario, kind, action, message):
+    config = {"action": ACTIONS[kind]}
+    env = gym.make(f"ms-highway/{scenario}-v0", disable_env_checker=True, config=config).unwrapped
     env.reset(seed=0)
     before = env.car_states
-    with pytest.raises(ValueError, match=r"nan.* is not finite; give numbers of the space Box\(-1.0, 1.0"):
-        env.step(np.array([0.0, np.nan]))
+    with pytest.raises(ValueError, match=message):
+        env.step(action)
     np.testing.assert_array_equal(env.car_states, before)
     assert (env.time, env.steps) == (0, 0)
 

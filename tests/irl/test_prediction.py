@@ -288,11 +288,22 @@ def test_constant_velocity_keeps_it_and_drivers_on_one_lane_have_nowhere_to_chan
         ({"seconds": np.nan}, "seconds are nan; give a number from 0.1 to 5"),
         ({"sizes": [1, 2, 3]}, r"sizes are \[1, 2, 3\]; give length and width"),
         ({"predictor": "oracle"}, "predictor is 'oracle'; choose one of model, constant_velocity"),
+        ({"learned": shipped("demonstrations")}, "no drivers that were learned"),
     ],
 )
 def test_what_cannot_be_predicted_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         ms_highway.predict(**{"states": [[0.0, 0.0, 0.0, 20.0]], "lanes": [0.0, 4.0], "speed_limit": 30.0} | changes)
+    with pytest.raises(ValueError, match="predictor is 'oracle'; choose one of"):
+        prediction("oracle", nth(following(20.0), 5), DRIVERS)
+
+
+def test_drivers_or_the_reward_that_has_them_predict_the_same():
+    given = (
+        ms_highway.predict([[0.0, 0.0, 0.0, 20.0]], [0.0], 30.0, predictor="constant_velocity", learned=learned)
+        for learned in (DRIVERS, shipped("us101"))
+    )
+    np.testing.assert_array_equal(*(found.covariance for found in given))
 
 
 def test_learned_drivers_predict_as_they_come_with_the_package():

@@ -15,7 +15,6 @@ from ms_highway.planning.human_models import MODELS, Turn, ladder
 from ms_highway.planning.plans import cold_start
 from ms_highway.planning.several import plan_for
 from ms_highway.runtime.compilation import jit_quickly
-from ms_highway.runtime.timing import timed
 
 FAR = 2000.0  # m
 LADDER = ladder(["naive", "idm", "turn", "tom@2", "tom"])
@@ -92,7 +91,7 @@ def test_plans_start_from_zero_controls_or_at_once_from_keeping_the_velocity(thr
     assert kept == pytest.approx([0.0, 0.2 * state[3, 3]], rel=1e-5)
     *_, begin, _ = plans.call(state, [TOM] * 3)
     np.testing.assert_allclose(begin[3, 4] * game.planner.control_scale, kept, rtol=1e-6)
-    assert min(timed(plans.call, state, [TOM] * 3)[1] for _ in range(20)) < 3e-4  # s, that no report counts
+    assert {type(part) for part in cold_start(game, state)} == {np.ndarray}  # JAX, uncounted here, takes no part
     papers = replace(game, planner=replace(game.planner, solver="gradient"))
     assert not np.concatenate([each.ravel() for each in cold_start(papers, state)]).any()
 

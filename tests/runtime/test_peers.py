@@ -56,7 +56,7 @@ def test_a_stranger_is_not_counted_and_only_the_named_address_listens(address):
     threads = [Thread(target=take_part, args=(place,)) for place in range(2)]
     threads[0].start()
     another = sha256(b"another sweep").hexdigest().encode()
-    for line in (b"hello\n", b"1 2", b"1 2\n", b"1 2 " + another + b"\n", b"\xff" * 100, b"1 3\n"):
+    for line in (b"hello\n", b"1 2\n", b"1 2 " + another + b"\n", b"\xff" * 200, b"1 3\n"):
         with connected(host, int(port)) as stranger:
             stranger.sendall(line)
             assert "waits for process 1" in stranger.makefile().readline()
@@ -67,6 +67,31 @@ def test_a_stranger_is_not_counted_and_only_the_named_address_listens(address):
     for thread in threads:
         thread.join(100)
     assert sorted(begun) == [0, 1]
+
+
+def test_a_process_whose_greeting_comes_in_two_parts_is_counted_and_one_that_dribbles_is_not(address, monkeypatch):
+    monkeypatch.setattr("ms_highway.runtime.peers.GREETING", 0.5)
+    host, port = address.split(":")
+
+    def take_part():
+        with together(address, 2, 0):
+            pass
+
+    first = Thread(target=take_part, daemon=True)
+    first.start()
+    with connected(host, int(port)) as dribbling, connected(host, int(port)) as process:
+        for _ in range(4):
+            dribbling.sendall(b"1")
+            time.sleep(0.1)
+        assert "waits for process 1" in dribbling.makefile().readline()
+        greeting = b"1 2 " + sha256(b"").hexdigest().encode() + b"\n"
+        for part in (greeting[:9], greeting[9:]):
+            process.sendall(part)
+            time.sleep(0.1)
+        lines = process.makefile()
+        assert lines.readline() == "begin\n"
+        process.sendall(b"done\n")
+        first.join(100)
 
 
 def connected(host, port):

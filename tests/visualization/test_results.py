@@ -56,6 +56,7 @@ def renamed(old, new):
             "holds scenario 'zipper', not one of stay_back, merger, give_way",
         ),
         ("steps.csv", renamed("0.09", "cheap"), "has texts where numbers belong, in column counted_seconds"),
+        ("steps.csv", renamed("False", "no"), "something else than True and False in column collision"),
     ],
 )
 def test_results_that_are_no_results_are_refused_in_one_line(name, spoilt, message, compared, tmp_path, refused):
