@@ -125,6 +125,15 @@ def test_a_sound_plan_is_preferred_then_one_that_hits_nobody_then_the_softest(pl
     assert (scores.broken[1], scores.impact[1] > 0) == (place < 70, place < 20)
 
 
+def test_to_come_close_to_somebody_or_to_hit_it_softly_is_better_than_to_leave_the_road():
+    for place in (23.7, 22.5):
+        scene = scene_of(robot=(0.0, 0.0, 0.0, 12.0), cars=[(place, 0, 0.0)])
+        _, scores = scores_of(scene, (0.0, -4.9), (0.03, 0.0))
+        np.testing.assert_array_equal(scores.leaves, [False, True])
+        assert scores.broken.all()
+        assert scores.preference[0] > scores.preference[1] + 100
+
+
 def test_no_room_is_missing_behind_a_faster_car_nor_beside_one():
     scene = scene_of(cars=[(10.0, 0, 25.0), (90.0, 1, 0.0)])
     _, scores = scores_of(scene, KEEPING, (0.0, -1.0))

@@ -30,6 +30,7 @@ CLEARANCE = 1.0  # m, around where others cross the robot's way
 UNSURE = 6.0  # m/s^2, of the accelerations that others may have
 DECIDED = 1  # step after which stopping has to be possible
 UNSOUND = 1e3  # more than plans earn or cost otherwise
+LEAVING = 10.0  # m/s, of an impact that is as bad as to leave the road
 AWAITED = 6.0  # s, in which a crossing car has to come to count
 
 
@@ -64,7 +65,7 @@ class Scores(NamedTuple):
     def preference(self) -> Plans:
         """What plans are chosen by: sound ones first, then those that hit nobody, then those that hit most softly."""
         faults = jnp.where(self.impact > 0, 2 + self.impact, self.broken + self.intrusion)
-        return self.total - UNSOUND * faults
+        return self.total - UNSOUND * (faults + LEAVING * self.leaves)
 
     @property
     def collides(self) -> PlanFlags:
