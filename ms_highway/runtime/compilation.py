@@ -53,17 +53,20 @@ def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array
 def jit_quickly(function: Callable[..., Any], **options: Hashable) -> Callable[..., Any]:
     """Apply `jax.jit` with `quick_options` and further compiler options; compute in single precision.
 
-    XLA is asked at the first call, so that importing a module does not start JAX.
+    XLA is asked at the first call, so that importing a module does not start JAX. There is a function of JAX for every
+    structure of arguments, named in full: JAX takes dataclasses of other types with the same fields for equal, and now
+    and then computes with what it compiled for another one.
     """
 
     @cache
-    def compiled() -> jax.stages.Wrapped:
-        return jax.jit(function, compiler_options={**quick_options(), **options})
+    def compiled(structure: str) -> jax.stages.Wrapped:
+        named = wraps(function)(lambda *arguments: function(*arguments))  # JAX remembers by function
+        return jax.jit(named, compiler_options={**quick_options(), **options})
 
     @wraps(function)
     def computed(*arguments: Any) -> Any:
         with single_precision():
-            return compiled()(*arguments)
+            return compiled(str(jax.tree.structure(arguments)))(*arguments)
 
     return computed
 
