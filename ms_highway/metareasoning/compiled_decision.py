@@ -38,7 +38,7 @@ class CompiledDecision:
     """
 
     def __init__(self, rule: Rule, game: Game) -> None:
-        network = getattr(rule, "network", None)
+        self._network = network = getattr(rule, "network", None)
         self._numbers, self._layout = pack((rule if network is None else replace(rule, network=None), game))
         self.rule, self.game = rule, game
 
@@ -47,14 +47,13 @@ class CompiledDecision:
 
     @cached_property
     def _leaves(self) -> list[jax.Array]:
-        return [jnp.asarray(leaf) for leaf in jax.tree.leaves(getattr(self.rule, "network", None))]
+        return [jnp.asarray(leaf) for leaf in jax.tree.leaves(self._network)]
 
     @cached_property
     def function(self) -> jax.stages.Wrapped:
         """See `decide_function`; made at the first call, as JAX must not begin before the first step."""
-        network = jax.tree.structure(getattr(self.rule, "network", None))
         fuses = self.game.number == 1 and getattr(self.rule, "in_one_kernel", False)
-        return decide_function(self._layout, network, fuses)
+        return decide_function(self._layout, jax.tree.structure(self._network), fuses)
 
     def decide(self, memory: Memory, observed: Observation) -> tuple[Decision, float]:
         """Return the decision, in NumPy arrays, and the seconds that it took.

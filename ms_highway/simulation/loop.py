@@ -115,12 +115,9 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
     first = jax.tree.map(lambda part: jnp.broadcast_to(part, (size, *part.shape)), _before(loop))
     first = first._replace(state=jnp.asarray(episodes.starts, jnp.float32))
     schedules = jnp.moveaxis(jnp.asarray(episodes.schedules), 1, 0)  # [steps, episodes, humans]
-    following = jnp.concatenate([schedules[1:], schedules[-1:]])
     if decides:  # a step before the first one, in which nothing moves, so that choices are compiled once
-        schedules, following = (
-            jnp.concatenate([one, rest])
-            for one, rest in ((jnp.full_like(schedules[:1], DECIDES), schedules), (schedules[:1], following))
-        )
+        schedules = jnp.concatenate([jnp.full_like(schedules[:1], DECIDES), schedules])
+    following = jnp.concatenate([schedules[1:], schedules[-1:]])
     chunks, last = (count[0] + together - 1) // together, 2 * len(loop.models)  # behind all models
 
     def one_step(now: _Now, step: tuple[Flag, Int[jax.Array, "2 episodes humans"]]) -> tuple[_Now, Records]:
