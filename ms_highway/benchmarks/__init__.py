@@ -1,4 +1,4 @@
-"""Measure latency and throughput, also beside the same planners in CasADi.
+"""Measure latency and throughput, also beside the same planners in CasADi, and how steady driving is.
 
 Imports `ms_highway.experiments` and what stands below it.
 """

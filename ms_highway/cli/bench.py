@@ -6,7 +6,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
-from ms_highway.cli.options import add_devices, add_keys, add_number, add_scenarios, configuration
+from ms_highway.cli.options import (
+    MOST_SEEDS,
+    add_controllers,
+    add_devices,
+    add_keys,
+    add_number,
+    add_scenarios,
+    configuration,
+    number,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,6 +31,16 @@ switching. MiB is the most memory that the batches have taken until then.
 
 For scenarios with several humans, measure plans by number of humans (--crowd), a process each.
 
+With --noise, measure how steady driving is: drive --seeds starts as they were drawn, and again with normal noise added
+to the start of the robot and of every human. NOISE is its standard deviation, of x and y [m] and of the speed [m/s];
+that of the heading is NOISE / 20 rad, so that the velocity changes as much across the road. Cars that nobody drives
+keep their starts. The table tells how far apart the robot is with noise and without after so many steps, the median
+and the 95 % quantile over the starts; growth, the factor per step of the median, from a straight line through its
+logarithm over 20 steps (noise is forgotten below 1, not even corrected at 1.05, amplified above); the change
+of the reward per step with its 90 % interval, and the mean of its magnitude; the share of the episodes whose success
+changes, among several humans; and episodes with a collision without noise and with it. Numbers have single precision:
+a distance below 0.01 mm is rounding.
+
 `ms-highway bench road` measures how drivers fare in stock scenes of highway-env."""
 
 EXAMPLES = """\
@@ -30,6 +49,8 @@ examples:
   ms-highway bench --peer casadi --json bench.json
   ms-highway bench merger --batches 1 16 64 256 1024 8192
   ms-highway bench dense_merge --crowd 1 2 4 6 8 12
+  ms-highway bench merger --noise 1e-5 1e-3 1e-1
+  ms-highway bench dense_merge --noise 1e-5 1e-3 --set ladder=naive, --set humans=2 --json noise.json
   ms-highway bench road merge --drivers switching idm"""
 
 
@@ -51,16 +72,30 @@ SEVERAL = {
     "compile s": "{compile_s:.1f}",
     "MiB": "{memory_mib:.0f}",
 }
+STEADY = {
+    "growth": "{growth:.2f}",
+    "reward /step": "{reward[mean]:+.3f} ({reward[low]:+.3f}, {reward[high]:+.3f})",
+    "|reward|": "{reward[absolute]:.2g}",
+    "collisions": "{collisions[0]} -> {collisions[1]}",
+}
 """Headings of tables, and how their texts are made of what was measured."""
+
+NOISES = 1e-6, 10.0  # m, the least that single precision tells apart, and the most
+STARTS = 24
 
 
 def add_bench(commands: Any) -> None:
     """Add the command ``bench`` to a parser's subparsers."""
-    parser = add_command(commands, "bench", "measure planning time, and the closed loop", HELP, EXAMPLES)
+    parser = add_command(commands, "bench", "measure planning time, the closed loop, and steadiness", HELP, EXAMPLES)
     add_scenarios(parser)
     parser.add_argument("--peer", choices=["casadi"], help="measure the same plans in CasADi's C code as well")
     add_number(parser, "--batches", None, "measure the closed loop in such batches", nargs="+", metavar="SIZE")
     add_number(parser, "--crowd", None, "numbers of humans (default: 1 6 8)", nargs="+", metavar="N")
+    noise = number(*NOISES, float)
+    parser.add_argument("--noise", nargs="+", type=noise, metavar="NOISE", help="measure steadiness under such noise")
+    add_number(parser, "--seeds", None, f"starts to add --noise to (default: {STARTS})", 2)
+    add_number(parser, "--seed", None, "of the first start (default: 0)", 0, MOST_SEEDS)
+    add_controllers(parser, "Those of --noise (default: all models of the ladder)")
     add_devices(parser)
     add_keys(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
@@ -69,22 +104,36 @@ def add_bench(commands: Any) -> None:
 
 def _bench(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.latency import bench, bench_several
+    from ms_highway.benchmarks.steadiness import steadiness
     from ms_highway.benchmarks.throughput import throughput
     from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
-    from ms_highway.experiments.comparison import paper_controllers
+    from ms_highway.experiments.comparison import Comparison, paper_controllers
+    from ms_highway.planning.human_models import rung_names
     from ms_highway.runtime.files import write_json
 
-    if (options.batches and options.peer) or (options.devices and not options.batches):
-        raise ValueError("--peer is about plans, and --devices about --batches; leave one out")
+    if options.noise and (options.batches or options.peer or options.crowd):
+        raise ValueError("--noise is about driving, and --batches, --peer and --crowd about time; leave one out")
+    if not options.noise and any(each is not None for each in (options.seeds, options.seed, options.controllers)):
+        raise ValueError("--seeds, --seed and --controllers are about --noise; give it, or leave them out")
+    if (options.batches and options.peer) or (options.devices and not (options.batches or options.noise)):
+        raise ValueError("--peer is about plans, and --devices about --batches and --noise; leave one out")
     config, results = configuration(options), dict[str, dict[str, Any]]()
     scenarios = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS))
     for scenario in scenarios:
         environment_id(scenario)  # refuses unknown ones before anything is measured
         if options.peer and SCENARIOS[scenario].streams:
             raise ValueError(f"--peer is for scenarios with one human; leave out {scenario}")
+    if options.noise:
+        ladders = {scenario: config.get("ladder", SCENARIOS[scenario].ladder) for scenario in scenarios}
+        controllers = {scenario: options.controllers or rung_names(ladder) for scenario, ladder in ladders.items()}
+        asked = Comparison(controllers, options.seeds or STARTS, options.seed or 0, config)
+        asked.check()
     with telling() as tell:
         for scenario in scenarios:
-            if options.batches:
+            if options.noise:
+                noises = list(dict.fromkeys(options.noise))
+                measured = steadiness(asked, scenario, noises, options.devices, options.modules)
+            elif options.batches:
                 loops = paper_controllers(scenario), options.batches, options.devices, options.modules
                 measured = throughput(scenario, *loops, config)
             elif SCENARIOS[scenario].streams:
@@ -104,6 +153,14 @@ def _table(scenario: str, measured: Mapping[str, Any]) -> "Table":
     from ms_highway.visualization.tables import grid
 
     results = list(measured.values())
+    if "noise" in results[0]:
+        what = f"mm from the undisturbed path after 1 to 20 steps, median (95 %) of {results[0]['seeds'][1]} starts"
+        rows = [
+            {"": name, "noise": noise, **_steady(figures)}
+            for name, one in measured.items()
+            for noise, figures in one["noise"].items()
+        ]
+        return grid(f"{scenario}: {what}", rows, left=2)
     if "batch" in results[0]:
         devices = results[0]["devices"]
         rows = [
@@ -125,3 +182,16 @@ def _table(scenario: str, measured: Mapping[str, Any]) -> "Table":
             one["of_mean_plan"] = one["decision_us"] / mean
     rows = [{"": name, **{key: form.format(**one) for key, form in forms.items()}} for name, one in measured.items()]
     return grid(f"{scenario}: {what}", rows)
+
+
+def _steady(figures: Mapping[str, Any]) -> dict[str, str]:
+    """Return texts, by heading, of a driver's figures under a noise."""
+    from ms_highway.visualization.tables import two_digits
+
+    success = figures["success_changes"]
+    texts = {
+        step: f"{two_digits(1e3 * one['p50'])} ({two_digits(1e3 * one['p95'])})"
+        for step, one in figures["change_m"].items()
+    }
+    texts |= {heading: form.format(**figures) for heading, form in STEADY.items()}
+    return texts | ({} if success is None else {"success changed": f"{success:.0%}"})

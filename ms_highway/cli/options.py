@@ -103,6 +103,11 @@ def add_scenarios(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: the paper's)")
 
 
+def add_controllers(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add ``--controllers`` to a command, with what its help text says behind their names."""
+    parser.add_argument("--controllers", nargs="+", metavar="CONTROLLER", help=f"{CONTROLLERS}. {text}")
+
+
 def add_comparison(parser: argparse.ArgumentParser, seeds: int, out: str | None, controllers: str = "") -> None:
     """Add the options that say what is compared, see `comparison`: all but ``--set`` of `add_keys`.
 
@@ -115,7 +120,7 @@ def add_comparison(parser: argparse.ArgumentParser, seeds: int, out: str | None,
     add_scenarios(parser)
     usual = controllers or "(default: all models of the ladder, and switching)"
     kinds = "A kind that has a lambda, without it, stands for one controller at each of --lambdas"
-    parser.add_argument("--controllers", nargs="+", metavar="CONTROLLER", help=f"{CONTROLLERS}. {kinds} {usual}")
+    add_controllers(parser, f"{kinds} {usual}")
     parser.add_argument(
         "--lambdas",
         nargs="+",

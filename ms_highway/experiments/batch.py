@@ -101,12 +101,13 @@ class Batch:
         places = range(self.comparison.seeds * len(names))[first:last]
         return [(names[place % len(names)], seed + place // len(names)) for place in places]
 
-    def simulate(self, keys: Sequence[Key], mesh: Mesh | None = None) -> Records:
+    def simulate(self, keys: Sequence[Key], mesh: Mesh | None = None, shifts: Array | None = None) -> Records:
         """Simulate episodes, together those of controllers that choose alike but for their lambda.
 
         Args:
             keys: which.
             mesh: see `ms_highway.simulation.loop.simulate`.
+            shifts: what is added to the starts of the first cars, the robot before the humans [episodes, cars, 4].
 
         Raises:
             ValueError: without an episode, or for a negative seed.
@@ -119,7 +120,10 @@ class Batch:
         for places in alike:
             settings, belief = kinds[places[0]]
             loop = replace(self.loop, rule=self.rule(settings) if settings else self.loop.rule, belief=belief)
-            parts.append(simulate(loop, self.episodes([keys[place] for place in places]), mesh))
+            episodes = self.episodes([keys[place] for place in places])
+            if shifts is not None:
+                episodes.starts[:, : shifts.shape[1]] += shifts[places]
+            parts.append(simulate(loop, episodes, mesh))
         order = np.argsort(np.concatenate(alike))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 

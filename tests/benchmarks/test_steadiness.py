@@ -1,0 +1,84 @@
+"""How steady driving is: what a little noise in the start changes."""
+
+import json
+
+import pytest
+from commands import run
+
+from ms_highway.benchmarks.steadiness import AFTER, changes
+from ms_highway.experiments.batch import make_batch
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.game.scenarios import GIVE_WAY, MERGER, STAY_BACK
+
+SMALL = {"humans": 2, "ladder": ["naive"]}
+"""Of scenarios with several humans: all models of eight take minutes to compile."""
+
+BOUNDS = {"stay_back": 1.0, "merger": 5e-4, "give_way": 2e-3, "dense_merge": None, "crossing_crowd": None}
+"""By scenario, how far from its path a robot may be, in the median, two seconds after a millimetre of noise [m]."""
+
+
+def test_a_centimetre_in_the_start_is_forgotten_within_twenty_steps_where_the_robot_merges():
+    batch = make_batch(Comparison({"merger": ["naive"]}, seeds=8, config={"ladder": ["naive"]}), "merger")
+    small, usual = changes(batch, "naive", [1e-3, 1e-2]).values()
+    change = usual["change_m"]
+    assert 5e-3 < change["1"]["p50"] < 2e-2  # the noise itself
+    assert change["20"]["p50"] < change["5"]["p50"] < change["1"]["p50"]
+    assert change["20"]["p95"] < 1e-2
+    assert usual["growth"] < 1
+    for step in map(str, AFTER):  # the same noise, ten times as much
+        assert change[step]["p50"] == pytest.approx(10 * small["change_m"][step]["p50"], rel=0.3)
+    assert 0 < small["reward"]["absolute"] < usual["reward"]["absolute"] < 1e-2
+    assert usual["reward"]["low"] < usual["reward"]["mean"] < usual["reward"]["high"]
+    assert (usual["collisions"], usual["success_changes"]) == ([0, 0], None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", BOUNDS)
+def test_a_millimetre_in_the_start_changes_the_path_no_more_than_is_known(scenario):
+    bound = BOUNDS[scenario]
+    if bound is None:
+        pytest.skip("no bound is known yet")
+    ladders = {one.name: one.ladder for one in (STAY_BACK, MERGER, GIVE_WAY)}
+    controllers = list(ladders.get(scenario, SMALL["ladder"]))
+    batch = make_batch(
+        Comparison({scenario: controllers}, seeds=24, config={} if scenario in ladders else SMALL), scenario
+    )
+    for controller in controllers:
+        (figures,) = changes(batch, controller, [1e-3]).values()
+        assert figures["change_m"]["20"]["p50"] < bound, controller
+
+
+@pytest.mark.slow
+def test_the_command_tells_figures_of_every_controller_and_noise_among_one_human_and_several(tmp_path, capsys):
+    file = tmp_path / "noise.json"
+    small = "--set humans=2 --set ladder=naive, --set horizon=5"
+    run(f"bench dense_merge --noise 1e-5 0.001 --seeds 2 --seed 7 {small} --json {file}")
+    (own,) = json.loads(file.read_text())["dense_merge"].values()
+    assert own["seeds"] == [7, 2]
+    assert list(own["noise"]) == ["1e-05", "0.001"]
+    for figures in own["noise"].values():
+        assert list(figures["change_m"]) == ["1", "5", "10", "20"]
+        assert figures["success_changes"] in (0, 0.5, 1)
+        assert figures["growth"] > 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "mm from the undisturbed path after 1 to 20 steps, median (95 %) of 2 starts" in printed
+    assert "growth" in printed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("--noise 0.1 --batches 8", "--noise is about driving, and --batches, --peer and --crowd about time"),
+        ("--noise 0.1 --peer casadi", "--noise is about driving"),
+        ("--noise 0.1 --crowd 2", "--noise is about driving"),
+        ("--noise -1", "--noise: '-1' is no number from 1e-06 to 10.0"),
+        ("--noise nan", "--noise: 'nan' is no number"),
+        ("--noise 0.1 --seeds 1", "--seeds: '1' is no whole number from 2"),
+        ("--noise 0.1 --controllers oracle", "unknown controller 'oracle'"),
+        ("--noise 0.1 --set duration=1", "episodes of merger have 10 steps; make their duration 20 steps at least"),
+        ("--seed 0", "--seeds, --seed and --controllers are about --noise"),
+        ("--controllers naive", "--seeds, --seed and --controllers are about --noise"),
+    ],
+)
+def test_what_cannot_be_measured_together_is_refused_before_anything_is_driven(arguments, message, refused):
+    assert message in refused(f"bench merger {arguments} --json noise.json")
