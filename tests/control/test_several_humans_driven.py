@@ -4,14 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from driving import move
 
 from ms_highway.control.driver import Driver, fixed
 from ms_highway.game.game import swap_roles
 from ms_highway.metareasoning.compiled_decision import decide_function
 from ms_highway.metareasoning.rankings import Nearest
 from ms_highway.metareasoning.rule import always
-from ms_highway.planning.compiled_plans import Costs, plan_function
+from ms_highway.planning.compiled_plans import CompiledPlans, Costs, checked_state, plan_function
 from ms_highway.planning.human_models import MODELS, ladder
+from ms_highway.planning.plans import Plan
 
 RUNGS = ladder(("naive", "turn", "tom"))
 COSTS = Costs(0.09, np.array([0.0, 0.08, 0.28]))
@@ -80,6 +82,27 @@ def test_a_plan_that_is_late_is_followed_from_the_next_step_on(two):
     third = driver.step(state)
     assert third.status == "planned"
     np.testing.assert_allclose(third.plan, punctual.step(state).plan, rtol=1e-6)
+
+
+def test_what_is_left_of_an_escape_is_followed_where_the_next_plan_fails_and_the_next_plan_starts_from_it(played):
+    """A human comes from behind, faster than the robot; another one is beside it."""
+    game, state = played("dense_merge")
+    lane, x = float(game.scene.target_lane), float(state[0, 0])
+    start = np.array([state[0], [x - 12.0, state[0, 1], 0.0, 30.0], [x, lane, 0.0, 20.0], *state[3:]])
+    driver, failing = (Driver(game, always(MODELS["naive"]), way_out=True) for _ in range(2))
+    _, step = (each.step(start) for each in (driver, failing))
+    assert step.status == "way out"
+    np.testing.assert_array_equal(step.control, step.plan[0])
+    now = move(game, start, [step.control, *(human[0] for human in step.humans)])
+    failing.game = replace(game, robot=replace(game.robot, weights=game.robot.weights * np.nan))
+    fallback = failing.step(now)
+    assert fallback.status == "previous plan"
+    np.testing.assert_array_equal(fallback.plan, step.plan[1:])
+    scale, later = np.asarray(game.planner.control_scale), [1, 2, 3, 4, 4]
+    rest = Plan(step.plan[later] / scale, step.humans[:, later] / scale)
+    expected, _ = CompiledPlans(game, driver.rule.ladder).plan(checked_state(now), [0, 0], rest)
+    driver.way_out = False
+    np.testing.assert_allclose(driver.step(now).plan, expected.robot * scale, rtol=1e-4, atol=1e-6)
 
 
 def test_humans_drive_by_their_own_rewards(two):
