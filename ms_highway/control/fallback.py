@@ -54,8 +54,8 @@ class Rest(NamedTuple):
 
     def later(self) -> Plan:
         """Return the plan from the next step on."""
-        places = np.minimum(np.arange(1, 1 + len(self.plan.robot)), len(self.plan.robot) - 1)
-        return Plan(*(controls[..., places, :] for controls in self.plan))
+        xp = self.plan.robot.__array_namespace__()
+        return Plan(*(xp.concat([side[..., 1:, :], side[..., -1:, :]], axis=-2) for side in self.plan))
 
 
 class Followed(NamedTuple):
@@ -93,12 +93,12 @@ def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Follow
         before: what the last step kept.
         late: whether the plan is too late for this step; if it is finite, it is kept for the next one.
     """
-    xp = plan.robot.__array_namespace__()
+    xp, left = plan.robot.__array_namespace__(), before.later()
     finite = xp.isfinite(plan.robot).all() & xp.isfinite(plan.humans).all()
 
     def choose(follows: Flag) -> tuple[Index, Rest]:
         status, steps = fallback_status(follows, before.steps, len(plan.robot))
-        chosen = Plan(*(xp.where(follows, new, old) for new, old in zip(plan, before.later(), strict=True)))
+        chosen = Plan(*(xp.where(follows, new, old) for new, old in zip(plan, left, strict=True)))
         return status, Rest(chosen, steps, xp.where(follows | (steps == 0), rungs, before.rungs))
 
     status, kept = choose(finite)
