@@ -46,11 +46,18 @@ class Rest(NamedTuple):
         plan: scaled, from this step on; beyond its end, its last controls are repeated.
         steps: number of its controls that are left, this step's included; 0 without a plan: the robot brakes.
         rungs: of every human, that it was made with.
+        escapes: whether it is of an escape. Then plans start anew: those that started from it merged less often.
     """
 
     plan: Plan
     steps: Index
     rungs: Rungs
+    escapes: Flag
+
+    @property
+    def starts(self) -> Flag:
+        """Whether a plan may start from it."""
+        return (self.steps > 0) & ~self.escapes
 
     def later(self) -> Plan:
         """Return the plan from the next step on."""
@@ -64,8 +71,8 @@ class Followed(NamedTuple):
     Attributes:
         now: what is followed: its first control is executed. Where the robot brakes, its rungs are those of the step's
             own plan.
-        kept: what the next plan may start from, and what is followed where that fails or is late: `now`, but for a late
-            plan, whose first control counts as executed.
+        kept: what the next plan may start from, and what is followed where that fails or is late: `now` or a late plan,
+            whose first control counts as executed.
         status: number of the status, in `STATUSES`.
     """
 
@@ -81,7 +88,7 @@ class Followed(NamedTuple):
 def no_rest(horizon: int, humans: int) -> Rest:
     """Return what is left before the first plan."""
     still = np.zeros((1 + humans, horizon, 2), np.float32)
-    return Rest(Plan(still[0], still[1:]), np.int32(0), np.zeros(humans, np.int32))
+    return Rest(Plan(still[0], still[1:]), np.int32(0), np.zeros(humans, np.int32), np.bool_(False))
 
 
 def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Followed:
@@ -99,7 +106,8 @@ def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Follow
     def choose(follows: Flag) -> tuple[Index, Rest]:
         status, steps = fallback_status(follows, before.steps, len(plan.robot))
         chosen = Plan(*(xp.where(follows, new, old) for new, old in zip(plan, left, strict=True)))
-        return status, Rest(chosen, steps, xp.where(follows | (steps == 0), rungs, before.rungs))
+        own = xp.where(follows | (steps == 0), rungs, before.rungs)
+        return status, Rest(chosen, steps, own, before.escapes & ~follows)
 
     status, kept = choose(finite)
     if not late:
@@ -113,7 +121,7 @@ def follow_escape(followed: Followed, escape: Escape) -> Followed:
     Late and failed plans keep their status, and plans their rungs, although an escape counts on nobody.
     """
     xp, (now, kept, status) = escape.controls.__array_namespace__(), followed
-    own = Rest(now.plan._replace(robot=escape.controls), len(escape.controls), now.rungs)
+    own = Rest(now.plan._replace(robot=escape.controls), len(escape.controls), now.rungs, True)
     now, kept = (jax.tree.map(partial(xp.where, escape.replaces), own, rest) for rest in (now, kept))
     return Followed(now, kept, xp.where(escape.replaces & (status == PLANNED), WAY_OUT, status))
 

@@ -194,8 +194,9 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
         game, start, warm = own.robots(loop.game), None, np.array([starts_warm(model) for model in models])
         if game.planner.persistent or warm.any():
             left = game.planner.persistent | jnp.asarray(warm)[now.memory.rungs if len(warm) > 1 else 0].any()
-            left = left & (now.robot.steps > 0)
-            start = jax.tree.map(partial(jnp.where, left), now.robot.later(), cold_start(game, now.state))
+            start = jax.tree.map(
+                partial(jnp.where, left & now.robot.starts), now.robot.later(), cold_start(game, now.state)
+            )
         return plan_for(models, game, now.state, now.memory.rungs, start)
 
     if loop.game.number > 1:
@@ -216,7 +217,7 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
 def _follow(game: Game, car: Car, plan: Plan, rungs: Rungs, before: Rest) -> Followed:
     """Return what drives a car, see `ms_highway.control.fallback`."""
     followed = follow(plan, rungs, before)
-    (robot, humans), steps, _ = followed.now
+    (robot, humans), steps, *_ = followed.now
     braking = braking_control(game, car) / game.planner.control_scale
     return followed.instead(Plan(jnp.where(steps == 0, braking, robot), humans))
 
@@ -235,7 +236,7 @@ def _move(loop: Loop, now: _Now, own: _Own, plan: Plan) -> tuple[_Moved, Records
     followed = _follow(game, state[0], plan, now.memory.rungs, now.robot)
     if loop.way_out:
         followed = follow_escape(followed, keep_way_out(game, state, followed.now.plan.robot[0]))
-    own_plan, _, rungs = followed.now
+    own_plan, _, rungs, _ = followed.now
 
     def drive(human: Index) -> tuple[Control, Rest]:
         view, seen = swap_players(truth, state, human)

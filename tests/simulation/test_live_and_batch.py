@@ -173,14 +173,14 @@ def test_beliefs_ways_out_and_humans_who_yield_never_or_always(scene):
     game, starts = scene
     models = ladder(["naive", "tom+warm"])
     loop = Loop(game, Order(np.array([[1]]), models), way_out=True, belief=True, yielding=True)
-    yielding = np.repeat([[USUAL], [NEVER_YIELDS], [ALWAYS_YIELDS]], game.number, axis=1)
-    start = starts[-1]
-    records = simulated(loop, [start] * 3, 8, schedule=1, yielding=yielding)
-    assert (records.status[0] == WAY_OUT).any()
+    yielding = np.repeat([[USUAL], [NEVER_YIELDS], [ALWAYS_YIELDS], [USUAL]], game.number, axis=1)
+    records = simulated(loop, starts[[0, 0, 0, 1]], 8, schedule=1, yielding=yielding)
+    assert (records.status[3] == WAY_OUT).any()
+    agree(records, 3, drive(Driver(game, loop.rule, belief=True, way_out=True), starts[1], 8), models)
     for episode, yields in enumerate([None, False, True]):
         humans = None if yields is None else [Unmoved(swap_roles(game, i), yields) for i in range(game.number)]
         driver = Driver(game, loop.rule, belief=True, way_out=True)
-        live = drive(driver, start, 8, humans=humans)
+        live = drive(driver, starts[0], 8, humans=humans)
         agree(records, episode, live, models)
         ignored = live[1][-1].belief[:, RESPONDING].sum(axis=1) < 0.3
         assert ignored.any() if humans else not ignored.any()
