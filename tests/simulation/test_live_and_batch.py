@@ -41,6 +41,16 @@ class Timid(PredictedHuman):
         return jnp.tile(control / game.planner.control_scale, (game.planner.horizon, 1))
 
 
+@dataclass(frozen=True)
+class Failing(PredictedHuman):
+    """A model of a user's that predicts nothing finite."""
+
+    name: ClassVar[str] = "failing"
+
+    def predict(self, game, state, start=None):
+        return jnp.full((game.planner.horizon, 2), jnp.nan)
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Ahead:
@@ -167,6 +177,17 @@ def test_a_rule_and_a_model_of_ones_own(scene):
     assert set(records.rungs.ravel()) == {0, 2}
     for episode, start in enumerate(starts):
         agree(records, episode, drive(Driver(game, rule), start, STEPS), models)
+
+
+def test_plans_that_fail(played):
+    game, start = played("merger")
+    schedule, models = np.array([[0], *[[1]] * 6, [0], [1]]), (Naive(), Failing())
+    records = simulated(Loop(game, Order(schedule, models)), [start], 9, schedule=schedule)
+    live = drive(Driver(game, Order(schedule, models)), start, 9)
+    agree(records, 0, live, models)
+    followed = [(step.status, *step.models) for step in live[1]]
+    again, brakes = ("previous plan", "naive"), ("braking", "failing")
+    assert followed == [("planned", "naive"), *[again] * 4, *[brakes] * 2, ("planned", "naive"), again]
 
 
 def test_beliefs_ways_out_and_humans_who_yield_never_or_always(scene):
