@@ -91,13 +91,14 @@ class InteractionEnv(StageEnv):
 
     ``info`` holds after every step: ``control``, what the robot did, by whatever action: ``acceleration`` [m/s^2] and
     ``steering`` [rad], which, divided by the ends of its ranges, is the ``ContinuousAction`` that does the same;
-    ``models``, the name of every human's model; ``model``, the most expensive of them; ``gains``, the highest estimated
-    gain of each model over all humans, by which the choice is made, see `ms_highway.metareasoning.rule.Decision`;
-    ``status``, ``human_status``, a status for each human; ``timing``, ``counted_seconds``, T of the plan; with a
-    controller's ``belief``, ``belief``, the probability of every model for every human, [humans, 4] in the order naive,
-    idm, turn, tom. In scenarios with streams it also holds ``humans_MODEL``, how many humans each model above the first
-    predicts; ``success``, whether the robot is in the target lane and has not collided so far; and
-    ``distance_to_cones``, from the robot's front to the first cone ahead in its lane, infinite without one [m].
+    ``models``, the name of every human's model in the plan that is followed; ``model``, the most expensive of them;
+    ``gains``, the highest estimated gain of each model over all humans, by which the choice is made, see
+    `ms_highway.metareasoning.rule.Decision`; ``status``, ``human_status``, a status for each human; ``timing``,
+    ``counted_seconds``, T of the step's own plan; with a controller's ``belief``, ``belief``, the probability of every
+    model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also holds
+    ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in the
+    target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the first cone ahead
+    in its lane, infinite without one [m].
 
     Attributes:
         settings: of the configuration.
@@ -272,7 +273,7 @@ class InteractionEnv(StageEnv):
         self._collided |= self.collision
         step = self.robot.last_step
         if isinstance(self.action_type, HumanModelAction) and step:
-            self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * self.counted_seconds(step.models))
+            self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * self.counted_seconds(step.planned))
         self.history.append(Shown(step, sum(self._terms.values())))
 
     def _info(self, obs: Any, action: Any = None) -> Config:
@@ -290,7 +291,7 @@ class InteractionEnv(StageEnv):
         asked, controller = isinstance(self.action_type, HumanModelAction), self.settings.controller
         clocked = self.settings.measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and controller.budget is not None)
-        info["gains"], counted = step.highest_gains(), self.counted_seconds(step.models)
+        info["gains"], counted = step.highest_gains(), self.counted_seconds(step.planned or step.models)
         known = {"belief": step.belief, "counted_seconds": counted}
         info |= {name: value for name, value in known.items() if value is not None}
         if streams:

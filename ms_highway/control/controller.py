@@ -24,7 +24,7 @@ class ControlStep:
         control: to execute now, ``(omega, acceleration)``.
         plan: controls over the horizon; fewer where only part of the last plan is left.
         humans: controls that the plan expects of every human.
-        models: name of the model that predicted every human.
+        models: name of the model that predicted every human in this plan.
         planning_seconds: wall time of the plan and of the check of its way out, without compilation.
         decision_seconds: wall time of choosing the models, the belief included, without compilation; 0 without both.
         compile_seconds: wall time of compiling and warming up in this step.
@@ -35,6 +35,8 @@ class ControlStep:
         status: where the control comes from, see `ms_highway.control.fallback.Status`.
         belief: probability that each of `ms_highway.planning.human_models.PACKAGE_MODELS` predicts a human, for every
             human; None where it is not inferred.
+        planned: name of the model that predicted every human in the plan made in this step: not the same where that is
+            late or failed.
     """
 
     control: Control
@@ -49,6 +51,7 @@ class ControlStep:
     choice_failed: bool = False
     status: Status = "planned"
     belief: Belief | None = None
+    planned: tuple[str, ...] = ()
 
     @property
     def model(self) -> str:

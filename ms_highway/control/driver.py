@@ -7,9 +7,8 @@ from time import perf_counter
 import numpy as np
 
 from ms_highway.control.controller import ControlStep
-from ms_highway.control.fallback import Status, brake
-from ms_highway.game.dynamics import keep_velocity
-from ms_highway.game.game import Game
+from ms_highway.control.fallback import STATUSES, Followed, brake, follow, follow_escape, no_rest
+from ms_highway.game.game import Game, constant_velocity
 from ms_highway.metareasoning.belief import CompiledBelief, counted_on, first_belief
 from ms_highway.metareasoning.budget import Budget
 from ms_highway.metareasoning.compiled_decision import CompiledDecision, Observation
@@ -18,7 +17,7 @@ from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.effort import starts_warm
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Control, Rungs, State
+from ms_highway.runtime.arrays import Rungs, State
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed
 
@@ -45,7 +44,7 @@ class Driver:
 
     Where a plan is not finite, the robot follows the rest of the last finite one, then brakes. With a budget, a plan
     that is late is not followed in its own step, in which the robot drives on with what it has, but from the next step
-    on.
+    on. What a rule learns from a step is about the plan that was followed in it, and the models of that plan.
 
     Args:
         game: of which car 0 is driven, with the humans' rewards as the robot believes them.
@@ -108,14 +107,15 @@ class Driver:
         """Forget the past, before a new episode."""
         self._memory = first_memory(self.rule, self.game.number)
         self._steps = 0  # of the episode, for orders
-        self._left: Plan | None = None  # scaled controls that were last planned, the first of which have been driven
+        self._rest = no_rest(self.game.planner.horizon, self.game.number)
         self._checking = 0.0  # seconds of the last look for a way out, which comes after the plan
         self._forget_humans()
 
     def reset_partner(self) -> None:
         """Forget the humans, and what the last plan expected of them: the last step says nothing about others."""
         self._memory = first_memory(self.rule, self.game.number)
-        self._left = self._left and self._left._replace(humans=np.zeros_like(self._left.humans))
+        own = self._rest.plan._replace(humans=np.zeros_like(self._rest.plan.humans))
+        self._rest = self._rest._replace(plan=own)
         self._forget_humans()
 
     def _forget_humans(self) -> None:
@@ -142,26 +142,29 @@ class Driver:
         rungs = self._counted(np.asarray(decision.memory.rungs))
         plan, planning = self._plans.plan(now, rungs, self._start(rungs))
         elapsed = perf_counter() - start + self._checking
-        self._memory = decision.memory._replace(rungs=rungs)
+        late = self.budget is not None and elapsed > self.budget
+        (rest, self._rest, status), self._checking = self._follow(follow(plan, rungs, self._rest, late), now)
+        self._memory = decision.memory._replace(rungs=rest.rungs)
         self._steps += 1
         scale = np.asarray(self.game.planner.control_scale, dtype=float)
-        followed, status = self._follow(plan, self.budget is not None and elapsed > self.budget, state, scale)
-        control, status, self._checking = self._executed(followed.robot[0], status, now, scale)
-        self._last = Observation(now, now, control, self._whole(followed))
+        followed = Plan(rest.plan.robot * scale, rest.plan.humans * scale)
+        self._last = Observation(now, now, followed.robot[0], followed)
         names = tuple(model.name for model in self.rule.ladder)
+        left = int(rest.steps) or None
         return ControlStep(
-            control,
-            followed.robot,
-            followed.humans,
-            tuple(names[rung] for rung in rungs),
+            followed.robot[0],
+            followed.robot[:left],
+            followed.humans[:, :left],
+            tuple(names[rung] for rung in rest.rungs),
             planning + self._checking,
             inferring + deciding,
             compiling,
             names,
             np.asarray(decision.gains),
             bool(decision.failed),
-            status,
+            STATUSES[status],
             self._belief,
+            tuple(names[rung] for rung in rungs),
         )
 
     def _warm_up(self, state: State) -> float:
@@ -222,54 +225,23 @@ class Driver:
         return np.where(responds[rungs] & ~counted_on(self._belief), 0, rungs).astype(np.int32)
 
     def _start(self, rungs: Rungs) -> Plan | None:
-        """Return the scaled plan to start from, the rest of the last one; None to start anew."""
+        """Return the scaled plan to start from, the rest of what was followed; None to start anew."""
         persistent = self.game.planner.persistent or any(starts_warm(self.rule.ladder[rung]) for rung in rungs)
-        if self._left is None or not persistent:
-            return None
-        rest = np.minimum(np.arange(1, self.game.planner.horizon + 1), len(self._left.robot) - 1)
-        return Plan(self._left.robot[rest], self._left.humans[:, rest])
+        return self._rest.later() if persistent and self._rest.starts else None
 
-    def _follow(self, plan: Plan, late: bool, state: State, scale: Control) -> tuple[Plan, Status]:
-        """Return the plan to follow in this step, not scaled, and its status; keep what the coming steps start from."""
-        finite = bool(np.isfinite(plan.robot).all() and np.isfinite(plan.humans).all())
-        rest = self._left and Plan(self._left.robot[1:], self._left.humans[:, 1:])
-        goes_on = rest is not None and len(rest.robot) > 0
-        status: Status = "planned" if finite else "previous plan" if goes_on else "braking"
-        self._left = plan if finite else rest if goes_on else None
-        if finite and late:
-            status = "late"
-        if status == "planned":
-            followed = plan
-        elif goes_on and rest is not None:
-            followed = rest
-        else:
-            return self._braking(state), status
-        return Plan(followed.robot * scale, followed.humans * scale), status
+    def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:
+        """Brake where no plan is left, and keep a way out; return what drives, and the seconds of looking for it."""
+        if followed.now.steps == 0:
+            followed = followed.instead(self._braking(state))
+        if not self.way_out:
+            return followed, 0.0
+        escape, seconds = self._plans.keep_way_out(state, followed.now.plan.robot[0])
+        return follow_escape(followed, escape), seconds
 
     def _braking(self, state: State) -> Plan:
-        """Return the controls that stop the robot, among humans who keep their velocity."""
-        robot = brake(self.game, state[0])
-        kept = keep_velocity(self.game.dynamics, np.asarray(state, dtype=float)[1 : 1 + self.game.number])
-        return Plan(robot, np.repeat(kept[:, None], len(robot), axis=1))
-
-    def _executed(
-        self, control: Control, status: Status, state: State, scale: Control
-    ) -> tuple[Control, Status, float]:
-        """Return the control to execute, its status, and the seconds of looking for a way out.
-
-        Late and failed plans keep their status, also where their control is replaced.
-        """
-        if not self.way_out:
-            return control, status, 0.0
-        kept, replaced, seconds = self._plans.keep_way_out(state, control / scale)
-        if not replaced:
-            return control, status, seconds
-        return kept * scale, "way out" if status == "planned" else status, seconds
-
-    def _whole(self, plan: Plan) -> Plan:
-        """Return a plan over the whole horizon, its last controls repeated."""
-        places = np.minimum(np.arange(self.game.planner.horizon), len(plan.robot) - 1)
-        return Plan(plan.robot[places], plan.humans[:, places])
+        """Return the scaled controls that stop the robot, among humans who keep their velocity."""
+        robot = brake(self.game, state[0]) / np.asarray(self.game.planner.control_scale)
+        return Plan(robot, constant_velocity(self.game, state[1 : 1 + self.game.number]))
 
 
 def fixed(game: Game, model: HumanModel | None = None) -> Driver:

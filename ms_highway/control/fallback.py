@@ -1,19 +1,23 @@
-"""Fall back where a plan is not finite: on the rest of the last finite plan, then on braking in lane."""
+"""Follow a plan; where it is not finite or late, the rest of what was followed before, or braking in lane."""
 
-from typing import Any, Literal, TypeAlias, get_args
+from functools import partial
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game
-from ms_highway.runtime.arrays import Car, Controls, Flag, Index, SameArray
+from ms_highway.planning.plans import Plan
+from ms_highway.planning.way_out import Escape
+from ms_highway.runtime.arrays import Car, Controls, Flag, Index, Rungs, SameArray
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
 """Source of a control: this step's plan; where that is not finite, the rest of the last finite plan; where nothing is
 left of it, braking in lane. Where the plan is late for its step, ``late``: again the rest of the last plan, or braking.
 ``way out``: the first control of an escape from cars that keep their velocity, instead of a planned one that leaves no
-such escape."""
+such escape; what is left of the escape is then the rest of the last plan."""
 
 STATUSES: tuple[Status, ...] = get_args(Status)
 """All statuses, in the order of their numbers."""
@@ -33,6 +37,93 @@ def fallback_status(finite: bool | Flag, left: Index, horizon: int) -> tuple[Any
     """
     goes_on, failed = left > 1, 1 - finite  # arithmetic, which is the same for numbers and for arrays of JAX
     return failed * (BRAKING - goes_on * (BRAKING - PREVIOUS_PLAN)), finite * horizon + failed * goes_on * (left - 1)
+
+
+class Rest(NamedTuple):
+    """What is left of a plan.
+
+    Attributes:
+        plan: scaled, from this step on; beyond its end, its last controls are repeated.
+        steps: number of its controls that are left, this step's included; 0 without a plan: the robot brakes.
+        rungs: of every human, that it was made with.
+        escapes: whether it is of an escape. Then plans start anew: those that started from it merged less often.
+    """
+
+    plan: Plan
+    steps: Index
+    rungs: Rungs
+    escapes: Flag
+
+    @property
+    def starts(self) -> Flag:
+        """Whether a plan may start from it."""
+        return (self.steps > 0) & ~self.escapes
+
+    def later(self) -> Plan:
+        """Return the plan from the next step on."""
+        xp = self.plan.robot.__array_namespace__()
+        return Plan(*(xp.concat([side[..., 1:, :], side[..., -1:, :]], axis=-2) for side in self.plan))
+
+
+class Followed(NamedTuple):
+    """What drives in a step.
+
+    Attributes:
+        now: what is followed: its first control is executed. Where the robot brakes, its rungs are those of the step's
+            own plan.
+        kept: what the next plan may start from, and what is followed where that fails or is late: `now` or a late plan,
+            whose first control counts as executed.
+        status: number of the status, in `STATUSES`.
+    """
+
+    now: Rest
+    kept: Rest
+    status: Index
+
+    def instead(self, plan: Plan) -> "Followed":
+        """Return what drives with another plan followed now."""
+        return self._replace(now=self.now._replace(plan=plan))
+
+
+def no_rest(horizon: int, humans: int) -> Rest:
+    """Return what is left before the first plan."""
+    still = np.zeros((1 + humans, horizon, 2), np.float32)
+    return Rest(Plan(still[0], still[1:]), np.int32(0), np.zeros(humans, np.int32), np.bool_(False))
+
+
+def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Followed:
+    """Return what drives in a step; braking is still to be filled in.
+
+    Args:
+        plan: of this step, scaled.
+        rungs: that it was made with.
+        before: what the last step kept.
+        late: whether the plan is too late for this step; if it is finite, it is kept for the next one.
+    """
+    xp, left = plan.robot.__array_namespace__(), before.later()
+    finite = xp.isfinite(plan.robot).all() & xp.isfinite(plan.humans).all()
+
+    def choose(follows: Flag) -> tuple[Index, Rest]:
+        status, steps = fallback_status(follows, before.steps, len(plan.robot))
+        chosen = Plan(*(xp.where(follows, new, old) for new, old in zip(plan, left, strict=True)))
+        own = xp.where(follows | (steps == 0), rungs, before.rungs)
+        return status, Rest(chosen, steps, own, before.escapes & ~follows)
+
+    status, kept = choose(finite)
+    if not late:
+        return Followed(kept, kept, status)
+    return Followed(choose(finite & False)[1], kept, LATE if finite else status)
+
+
+def follow_escape(followed: Followed, escape: Escape) -> Followed:
+    """Return what drives once a way out was looked for: an escape that replaces a control is followed, and kept.
+
+    Late and failed plans keep their status, and plans their rungs, although an escape counts on nobody.
+    """
+    xp, (now, kept, status) = escape.controls.__array_namespace__(), followed
+    own = Rest(now.plan._replace(robot=escape.controls), len(escape.controls), now.rungs, True)
+    now, kept = (jax.tree.map(partial(xp.where, escape.replaces), own, rest) for rest in (now, kept))
+    return Followed(now, kept, xp.where(escape.replaces & (status == PLANNED), WAY_OUT, status))
 
 
 def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, "2"]:

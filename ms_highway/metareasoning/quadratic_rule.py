@@ -108,7 +108,7 @@ def estimate_gains(
     Args:
         rule: ladder, costs, lambda, trust region and cooldown; expands and evaluates the rewards.
         game: of the robot with this human.
-        memory: of this human, without an axis: rung that the last step was planned with, and the checks made so far.
+        memory: of this human, without an axis: rung that the last step was driven with, and the checks made so far.
         state: all cars before the last step.
         robot: scaled controls of the robot from there on, ravelled.
         human: scaled controls of the human from there on, ravelled.

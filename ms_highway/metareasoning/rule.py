@@ -30,7 +30,7 @@ class Memory(NamedTuple):
     """What a rule remembers.
 
     Attributes:
-        rungs: in use for every human.
+        rungs: in use for every human: of the plan that was followed in the last step, or chosen for the coming one.
         step: number of the coming step; 0 before the first one, when nothing has happened yet.
         last_check: step of every human's last downward check of each rung.
     """

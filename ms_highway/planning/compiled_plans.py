@@ -13,7 +13,7 @@ from ms_highway.game.game import Game
 from ms_highway.planning.human_models import HumanModel, human_model
 from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.planning.several import plan_for
-from ms_highway.planning.way_out import keep_way_out
+from ms_highway.planning.way_out import Escape, keep_way_out
 from ms_highway.runtime.arrays import Array, Control, Rungs, Scalar, State
 from ms_highway.runtime.compilation import Layout, in_one_kernel, pack, quick_options
 from ms_highway.runtime.forks import refuse_after_fork
@@ -87,13 +87,10 @@ class CompiledPlans:
         assignments = [[rung] * self.game.number for rung in range(1 if several else len(self.ladder))]
         return sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)
 
-    def keep_way_out(self, state: State, control: Control) -> tuple[Control, bool, float]:
-        """Return the scaled control to execute, whether it is an escape's, and the seconds that it took.
-
-        See `ms_highway.planning.way_out.keep_way_out`.
-        """
+    def keep_way_out(self, state: State, control: Control) -> tuple[Escape, float]:
+        """Return what `ms_highway.planning.way_out.keep_way_out` does, and the seconds that it took."""
         escape, seconds = timed(way_out_function(self._layout), self._numbers, state, np.asarray(control, np.float32))
-        return np.asarray(escape.control), bool(escape.replaced), seconds
+        return Escape(*map(np.asarray, escape)), seconds
 
     def warm_up_way_out(self, state: State) -> float:
         """Compile and run what looks for a way out if it has not run before; return the seconds spent."""
@@ -210,7 +207,7 @@ def measure_costs(
 
     def once(rung: int) -> float:
         plan, seconds = plans.plan(now, [rung] * game.number)
-        return seconds + (plans.keep_way_out(now, plan.robot[0])[2] if way_out else 0.0)
+        return seconds + (plans.keep_way_out(now, plan.robot[0])[1] if way_out else 0.0)
 
     whole = np.quantile([[once(rung) for _ in range(repeats)] for rung in range(len(ladder))], quantile, axis=1)
     base = float(whole[0]) if game.number > 1 else 0.0

@@ -18,30 +18,31 @@ from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.dynamics import Motion, coast, keep_velocity, observe, step, within_grip
 from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
-from ms_highway.runtime.arrays import Car, Control, Flag, Index, Scalar, State, unrolled_sum
+from ms_highway.runtime.arrays import Car, Control, Controls, Flag, Index, Scalar, State, unrolled_sum
 
 ESCAPE_STEPS = 25  # steps of an escape: 2.5 s at 0.1 s, a full stop from 20 m/s
 MARGIN = 0.15  # m between bodies that is wanted, as others do not keep their velocity exactly
 
 
 class Escape(NamedTuple):
-    """What drives on.
+    """What drives on instead of a control.
 
     Attributes:
-        control: scaled, the given one or the first of an escape.
-        replaced: whether it is of an escape.
+        controls: scaled, of the best escape over the planner's horizon, its last one repeated beyond `ESCAPE_STEPS`.
+        replaces: whether its first one replaces the control.
     """
 
-    control: Control
-    replaced: Flag
+    controls: Controls
+    replaces: Flag
 
 
 def keep_way_out(game: Game, state: State, control: Control) -> Escape:
-    """Return the robot's control if it leaves as good a way out as any, else the first control of the best escape.
+    """Return the best escape, and whether it replaces the robot's control, which leaves no way out as good.
 
-    A way out is better if it keeps `MARGIN` to all others than if it only does not collide. Of equally good escapes,
-    that which earns most is the best. Where nothing is free of collisions, the robot brakes at least as the softest of
-    the manoeuvres do that brake: as that of them which earns most.
+    A way out is better if it keeps `MARGIN` to all others than if it only does not collide, from now on for
+    `ESCAPE_STEPS`, those after the control being less its own step. Of equally good escapes, that which earns most is
+    the best. Where nothing is free of collisions, the robot brakes at least as the softest of the manoeuvres do that
+    brake: as that of them which earns most.
 
     Args:
         game: of the robot.
@@ -49,25 +50,21 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
         control: scaled, about to be executed.
     """
     after = step(game.dynamics, state[0], control * game.planner.control_scale)
-    others = coast(game.dynamics, state[1:], ESCAPE_STEPS + 1)
-    first, later, now = (_during(others, *steps) for steps in ((0, 1), (1, None), (0, -1)))
+    others = coast(game.dynamics, state[1:], ESCAPE_STEPS)
+    first, later = (Motion(*(field[:, steps] for field in others)) for steps in (slice(1), slice(1, None)))
     clearance = jax.vmap(partial(_clearance, game), in_axes=(0, None))
-    _, ways = manoeuvres(game, after, ESCAPE_STEPS)
+    _, ways = manoeuvres(game, after, ESCAPE_STEPS - 1)
     kept = jnp.minimum(clearance(ways, later).max(), _clearance(game, after[None], first))
     controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS)
-    clear = clearance(escapes, now)
-    earned = jax.vmap(lambda way: unrolled_sum(motion_reward(game.scene, game.robot, observe(way), now)))(escapes)
+    clear = clearance(escapes, others)
+    earned = jax.vmap(lambda way: unrolled_sum(motion_reward(game.scene, game.robot, observe(way), others)))(escapes)
     hopeless = jnp.maximum(clear.max(), kept) == 0
     brakes = jnp.tile(ACCELERATIONS < 0, len(clear) // len(ACCELERATIONS))
     best = jnp.argmax(jnp.where(jnp.where(hopeless, brakes, clear == clear.max()), earned, -jnp.inf))
     softest = jnp.where(brakes, controls[:, 0, 1], -jnp.inf).max()
-    replaced = jnp.where(hopeless, control[1] > softest, clear.max() > kept)
-    return Escape(jnp.where(replaced, controls[best, 0], control), replaced)
-
-
-def _during(others: Motion, first: int, last: int | None) -> Motion:
-    """Return a part of a motion."""
-    return Motion(*(field[:, first:last] for field in others))
+    replaces = jnp.where(hopeless, control[1] > softest, clear.max() > kept)
+    steps = np.minimum(np.arange(game.planner.horizon), ESCAPE_STEPS - 1)
+    return Escape(controls[best][steps], replaces)
 
 
 def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Index:

@@ -15,7 +15,7 @@ from jax import numpy as jnp
 from jax.sharding import Mesh
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.control.fallback import BRAKING, PLANNED, WAY_OUT, braking_control, fallback_status
+from ms_highway.control.fallback import Followed, Rest, braking_control, follow, follow_escape, no_rest
 from ms_highway.control.yielding import unmoved_control
 from ms_highway.game.dynamics import keep_velocity, recover_control, step, within_grip
 from ms_highway.game.features import features
@@ -24,7 +24,7 @@ from ms_highway.metareasoning.belief import counted_on, first_belief, infer
 from ms_highway.metareasoning.rule import Memory, Order, Outcome, at_price, decide, first_memory
 from ms_highway.planning.effort import starts_warm
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.planning.plans import Plan, cold_start, one_step_later
+from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import (
@@ -69,13 +69,6 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
         raise ValueError("there are no episodes to simulate; give one at least")
     mesh = device_mesh(jax.local_devices()[:1]) if mesh is None else mesh
     return share_among(mesh, partial(_simulate, loop), episodes, loop.together)
-
-
-class Rest(NamedTuple):
-    """What is left of a driver's last finite plan: its scaled controls, and their number; 0 after braking."""
-
-    plan: Plan
-    steps: Index
 
 
 class _Now(NamedTuple):
@@ -152,10 +145,8 @@ def _before(loop: Loop) -> _Now:
     """Return what an episode begins with, but for its state."""
     humans, horizon = loop.game.number, loop.game.planner.horizon
     memory = jax.tree.map(jnp.asarray, first_memory(loop.rule, humans))
-    robot = Rest(Plan(jnp.zeros((horizon, 2)), jnp.zeros((humans, horizon, 2))), jnp.int32(0))
-    drivers = Rest(
-        Plan(jnp.zeros((humans, horizon, 2)), jnp.zeros((humans, 1, horizon, 2))), jnp.zeros(humans, jnp.int32)
-    )
+    robot, driver = (jax.tree.map(jnp.asarray, no_rest(horizon, number)) for number in (humans, 1))
+    drivers = jax.tree.map(lambda part: jnp.broadcast_to(part, (humans, *part.shape)), driver)
     unknown = jnp.full(memory.last_check.shape, jnp.nan)
     return _Now(jnp.zeros(0), memory, unknown, jnp.asarray(first_belief(humans)), robot, drivers)
 
@@ -203,7 +194,9 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
         game, start, warm = own.robots(loop.game), None, np.array([starts_warm(model) for model in models])
         if game.planner.persistent or warm.any():
             left = game.planner.persistent | jnp.asarray(warm)[now.memory.rungs if len(warm) > 1 else 0].any()
-            start = _warm_plan(now.robot._replace(steps=left * now.robot.steps), cold_start(game, now.state))
+            start = jax.tree.map(
+                partial(jnp.where, left & now.robot.starts), now.robot.later(), cold_start(game, now.state)
+            )
         return plan_for(models, game, now.state, now.memory.rungs, start)
 
     if loop.game.number > 1:
@@ -221,23 +214,12 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
     return chosen
 
 
-def _warm_plan(rest: Rest, cold: Plan) -> Plan:
-    """Return what is left after the last step, its last control repeated; the cold start where nothing is left."""
-
-    def after(controls: jax.Array, cold: jax.Array) -> jax.Array:
-        coming = jnp.minimum(jnp.arange(1, controls.shape[-2] + 1), jnp.maximum(rest.steps - 1, 0))
-        return jnp.where(rest.steps > 0, controls[..., coming, :], cold)
-
-    return jax.tree.map(after, rest.plan, cold)
-
-
-def _follow(game: Game, car: Car, plan: Plan, rest: Rest) -> tuple[Control, Index, Rest]:
-    """Return the scaled control to execute, its status and the remaining plan, see `ms_highway.control.fallback`."""
-    finite = jnp.stack([jnp.isfinite(controls).all() for controls in plan]).all()
-    status, left = fallback_status(finite, rest.steps, game.planner.horizon)
-    followed = jax.tree.map(partial(jnp.where, finite), plan, one_step_later(rest.plan))
+def _follow(game: Game, car: Car, plan: Plan, rungs: Rungs, before: Rest) -> Followed:
+    """Return what drives a car, see `ms_highway.control.fallback`."""
+    followed = follow(plan, rungs, before)
+    (robot, humans), steps, *_ = followed.now
     braking = braking_control(game, car) / game.planner.control_scale
-    return jnp.where(status == BRAKING, braking, followed.robot[0]), status, Rest(followed, left)
+    return followed.instead(Plan(jnp.where(steps == 0, braking, robot), humans))
 
 
 class _Moved(NamedTuple):
@@ -251,34 +233,34 @@ def _move(loop: Loop, now: _Now, own: _Own, plan: Plan) -> tuple[_Moved, Records
     """Let the humans plan and the world move; reward the robot."""
     game, truth, state, last = own.robots(loop.game), own.truly(loop.game), now.state, 1 + loop.game.number
     scale = game.planner.control_scale
-    robot, status, robot_rest = _follow(game, state[0], plan, now.robot)
+    followed = _follow(game, state[0], plan, now.memory.rungs, now.robot)
     if loop.way_out:
-        robot, replaced = keep_way_out(game, state, robot)
-        status = jnp.where(replaced & (status == PLANNED), WAY_OUT, status)
+        followed = follow_escape(followed, keep_way_out(game, state, followed.now.plan.robot[0]))
+    own_plan, _, rungs, _ = followed.now
 
     def drive(human: Index) -> tuple[Control, Rest]:
         view, seen = swap_players(truth, state, human)
         rest = jax.tree.map(lambda part: part[human], now.humans)
-        control, _, rest = _follow(view, seen[0], Naive().plan(view, seen), rest)
+        driving = _follow(view, seen[0], Naive().plan(view, seen), rest.rungs, rest)
+        control = driving.now.plan.robot[0]
         if loop.yielding:
             unmoved = unmoved_control(view, seen, own.yielding[human] == ALWAYS_YIELDS) / scale
             control = jnp.where(own.yielding[human] == USUAL, control, unmoved)
-        return control, rest
+        return control, driving.kept
 
     controls, human_rests = each_human(game, drive)
-    driven = jnp.concatenate([robot[None], controls]) * scale
+    driven = jnp.concatenate([own_plan.robot[:1], controls]) * scale
     if game.planner.grip is not None:  # as vehicles do
         driven = within_grip(game.world, jnp.asarray(game.planner.grip), state[:last, 3], driven)
     after = step(game.world, state, jnp.concatenate([driven, keep_velocity(game.world, state[last:])]))
     phi = features(game.scene, game.robot, after)
     reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
     observed = recover_control(game.world, state[1:last], after[1:last]) / scale
-    outcome = Outcome(state, after, robot, observed, reward, robot_rest.plan)
-    records = Records(now.memory.rungs, status, reward, collision, now.gains, after)
-    executed = jnp.concatenate([robot[None], robot_rest.plan.robot[1:]])
-    belief = infer(game, now.belief, state, after, executed) if loop.belief else now.belief
-    memory, unknown = now.memory._replace(step=now.memory.step + 1), jnp.full_like(now.gains, jnp.nan)
-    return _Moved(_Now(after, memory, unknown, belief, robot_rest, human_rests), outcome), records
+    outcome = Outcome(state, after, own_plan.robot[0], observed, reward, own_plan)
+    records = Records(rungs, followed.status, reward, collision, now.gains, after)
+    belief = infer(game, now.belief, state, after, own_plan.robot) if loop.belief else now.belief
+    memory, unknown = now.memory._replace(rungs=rungs, step=now.memory.step + 1), jnp.full_like(now.gains, jnp.nan)
+    return _Moved(_Now(after, memory, unknown, belief, followed.kept, human_rests), outcome), records
 
 
 def _still(game: Game, now: _Now) -> _Moved:
@@ -294,7 +276,8 @@ def _choose(loop: Loop, before: _Now, own: _Own, coming: Int[jax.Array, "chunk h
     decides: Bool[jax.Array, "chunk"] = (coming == DECIDES).any(axis=1)
 
     def one(before: _Now, own: _Own, moved: _Moved) -> _Now:
-        decision = decide(at_price(loop.rule, own.price), own.robots(loop.game), before.memory, moved.outcome)
+        memory = before.memory._replace(rungs=moved.now.memory.rungs)
+        decision = decide(at_price(loop.rule, own.price), own.robots(loop.game), memory, moved.outcome)
         return moved.now._replace(memory=decision.memory, gains=jnp.asarray(decision.gains, jnp.float32))
 
     decided = jax.lax.cond(decides.any(), lambda: _for_each(loop, one, before, own, moved), lambda: moved.now)

@@ -85,7 +85,7 @@ class Records(NamedTuple):
     """Records of all steps, with the columns of `ms_highway.experiments.runner.episode`.
 
     Attributes:
-        rungs: number of the model that predicted each human, in `Loop.models`.
+        rungs: number of the model that predicted each human in the plan that was followed, in `Loop.models`.
         status: of the robot's control, an index of `ms_highway.control.fallback.STATUSES`.
         reward: the robot's, after the step.
         collision: whether the robot collides in it.

@@ -76,6 +76,30 @@ def test_plans_that_fail_fall_back_to_the_rest_of_the_last_one_and_then_brake(pl
     np.testing.assert_allclose(steps[4].control, [0.0, -8.0], atol=0.01)
 
 
+def test_a_late_step_has_the_models_of_the_plan_that_was_followed_and_the_rule_goes_on_from_them(played):
+    game, state = played("merger")
+    controller = Driver(game, Switching(Costs(0.0, np.array([0.09, 0.17])), 0.0, ladder(("naive", "turn"))))
+    steps = []
+    for count, budget in enumerate([None, 0.0, None]):
+        controller.budget = budget
+        steps.append(controller.step(np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count))))
+    assert [step.status for step in steps] == ["planned", "late", "planned"]
+    assert [step.models for step in steps] == [("naive",), ("naive",), ("turn",)]
+    assert [step.planned for step in steps] == [("naive",), ("turn",), ("turn",)]
+    np.testing.assert_array_equal(steps[1].plan, steps[0].plan[1:])
+    assert np.isfinite(steps[2].gains[0, 1])  # of going up once more, as the robot has not gone up yet
+
+
+def test_where_plans_fail_the_models_are_those_of_the_plan_that_is_followed_until_the_robot_brakes(played):
+    game, state = played("merger")
+    controller = Driver(game, Order(np.array([[0], [1]]), ladder(("naive", "turn"))))
+    controller.step(np.asarray(state))
+    controller.game = replace(game, robot=replace(game.robot, weights=game.robot.weights * jnp.nan))
+    steps = [controller.step(np.asarray(state)) for _ in range(6)]
+    assert [step.models for step in steps] == [("naive",)] * 4 + [("turn",)] * 2
+    assert {step.planned for step in steps} == {("turn",)}
+
+
 def test_braking_brings_a_car_to_a_stop_along_the_road(played):
     game, _ = played("merger", control_limit=(0.05, 6.0))
     car = np.array([0.0, 0.0, 0.2, 12.0])
@@ -183,10 +207,10 @@ def test_who_meets_another_partner_starts_again_at_the_bottom_with_its_own_plan(
     moved = [state + np.outer(state[:, 3], [0.1 * count, 0, 0, 0]) for count in range(4)]
     models = [controller.step(now).models[0] for now in moved]
     assert models[-1] == "turn"
-    own = controller._left.robot.copy()
+    own = controller._rest.plan.robot.copy()
     controller.reset_partner()
-    np.testing.assert_array_equal(controller._left.robot, own)
-    assert (controller._left.humans == 0).all()
+    np.testing.assert_array_equal(controller._rest.plan.robot, own)
+    assert (controller._rest.plan.humans == 0).all()
     step = controller.step(moved[-1])
     assert step.models == ("naive",)
     assert np.isnan(step.gains).all()

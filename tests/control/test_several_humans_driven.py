@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from driving import move
 
 from ms_highway.control.driver import Driver, fixed
 from ms_highway.game.game import swap_roles
@@ -80,6 +81,24 @@ def test_a_plan_that_is_late_is_followed_from_the_next_step_on(two):
     third = driver.step(state)
     assert third.status == "planned"
     np.testing.assert_allclose(third.plan, punctual.step(state).plan, rtol=1e-6)
+
+
+def test_what_is_left_of_an_escape_is_followed_where_the_next_plan_fails_but_no_plan_starts_from_it(played):
+    """A human comes from behind, faster than the robot; another one is beside it."""
+    game, state = played("dense_merge")
+    lane, x = float(game.scene.target_lane), float(state[0, 0])
+    start = np.array([state[0], [x - 12.0, state[0, 1], 0.0, 30.0], [x, lane, 0.0, 20.0], *state[3:]])
+    driver, failing = (Driver(game, always(MODELS["naive"]), way_out=True) for _ in range(2))
+    _, step = (each.step(start) for each in (driver, failing))
+    assert step.status == "way out"
+    np.testing.assert_array_equal(step.control, step.plan[0])
+    now = move(game, start, [step.control, *(human[0] for human in step.humans)])
+    failing.game = replace(game, robot=replace(game.robot, weights=game.robot.weights * np.nan))
+    fallback = failing.step(now)
+    assert fallback.status == "previous plan"
+    np.testing.assert_array_equal(fallback.plan, step.plan[1:])
+    driver.way_out = False
+    np.testing.assert_array_equal(driver.step(now).plan, fixed(game).step(now).plan)
 
 
 def test_humans_drive_by_their_own_rewards(two):

@@ -62,6 +62,17 @@ def test_the_agent_that_chooses_a_model_for_each_human_pays_for_their_time():
         env.unwrapped.step(1)
 
 
+def test_an_agent_whose_plans_are_late_pays_for_what_it_chose_and_sees_what_is_followed():
+    agent = {"type": "HumanModelAction", "lambda": 2.0}
+    env = make("dense_merge", "budget:0.001", action=agent, ladder=["naive", "tom"])
+    env.reset(seed=0)
+    infos = [env.step(np.array(choice))[-1] for choice in ([0, 1], [1, 0], [0, 0])]
+    assert [info["status"] for info in infos] == ["late"] * 3
+    assert [info["models"] for info in infos[1:]] == [("naive", "tom"), ("tom", "naive")]
+    paid = [info["rewards"]["computation"] for info in infos]
+    np.testing.assert_allclose(paid, [-2 * 0.37, -2 * 0.37, -2 * 0.09])
+
+
 @pytest.mark.parametrize("beliefs", ["learned", "true"])
 def test_the_robot_believes_in_the_average_driver_or_knows_everybodys_reward(beliefs):
     inner = make("dense_merge", beliefs=beliefs).unwrapped

@@ -41,6 +41,16 @@ class Timid(PredictedHuman):
         return jnp.tile(control / game.planner.control_scale, (game.planner.horizon, 1))
 
 
+@dataclass(frozen=True)
+class Failing(PredictedHuman):
+    """A model of a user's that predicts nothing finite."""
+
+    name: ClassVar[str] = "failing"
+
+    def predict(self, game, state, start=None):
+        return jnp.full((game.planner.horizon, 2), jnp.nan)
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Ahead:
@@ -169,13 +179,25 @@ def test_a_rule_and_a_model_of_ones_own(scene):
         agree(records, episode, drive(Driver(game, rule), start, STEPS), models)
 
 
+def test_plans_that_fail(played):
+    game, start = played("merger")
+    schedule, models = np.array([[0], *[[1]] * 6, [0], [1]]), (Naive(), Failing())
+    records = simulated(Loop(game, Order(schedule, models)), [start], 9, schedule=schedule)
+    live = drive(Driver(game, Order(schedule, models)), start, 9)
+    agree(records, 0, live, models)
+    followed = [(step.status, *step.models) for step in live[1]]
+    again, brakes = ("previous plan", "naive"), ("braking", "failing")
+    assert followed == [("planned", "naive"), *[again] * 4, *[brakes] * 2, ("planned", "naive"), again]
+
+
 def test_beliefs_ways_out_and_humans_who_yield_never_or_always(scene):
     game, starts = scene
-    models = ladder(["naive", "tom"])
+    models = ladder(["naive", "tom+warm"])
     loop = Loop(game, Order(np.array([[1]]), models), way_out=True, belief=True, yielding=True)
-    yielding = np.repeat([[USUAL], [NEVER_YIELDS], [ALWAYS_YIELDS]], game.number, axis=1)
-    records = simulated(loop, starts[[0, 0, 0]], 8, schedule=1, yielding=yielding)
-    assert (records.status[0] == WAY_OUT).any()
+    yielding = np.repeat([[USUAL], [NEVER_YIELDS], [ALWAYS_YIELDS], [USUAL]], game.number, axis=1)
+    records = simulated(loop, starts[[0, 0, 0, 1]], 8, schedule=1, yielding=yielding)
+    assert (records.status[3] == WAY_OUT).any()
+    agree(records, 3, drive(Driver(game, loop.rule, belief=True, way_out=True), starts[1], 8), models)
     for episode, yields in enumerate([None, False, True]):
         humans = None if yields is None else [Unmoved(swap_roles(game, i), yields) for i in range(game.number)]
         driver = Driver(game, loop.rule, belief=True, way_out=True)
