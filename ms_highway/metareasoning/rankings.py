@@ -24,7 +24,8 @@ BARRIER_RATE = 1.0  # 1/s, at which a barrier may be approached
 SPREAD = np.array([0.27, 0.09], np.float32)  # bodies per s^2, along and across the road
 """Standard deviation of human accelerations that constant velocity leaves out.
 
-In 18 episodes of the package's crowds under naive, 90 % of the humans' paths over 2 s stayed within 1.645 times it."""
+On either axis, 90 % of the humans' paths over 2 s stayed within 1.645 times it, in 18 episodes of the package's crowds
+that were planned naively."""
 
 
 @dataclass(frozen=True)
@@ -119,9 +120,10 @@ class Barrier(MostImportant):
     """The humans that constrain the robot most by a control barrier function are the most important ones.
 
     Chahine, Firoozi, Xiao, Schwager, Rus, "Local Non-Cooperative Games with Principled Player Selection for Scalable
-    Motion Planning" (arXiv 2310.12958), rank players so. With offset z in car lengths and widths, and rate k::
+    Motion Planning" (arXiv 2310.12958), found such a priority best. With offset z in car lengths and widths, and the
+    rate k, the lowest value of this condition comes first::
 
-        h = z . z - 1;  importance is the lowest (d/dt + k)^2 h = h'' + 2 k h' + k^2 h
+        (d/dt + k)^2 h = h'' + 2 k h' + k^2 h,  h = z . z - 1
 
     Accelerations are those of the last step. The ellipse in place of a circle, and k, are ours.
     """
@@ -147,6 +149,9 @@ class Risk(MostImportant):
     velocity from the rest of the last plan, in car lengths and widths, and standard deviation ``s = SPREAD t^2 / 2``::
 
         risk = max over t of prod over both axes of Phi((z + 1) / s) - Phi((z - 1) / s)
+
+    It is no exact probability: in 8 other episodes, 3 % of the humans at a risk of 0.01 to 0.2 met the plan,
+    13 % of those at 0.2 to 0.5, and all 14 above.
 
     Attributes:
         threshold: risk from which a human is predicted by the top rung.
