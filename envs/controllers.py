@@ -13,7 +13,7 @@ from ms_highway.game.scenario import Semantics
 from ms_highway.metareasoning.budget import Budget, OneStepGains
 from ms_highway.metareasoning.horizon import WholeHorizon
 from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE, QuadraticRule
-from ms_highway.metareasoning.rankings import Influence, Nearest, TimeToCollision
+from ms_highway.metareasoning.rankings import Barrier, Influence, Nearest, Risk, TimeToCollision
 from ms_highway.metareasoning.rule import Order
 from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values
@@ -258,6 +258,22 @@ class InfluenceSettings(NearestSettings, frozen=True, tag="influence"):
     ranking = Influence
 
 
+class BarrierSettings(NearestSettings, frozen=True, tag="barrier"):
+    """The top rung for the humans that constrain the robot most by a control barrier function."""
+
+    ranking = Barrier
+
+
+class RiskSettings(NearestSettings, frozen=True, tag="risk"):
+    """The top rung for the humans with the highest risk of a collision, of those whose risk reaches a threshold."""
+
+    threshold: Annotated[float, Meta(ge=0, le=1, description="it must be a probability")] = Risk.threshold
+
+    def rule(self, start: Start) -> Any:
+        """See `ControllerSettings.rule`."""
+        return Risk(self.count, start.costs, start.ladder, self.threshold)
+
+
 CLASSES = (
     SwitchingSettings,
     HorizonSettings,
@@ -266,6 +282,8 @@ CLASSES = (
     NearestSettings,
     TimeToCollisionSettings,
     InfluenceSettings,
+    BarrierSettings,
+    RiskSettings,
     FixedSettings,
     ScheduleSettings,
     PeriodSettings,

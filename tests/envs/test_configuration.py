@@ -56,6 +56,7 @@ WRONG = [
     ({"controller": {"type": "random", "shares": {"tom": np.inf}}}, "['shares']['tom'] is inf"),
     ({"controller": {"type": "random", "shares": {"tom": 0.3, "naive": 0.6}}}, "['shares'] sum to 0.9; change one"),
     ({"controller": {"type": "nearest", "count": -1}}, "['count'] is -1; it must be a number of humans, 0 or more"),
+    ({"controller": {"type": "risk", "count": 1, "threshold": 5}}, "['threshold'] is 5; it must be a probability"),
     ({"controller": {"type": "budget", "milliseconds": 0}}, "['milliseconds'] is 0; it must be a positive number"),
     ({"controller": {"type": "learned", "lambda": 1, "values": 3}}, "['values'] is 3; say 'shipped' or name a file"),
     ({"controller": {"type": "learned", "lambda": 1, "values": "none.npz"}}, "none.npz cannot be read"),
@@ -223,6 +224,8 @@ def test_a_controller_that_is_set_in_the_configuration_itself_drives_from_the_ne
         ("learned:1+belief", {"type": "learned", "lambda": 1.0, "belief": True}),
         ("budget:20:one_step", {"type": "budget", "milliseconds": 20.0, "values": "one_step"}),
         ("nearest:2", {"type": "nearest", "count": 2}),
+        ("barrier:2", {"type": "barrier", "count": 2}),
+        ("risk:2+belief", {"type": "risk", "count": 2, "belief": True}),
         ("schedule:tom=2,naive", {"type": "schedule", "models": ["tom", "tom", "naive"]}),
         ("period:tom=1,naive=2", {"type": "period", "models": ["tom", "naive", "naive"]}),
         ("random:naive=0.7,tom=0.3", {"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}),
@@ -243,6 +246,8 @@ def test_a_short_name_stands_for_a_configuration(text, config):
         ("switching:0.1\n", "write it like switching:0.1"),
         ("switching:-1", "controller 'switching:-1': config['controller']['lambda'] is -1.0"),
         ("nearest:two", "write it like nearest:2"),
+        ("barrier", "write it like barrier:2"),
+        ("risk:2:0.05", "controller 'risk:2:0.05'"),
         ("schedule:tom=6,naive=2", "write it like schedule:tom=6,naive"),
         ("schedule:tom=999999999,naive", "write it like schedule:tom=6,naive"),
         ("schedule:oracle=6,naive", "names 'oracle'"),
@@ -262,6 +267,12 @@ def test_a_scenario_of_ones_own_needs_a_name_of_its_own(name):
     with pytest.raises(ValueError, match=f"cannot be called '{name}'; choose one word in lower case"):
         add_scenario(environment)
     assert list(SCENARIOS) == ["stay_back", "merger", "give_way", "dense_merge", "crossing_crowd"]
+
+
+def test_a_threshold_of_risk_is_the_rules():
+    env = make("dense_merge", costs="shipped", controller={"type": "risk", "count": 1, "threshold": 0.2})
+    env.reset(seed=0)
+    assert env.robot.controller.rule.limit == -0.2
 
 
 class Plain(ControllerSettings, tag="plain"):

@@ -10,7 +10,7 @@ from jax import numpy as jnp
 from ms_highway.control.driver import Driver
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.metareasoning.budget import Budget, OneStepGains
-from ms_highway.metareasoning.rankings import Influence, Nearest, TimeToCollision
+from ms_highway.metareasoning.rankings import Barrier, Influence, Nearest, Risk, TimeToCollision
 from ms_highway.metareasoning.rule import Decision, Outcome, decide, first_memory
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_plans import Costs
@@ -60,12 +60,38 @@ def test_rules_with_the_same_fields_are_not_taken_for_each_other():
         assert number(jax.tree_util.register_dataclass(kind)(1)) == copy
 
 
-@pytest.mark.parametrize(("ranking", "first", "second"), [(Nearest, 0, 3), (TimeToCollision, 1, 2), (Influence, 0, 3)])
+@pytest.mark.parametrize(
+    ("ranking", "first", "second"),
+    [(Nearest, 0, 3), (TimeToCollision, 1, 2), (Influence, 0, 3), (Barrier, 1, 0)],
+)
 def test_theory_of_mind_is_for_the_most_important_humans(outcome, ranking, first, second):
     for count, important in [(0, []), (1, [first]), (2, [first, second]), (9, range(4))]:
         rungs = np.asarray(chosen(ranking(count, COSTS, RUNGS), *outcome).memory.rungs)
         np.testing.assert_array_equal(np.flatnonzero(rungs == TOM), sorted(important))
         assert (rungs[rungs != TOM] == NAIVE).all()
+
+
+def test_a_human_that_speeds_away_constrains_the_robot_less(outcome):
+    """By 4 m/s^2, so that it comes after the one who approaches from behind, beside the robot."""
+    game, seen = outcome
+    before = seen.before.copy()
+    before[1, 3] -= 4.0 * float(game.world.time_step)
+    for slower, second in [(seen.before, 0), (before, 2)]:
+        rungs = chosen(Barrier(2, COSTS, RUNGS), game, seen._replace(before=slower)).memory.rungs
+        np.testing.assert_array_equal(np.flatnonzero(rungs == TOM), sorted([1, second]))
+
+
+def test_theory_of_mind_is_for_those_who_may_collide_within_the_plan_and_for_no_one_else(outcome):
+    """In 2 s, the much slower car would be hit; within half a second, nobody."""
+    game, seen = outcome
+    longer = seen._replace(plan=Plan(*(np.concatenate([side] * 4, axis=-2) for side in seen.plan)))
+
+    def important(count, threshold, seen):
+        return np.flatnonzero(chosen(Risk(count, COSTS, RUNGS, threshold), game, seen).memory.rungs == TOM).tolist()
+
+    assert important(9, 0.05, seen) == important(0, 0.05, longer) == []
+    assert important(1, 0.05, longer) == important(9, 0.05, longer) == [1]
+    assert important(2, 0.0, seen) == [0, 3]  # equal risks: the nearest first
 
 
 @jax.tree_util.register_dataclass

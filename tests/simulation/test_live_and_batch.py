@@ -18,7 +18,7 @@ from ms_highway.game.game import swap_roles
 from ms_highway.metareasoning.belief import RESPONDING
 from ms_highway.metareasoning.budget import Budget, OneStepGains
 from ms_highway.metareasoning.horizon import WholeHorizon
-from ms_highway.metareasoning.rankings import Influence, Nearest, TimeToCollision
+from ms_highway.metareasoning.rankings import Barrier, Influence, Nearest, Risk, TimeToCollision
 from ms_highway.metareasoning.rule import Decision, Memory, Order, decide, unestimated
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.metareasoning.values import load_values
@@ -100,6 +100,8 @@ def rules(humans):
         "nearest": Nearest(1, costs, PAPERS),
         "time to collision": TimeToCollision(1, costs, PAPERS),
         "influence": Influence(1, costs, PAPERS),
+        "barrier": Barrier(1, costs, PAPERS),
+        "risk": Risk(1, costs, PAPERS),
     }
 
 
