@@ -63,8 +63,8 @@ class InteractionEnv(StageEnv):
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
       belongs to the semantics (learned and published). What a human is after in the scenario beyond driving, such as
-      its lane, stays unless weights name it. A learned reward has no weight of ``collision``, which would change
-      nothing: it is an indicator, and humans climb by gradients.
+      its lane, stays unless weights name it. A learned reward has no weight of ``collision``: it is an indicator,
+      without a gradient but under the solver ``convex_newton``.
     * ``humans``: their number, from 2 to 12 in scenarios with streams.
     * ``beliefs``: what the robot takes the humans' rewards to be: ``"learned"``, that all have the reward that theirs
       are drawn around, or ``"true"``, their own.
@@ -78,7 +78,9 @@ class InteractionEnv(StageEnv):
       `ms_highway.game.scenario.GRIP`: plans are cut down to it and what is executed keeps to it, without reversing;
       None sets no such limit, as in the paper. It does not apply where the agent drives.
     * ``solver``: how the robot improves its plans under models that do not respond: ``"gradient"``, the paper's,
-      ``"newton"``, or ``"damped_newton"``, which holds over horizons of seconds.
+      ``"newton"``, or for horizons of seconds ``"damped_newton"`` or ``"convex_newton"``. The last one climbs a reward
+      whose jumps are smooth, with a small cost of not keeping the velocity (`ms_highway.game.game.EASE`), so that what
+      is seen changes plans steadily.
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
       robot and humans plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step
       size are None, what suits the horizon is chosen; steps that are longer than
@@ -275,7 +277,9 @@ class InteractionEnv(StageEnv):
         self._collided |= self.collision
         step = self.robot.last_step
         if isinstance(self.action_type, HumanModelAction) and step:
-            self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * self.counted_seconds(step.planned))
+            self._terms[COMPUTATION] = -float(
+                self.config["action"]["lambda"] * self.counted_seconds(step.planned or step.models)
+            )
         self.history.append(Shown(step, sum(self._terms.values())))
 
     def _info(self, obs: Any, action: Any = None) -> Config:

@@ -80,7 +80,7 @@ STEADY = {
 }
 """Headings of tables, and how their texts are made of what was measured."""
 
-NOISES = 1e-6, 10.0  # m, the least that single precision tells apart, and the most
+NOISES = 1e-5, 10.0  # m, what single precision still tells apart, and the most
 STARTS = 24
 
 

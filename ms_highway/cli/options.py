@@ -50,7 +50,8 @@ keys; these are the usual ones:
                           default; shipped, the default among several humans, under budgets measured ones; measured on
                           this machine, not in simulations; or seconds by model: costs=naive=0.1,turn=0.2,tom=0.5
   solver=newton           how the robot improves its plans: gradient, the paper's steps (default); newton under naive
-                          and turn; or damped_newton (default among several humans)
+                          and turn; damped_newton (default among several humans); or convex_newton,
+                          whose plans are a steady function of what is seen
   horizon=10              controls in a plan (default: 5), each of time_step=0.1 seconds; iterations=20 gradient steps
                           of step_size=0.03 are chosen to suit the horizon unless they are given
   control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited

@@ -16,7 +16,7 @@ from ms_highway.metareasoning.rule import Decision, Order, Rule, always, check_r
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.effort import starts_warm
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.planning.plans import Plan
+from ms_highway.planning.plans import Plan, one_step_later
 from ms_highway.runtime.arrays import Rungs, State
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed
@@ -227,7 +227,7 @@ class Driver:
     def _start(self, rungs: Rungs) -> Plan | None:
         """Return the scaled plan to start from, the rest of what was followed; None to start anew."""
         persistent = self.game.planner.persistent or any(starts_warm(self.rule.ladder[rung]) for rung in rungs)
-        return self._rest.later() if persistent and self._rest.starts else None
+        return one_step_later(self._rest.plan) if persistent and self._rest.starts else None
 
     def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:
         """Brake where no plan is left, and keep a way out; return what drives, and the seconds of looking for it."""

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game
-from ms_highway.planning.plans import Plan
+from ms_highway.planning.plans import Plan, one_step_later
 from ms_highway.planning.way_out import Escape
 from ms_highway.runtime.arrays import Car, Controls, Flag, Index, Rungs, SameArray
 
@@ -59,11 +59,6 @@ class Rest(NamedTuple):
         """Whether a plan may start from it."""
         return (self.steps > 0) & ~self.escapes
 
-    def later(self) -> Plan:
-        """Return the plan from the next step on."""
-        xp = self.plan.robot.__array_namespace__()
-        return Plan(*(xp.concat([side[..., 1:, :], side[..., -1:, :]], axis=-2) for side in self.plan))
-
 
 class Followed(NamedTuple):
     """What drives in a step.
@@ -100,7 +95,7 @@ def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Follow
         before: what the last step kept.
         late: whether the plan is too late for this step; if it is finite, it is kept for the next one.
     """
-    xp, left = plan.robot.__array_namespace__(), before.later()
+    xp, left = plan.robot.__array_namespace__(), one_step_later(before.plan)
     finite = xp.isfinite(plan.robot).all() & xp.isfinite(plan.humans).all()
 
     def choose(follows: Flag) -> tuple[Index, Rest]:

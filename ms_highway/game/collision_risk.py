@@ -14,12 +14,13 @@ from ms_highway.runtime.arrays import Array, Times, unrolled_reduce, unrolled_su
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
 OBSTACLE_SHARE = 0.5  # weight of an obstacle's risk relative to a car's
+NEAR, CONTACT = 0.6, 0.2  # D - 1 at which the smooth indicator begins to rise, and its slope
 CARS_AT_ONCE = 2  # XLA unrolls and vectorises loops over two cars, but not over three
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
 MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of edges and of the body
 
 
-def collision_risk(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times]:
+def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = False) -> tuple[Times, Times]:
     """Return the risk of a collision, and its indicator: 1 where any point has D < 1, else 0.
 
     Nine points of the car's body (corners, middles of the edges, centre) are measured in the frame of every other car
@@ -27,20 +28,26 @@ def collision_risk(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Ti
 
         risk = sum over cars and points of exp(-1.5 (D - 1)) + sum over obstacles and points of exp(-4 (D - 1)) / 2
 
-    The indicator has no gradient, and the risk none in the shape of cars.
+    The indicator has no gradient, and the risk none in the shape of cars. The smooth indicator is the sum over cars,
+    obstacles and points of ``max(1.6 - D, 0)^3 / 5``, which begins to rise before bodies touch.
 
     Args:
         scene: obstacles and sizes of bodies.
         own: motion of the car, arrays [*times].
         others: motion of the other cars, arrays [others, *times].
+        smooth: whether the indicator is smooth.
     """
-    risk, collision = jnp.zeros_like(own.x), jnp.zeros_like(own.x, dtype=bool)
+    risk, collision = jnp.zeros_like(own.x), jnp.zeros_like(own.x, dtype=own.x.dtype if smooth else bool)
     terms = jax.lax.optimization_barrier(_body_terms(scene))
 
     def add(bodies: Motion, size: Float[Array, "2"], sharpness: float, share: float) -> None:
         nonlocal risk, collision
         distances = _distance_polynomials(own, bodies, size)
         risk += share * unrolled_sum(_closeness(distances, terms, sharpness), axis=0)
+        if smooth:
+            depth = jnp.maximum(NEAR - _evaluate(distances, terms), 0.0)
+            collision += CONTACT * unrolled_sum(unrolled_sum(depth**3), axis=0)
+            return
         inside: Bool[jax.Array, "bodies *times 9"] = _evaluate(jax.lax.stop_gradient(distances), terms) < 0
         collision |= unrolled_reduce(jnp.logical_or, unrolled_reduce(jnp.logical_or, inside), axis=0)
 
@@ -48,18 +55,18 @@ def collision_risk(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Ti
         pair = Motion(*(field[first : first + CARS_AT_ONCE] for field in others))
         add(pair, scene.car_size, CAR_SHARPNESS, 1.0)
     if len(scene.obstacles):
-        add(_obstacles(scene, own.x.ndim), scene.obstacle_size, OBSTACLE_SHARPNESS, OBSTACLE_SHARE)
+        add(obstacles_as_bodies(scene, own.x.ndim), scene.obstacle_size, OBSTACLE_SHARPNESS, OBSTACLE_SHARE)
     return risk, collision.astype(risk.dtype)
 
 
-def _obstacles(scene: Scene, times: int) -> Motion:
+def obstacles_as_bodies(scene: Scene, times: int) -> Motion:
     """Return the obstacles as standing bodies along x, arrays [obstacles, *ones] with so many axes for times."""
     x, y = jnp.moveaxis(jnp.asarray(scene.obstacles), -1, 0).reshape(2, -1, *[1] * times)
     zero = jnp.zeros_like(x)
     return Motion(x, y, zero + 1, zero, zero)
 
 
-def _body_points(scene: Scene) -> tuple[Float[jax.Array, "9"], Float[jax.Array, "9"]]:
+def body_points(scene: Scene) -> tuple[Float[jax.Array, "9"], Float[jax.Array, "9"]]:
     """Return x and y of corners, middles of the edges and centre of a car in its own frame [m]."""
     shares = jnp.concatenate([scene.corner * CORNERS, MIDDLES])
     x, y = (shares * jnp.asarray(scene.car_size)).T
@@ -68,7 +75,7 @@ def _body_points(scene: Scene) -> tuple[Float[jax.Array, "9"], Float[jax.Array, 
 
 def _body_terms(scene: Scene) -> Float[jax.Array, "6 9"]:
     """Return the terms 1, x, y, x^2, xy, y^2 at the points of a car's body."""
-    x, y = _body_points(scene)
+    x, y = body_points(scene)
     return jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y])
 
 

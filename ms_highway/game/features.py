@@ -18,6 +18,9 @@ from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Array, Times, unrolled_reduce, unrolled_sum
 
 HEADING_SHARE = 0.01  # of directional relative to lateral alignment with a lane
+SOFT_EDGE = 0.2  # m, depth off the road from which on the smooth feature grows with the square
+SOFT_LANE = 0.5  # m, width over which smooth indicators of a lane rise, and the nearest lane is another one
+SOFT_SLANT = 0.02  # rad, heading from which on a smooth car reaches farther aside
 STANDSTILL_GAP = 0.06  # length units (2 m), between the bumpers of a standing queue
 SMALLEST_GAP = 0.03  # length units (1 m), below which induced braking grows no more
 ATTENTION = 0.6  # length units (20 m), gap at which the attention to a neighbour is 1 / e
@@ -49,7 +52,7 @@ def features(
     return jnp.stack(motion_features(scene, parameters, *_apart(states)), axis=-1)
 
 
-def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Times:
+def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion, smooth: bool = False) -> Times:
     """Compute the reward of a car along its motion, theta . phi.
 
     Args:
@@ -57,8 +60,10 @@ def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion)
         parameters: the reward.
         own: motion of the car, arrays [*times].
         others: motion of all others, its partner first, arrays [others, *times].
+        smooth: whether indicators, the nearest lane and the edges of the road are smooth, for plans; features of
+            traffic stay as they are.
     """
-    columns = motion_features(scene, parameters, own, others)
+    columns = motion_features(scene, parameters, own, others, smooth)
     weighted = [weight * column for weight, column in zip(jnp.unstack(parameters.weights), columns, strict=True)]
     return reduce(jnp.add, weighted)
 
@@ -69,7 +74,7 @@ def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
     return Motion(*(field[0] for field in cars)), Motion(*(field[1:] for field in cars))
 
 
-def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Times]:
+def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motion, smooth: bool = False) -> list[Times]:
     """Compute the features of a car along its motion, one array for each of the reward's names.
 
     Takes the arguments of `motion_reward`. Constants are inverted once, not divided by at every state.
@@ -77,22 +82,22 @@ def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motio
     per_unit, per_limit = 1 / scene.length_unit, 1 / parameters.speed_limit
     forward = own.speed * own.cosine * per_limit
     lane = reduce(lambda a, b: jnp.where(jnp.abs(own.y - a) <= jnp.abs(own.y - b), a, b), jnp.unstack(scene.lanes))
-    risk, collision = collision_risk(scene, own, others)
+    risk, collision = collision_risk(scene, own, others, smooth)
     leader_x = own.x if scene.leader is None else others.x[scene.leader - 1]
     gap_error = jnp.zeros_like(own.x) if scene.leader is None else (own.x - (leader_x - parameters.gap)) * per_unit
     partner = Motion(*(field[0] for field in others))
     traffic = _traffic(scene, parameters, own, others) if TRAFFIC_FEATURES[0] in parameters.names else []
     return [
         -forward * (forward - 2),
-        -(((own.y - lane) * per_unit) ** 2) + HEADING_SHARE * own.cosine,
+        -(_off_all_lanes(scene, own) if smooth else ((own.y - lane) * per_unit) ** 2) + HEADING_SHARE * own.cosine,
         risk,
         collision,
-        (_depth_off_road(scene, own) * per_unit) ** 2,
+        (depth_off_road(scene, own, smooth) * per_unit) ** 2,
         -(((own.y - scene.target_lane) * per_unit) ** 2),
         -(gap_error**2),
-        _merged(scene, own),
+        _merged(scene, own, smooth),
         -(((partner.y - scene.target_lane) * per_unit) ** 2),
-        _merged(scene, partner),
+        _merged(scene, partner, smooth),
         *traffic,
         *(_at_every_moment(function, scene, own, others) for function in parameters.own),
     ]
@@ -134,18 +139,42 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     ]
 
 
-def _depth_off_road(scene: Scene, car: Motion) -> Times:
-    """Return the distance of the outermost corner beyond the edge of the road, 0 on the road [m]."""
+def _off_all_lanes(scene: Scene, car: Motion) -> Times:
+    """Return the squared distance from the nearest lane, in length units, with a smooth top between lanes."""
+    squares = [-(((car.y - lane) / SOFT_LANE) ** 2) for lane in jnp.unstack(scene.lanes)]
+    return -reduce(jnp.logaddexp, squares) * (SOFT_LANE / scene.length_unit) ** 2
+
+
+def attention_ahead(scene: Scene, own: Motion, others: Motion) -> Times:
+    """Return the attention of `_traffic` to the cars ahead."""
+    along, across = (others.x - own.x) / scene.length_unit, (others.y - own.y) / (OWN_LANE * scene.lane_width)
+    gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] / scene.length_unit, 0.0)
+    return jnp.where(along > 0, jnp.exp(-gap / ATTENTION - across**2 / 2), 0.0)
+
+
+def depth_off_road(scene: Scene, car: Motion, smooth: bool = False) -> Times:
+    """Return the distance d of the outermost corner beyond the edge of the road, 0 on the road [m].
+
+    If it is to be smooth, ``d^2 / (d + 0.2 m)`` instead.
+    """
     length, width = scene.car_size
-    reach = (length * jnp.abs(car.sine) + width * jnp.abs(car.cosine)) / 2
+    slant = jnp.sqrt(car.sine**2 + SOFT_SLANT**2) - SOFT_SLANT if smooth else jnp.abs(car.sine)
+    reach = (length * slant + width * jnp.abs(car.cosine)) / 2
     low, high = (unrolled_reduce(choice, jnp.asarray(scene.lanes)) for choice in (jnp.minimum, jnp.maximum))
     depth = jnp.abs(car.y - (low + high) / 2) + reach - (high - low + scene.lane_width) / 2
-    return jnp.where(depth > 0, depth, 0.0)
+    depth = jnp.where(depth > 0, depth, 0.0)
+    return depth**2 / (depth + SOFT_EDGE) if smooth else depth
 
 
-def _merged(scene: Scene, car: Motion) -> Times:
-    """Return 1 where ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane, else 0."""
+def _merged(scene: Scene, car: Motion, smooth: bool) -> Times:
+    """Return 1 where ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane, else 0.
+
+    If it is to be smooth, a sigmoid instead.
+    """
     middle = unrolled_sum(jnp.asarray(scene.lanes)) / len(scene.lanes)
     side = jnp.where(scene.target_lane <= middle, -1.0, 1.0)
-    inside = side * (car.y + scene.car_size[1] / 2 * car.sine - scene.target_lane) > -scene.lane_width / 2
+    depth = side * (car.y + scene.car_size[1] / 2 * car.sine - scene.target_lane)
+    if smooth:
+        return jax.nn.sigmoid((depth + scene.lane_width / 2) / SOFT_LANE)
+    inside = depth > -scene.lane_width / 2
     return jax.lax.stop_gradient(inside.astype(car.y.dtype))

@@ -16,6 +16,8 @@ from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings, gradient_steps
 from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import Scene
+from ms_highway.optimization.convex_newton import STEPS as CONVEX_STEPS
+from ms_highway.optimization.damped_newton import STEPS as NEWTON_STEPS
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, Solver
 from ms_highway.runtime.arrays import HumansWeights, State
@@ -258,6 +260,7 @@ def _planner(
         step_size=step_size,
         horizon=planning.horizon,
         iterations=iterations,
+        newton_steps=CONVEX_STEPS if solver == "convex_newton" else NEWTON_STEPS,
         solver=solver,
         persistent=persistent,
     )

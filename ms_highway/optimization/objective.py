@@ -11,6 +11,12 @@ from ms_highway.optimization.second_derivatives import Expansion, second_order_e
 from ms_highway.runtime.arrays import Controls, ManyControls, Numbers, Scalar, Trajectory
 
 
+def flat(trajectory: Trajectory) -> Float[Any, "steps fields fields"]:
+    """Return no curvature."""
+    fields, steps = trajectory.shape
+    return jnp.zeros((steps, fields, fields))
+
+
 class Objective(NamedTuple):
     """Maximise ``reward(path(controls)) - cost(controls)`` over scaled controls within limits.
 
@@ -19,12 +25,15 @@ class Objective(NamedTuple):
         reward: of a trajectory, a sum over its steps.
         cost: of the controls themselves, a sum over them.
         bounded: projects controls on their limits.
+        curvature: a convex bound on how the reward bends at each step of a trajectory, for
+            `ms_highway.optimization.convex_newton`; by default, none.
     """
 
     path: Callable[[Controls], Trajectory]
     reward: Callable[[Trajectory], Scalar]
     cost: Callable[[Controls], Scalar]
     bounded: Callable[[ManyControls], ManyControls]
+    curvature: Callable[[Trajectory], Float[Any, "steps fields fields"]] = flat
 
     def earned(self, controls: Controls) -> Scalar:
         """Return what controls earn."""

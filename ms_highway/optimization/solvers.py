@@ -8,13 +8,14 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
+from ms_highway.optimization.convex_newton import convex_newton_steps
 from ms_highway.optimization.damped_newton import STEPS, damped_newton_steps
 from ms_highway.optimization.newton import newton_steps
 from ms_highway.optimization.objective import Objective
 from ms_highway.runtime.arrays import Control, Controls, Scalar
 
 Point = TypeVar("Point", bound=PyTree)
-Solver: TypeAlias = Literal["gradient", "newton", "damped_newton"]
+Solver: TypeAlias = Literal["gradient", "newton", "damped_newton", "convex_newton"]
 
 
 @jax.tree_util.register_dataclass
@@ -31,8 +32,9 @@ class Planner:
         step_size: length of a gradient step per unit of gradient.
         horizon: number of planned controls, K in the paper (static).
         iterations: number of gradient steps (static).
-        newton_steps: number of steps of the solver ``damped_newton`` (static).
-        solver: ``gradient``, the paper's, ``newton`` or ``damped_newton``, see `optimize_controls` (static).
+        newton_steps: number of steps of the solvers for seconds (static).
+        solver: ``gradient``, the paper's, ``newton``, ``damped_newton`` or ``convex_newton``, see `optimize_controls`
+            (static).
         persistent: whether plans start from the rest of the last one, and give way to a simple manoeuvre where they run
             into an obstacle (static).
     """
@@ -46,6 +48,16 @@ class Planner:
     newton_steps: int = field(default=STEPS, metadata={"static": True})
     solver: Solver = field(default="gradient", metadata={"static": True})
     persistent: bool = field(default=False, metadata={"static": True})
+
+    @property
+    def for_seconds(self) -> bool:
+        """Whether the solver is made for horizons of seconds."""
+        return self.solver in ("damped_newton", "convex_newton")
+
+    @property
+    def smooth(self) -> bool:
+        """Whether plans climb a reward whose jumps are smooth."""
+        return self.solver == "convex_newton"
 
 
 def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[jax.Array, "*batch 2"]:
@@ -91,9 +103,13 @@ def optimize_controls(planner: Planner, objective: Objective, start: Controls) -
       Unlike the gradient, it sees jumps of the reward, such as the cost of a collision.
     * ``damped_newton``: a few Newton steps with a Hessian each, damped until it can be factored: for horizons of
       seconds, see `ms_highway.optimization.damped_newton`.
+    * ``convex_newton``: for horizons of seconds, too: steps of continuous length up a smooth reward, so that plans are
+      a steady function of what is seen, see `ms_highway.optimization.convex_newton`.
     """
     if planner.solver == "gradient":
         return projected_ascent(planner, jax.grad(objective.earned), start, objective.bounded)
     if planner.solver == "newton":
         return newton_steps(objective, start)
-    return damped_newton_steps(objective, start, planner.newton_steps)
+    if planner.solver == "damped_newton":
+        return damped_newton_steps(objective, start, planner.newton_steps)
+    return convex_newton_steps(objective, start, planner.newton_steps)

@@ -16,12 +16,22 @@ from jaxtyping import Float
 
 from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.dynamics import Motion
-from ms_highway.game.game import Game, bounded, discomfort, move, move_all, others_of, swap_roles, trajectory_reward
+from ms_highway.game.game import (
+    Game,
+    bounded,
+    discomfort,
+    move,
+    move_all,
+    others_of,
+    swap_roles,
+    trajectory_reward,
+)
+from ms_highway.optimization.convex_newton import Local, expand, share
 from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.optimization.objective import Objective, best_of
 from ms_highway.optimization.second_derivatives import response, second_order_expansion
 from ms_highway.optimization.solvers import projected_ascent
-from ms_highway.planning.plans import Plan, within_limits
+from ms_highway.planning.plans import Plan, driving, within_limits
 from ms_highway.planning.way_out import manoeuvres
 from ms_highway.runtime.arrays import (
     Controls,
@@ -78,12 +88,7 @@ class _Path(NamedTuple):
     def objective(self, human: Index) -> Objective:
         """Return what a human maximises over its own controls."""
         game, car, others = swap_roles(self.game, human), self.state[1 + human], self.around(human, self.robot)
-        return Objective(
-            partial(move, self.game, car),
-            lambda own: trajectory_reward(game, self.state, own, others),
-            partial(discomfort, game, car),
-            partial(bounded, game, car),
-        )
+        return driving(game, car, self.state, others)
 
     def slope(self, human: Index, robot: Trajectory) -> Trajectory:
         """Return the derivative of a human's reward in its own trajectory, with the robot on another one."""
@@ -103,6 +108,7 @@ def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
     * ``damped_newton`` holds over horizons of seconds: the robot takes Newton steps on its own reward, with the
       gradient above; the line search looks at what the robot earns once the humans have answered the step, by their
       linear response ``J_i du_R``, and a Newton step of their own.
+    * ``convex_newton`` does the same by the steps of `ms_highway.optimization.convex_newton`, robot and humans.
 
     Args:
         who: the situation.
@@ -110,10 +116,11 @@ def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
         steps: their number, the planner's by default.
     """
     planner, limit = who.game.planner, partial(within_limits, who.game, who.state)
-    if planner.solver != "damped_newton":
+    if not planner.for_seconds:
         return projected_ascent(planner, partial(_direction, who), start, limit, steps)
     steps = planner.newton_steps if steps is None else steps
-    return jax.lax.fori_loop(0, steps, lambda _, plan: _newton_step(who, plan), limit(start))
+    improve = _convex_step if planner.smooth else _newton_step
+    return jax.lax.fori_loop(0, steps, lambda _, plan: improve(who, plan), limit(start))
 
 
 def _put(values: HumansControls, human: Index, value: Controls) -> HumansControls:
@@ -193,6 +200,62 @@ def _newton_step(who: Answering, plan: Plan) -> Plan:
 
     candidates, earned = jax.vmap(after)(jnp.asarray(SHARES))
     return jax.tree.map(lambda tried: best_of(tried, earned), candidates)
+
+
+class _ConvexAnswers(NamedTuple):
+    """What the loop over the humans who answer collects."""
+
+    slope: Vector  # of the robot's reward in its controls, through the humans
+    local: Local  # around the controls of each human
+    humans: HumansControls  # improved
+
+
+def _convex_step(who: Answering, plan: Plan) -> Plan:
+    """Take a step of the robot and of the humans, who answer it."""
+    game, state, number = who.game, who.state, who.game.number
+    cost, reward = partial(discomfort, game, state[0]), partial(trajectory_reward, game, state)
+    path = _Path(game, state, move(game, state[0], plan.robot), move_all(game, state[1 : 1 + number], plan.humans))
+    along = jax.grad(reward, argnums=1)(path.robot, path.humans)
+    robot = expand(driving(game, state[0], state, path.humans), plan.robot)
+
+    def answer(human: Index, answers: _ConvexAnswers) -> _ConvexAnswers:
+        wanted, now = path.objective(human), plan.humans[human]
+        own = expand(wanted, now)
+        pushed = own.solve(jnp.sum(own.jacobian * along[human][..., None], axis=(0, 1)))
+        through = path.through(human, own.jacobian, pushed)
+        step = own.step(own.gradient)
+        whole = wanted.bounded(now + step.reshape(now.shape))
+        part = share(own.gradient @ (whole - now).ravel(), wanted.earned(now), wanted.earned(whole))
+        return _ConvexAnswers(
+            answers.slope + jnp.sum(robot.jacobian * through[..., None], axis=(0, 1)),
+            jax.tree.map(lambda all_of, one: all_of.at[human].set(one), answers.local, own),
+            answers.humans.at[human].set(wanted.bounded(now + part * step.reshape(now.shape))),
+        )
+
+    nothing = jax.tree.map(lambda part: jnp.zeros((number, *part.shape)), robot)
+    answers = who.fold(answer, _ConvexAnswers(robot.gradient, nothing, plan.humans))
+    step = robot.step(answers.slope)
+    moved = robot.jacobian @ step
+
+    def react(human: Index, reactions: HumansControls) -> HumansControls:
+        own = jax.tree.map(lambda part: part[human], answers.local)
+        _, pushed = jax.jvp(partial(path.slope, human), (path.robot,), (moved,))
+        along_controls = jnp.sum(own.jacobian * pushed[..., None], axis=(0, 1))
+        return reactions.at[human].set(own.step(along_controls).reshape(-1, 2))
+
+    reactions = who.fold(react, jnp.zeros_like(plan.humans))
+
+    def after(part: Scalar) -> Plan:
+        tried = Plan(plan.robot + part * step.reshape(-1, 2), answers.humans + part * reactions)
+        return within_limits(game, state, tried)
+
+    def earned(tried: Plan) -> Scalar:
+        humans = move_all(game, state[1 : 1 + number], tried.humans)
+        return reward(move(game, state[0], tried.robot), humans) - cost(tried.robot)
+
+    whole, none = after(jnp.ones(())), after(jnp.zeros(()))
+    slope = answers.slope @ (whole.robot - none.robot).ravel()
+    return after(share(slope, earned(none), earned(whole)))
 
 
 def around_obstacles(game: Game, state: State, plan: Plan) -> Plan:

@@ -70,7 +70,7 @@ class CompiledPlans:
         begin: Any
         if start is not None:
             begin = np.concatenate([start.robot[None], start.humans], dtype=np.float32)
-        elif self.game.planner.solver == "damped_newton":
+        elif self.game.planner.for_seconds:
             robot, humans = cold_start(self.game, np.asarray(state))
             begin = np.concatenate([robot[None], humans], dtype=np.float32)
         else:
@@ -78,7 +78,7 @@ class CompiledPlans:
         if self.game.number > 1:
             return plan_function(self.ladder, self._layout), self._numbers, state, begin, np.asarray(rungs, np.int32)
         model = self.ladder[int(rungs[0])]
-        fuses = not model.responds and self.game.planner.solver != "damped_newton"
+        fuses = not model.responds and not self.game.planner.for_seconds
         return plan_function((model,), self._layout, fuses), self._numbers, state, begin
 
     def warm_up(self, state: State) -> float:

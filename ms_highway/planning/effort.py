@@ -75,7 +75,7 @@ class Effort:
     def _game(self, game: Game) -> Game:
         if self.steps is None:
             return game
-        if game.planner.solver == "damped_newton":
+        if game.planner.for_seconds:
             return replace(game, planner=replace(game.planner, newton_steps=self.steps))
         longest = longest_traced_step(game.planner.horizon, game.dynamics.time_step)
         length = jnp.minimum(LENGTH, SHARE * longest)

@@ -28,7 +28,7 @@ def plan_for(
     else:
         plan = _plan_several(ladder, game, state, rungs, cold_start(game, state) if start is None else start)
     planner = game.planner
-    return around_obstacles(game, state, plan) if planner.persistent and planner.solver == "damped_newton" else plan
+    return around_obstacles(game, state, plan) if planner.persistent and planner.for_seconds else plan
 
 
 def _limited(model: HumanModel, game: Game, state: State, plan: Plan) -> Plan:
@@ -65,7 +65,7 @@ def _predict(
     model: HumanModel, rung: int, game: Game, state: State, rungs: Rungs, start: Plan, expected: HumansControls
 ) -> HumansControls:
     """Predict the humans on a rung, one after the other, each in the robot's game with it alone."""
-    anew = game.planner.solver == "damped_newton"
+    anew = game.planner.for_seconds
 
     def predict(human: Index, expected: HumansControls) -> HumansControls:
         begin = None if anew else Plan(start.robot, start.humans[human][None])
@@ -77,6 +77,6 @@ def _predict(
 def _most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> Index | None:
     """Return the most steps that a rung in use asks for; None if all ask for the planner's."""
     planner = game.planner
-    usual = planner.newton_steps if planner.solver == "damped_newton" else planner.iterations
+    usual = planner.newton_steps if planner.for_seconds else planner.iterations
     steps = [model.steps or usual if isinstance(model, Effort) else usual for model in ladder]
     return None if set(steps) == {usual} else jnp.asarray(steps)[rungs].max()

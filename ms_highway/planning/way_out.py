@@ -39,10 +39,10 @@ class Escape(NamedTuple):
 def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     """Return the best escape, and whether it replaces the robot's control, which leaves no way out as good.
 
-    A way out is better if it keeps `MARGIN` to all others than if it only does not collide, from now on for
-    `ESCAPE_STEPS`, those after the control being less its own step. Of equally good escapes, that which earns most is
-    the best. Where nothing is free of collisions, the robot brakes at least as the softest of the manoeuvres do that
-    brake: as that of them which earns most.
+    A way out is better if it keeps `MARGIN` to all others than if it only does not collide; the control with what can
+    follow it and the escapes are looked at over the same `ESCAPE_STEPS` from now on. Of equally good escapes, that
+    which earns most is the best. Where nothing is free of collisions, the robot brakes at least as the softest of the
+    manoeuvres do that brake: as that of them which earns most.
 
     Args:
         game: of the robot.

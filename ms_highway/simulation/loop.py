@@ -24,7 +24,7 @@ from ms_highway.metareasoning.belief import counted_on, first_belief, infer
 from ms_highway.metareasoning.rule import Memory, Order, Outcome, at_price, decide, first_memory
 from ms_highway.planning.effort import starts_warm
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.planning.plans import Plan, cold_start
+from ms_highway.planning.plans import Plan, cold_start, one_step_later
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import (
@@ -195,7 +195,7 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
         if game.planner.persistent or warm.any():
             left = game.planner.persistent | jnp.asarray(warm)[now.memory.rungs if len(warm) > 1 else 0].any()
             start = jax.tree.map(
-                partial(jnp.where, left & now.robot.starts), now.robot.later(), cold_start(game, now.state)
+                partial(jnp.where, left & now.robot.starts), one_step_later(now.robot.plan), cold_start(game, now.state)
             )
         return plan_for(models, game, now.state, now.memory.rungs, start)
 

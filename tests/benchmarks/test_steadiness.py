@@ -8,13 +8,15 @@ from commands import run
 from ms_highway.benchmarks.steadiness import AFTER, changes
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.game.scenarios import GIVE_WAY, MERGER, STAY_BACK
+from ms_highway.game.scenarios import GIVE_WAY, MERGER
 
-SMALL = {"humans": 2, "ladder": ["naive"]}
+SMALL = {"humans": 2, "ladder": ["naive"], "solver": "convex_newton"}
 """Of scenarios with several humans: all models of eight take minutes to compile."""
 
-BOUNDS = {"stay_back": 1.0, "merger": 5e-4, "give_way": 2e-3, "dense_merge": None, "crossing_crowd": None}
-"""By scenario, how far from its path a robot may be, in the median, two seconds after a millimetre of noise [m]."""
+BOUNDS = {"merger": 5e-4, "give_way": 2e-3, "dense_merge": 5e-3, "crossing_crowd": 1e-2}
+"""By scenario, how far from its path a robot may be, in the median, two seconds after a millimetre of noise [m].
+
+Stay Back has no bound: within half a second, which its plans look ahead, the robot hits a cone or passes it."""
 
 
 def test_a_centimetre_in_the_start_is_forgotten_within_twenty_steps_where_the_robot_merges():
@@ -36,9 +38,7 @@ def test_a_centimetre_in_the_start_is_forgotten_within_twenty_steps_where_the_ro
 @pytest.mark.parametrize("scenario", BOUNDS)
 def test_a_millimetre_in_the_start_changes_the_path_no_more_than_is_known(scenario):
     bound = BOUNDS[scenario]
-    if bound is None:
-        pytest.skip("no bound is known yet")
-    ladders = {one.name: one.ladder for one in (STAY_BACK, MERGER, GIVE_WAY)}
+    ladders = {one.name: one.ladder for one in (MERGER, GIVE_WAY)}
     controllers = list(ladders.get(scenario, SMALL["ladder"]))
     batch = make_batch(
         Comparison({scenario: controllers}, seeds=24, config={} if scenario in ladders else SMALL), scenario
@@ -49,7 +49,10 @@ def test_a_millimetre_in_the_start_changes_the_path_no_more_than_is_known(scenar
 
 
 @pytest.mark.slow
-def test_the_command_tells_figures_of_every_controller_and_noise_among_one_human_and_several(tmp_path, capsys):
+def test_the_command_tells_figures_of_every_controller_and_noise_among_one_human_and_several(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "150")
     file = tmp_path / "noise.json"
     small = "--set humans=2 --set ladder=naive, --set horizon=5"
     run(f"bench dense_merge --noise 1e-5 0.001 --seeds 2 --seed 7 {small} --json {file}")
@@ -71,7 +74,7 @@ def test_the_command_tells_figures_of_every_controller_and_noise_among_one_human
         ("--noise 0.1 --batches 8", "--noise is about driving, and --batches, --peer and --crowd about time"),
         ("--noise 0.1 --peer casadi", "--noise is about driving"),
         ("--noise 0.1 --crowd 2", "--noise is about driving"),
-        ("--noise -1", "--noise: '-1' is no number from 1e-06 to 10.0"),
+        ("--noise -1", "--noise: '-1' is no number from 1e-05 to 10.0"),
         ("--noise nan", "--noise: 'nan' is no number"),
         ("--noise 0.1 --seeds 1", "--seeds: '1' is no whole number from 2"),
         ("--noise 0.1 --controllers oracle", "unknown controller 'oracle'"),

@@ -29,7 +29,10 @@ WRONG = [
     ({"semantic": "paper"}, "unknown key 'semantic' in config; did you mean 'semantics'"),
     ({"influence": "exact"}, "unknown key 'influence' in config"),
     ({"semantics": "real"}, "config['semantics'] is 'real'; choose one of 'paper', 'released'"),
-    ({"solver": None}, "config['solver'] is None; choose one of 'gradient', 'newton', 'damped_newton'"),
+    (
+        {"solver": None},
+        "config['solver'] is None; choose one of 'gradient', 'newton', 'damped_newton', 'convex_newton'",
+    ),
     ({"yielding": "sometimes"}, "config['yielding'] is 'sometimes'; choose one of 'usual', 'never', 'always'"),
     ({"beliefs": "none"}, "config['beliefs'] is 'none'; choose one of 'learned', 'true'"),
     ({"way_out": 1}, "config['way_out'] is 1; it must be True or False"),

@@ -85,7 +85,7 @@ from ms_highway.experiments.runner import make_environment
 warnings.filterwarnings("error", message="Explicitly requested dtype")
 assert jax.config.jax_enable_x64
 for scenario, *controllers in (
-    ("dense_merge", "budget:20"), ("merger", "naive", "switching:0.1", "horizon:0.1", "tom@8+warm")
+    ("dense_merge", "budget:60000"), ("merger", "naive", "switching:0.1", "horizon:0.1", "tom@8+warm")
 ):
     for name in controllers:
         env = make_environment(scenario, name)

@@ -1,0 +1,96 @@
+"""Compute how a reward bends along a motion: a convex part of minus its Hessian, without eigenvalues.
+
+Most features are concave functions of quantities that count as linear in the motion (Gauss-Newton), so that the sum is
+positive semidefinite. What has no such form is left out: smooth indicators of a lane, induced braking, and user-defined
+features, for which plans take short steps.
+"""
+
+from functools import partial
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.collision_risk import (
+    CAR_SHARPNESS,
+    CONTACT,
+    NEAR,
+    OBSTACLE_SHARE,
+    OBSTACLE_SHARPNESS,
+    body_points,
+    obstacles_as_bodies,
+)
+from ms_highway.game.dynamics import Motion
+from ms_highway.game.features import attention_ahead, depth_off_road
+from ms_highway.game.reward import Reward
+from ms_highway.game.scene import Scene
+from ms_highway.runtime.arrays import Scalar
+
+Blocks = Float[jax.Array, "times 5 5"]
+
+
+def curvature(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Blocks:
+    """Return the convex part of minus the Hessian of a car's smooth reward, in x, y, cosine, sine and speed.
+
+    With costs ``c_j(q_j)`` of quantities q_j, ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``.
+
+    Args:
+        scene: road, obstacles and bodies.
+        parameters: the reward.
+        own: motion of the car, arrays [times].
+        others: motion of all others, arrays [others, times].
+    """
+    weights = dict(zip(parameters.names, jnp.unstack(parameters.weights), strict=True))
+    per_unit, zero, one = 1 / scene.length_unit, jnp.zeros_like(own.x), jnp.ones_like(own.x)
+    per_limit = 1 / parameters.speed_limit
+    along_y = [zero, per_unit * one, zero, zero, zero]
+    _, off_road = jax.vjp(partial(depth_off_road, scene, smooth=True), own)
+    costs = [
+        (weights["speed"], [zero, zero, per_limit * own.speed, zero, per_limit * own.cosine]),
+        (weights["lane_alignment"] + weights["target_lane"], along_y),
+        (-weights["off_road"], [per_unit * slope for slope in off_road(one)[0]]),
+    ]
+    if scene.leader is not None:
+        costs.append((weights["gap"], [per_unit * one, zero, zero, zero, zero]))
+    if "headway" in weights:
+        attention = jnp.sqrt(attention_ahead(scene, own, others).sum(axis=0))
+        pace = -parameters.headway * per_unit * one
+        costs.append((weights["headway"], [attention * part for part in (-per_unit * one, zero, zero, zero, pace)]))
+        costs.append((weights["closing_speed"], [zero, zero, zero, zero, per_limit * attention]))
+    factors = jnp.stack([2 * jnp.maximum(weight, 0.0) for weight, _ in costs])
+    slopes = jnp.stack([jnp.stack(slope) for _, slope in costs])
+    bent = jnp.einsum("j,jft,jgt->tfg", factors, slopes, slopes)
+    risk, contact = (jnp.maximum(-weights[name], 0.0) for name in ("collision_risk", "collision"))
+    bent = bent.at[:, :4, :4].add(_bend_of_closeness(scene, own, others, scene.car_size, CAR_SHARPNESS, risk, contact))
+    if len(scene.obstacles):
+        bodies, share = obstacles_as_bodies(scene, own.x.ndim), OBSTACLE_SHARE * risk
+        near = _bend_of_closeness(scene, own, bodies, scene.obstacle_size, OBSTACLE_SHARPNESS, share, contact)
+        bent = bent.at[:, :4, :4].add(near)
+    return bent
+
+
+def _bend_of_closeness(
+    scene: Scene,
+    own: Motion,
+    bodies: Motion,
+    size: Float[jax.Array, "2"],
+    sharpness: float,
+    risk: Scalar,
+    contact: Scalar,
+) -> Float[jax.Array, "times 4 4"]:
+    """Return the part of `ms_highway.game.collision_risk` with bodies of a size, in x, y, cosine and sine."""
+    px, py = body_points(scene)
+    x, y, cosine, sine = (field[..., None] for field in own[:4])
+    dx = x + cosine * px - sine * py - bodies.x[..., None]
+    dy = y + sine * px + cosine * py - bodies.y[..., None]
+    along, across = 4 / size[0] ** 2, 4 / size[1] ** 2
+    turned, slant = bodies.cosine[..., None], bodies.sine[..., None]
+    ahead, aside = turned * dx + slant * dy, turned * dy - slant * dx
+    excess = along * ahead**2 + across * aside**2 - 1
+    gx = 2 * (along * ahead * turned - across * aside * slant)
+    gy = 2 * (along * ahead * slant + across * aside * turned)
+    bend = risk * sharpness**2 * jnp.exp(-sharpness * excess) + 6 * CONTACT * contact * jnp.maximum(NEAR - excess, 0.0)
+    slopes = jnp.stack([gx, gy, gx * px + gy * py, gy * px - gx * py])
+    flat = jnp.moveaxis(slopes, 2, 1).reshape(4, own.x.size, -1)
+    weighted = jnp.moveaxis(bend * slopes, 2, 1).reshape(4, own.x.size, -1)
+    return jnp.einsum("ftn,gtn->tfg", flat, weighted)

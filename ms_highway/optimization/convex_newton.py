@@ -1,0 +1,106 @@
+"""Climb by Newton steps that are a continuous function of where they start, for plans of seconds.
+
+The curvature of the reward is made convex (`ms_highway.game.curvature`) and the trajectory counts as linear
+(Gauss-Newton), so that every factorisation succeeds and no damping is searched for. The share of a step is that of a
+parabola through what is earned without and with it. Nothing is chosen among candidates: plans from starts that differ
+little differ little.
+"""
+
+from typing import NamedTuple
+
+import jax
+from jax import numpy as jnp
+from jax.scipy.linalg import cho_solve
+from jaxtyping import Float
+
+from ms_highway.optimization.objective import Objective
+from ms_highway.runtime.arrays import Controls, Matrix, Scalar, Vector
+
+STEPS = 6
+"""Usual number of steps of a plan."""
+
+DAMPING = 10.0  # reward per squared scaled control: a step is short where nothing else bends the reward
+LONGEST = 1.0  # norm of a step [scaled controls]: full braking for two seconds
+LEAST_SHARE = 0.05  # of a step
+UNRESOLVED = 1e-5  # of what is earned, relative: gains that float32 does not resolve
+
+
+class Local(NamedTuple):
+    """An objective around n ravelled controls.
+
+    Attributes:
+        gradient: in the controls.
+        factor: lower Cholesky factor of its damped curvature C.
+        jacobian: of the trajectory in the controls.
+    """
+
+    gradient: Vector
+    factor: Matrix
+    jacobian: Float[jax.Array, "fields steps n"]
+
+    def solve(self, vector: Vector) -> Vector:
+        """Return ``C^-1 vector``."""
+        return cho_solve((self.factor, True), vector)
+
+    def step(self, gradient: Vector) -> Vector:
+        """Return ``C^-1 gradient``, shortened to `LONGEST`."""
+        whole = self.solve(gradient)
+        return whole * jnp.minimum(1.0, LONGEST / jnp.maximum(jnp.sqrt(jnp.sum(whole**2)), LONGEST))
+
+
+def expand(objective: Objective, controls: Controls) -> Local:
+    """Expand an objective around controls.
+
+    With ``J_k = ds_k / du`` of the motion at step k, the reward's convex curvature Q_k there and the costs' second
+    derivative D, ``C = sum_k J_k^T Q_k J_k + D + DAMPING I``.
+    """
+
+    def ravelled(point: Vector) -> jax.Array:
+        return objective.path(point.reshape(-1, 2))
+
+    point = controls.ravel()
+    steps, jacobian = ravelled(point), jax.jacfwd(ravelled)(point)
+    bent = jnp.einsum("kdf,fkn->dkn", objective.curvature(steps), jacobian)
+    curvature = jacobian.reshape(-1, point.size).T @ bent.reshape(-1, point.size)
+    marginal, diagonal = jax.jvp(jax.grad(objective.cost), (controls,), (jnp.ones_like(controls),))
+    curvature = curvature + jnp.diag(diagonal.ravel() + DAMPING)
+    gradient = jnp.sum(jacobian * jax.grad(objective.reward)(steps)[..., None], axis=(0, 1)) - marginal.ravel()
+    return Local(gradient, jnp.linalg.cholesky(curvature, symmetrize_input=False), jacobian)
+
+
+def share(slope: Scalar, before: Scalar, after: Scalar) -> Scalar:
+    """Return the share of a step at the top of the parabola through what is earned without and with the whole step.
+
+    With the slope g along the step and the gain d of the whole step, ``g / (2 (g - d))``, at least `LEAST_SHARE` and at
+    most 1; a gain that float32 does not resolve counts as enough. NaN where what is earned without the step is not
+    finite, so that the plan fails and says so.
+
+    Args:
+        slope: of what is earned along the whole step, where it begins.
+        before: what is earned without it.
+        after: what is earned with the whole step.
+    """
+    lack = 2 * (slope - (after - before)) - UNRESOLVED * (jnp.abs(before) + 1.0)
+    top = jnp.where(lack > slope, slope / jnp.where(lack > slope, lack, 1.0), 1.0)
+    top = jnp.where(jnp.isfinite(after), jnp.clip(top, LEAST_SHARE, 1.0), LEAST_SHARE)
+    return jnp.where(jnp.isfinite(before), top, jnp.nan)
+
+
+def convex_newton_steps(objective: Objective, start: Controls, steps: int = STEPS) -> Controls:
+    """Improve controls by some steps, projected on the limits.
+
+    A step is never shorter than `LEAST_SHARE`: where that goes beyond a wall, controls may earn less for a step.
+    """
+
+    def improve(_: int, now: tuple[Controls, Scalar]) -> tuple[Controls, Scalar]:
+        controls, earned = now
+        local = expand(objective, controls)
+        step = local.step(local.gradient)
+        whole = step.reshape(controls.shape)
+        tried = objective.bounded(controls + whole)
+        part = share(local.gradient @ (tried - controls).ravel(), earned, objective.earned(tried))
+        moved = objective.bounded(controls + part * whole)
+        return moved, objective.earned(moved)
+
+    first = objective.bounded(start)
+    return jax.lax.fori_loop(0, steps, improve, (first, objective.earned(first)))[0]

@@ -1,0 +1,72 @@
+"""Newton steps that are a continuous function of where they start."""
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.optimization.convex_newton import LEAST_SHARE, convex_newton_steps, share
+from ms_highway.optimization.objective import Objective
+
+PATH = jnp.asarray(np.random.default_rng(0).normal(size=(1, 6, 12)) / 3)
+
+
+def objective(reward, curvature=0.0, limit=10.0):
+    return Objective(
+        lambda controls: PATH @ controls.ravel(),
+        reward,
+        lambda controls: jnp.sum(controls**2) / 2,
+        lambda controls: jnp.clip(controls, -limit, limit),
+        lambda path: jnp.full((6, 1, 1), curvature),
+    )
+
+
+def test_a_concave_reward_is_climbed_almost_to_its_top_within_the_limits():
+    def hill(path):
+        return -20 * jnp.sum((path - 1.0) ** 2)
+
+    best = np.linalg.solve(np.eye(12) + 40 * PATH[0].T @ PATH[0], 40 * PATH[0].T @ np.ones(6)).reshape(6, 2)
+    start = jnp.zeros((6, 2))
+    np.testing.assert_allclose(convex_newton_steps(objective(hill, 40.0), start, steps=40), best, atol=0.01)
+    assert np.abs(convex_newton_steps(objective(hill, 40.0, limit=0.1), start)).max() <= 0.1
+
+
+def test_a_reward_that_is_not_concave_is_climbed_too():
+    waves, start = objective(lambda path: jnp.sum(jnp.cos(3 * path)) * 5), jnp.full((6, 2), 0.9)
+    assert waves.earned(convex_newton_steps(waves, start)) > waves.earned(start) + 1.0
+
+
+def test_starts_that_differ_little_end_in_plans_that_differ_little_also_where_the_reward_has_walls():
+    """A line search that chooses among shares goes from one to the next at some of these starts."""
+
+    def walls(path):
+        return -jnp.sum(50 * jnp.maximum(0.3 - (path - 0.4) ** 2, 0.0) ** 3) - jnp.sum((path - 1.0) ** 2)
+
+    improve = jax.jit(jax.vmap(lambda start: convex_newton_steps(objective(walls, 2.0), start)))
+
+    def changes(lowest, highest, number):
+        starts = jnp.linspace(lowest, highest, number + 1)[:, None, None] * np.ones((6, 2), np.float32)
+        return np.abs(np.diff(improve(starts), axis=0)).max(axis=(1, 2))
+
+    all_over = changes(0.0, 0.5, 5000)
+    fork = all_over.argmax() / 10000
+    assert np.quantile(all_over, 0.99) < 20e-4  # for starts that are 1e-4 apart
+    assert changes(fork, fork + 1e-4, 100).max() < all_over.max() / 20  # a jump would stay
+
+
+@pytest.mark.parametrize(
+    ("slope", "after", "expected"),
+    [(1.0, 0.5, 1.0), (1.0, 0.9, 1.0), (1.0, 0.0, 0.5), (1.0, -1.0, 0.25), (1.0, -1e6, LEAST_SHARE)],
+)
+def test_the_share_of_a_step_is_that_of_a_parabola(slope, after, expected):
+    assert share(jnp.float32(slope), jnp.float32(0.0), jnp.float32(after)) == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_gain_that_single_precision_does_not_resolve_is_enough():
+    assert share(jnp.float32(1e-4), jnp.float32(100.0), jnp.float32(100.0 - 7.6e-6)) == 1.0
+
+
+def test_steps_into_what_is_not_finite_are_short_and_out_of_it_none_so_that_a_plan_fails_and_says_so():
+    assert share(jnp.float32(1.0), jnp.float32(0.0), jnp.float32(jnp.nan)) == jnp.float32(LEAST_SHARE)
+    lost = objective(lambda path: jnp.sum(path) * jnp.nan)
+    assert np.isnan(convex_newton_steps(lost, jnp.zeros((6, 2)))).all()
