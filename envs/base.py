@@ -277,9 +277,7 @@ class InteractionEnv(StageEnv):
         self._collided |= self.collision
         step = self.robot.last_step
         if isinstance(self.action_type, HumanModelAction) and step:
-            self._terms[COMPUTATION] = -float(
-                self.config["action"]["lambda"] * self.counted_seconds(step.planned or step.models)
-            )
+            self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * self.counted_seconds(step.thought))
         self.history.append(Shown(step, sum(self._terms.values())))
 
     def _info(self, obs: Any, action: Any = None) -> Config:
@@ -297,7 +295,7 @@ class InteractionEnv(StageEnv):
         asked, controller = isinstance(self.action_type, HumanModelAction), self.settings.controller
         clocked = self.settings.measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and controller.budget is not None)
-        info["gains"], counted = step.highest_gains(), self.counted_seconds(step.planned or step.models)
+        info["gains"], counted = step.highest_gains(), self.counted_seconds(step.thought)
         known = {"belief": step.belief, "counted_seconds": counted}
         info |= {name: value for name, value in known.items() if value is not None}
         if streams:

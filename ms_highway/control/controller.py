@@ -58,6 +58,11 @@ class ControlStep:
         """Name of the most expensive model in use."""
         return ("", *cheapest_first(self.models))[-1] if self.models[1:] else self.models[0]
 
+    @property
+    def thought(self) -> tuple[str, ...]:
+        """Names of the models of the plan made in this step, which is paid for."""
+        return self.planned or self.models
+
     def highest_gains(self) -> dict[str, float]:
         """Return the highest gain of each model over all humans, by name, as far as they were estimated."""
         if self.gains is None:

@@ -21,7 +21,7 @@ from ms_highway.game.collision_risk import (
     obstacles_as_bodies,
 )
 from ms_highway.game.dynamics import Motion
-from ms_highway.game.features import attention_ahead, depth_off_road
+from ms_highway.game.features import attention, depth_off_road
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Scalar
@@ -53,10 +53,11 @@ def curvature(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> 
     if scene.leader is not None:
         costs.append((weights["gap"], [per_unit * one, zero, zero, zero, zero]))
     if "headway" in weights:
-        attention = jnp.sqrt(attention_ahead(scene, own, others).sum(axis=0))
+        along, _, attended = attention(scene, own, others)
+        ahead = jnp.sqrt(jnp.where(along > 0, attended, 0.0).sum(axis=0))
         pace = -parameters.headway * per_unit * one
-        costs.append((weights["headway"], [attention * part for part in (-per_unit * one, zero, zero, zero, pace)]))
-        costs.append((weights["closing_speed"], [zero, zero, zero, zero, per_limit * attention]))
+        costs.append((weights["headway"], [ahead * part for part in (-per_unit * one, zero, zero, zero, pace)]))
+        costs.append((weights["closing_speed"], [zero, zero, zero, zero, per_limit * ahead]))
     factors = jnp.stack([2 * jnp.maximum(weight, 0.0) for weight, _ in costs])
     slopes = jnp.stack([jnp.stack(slope) for _, slope in costs])
     bent = jnp.einsum("j,jft,jgt->tfg", factors, slopes, slopes)

@@ -123,11 +123,9 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     * induced_braking: ``-sum w (max(v_j - v, 0)^2 / (2 U^2 max(g, 0.03)))^2`` over the cars behind: the braking [U/s^2]
       with which they avoid hitting this car.
     """
+    along, gap, attended = attention(scene, own, others)
+    ahead, behind = (jnp.where(place, attended, 0.0) for place in (along > 0, along <= 0))
     per_unit = 1 / scene.length_unit
-    along, across = (others.x - own.x) * per_unit, (others.y - own.y) / (OWN_LANE * scene.lane_width)
-    gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] * per_unit, 0.0)
-    attention = jnp.exp(-gap / ATTENTION - across**2 / 2)
-    ahead, behind = (jnp.where(place, attention, 0.0) for place in (along > 0, along <= 0))
     speed = own.speed * per_unit
     faster = jnp.maximum(others.speed * per_unit - speed, 0.0)
     braking = faster**2 / (2 * jnp.maximum(gap, SMALLEST_GAP))
@@ -145,11 +143,12 @@ def _off_all_lanes(scene: Scene, car: Motion) -> Times:
     return -reduce(jnp.logaddexp, squares) * (SOFT_LANE / scene.length_unit) ** 2
 
 
-def attention_ahead(scene: Scene, own: Motion, others: Motion) -> Times:
-    """Return the attention of `_traffic` to the cars ahead."""
-    along, across = (others.x - own.x) / scene.length_unit, (others.y - own.y) / (OWN_LANE * scene.lane_width)
-    gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] / scene.length_unit, 0.0)
-    return jnp.where(along > 0, jnp.exp(-gap / ATTENTION - across**2 / 2), 0.0)
+def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, Times]:
+    """Return how far others are ahead, the gaps to them [length units], and the attention to them, see `_traffic`."""
+    per_unit = 1 / scene.length_unit
+    along, across = (others.x - own.x) * per_unit, (others.y - own.y) / (OWN_LANE * scene.lane_width)
+    gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] * per_unit, 0.0)
+    return along, gap, jnp.exp(-gap / ATTENTION - across**2 / 2)
 
 
 def depth_off_road(scene: Scene, car: Motion, smooth: bool = False) -> Times:

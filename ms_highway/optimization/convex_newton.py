@@ -86,21 +86,28 @@ def share(slope: Scalar, before: Scalar, after: Scalar) -> Scalar:
     return jnp.where(jnp.isfinite(before), top, jnp.nan)
 
 
-def convex_newton_steps(objective: Objective, start: Controls, steps: int = STEPS) -> Controls:
-    """Improve controls by some steps, projected on the limits.
+def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
+    """Return controls after a step, projected on the limits.
 
     A step is never shorter than `LEAST_SHARE`: where that goes beyond a wall, controls may earn less for a step.
+
+    Args:
+        objective: to climb.
+        controls: within the limits.
+        local: the objective around them.
     """
+    whole = local.step(local.gradient).reshape(controls.shape)
+    tried = objective.bounded(controls + whole)
+    slope = local.gradient @ (tried - controls).ravel()
+    part = share(slope, objective.earned(controls), objective.earned(tried))
+    return objective.bounded(controls + part * whole)
 
-    def improve(_: int, now: tuple[Controls, Scalar]) -> tuple[Controls, Scalar]:
-        controls, earned = now
-        local = expand(objective, controls)
-        step = local.step(local.gradient)
-        whole = step.reshape(controls.shape)
-        tried = objective.bounded(controls + whole)
-        part = share(local.gradient @ (tried - controls).ravel(), earned, objective.earned(tried))
-        moved = objective.bounded(controls + part * whole)
-        return moved, objective.earned(moved)
 
-    first = objective.bounded(start)
-    return jax.lax.fori_loop(0, steps, improve, (first, objective.earned(first)))[0]
+def convex_newton_steps(objective: Objective, start: Controls, steps: int = STEPS) -> Controls:
+    """Improve controls by some steps, see `improve`."""
+    return jax.lax.fori_loop(
+        0,
+        steps,
+        lambda _, controls: improve(objective, controls, expand(objective, controls)),
+        objective.bounded(start),
+    )

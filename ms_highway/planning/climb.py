@@ -24,9 +24,10 @@ from ms_highway.game.game import (
     move_all,
     others_of,
     swap_roles,
+    total_reward,
     trajectory_reward,
 )
-from ms_highway.optimization.convex_newton import Local, expand, share
+from ms_highway.optimization.convex_newton import Local, expand, improve, share
 from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.optimization.objective import Objective, best_of
 from ms_highway.optimization.second_derivatives import response, second_order_expansion
@@ -100,6 +101,11 @@ class _Path(NamedTuple):
         _, pull_back = jax.vjp(partial(self.slope, human), self.robot)
         return pull_back(jnp.sum(jacobian * pushed, axis=-1))[0]
 
+    def change(self, human: Index, jacobian: Float[Any, "fields steps n"], moved: Trajectory) -> Vector:
+        """Return how a human's gradient in its controls changes if the robot's trajectory does."""
+        _, pushed = jax.jvp(partial(self.slope, human), (self.robot,), (moved,))
+        return jnp.sum(jacobian * pushed[..., None], axis=(0, 1))
+
 
 def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
     """Improve the robot's controls and those of the humans who answer.
@@ -119,8 +125,8 @@ def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
     if not planner.for_seconds:
         return projected_ascent(planner, partial(_direction, who), start, limit, steps)
     steps = planner.newton_steps if steps is None else steps
-    improve = _convex_step if planner.smooth else _newton_step
-    return jax.lax.fori_loop(0, steps, lambda _, plan: improve(who, plan), limit(start))
+    step = _convex_step if planner.smooth else _newton_step
+    return jax.lax.fori_loop(0, steps, lambda _, plan: step(who, plan), limit(start))
 
 
 def _put(values: HumansControls, human: Index, value: Controls) -> HumansControls:
@@ -186,9 +192,8 @@ def _newton_step(who: Answering, plan: Plan) -> Plan:
     moved = robot.jacobian @ step
 
     def react(human: Index, reactions: HumansControls) -> HumansControls:
-        _, pushed = jax.jvp(partial(path.slope, human), (path.robot,), (moved,))
-        along_controls = jnp.sum(answers.jacobians[human] * pushed[..., None], axis=(0, 1))
-        return reactions.at[human].set(damped_solve(answers.factors[human], along_controls).reshape(-1, 2))
+        change = path.change(human, answers.jacobians[human], moved)
+        return reactions.at[human].set(damped_solve(answers.factors[human], change).reshape(-1, 2))
 
     reactions = who.fold(react, jnp.zeros_like(plan.humans))
 
@@ -213,9 +218,8 @@ class _ConvexAnswers(NamedTuple):
 def _convex_step(who: Answering, plan: Plan) -> Plan:
     """Take a step of the robot and of the humans, who answer it."""
     game, state, number = who.game, who.state, who.game.number
-    cost, reward = partial(discomfort, game, state[0]), partial(trajectory_reward, game, state)
     path = _Path(game, state, move(game, state[0], plan.robot), move_all(game, state[1 : 1 + number], plan.humans))
-    along = jax.grad(reward, argnums=1)(path.robot, path.humans)
+    along = jax.grad(trajectory_reward, argnums=3)(game, state, path.robot, path.humans)
     robot = expand(driving(game, state[0], state, path.humans), plan.robot)
 
     def answer(human: Index, answers: _ConvexAnswers) -> _ConvexAnswers:
@@ -223,13 +227,10 @@ def _convex_step(who: Answering, plan: Plan) -> Plan:
         own = expand(wanted, now)
         pushed = own.solve(jnp.sum(own.jacobian * along[human][..., None], axis=(0, 1)))
         through = path.through(human, own.jacobian, pushed)
-        step = own.step(own.gradient)
-        whole = wanted.bounded(now + step.reshape(now.shape))
-        part = share(own.gradient @ (whole - now).ravel(), wanted.earned(now), wanted.earned(whole))
         return _ConvexAnswers(
             answers.slope + jnp.sum(robot.jacobian * through[..., None], axis=(0, 1)),
             jax.tree.map(lambda all_of, one: all_of.at[human].set(one), answers.local, own),
-            answers.humans.at[human].set(wanted.bounded(now + part * step.reshape(now.shape))),
+            answers.humans.at[human].set(improve(wanted, now, own)),
         )
 
     nothing = jax.tree.map(lambda part: jnp.zeros((number, *part.shape)), robot)
@@ -239,9 +240,7 @@ def _convex_step(who: Answering, plan: Plan) -> Plan:
 
     def react(human: Index, reactions: HumansControls) -> HumansControls:
         own = jax.tree.map(lambda part: part[human], answers.local)
-        _, pushed = jax.jvp(partial(path.slope, human), (path.robot,), (moved,))
-        along_controls = jnp.sum(own.jacobian * pushed[..., None], axis=(0, 1))
-        return reactions.at[human].set(own.step(along_controls).reshape(-1, 2))
+        return reactions.at[human].set(own.step(path.change(human, own.jacobian, moved)).reshape(-1, 2))
 
     reactions = who.fold(react, jnp.zeros_like(plan.humans))
 
@@ -250,8 +249,7 @@ def _convex_step(who: Answering, plan: Plan) -> Plan:
         return within_limits(game, state, tried)
 
     def earned(tried: Plan) -> Scalar:
-        humans = move_all(game, state[1 : 1 + number], tried.humans)
-        return reward(move(game, state[0], tried.robot), humans) - cost(tried.robot)
+        return total_reward(game, state, *tried) - discomfort(game, state[0], tried.robot)
 
     whole, none = after(jnp.ones(())), after(jnp.zeros(()))
     slope = answers.slope @ (whole.robot - none.robot).ravel()
