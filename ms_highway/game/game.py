@@ -35,12 +35,6 @@ from ms_highway.runtime.arrays import (
     unrolled_sum,
 )
 
-EASE = 5.0  # reward per squared scaled control
-"""What smooth plans pay for not keeping the velocity, so that they do not follow every bump of the reward at once.
-
-At 5, braking by 4 m/s^2 costs 0.04 per step. Without it, plans under theory of mind earn as much and are less steady;
-at 15, naive ones find into dense traffic more seldom."""
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -118,10 +112,11 @@ def swap_players(game: Game, state: State, human: Index = 0) -> tuple[Game, Stat
 def swap_roles(game: Game, human: Index = 0) -> Game:
     """Return the game in which a human plans, and the robot is its only partner.
 
-    Humans plan anew in every step, by the paper's solver; by the robot's where that is made for horizons of seconds.
+    Humans plan anew in every step, by the paper's solver; by the robot's where that is made for horizons of seconds,
+    and for their own comfort only.
     """
     solver = game.planner.solver if game.planner.for_seconds else "gradient"
-    planner = replace(game.planner, solver=solver, persistent=False)
+    planner = replace(game.planner, solver=solver, persistent=False, ease=0.0)
     return replace(game, robot=game.human(human), humans=_alone(game.robot), planner=planner)
 
 
@@ -148,14 +143,13 @@ def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
 
 
 def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
-    """Return car 0's cost of not keeping its present velocity, ``sum comfort (u - u_keep)^2 / 2``, u scaled."""
+    """Return car 0's cost of not keeping its present velocity, ``sum comfort (u - u_keep)^2 / 2``, u scaled.
+
+    For horizons of seconds, the planner's ``ease`` is added to its comfort.
+    """
     kept = keep_velocity(game.dynamics, car) / game.planner.control_scale
-    return jnp.sum(comfort(game, game.robot) * (controls - kept) ** 2) / 2
-
-
-def comfort(game: Game, driver: Reward) -> Float[Any, "2"]:
-    """Return the weights of a driver's squared controls in plans: its own, and `EASE` where plans are smooth."""
-    return driver.comfort + EASE if game.planner.smooth else driver.comfort
+    comfort = game.robot.comfort + game.planner.ease if game.planner.for_seconds else game.robot.comfort
+    return jnp.sum(comfort * (controls - kept) ** 2) / 2
 
 
 @jax.jit  # traced once, like `trajectory_reward`
@@ -185,9 +179,9 @@ def trajectory_reward(game: Game, state: State, own: Trajectory, others: Traject
 
 
 def step_rewards(game: Game, state: State, own: Trajectory, others: Trajectories) -> Float[Any, "steps"]:
-    """Compute car 0's reward after each step, see `trajectory_reward`; the smooth one for smooth plans."""
+    """Compute car 0's reward after each step, see `trajectory_reward`; the smooth one for horizons of seconds."""
     others = around(game, state, others)
-    return motion_reward(game.scene, game.robot, Motion(*own), others, game.planner.smooth)
+    return motion_reward(game.scene, game.robot, Motion(*own), others, game.planner.for_seconds)
 
 
 def around(game: Game, state: State, others: Trajectories) -> Motion:

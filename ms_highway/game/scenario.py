@@ -16,8 +16,7 @@ from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings, gradient_steps
 from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.convex_newton import STEPS as CONVEX_STEPS
-from ms_highway.optimization.damped_newton import STEPS as NEWTON_STEPS
+from ms_highway.optimization.convex_newton import EASE
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, Solver
 from ms_highway.runtime.arrays import HumansWeights, State
@@ -196,7 +195,9 @@ def build_game(
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
     planning = planning or scenario.planning
     plans, world = (replace(motion, time_step=planning.time_step) for motion in (plans, world))
-    planner = _planner(scene, plans, control_limit, grip, solver or scenario.solver, planning, bool(scenario.streams))
+    planner = _planner(
+        scene, plans, control_limit, grip, solver or scenario.solver, planning, bool(scenario.streams), EASE
+    )
     influence: Influence = "damped" if semantics == "paper" else "exact"
     game = Game(scene, robot, _humans(human, humans or scenario.humans), plans, world, planner, influence)
     return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
@@ -228,7 +229,7 @@ def driving_game(
     """
     driver = linear_reward(weights, speed_limit, names=names)
     motion = replace(PAPER_DYNAMICS, time_step=planning.time_step)
-    planner = _planner(scene, motion, PHYSICAL_LIMIT, grip, solver, planning, persistent=False)
+    planner = _planner(scene, motion, PHYSICAL_LIMIT, grip, solver, planning, persistent=False, ease=0.0)
     return Game(scene, driver, _humans(driver, 1), motion, motion, planner)
 
 
@@ -244,6 +245,7 @@ def _planner(
     solver: Solver,
     planning: PlanningSettings,
     persistent: bool,
+    ease: float,
 ) -> Planner:
     """Return a planner with the control scale in which a gradient step of 0.03 has the paper's effect.
 
@@ -260,7 +262,7 @@ def _planner(
         step_size=step_size,
         horizon=planning.horizon,
         iterations=iterations,
-        newton_steps=CONVEX_STEPS if solver == "convex_newton" else NEWTON_STEPS,
+        ease=ease,
         solver=solver,
         persistent=persistent,
     )

@@ -75,7 +75,7 @@ def _merge_among_several(
         humans=8,
         caution=0.3,
         planning=PlanningSettings(horizon=20),
-        solver="damped_newton",
+        solver="convex_newton",
         control_limit=SECONDS_LIMIT,
         grip=GRIP,
         way_out=True,

@@ -10,7 +10,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.game import Game, comfort, move, step_rewards, swap_players, total_reward, trajectory_reward
+from ms_highway.game.game import Game, move, step_rewards, swap_players, total_reward, trajectory_reward
 from ms_highway.game.reward import Reward
 from ms_highway.metareasoning.quadratic_rule import QuadraticRule, RewardExpansion
 from ms_highway.metareasoning.rule import Outcome
@@ -66,7 +66,7 @@ class WholeHorizon(QuadraticRule):
         states = jnp.stack([state, swap_players(game, state)[1]])
         controls = jnp.stack([jnp.stack([robot, human]), jnp.stack([human, robot])])
         slopes, bends = jax.vmap(derivatives)(rewards, states, controls)
-        human_bend = bends[1, :n, :n] - jnp.diag(jnp.tile(jnp.asarray(comfort(game, game.humans)), steps))
+        human_bend = bends[1, :n, :n] - jnp.diag(jnp.tile(jnp.asarray(game.humans.comfort), steps))
         influence = response(game.influence, human_bend, bends[1, :n, n:])
         bend = bends[0]
         return RewardExpansion(slopes[0, :n], slopes[0, n:], bend[:n, :n], bend[:n, n:], bend[n:, n:], influence)

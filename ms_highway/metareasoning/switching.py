@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
-from ms_highway.game.game import Game, comfort, swap_players
+from ms_highway.game.game import Game, swap_players
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.metareasoning.quadratic_rule import QuadraticRule, RewardExpansion
@@ -80,6 +80,6 @@ def _expand(game: Game, state: State, robot: Control, human: Control) -> RewardE
     own, partner, own_own, own_partner, partner_partner = jax.vmap(derivatives)(
         rewards, states, controls, controls[::-1]
     )
-    human_bend = own_own[1] - jnp.diag(comfort(game, game.humans))
+    human_bend = own_own[1] - jnp.diag(game.humans.comfort)
     influence = response(game.influence, human_bend, own_partner[1])
     return RewardExpansion(own[0], partner[0], own_own[0], own_partner[0], partner_partner[0], influence)

@@ -19,6 +19,12 @@ from ms_highway.runtime.arrays import Controls, Matrix, Scalar, Vector
 STEPS = 6
 """Usual number of steps of a plan."""
 
+EASE = 5.0
+"""Usual ease of a planner, see `ms_highway.optimization.solvers.Planner`: braking by 4 m/s^2 costs 0.04 per step.
+
+Measured in Dense Merge under theory of mind, 60 starts: 6.06 per step and 3 collisions at 2, 6.63 and none at 5, 6.33
+and 1 at 10."""
+
 DAMPING = 10.0  # reward per squared scaled control: a step is short where nothing else bends the reward
 LONGEST = 1.0  # norm of a step [scaled controls]: full braking for two seconds
 LEAST_SHARE = 0.05  # of a step

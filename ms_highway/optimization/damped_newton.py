@@ -8,11 +8,7 @@ import numpy as np
 from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
 
-from ms_highway.optimization.objective import Objective, best_of
-from ms_highway.runtime.arrays import Controls, Flag, Matrix, Scalar, Vector
-
-STEPS = 4
-"""Usual number of steps of a plan."""
+from ms_highway.runtime.arrays import Flag, Matrix, Scalar, Vector
 
 SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 10, 1 / 32, 0], dtype=np.float32)
 """Shares of a step that a line search tries."""
@@ -44,17 +40,3 @@ def damped_solve(factor: Matrix, vector: Vector) -> Vector:
     """Return ``(d I - H)^-1 vector`` by the factor of `damped_factor`; zero where that is not finite."""
     solved = cho_solve((factor, True), vector)
     return jnp.where(jnp.isfinite(solved).all(), solved, 0.0)
-
-
-def damped_newton_steps(objective: Objective, start: Controls, steps: int = STEPS) -> Controls:
-    """Improve controls by some damped Newton steps.
-
-    The line search takes the best of six shares of each step, projected on the limits; the last share is no step.
-    """
-
-    def improve(_: int, controls: Controls) -> Controls:
-        expansion = objective.expand(controls)
-        step = damped_solve(damped_factor(expansion.hessian), expansion.gradient).reshape(controls.shape)
-        return best_of(*objective.search_line(controls, step, SHARES))
-
-    return jax.lax.fori_loop(0, steps, improve, objective.bounded(start))

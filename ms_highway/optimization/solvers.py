@@ -8,14 +8,13 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
-from ms_highway.optimization.convex_newton import convex_newton_steps
-from ms_highway.optimization.damped_newton import STEPS, damped_newton_steps
+from ms_highway.optimization.convex_newton import STEPS, convex_newton_steps
 from ms_highway.optimization.newton import newton_steps
 from ms_highway.optimization.objective import Objective
 from ms_highway.runtime.arrays import Control, Controls, Scalar
 
 Point = TypeVar("Point", bound=PyTree)
-Solver: TypeAlias = Literal["gradient", "newton", "damped_newton", "convex_newton"]
+Solver: TypeAlias = Literal["gradient", "newton", "convex_newton"]
 
 
 @jax.tree_util.register_dataclass
@@ -32,17 +31,20 @@ class Planner:
         step_size: length of a gradient step per unit of gradient.
         horizon: number of planned controls, K in the paper (static).
         iterations: number of gradient steps (static).
-        newton_steps: number of steps of the solvers for seconds (static).
-        solver: ``gradient``, the paper's, ``newton``, ``damped_newton`` or ``convex_newton``, see `optimize_controls`
+        newton_steps: number of steps of the solver for seconds (static).
+        ease: what plans for seconds pay, beside their reward, per squared scaled control that does not keep the
+            velocity, so that they do not follow every bump of the reward at once.
+        solver: ``gradient``, the paper's, ``newton`` or ``convex_newton``, see `optimize_controls`
             (static).
-        persistent: whether plans start from the rest of the last one, and give way to a simple manoeuvre where they run
-            into an obstacle (static).
+        persistent: whether plans start from the rest of the last one or, for seconds, from a manoeuvre that earns more
+            (static).
     """
 
     control_scale: Control
     control_limit: Control
     grip: Scalar | None = None
     step_size: Scalar = 0.03
+    ease: Scalar = 0.0
     horizon: int = field(default=5, metadata={"static": True})
     iterations: int = field(default=20, metadata={"static": True})
     newton_steps: int = field(default=STEPS, metadata={"static": True})
@@ -51,12 +53,7 @@ class Planner:
 
     @property
     def for_seconds(self) -> bool:
-        """Whether the solver is made for horizons of seconds."""
-        return self.solver in ("damped_newton", "convex_newton")
-
-    @property
-    def smooth(self) -> bool:
-        """Whether plans climb a reward whose jumps are smooth."""
+        """Whether the solver is made for horizons of seconds, and climbs a reward whose jumps are smooth."""
         return self.solver == "convex_newton"
 
 
@@ -101,15 +98,11 @@ def optimize_controls(planner: Planner, objective: Objective, start: Controls) -
       computed every 8 steps. Such a step ascends also where the reward is not concave (the saddle-free Newton step of
       Dauphin et al. 2014). The line search takes the best of the step, its halves and no step, projected on the limits.
       Unlike the gradient, it sees jumps of the reward, such as the cost of a collision.
-    * ``damped_newton``: a few Newton steps with a Hessian each, damped until it can be factored: for horizons of
-      seconds, see `ms_highway.optimization.damped_newton`.
-    * ``convex_newton``: for horizons of seconds, too: steps of continuous length up a smooth reward, so that plans are
+    * ``convex_newton``: for horizons of seconds, a few steps of continuous length up a smooth reward, so that plans are
       a steady function of what is seen, see `ms_highway.optimization.convex_newton`.
     """
     if planner.solver == "gradient":
         return projected_ascent(planner, jax.grad(objective.earned), start, objective.bounded)
     if planner.solver == "newton":
         return newton_steps(objective, start)
-    if planner.solver == "damped_newton":
-        return damped_newton_steps(objective, start, planner.newton_steps)
     return convex_newton_steps(objective, start, planner.newton_steps)

@@ -14,11 +14,8 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.collision_risk import collision_risk
-from ms_highway.game.dynamics import Motion
 from ms_highway.game.game import (
     Game,
-    bounded,
     discomfort,
     move,
     move_all,
@@ -28,12 +25,10 @@ from ms_highway.game.game import (
     trajectory_reward,
 )
 from ms_highway.optimization.convex_newton import Local, expand, improve, share
-from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
-from ms_highway.optimization.objective import Objective, best_of
-from ms_highway.optimization.second_derivatives import response, second_order_expansion
+from ms_highway.optimization.objective import Objective
+from ms_highway.optimization.second_derivatives import response
 from ms_highway.optimization.solvers import projected_ascent
-from ms_highway.planning.plans import Plan, driving, within_limits
-from ms_highway.planning.way_out import manoeuvres
+from ms_highway.planning.plans import Plan, best_start, driving, within_limits
 from ms_highway.runtime.arrays import (
     Controls,
     HumansControls,
@@ -111,10 +106,9 @@ def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
     """Improve the robot's controls and those of the humans who answer.
 
     * The planner's solver ``gradient`` (and ``newton``): the paper's joint gradient steps.
-    * ``damped_newton`` holds over horizons of seconds: the robot takes Newton steps on its own reward, with the
-      gradient above; the line search looks at what the robot earns once the humans have answered the step, by their
-      linear response ``J_i du_R``, and a Newton step of their own.
-    * ``convex_newton`` does the same by the steps of `ms_highway.optimization.convex_newton`, robot and humans.
+    * ``convex_newton`` holds over horizons of seconds: the robot takes the steps of
+      `ms_highway.optimization.convex_newton` on its own reward, with the gradient above; their share looks at what the
+      robot earns once the humans have answered, by their linear response ``J_i du_R`` and a step of their own.
 
     Args:
         who: the situation.
@@ -125,8 +119,8 @@ def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
     if not planner.for_seconds:
         return projected_ascent(planner, partial(_direction, who), start, limit, steps)
     steps = planner.newton_steps if steps is None else steps
-    step = _convex_step if planner.smooth else _newton_step
-    return jax.lax.fori_loop(0, steps, lambda _, plan: step(who, plan), limit(start))
+    begin = limit(best_start(who.game, who.state, start))
+    return jax.lax.fori_loop(0, steps, lambda _, plan: _newton_step(who, plan), begin)
 
 
 def _put(values: HumansControls, human: Index, value: Controls) -> HumansControls:
@@ -157,84 +151,30 @@ class _Answers(NamedTuple):
     """What the loop over the humans who answer collects."""
 
     slope: Vector  # of the robot's reward in its controls, through the humans
-    factors: Float[Any, "humans n n"]  # of each human's damped Hessian
-    jacobians: Float[Any, "humans fields steps n"]
-    humans: HumansControls  # improved
-
-
-def _newton_step(who: Answering, plan: Plan) -> Plan:
-    """Take a damped Newton step of the robot, with the humans' answers in the line search."""
-    game, state, number, size = who.game, who.state, who.game.number, plan.robot.size
-    cost, reward = partial(discomfort, game, state[0]), partial(trajectory_reward, game, state)
-    path = _Path(game, state, move(game, state[0], plan.robot), move_all(game, state[1 : 1 + number], plan.humans))
-    along = jax.grad(reward, argnums=1)(path.robot, path.humans)
-    robot = second_order_expansion(
-        partial(move, game, state[0]), lambda own: reward(own, path.humans), plan.robot, cost
-    )
-
-    def answer(human: Index, answers: _Answers) -> _Answers:
-        wanted, now = path.objective(human), plan.humans[human]
-        own = wanted.expand(now)
-        factor = damped_factor(own.hessian)
-        pushed = damped_solve(factor, jnp.sum(own.jacobian * along[human][..., None], axis=(0, 1)))
-        through = path.through(human, own.jacobian, pushed)
-        improved = best_of(*wanted.search_line(now, damped_solve(factor, own.gradient).reshape(now.shape), SHARES))
-        return _Answers(
-            answers.slope + jnp.sum(robot.jacobian * through[..., None], axis=(0, 1)),
-            answers.factors.at[human].set(factor),
-            answers.jacobians.at[human].set(own.jacobian),
-            answers.humans.at[human].set(improved),
-        )
-
-    none = jnp.zeros((number, size, size)), jnp.zeros((number, *robot.jacobian.shape))
-    answers = who.fold(answer, _Answers(robot.gradient, *none, plan.humans))
-    step = damped_solve(damped_factor(robot.hessian), answers.slope)
-    moved = robot.jacobian @ step
-
-    def react(human: Index, reactions: HumansControls) -> HumansControls:
-        change = path.change(human, answers.jacobians[human], moved)
-        return reactions.at[human].set(damped_solve(answers.factors[human], change).reshape(-1, 2))
-
-    reactions = who.fold(react, jnp.zeros_like(plan.humans))
-
-    def after(share: Scalar) -> tuple[Plan, Scalar]:
-        tried = Plan(plan.robot + share * step.reshape(-1, 2), answers.humans + share * reactions)
-        tried = within_limits(game, state, tried)
-        humans = move_all(game, state[1 : 1 + number], tried.humans)
-        return tried, reward(move(game, state[0], tried.robot), humans) - cost(tried.robot)
-
-    candidates, earned = jax.vmap(after)(jnp.asarray(SHARES))
-    return jax.tree.map(lambda tried: best_of(tried, earned), candidates)
-
-
-class _ConvexAnswers(NamedTuple):
-    """What the loop over the humans who answer collects."""
-
-    slope: Vector  # of the robot's reward in its controls, through the humans
     local: Local  # around the controls of each human
     humans: HumansControls  # improved
 
 
-def _convex_step(who: Answering, plan: Plan) -> Plan:
+def _newton_step(who: Answering, plan: Plan) -> Plan:
     """Take a step of the robot and of the humans, who answer it."""
     game, state, number = who.game, who.state, who.game.number
     path = _Path(game, state, move(game, state[0], plan.robot), move_all(game, state[1 : 1 + number], plan.humans))
     along = jax.grad(trajectory_reward, argnums=3)(game, state, path.robot, path.humans)
     robot = expand(driving(game, state[0], state, path.humans), plan.robot)
 
-    def answer(human: Index, answers: _ConvexAnswers) -> _ConvexAnswers:
+    def answer(human: Index, answers: _Answers) -> _Answers:
         wanted, now = path.objective(human), plan.humans[human]
         own = expand(wanted, now)
         pushed = own.solve(jnp.sum(own.jacobian * along[human][..., None], axis=(0, 1)))
         through = path.through(human, own.jacobian, pushed)
-        return _ConvexAnswers(
+        return _Answers(
             answers.slope + jnp.sum(robot.jacobian * through[..., None], axis=(0, 1)),
             jax.tree.map(lambda all_of, one: all_of.at[human].set(one), answers.local, own),
             answers.humans.at[human].set(improve(wanted, now, own)),
         )
 
     nothing = jax.tree.map(lambda part: jnp.zeros((number, *part.shape)), robot)
-    answers = who.fold(answer, _ConvexAnswers(robot.gradient, nothing, plan.humans))
+    answers = who.fold(answer, _Answers(robot.gradient, nothing, plan.humans))
     step = robot.step(answers.slope)
     moved = robot.jacobian @ step
 
@@ -254,25 +194,3 @@ def _convex_step(who: Answering, plan: Plan) -> Plan:
     whole, none = after(jnp.ones(())), after(jnp.zeros(()))
     slope = answers.slope @ (whole.robot - none.robot).ravel()
     return after(share(slope, earned(none), earned(whole)))
-
-
-def around_obstacles(game: Game, state: State, plan: Plan) -> Plan:
-    """Replace a plan that runs into an obstacle by the manoeuvre that earns most of those that do not, if any.
-
-    Newton steps do not leave the local optimum of driving through cones; the next plan starts from the manoeuvre.
-    Humans may still answer, so that a plan that counts on them is left as it is.
-    """
-    car, others = state[0], move_all(game, state[1 : 1 + game.number], plan.humans)
-    controls, _ = manoeuvres(game, car, game.planner.horizon)
-    candidates = jnp.concatenate([plan.robot[None], bounded(game, car, controls)])
-
-    def look(controls: Controls) -> tuple[Any, Scalar]:
-        own = move(game, car, controls)
-        nobody = Motion(*jnp.zeros((len(own), 0, game.planner.horizon)))
-        _, collision = collision_risk(game.scene, Motion(*own), nobody)
-        earned = trajectory_reward(game, state, own, others) - discomfort(game, car, controls)
-        return (collision > 0).any(), earned
-
-    hits, earned = jax.vmap(look)(candidates)
-    best = best_of(candidates, jnp.where(hits, -jnp.inf, earned))
-    return plan._replace(robot=jnp.where(hits[0] & ~hits.all(), best, plan.robot))

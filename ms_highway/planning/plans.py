@@ -4,10 +4,12 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.game import (
     Game,
+    around,
     bounded,
     constant_velocity,
     discomfort,
@@ -18,7 +20,13 @@ from ms_highway.game.game import (
 )
 from ms_highway.optimization.objective import Objective
 from ms_highway.optimization.solvers import optimize_controls
+from ms_highway.planning.manoeuvres import into_gaps, manoeuvres
 from ms_highway.runtime.arrays import Car, Controls, HumansControls, State, Trajectories
+
+MARGIN = 5.0
+"""Reward by which a manoeuvre has to be better than the last plan, so that plans do not change for little."""
+
+ACCELERATIONS = np.array([-8.0, -5.0, -2.5, 0.0, 2.0, 4.0], np.float32)  # m/s^2, of manoeuvres to start from
 
 
 class Plan(NamedTuple):
@@ -69,13 +77,33 @@ def driving(game: Game, car: Car, state: State, others: Trajectories) -> Objecti
     )
 
 
+def best_start(game: Game, state: State, last: Plan) -> Plan:
+    """Replace the robot's side of a plan by the manoeuvre that earns most, if that earns `MARGIN` more.
+
+    Steps of a solver do not leave a local optimum: there is a start per gap, and one per lane and acceleration, see
+    `ms_highway.planning.manoeuvres`. The humans' side stays. Only where the planner is persistent, as the robot's is.
+    """
+    if not game.planner.persistent:
+        return last
+    others = move_all(game, state[1 : 1 + game.number], last.humans)
+    held, _ = manoeuvres(game, state[0], game.planner.horizon, ACCELERATIONS)
+    gaps, _ = into_gaps(game, state[0], around(game, state, others))
+    candidates = jnp.concatenate([held, gaps, last.robot[None]])
+    earned = jax.vmap(driving(game, state[0], state, others).earned)(candidates)
+    earned = jnp.where(jnp.isfinite(earned), earned, -jnp.inf)
+    best = jnp.argmax(earned[:-1])
+    return last._replace(robot=jnp.where(earned[best] > earned[-1] + MARGIN, candidates[best], last.robot))
+
+
 @jax.jit  # traced once for the human and the robot, naive and turn
 def plan_against(game: Game, state: State, humans: HumansControls, start: Plan | None = None) -> Plan:
     """Optimise the robot's controls against fixed controls of the humans."""
     expected = move_all(game, state[1 : 1 + len(humans)], humans)
     objective = driving(game, state[0], state, expected)
-    robot = optimize_controls(game.planner, objective, (cold_start(game, state) if start is None else start).robot)
-    return Plan(robot, humans)
+    begin = Plan((cold_start(game, state) if start is None else start).robot, humans)
+    if game.planner.for_seconds:
+        begin = best_start(game, state, begin)
+    return Plan(optimize_controls(game.planner, objective, begin.robot), humans)
 
 
 def within_limits(game: Game, state: State, plan: Plan) -> Plan:

@@ -4,7 +4,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.game import Game, bounded, constant_velocity, pair
-from ms_highway.planning.climb import Answering, around_obstacles, climb
+from ms_highway.planning.climb import Answering, climb
 from ms_highway.planning.effort import Effort, base_of
 from ms_highway.planning.human_models import HumanModel, IntelligentDriver, Naive, TheoryOfMind, Turn
 from ms_highway.planning.plans import Plan, cold_start
@@ -24,11 +24,8 @@ def plan_for(
         start: scaled plan to improve; by default, `ms_highway.planning.plans.cold_start`.
     """
     if game.number == 1:
-        plan = _limited(ladder[0], game, state, Plan(*ladder[0].plan(game, state, start)))
-    else:
-        plan = _plan_several(ladder, game, state, rungs, cold_start(game, state) if start is None else start)
-    planner = game.planner
-    return around_obstacles(game, state, plan) if planner.persistent and planner.for_seconds else plan
+        return _limited(ladder[0], game, state, Plan(*ladder[0].plan(game, state, start)))
+    return _plan_several(ladder, game, state, rungs, cold_start(game, state) if start is None else start)
 
 
 def _limited(model: HumanModel, game: Game, state: State, plan: Plan) -> Plan:

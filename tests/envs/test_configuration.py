@@ -31,7 +31,7 @@ WRONG = [
     ({"semantics": "real"}, "config['semantics'] is 'real'; choose one of 'paper', 'released'"),
     (
         {"solver": None},
-        "config['solver'] is None; choose one of 'gradient', 'newton', 'damped_newton', 'convex_newton'",
+        "config['solver'] is None; choose one of 'gradient', 'newton', 'convex_newton'",
     ),
     ({"yielding": "sometimes"}, "config['yielding'] is 'sometimes'; choose one of 'usual', 'never', 'always'"),
     ({"beliefs": "none"}, "config['beliefs'] is 'none'; choose one of 'learned', 'true'"),

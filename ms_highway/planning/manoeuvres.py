@@ -1,0 +1,121 @@
+"""Drive simple manoeuvres: to the middle of a lane at an acceleration, and into each gap between cars.
+
+They are the ways out of `ms_highway.planning.way_out`, and where plans for seconds may start from.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import TypeVar
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.dynamics import Motion, keep_velocity, step, within_grip
+from ms_highway.game.game import Game
+from ms_highway.runtime.arrays import Array, Car, Control, Numbers, Scalar
+
+ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of ways out
+FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
+SIDEWAYS = 6.0  # m/s^2, of lateral acceleration at most
+SLOWEST = 3.0  # m/s, below which curvatures are not computed by division by the speed
+OPEN = 6.0  # car lengths, of a gap behind the last car of a lane or ahead of the first
+ROOM = 1.3  # car lengths to the middles of the cars around a gap that is wide enough
+PULL, MATCH = 2.0, 3.0  # 1/s^2 and 1/s, by which a car corrects its place and speed to those of a gap
+HARDEST, STRONGEST = 7.0, 4.0  # m/s^2, of braking and speeding up towards a gap
+EARLY = 2.0  # m, short of its place in a gap at which a car changes lanes
+
+Ways = tuple[Float[jax.Array, "manoeuvres steps 2"], Float[jax.Array, "manoeuvres steps 4"]]
+Around = TypeVar("Around")
+
+
+def manoeuvres(game: Game, car: Car, steps: int, accelerations: Array = ACCELERATIONS) -> Ways:
+    """Return scaled controls and states of a car that goes to the middle of each lane at each acceleration."""
+    lanes, held = jnp.meshgrid(jnp.asarray(game.scene.lanes), jnp.asarray(accelerations), indexing="ij")
+
+    def one(lane: Scalar, acceleration: Scalar) -> tuple[jax.Array, jax.Array]:
+        return _drive(game, car, lambda car, _: _towards(game, car, lane, acceleration), None, steps)
+
+    return jax.vmap(one)(lanes.ravel(), held.ravel())
+
+
+def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
+    """Return scaled controls and states of a car that goes into the gap ahead of each other car, and behind all.
+
+    A gap is in the lane that its cars are nearest to. The car takes the speed of the gap and a place in its middle, or
+    anywhere between `ROOM` to both sides where there is more; it keeps to its lane until it is there.
+
+    Args:
+        game: of the car.
+        car: its state now.
+        others: motion of all others after each step, arrays [others, steps].
+
+    Returns:
+        Ways into the gaps ahead of each of the others, then behind the last car of each lane.
+    """
+    lanes, length = jnp.asarray(game.scene.lanes), jnp.asarray(game.scene.car_size)[0]
+    present, places = _nearest(lanes, car[1]), jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
+    x, speed = others.x, others.speed
+    ahead = (places == places[:, None]) & (x[:, 0] > x[:, :1])
+    leader, leads = _first(ahead, x[:, 0]), ahead.any(axis=1)[:, None]
+    of_lane = places == lanes[:, None]
+    last, taken = _first(of_lane, x[:, 0]), of_lane.any(axis=1)[:, None]
+    behind = jnp.concatenate([x, jnp.where(taken, x[last] - OPEN * length, car[0])])
+    before = jnp.concatenate([jnp.where(leads, x[leader], x + OPEN * length), jnp.where(taken, x[last], car[0])])
+    pace = jnp.concatenate(
+        [(speed + jnp.where(leads, speed[leader], speed)) / 2, jnp.where(taken, speed[last], car[3])]
+    )
+    middle, half = (behind + before) / 2, (before - behind) / 2
+
+    def one(lane: Scalar, *gap: Float[jax.Array, "steps"]) -> tuple[jax.Array, jax.Array]:
+        def follow(car: Car, now: tuple[Scalar, ...]) -> Control:
+            middle, half, pace = now
+            off = car[0] + car[3] * game.dynamics.time_step - middle
+            spare = jnp.maximum(half - ROOM * length, 0.0)
+            pull = PULL * (jnp.clip(off, -spare, spare) - off) + MATCH * (pace - car[3])
+            enters = jnp.abs(off) < jnp.maximum(half - length, 0.0) + EARLY
+            return _towards(game, car, jnp.where(enters, lane, present), jnp.clip(pull, -HARDEST, STRONGEST))
+
+        return _drive(game, car, follow, gap, None)
+
+    return jax.vmap(one)(jnp.concatenate([places, lanes]), middle, half, pace)
+
+
+def _nearest(lanes: Float[jax.Array, "lanes"], y: Scalar) -> Scalar:
+    return lanes[jnp.argmin(jnp.abs(lanes - y))]
+
+
+def _first(among: Float[jax.Array, "*some cars"], x: Float[jax.Array, "cars"]) -> jax.Array:
+    """Return the number of the rearmost car among some."""
+    return jnp.argmin(jnp.where(among, x, jnp.inf), axis=-1)
+
+
+def _towards(game: Game, car: Car, lane: Scalar, acceleration: Scalar) -> Control:
+    """Return the control, not scaled, towards the middle of a lane, within the limits of plans.
+
+    The car steers by ``-w^2 (y - y_lane) - 2 w v sin(heading)``, lateral acceleration, and does not reverse.
+    """
+    _, y, heading, speed = car
+    limit = jnp.asarray(game.planner.control_limit)
+    aside = -(FREQUENCY**2) * (y - lane) - 2 * FREQUENCY * speed * jnp.sin(heading)
+    omega = jnp.clip(aside, -SIDEWAYS, SIDEWAYS) / jnp.maximum(speed, SLOWEST)
+    omega = omega / jnp.maximum(speed, SLOWEST) if game.dynamics.steering == "curvature" else omega
+    wanted = jnp.maximum(acceleration, -speed / game.dynamics.time_step)
+    control = jnp.clip(jnp.stack([omega, wanted + keep_velocity(game.dynamics, car)[1]]), -limit, limit)
+    if game.planner.grip is not None:
+        control = within_grip(game.dynamics, jnp.asarray(game.planner.grip), speed, control)
+    return control
+
+
+def _drive(
+    game: Game, car: Car, driver: Callable[[Car, Around], Control], around: Around, steps: int | None
+) -> tuple[jax.Array, jax.Array]:
+    """Return the scaled controls of a driver, and the states after them."""
+
+    def go(car: Car, now: Around) -> tuple[jax.Array, tuple[Numbers, Numbers]]:
+        control = driver(car, now)
+        moved = step(game.dynamics, car, control)
+        return moved, (control / game.planner.control_scale, moved)
+
+    return jax.lax.scan(go, car, around, steps)[1]
