@@ -16,7 +16,7 @@ from jaxtyping import Float
 from ms_highway.optimization.objective import Objective
 from ms_highway.runtime.arrays import Controls, Matrix, Scalar, Vector
 
-STEPS = 6
+STEPS = 4
 """Usual number of steps of a plan."""
 
 EASE = 5.0

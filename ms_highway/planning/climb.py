@@ -16,12 +16,12 @@ from jaxtyping import Float
 
 from ms_highway.game.game import (
     Game,
+    bounded,
     discomfort,
     move,
     move_all,
     others_of,
     swap_roles,
-    total_reward,
     trajectory_reward,
 )
 from ms_highway.optimization.convex_newton import Local, expand, improve, share
@@ -119,8 +119,7 @@ def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
     if not planner.for_seconds:
         return projected_ascent(planner, partial(_direction, who), start, limit, steps)
     steps = planner.newton_steps if steps is None else steps
-    begin = limit(best_start(who.game, who.state, start))
-    return jax.lax.fori_loop(0, steps, lambda _, plan: _newton_step(who, plan), begin)
+    return _newton_steps(who, limit(best_start(who.game, who.state, start)), steps)
 
 
 def _put(values: HumansControls, human: Index, value: Controls) -> HumansControls:
@@ -155,12 +154,20 @@ class _Answers(NamedTuple):
     humans: HumansControls  # improved
 
 
-def _newton_step(who: Answering, plan: Plan) -> Plan:
-    """Take a step of the robot and of the humans, who answer it."""
+def _newton_steps(who: Answering, start: Plan, steps: Any) -> Plan:
+    """Take steps of the robot and of the humans, who answer it; those who do not are moved only once."""
+    game, state = who.game, who.state
+    humans = move_all(game, state[1 : 1 + game.number], start.humans)
+    return jax.lax.fori_loop(0, steps, lambda _, now: _newton_step(who, *now), (start, humans))[0]
+
+
+def _newton_step(who: Answering, plan: Plan, humans: Trajectories) -> tuple[Plan, Trajectories]:
+    """Take a step from a plan, and from the humans' trajectories under it."""
     game, state, number = who.game, who.state, who.game.number
-    path = _Path(game, state, move(game, state[0], plan.robot), move_all(game, state[1 : 1 + number], plan.humans))
-    along = jax.grad(trajectory_reward, argnums=3)(game, state, path.robot, path.humans)
-    robot = expand(driving(game, state[0], state, path.humans), plan.robot)
+    path = _Path(game, state, move(game, state[0], plan.robot), humans)
+    slopes = jax.grad(trajectory_reward, argnums=3)
+    along = jax.lax.cond(who.answering > 0, slopes, lambda *_: jnp.zeros_like(humans), game, state, path.robot, humans)
+    robot = expand(driving(game, state[0], state, humans), plan.robot)
 
     def answer(human: Index, answers: _Answers) -> _Answers:
         wanted, now = path.objective(human), plan.humans[human]
@@ -184,13 +191,18 @@ def _newton_step(who: Answering, plan: Plan) -> Plan:
 
     reactions = who.fold(react, jnp.zeros_like(plan.humans))
 
-    def after(part: Scalar) -> Plan:
-        tried = Plan(plan.robot + part * step.reshape(-1, 2), answers.humans + part * reactions)
-        return within_limits(game, state, tried)
+    def after(part: Scalar) -> tuple[Plan, Trajectories]:
+        def put(human: Index, sides: tuple[HumansControls, Trajectories]) -> tuple[HumansControls, Trajectories]:
+            car = state[1 + human]
+            own = bounded(game, car, answers.humans[human] + part * reactions[human])
+            return sides[0].at[human].set(own), sides[1].at[human].set(move(game, car, own))
 
-    def earned(tried: Plan) -> Scalar:
-        return total_reward(game, state, *tried) - discomfort(game, state[0], tried.robot)
+        sides, paths = who.fold(put, (plan.humans, humans))
+        return Plan(bounded(game, state[0], plan.robot + part * step.reshape(-1, 2)), sides), paths
+
+    def earned(tried: Plan, paths: Trajectories) -> Scalar:
+        return driving(game, state[0], state, paths).earned(tried.robot)
 
     whole, none = after(jnp.ones(())), after(jnp.zeros(()))
-    slope = answers.slope @ (whole.robot - none.robot).ravel()
-    return after(share(slope, earned(none), earned(whole)))
+    slope = answers.slope @ (whole[0].robot - none[0].robot).ravel()
+    return after(share(slope, earned(*none), earned(*whole)))

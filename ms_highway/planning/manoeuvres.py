@@ -44,7 +44,8 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
     """Return scaled controls and states of a car that goes into the gap ahead of each other car, and behind all.
 
     A gap is in the lane that its cars are nearest to. The car takes the speed of the gap and a place in its middle, or
-    anywhere between `ROOM` to both sides where there is more; it keeps to its lane until it is there.
+    anywhere between `ROOM` to both sides where there is more; it keeps to its lane until it is there. Where a lane is
+    empty, it keeps its speed.
 
     Args:
         game: of the car.
@@ -61,8 +62,9 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
     leader, leads = _first(ahead, x[:, 0]), ahead.any(axis=1)[:, None]
     of_lane = places == lanes[:, None]
     last, taken = _first(of_lane, x[:, 0]), of_lane.any(axis=1)[:, None]
-    behind = jnp.concatenate([x, jnp.where(taken, x[last] - OPEN * length, car[0])])
-    before = jnp.concatenate([jnp.where(leads, x[leader], x + OPEN * length), jnp.where(taken, x[last], car[0])])
+    kept = car[0] + car[3] * game.dynamics.time_step * jnp.arange(1, 1 + x.shape[1])
+    behind = jnp.concatenate([x, jnp.where(taken, x[last] - OPEN * length, kept)])
+    before = jnp.concatenate([jnp.where(leads, x[leader], x + OPEN * length), jnp.where(taken, x[last], kept)])
     pace = jnp.concatenate(
         [(speed + jnp.where(leads, speed[leader], speed)) / 2, jnp.where(taken, speed[last], car[3])]
     )
