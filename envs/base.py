@@ -65,7 +65,7 @@ class InteractionEnv(StageEnv):
       belongs to the semantics (learned and published). What a human is after in the scenario beyond driving, such as
       its lane, stays unless weights name it. A learned reward has no weight of ``collision``: it is an indicator,
       without a gradient but under the solver ``convex_newton``.
-    * ``humans``: their number, from 2 to 12 in scenarios with streams.
+    * ``humans``: their number, from 2 to 20 in scenarios with streams.
     * ``beliefs``: what the robot takes the humans' rewards to be: ``"learned"``, that all have the reward that theirs
       are drawn around, or ``"true"``, their own.
     * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward; ``"never"`` yield, but keep
@@ -78,9 +78,9 @@ class InteractionEnv(StageEnv):
       `ms_highway.game.scenario.GRIP`: plans are cut down to it and what is executed keeps to it, without reversing;
       None sets no such limit, as in the paper. It does not apply where the agent drives.
     * ``solver``: how the robot improves its plans under models that do not respond: ``"gradient"``, the paper's,
-      ``"newton"``, or for horizons of seconds ``"damped_newton"`` or ``"convex_newton"``. The last one climbs a reward
-      whose jumps are smooth, with a small cost of not keeping the velocity (`ms_highway.game.game.EASE`), so that what
-      is seen changes plans steadily.
+      ``"newton"``, or for horizons of seconds ``"convex_newton"``. That one climbs a reward whose jumps are smooth,
+      with a small cost of not keeping the velocity (`ms_highway.optimization.convex_newton.EASE`), so that what is
+      seen changes plans steadily.
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
       robot and humans plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step
       size are None, what suits the horizon is chosen; steps that are longer than

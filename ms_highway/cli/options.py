@@ -50,13 +50,12 @@ keys; these are the usual ones:
                           default; shipped, the default among several humans, under budgets measured ones; measured on
                           this machine, not in simulations; or seconds by model: costs=naive=0.1,turn=0.2,tom=0.5
   solver=newton           how the robot improves its plans: gradient, the paper's steps (default); newton under naive
-                          and turn; damped_newton (default among several humans); or convex_newton,
-                          whose plans are a steady function of what is seen
+                          and turn; or convex_newton (default among several humans), for seconds
   horizon=10              controls in a plan (default: 5), each of time_step=0.1 seconds; iterations=20 gradient steps
                           of step_size=0.03 are chosen to suit the horizon unless they are given
   control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
   grip=8                  acceleration that tyres hold in all [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none)
-  humans=6                number of humans, 2 to 12, in {" and ".join(SCENARIO_NAMES[3:])}
+  humans=6                number of humans, 2 to 20, in {" and ".join(SCENARIO_NAMES[3:])}
   yielding=never          what humans do beside the robot: usual, plan for their reward (default); never yield, but
                           keep their velocity; always make room for it; or mixed, each of them never or always
   way_out=false           let plans leave no escape from humans who do not yield

@@ -114,8 +114,9 @@ class Driver:
     def reset_partner(self) -> None:
         """Forget the humans, and what the last plan expected of them: the last step says nothing about others."""
         self._memory = first_memory(self.rule, self.game.number)
-        own = self._rest.plan._replace(humans=np.zeros_like(self._rest.plan.humans))
-        self._rest = self._rest._replace(plan=own)
+        unknown = np.zeros_like(self._rest.plan.humans)
+        plan, start = (own._replace(humans=unknown) for own in (self._rest.plan, self._rest.start))
+        self._rest = self._rest._replace(plan=plan, start=start)
         self._forget_humans()
 
     def _forget_humans(self) -> None:
@@ -227,7 +228,7 @@ class Driver:
     def _start(self, rungs: Rungs) -> Plan | None:
         """Return the scaled plan to start from, the rest of what was followed; None to start anew."""
         persistent = self.game.planner.persistent or any(starts_warm(self.rule.ladder[rung]) for rung in rungs)
-        return one_step_later(self._rest.plan) if persistent and self._rest.starts else None
+        return one_step_later(self._rest.start) if persistent and self._rest.starts else None
 
     def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:
         """Brake where no plan is left, and keep a way out; return what drives, and the seconds of looking for it."""

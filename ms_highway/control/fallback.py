@@ -46,18 +46,18 @@ class Rest(NamedTuple):
         plan: scaled, from this step on; beyond its end, its last controls are repeated.
         steps: number of its controls that are left, this step's included; 0 without a plan: the robot brakes.
         rungs: of every human, that it was made with.
-        escapes: whether it is of an escape. Then plans start anew: those that started from it merged less often.
+        start: what the next plan may start from: this plan or, where it is of an escape, the one that was replaced.
     """
 
     plan: Plan
     steps: Index
     rungs: Rungs
-    escapes: Flag
+    start: Plan
 
     @property
     def starts(self) -> Flag:
         """Whether a plan may start from it."""
-        return (self.steps > 0) & ~self.escapes
+        return self.steps > 0
 
 
 class Followed(NamedTuple):
@@ -83,7 +83,8 @@ class Followed(NamedTuple):
 def no_rest(horizon: int, humans: int) -> Rest:
     """Return what is left before the first plan."""
     still = np.zeros((1 + humans, horizon, 2), np.float32)
-    return Rest(Plan(still[0], still[1:]), np.int32(0), np.zeros(humans, np.int32), np.bool_(False))
+    nothing = Plan(still[0], still[1:])
+    return Rest(nothing, np.int32(0), np.zeros(humans, np.int32), nothing)
 
 
 def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Followed:
@@ -95,14 +96,14 @@ def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Follow
         before: what the last step kept.
         late: whether the plan is too late for this step; if it is finite, it is kept for the next one.
     """
-    xp, left = plan.robot.__array_namespace__(), one_step_later(before.plan)
+    xp, left, begin = plan.robot.__array_namespace__(), one_step_later(before.plan), one_step_later(before.start)
     finite = xp.isfinite(plan.robot).all() & xp.isfinite(plan.humans).all()
 
     def choose(follows: Flag) -> tuple[Index, Rest]:
         status, steps = fallback_status(follows, before.steps, len(plan.robot))
-        chosen = Plan(*(xp.where(follows, new, old) for new, old in zip(plan, left, strict=True)))
+        chosen, start = (jax.tree.map(partial(xp.where, follows), plan, old) for old in (left, begin))
         own = xp.where(follows | (steps == 0), rungs, before.rungs)
-        return status, Rest(chosen, steps, own, before.escapes & ~follows)
+        return status, Rest(chosen, steps, own, start)
 
     status, kept = choose(finite)
     if not late:
@@ -116,7 +117,7 @@ def follow_escape(followed: Followed, escape: Escape) -> Followed:
     Late and failed plans keep their status, and plans their rungs, although an escape counts on nobody.
     """
     xp, (now, kept, status) = escape.controls.__array_namespace__(), followed
-    own = Rest(now.plan._replace(robot=escape.controls), len(escape.controls), now.rungs, True)
+    own = Rest(now.plan._replace(robot=escape.controls), len(escape.controls), now.rungs, kept.start)
     now, kept = (jax.tree.map(partial(xp.where, escape.replaces), own, rest) for rest in (now, kept))
     return Followed(now, kept, xp.where(escape.replaces & (status == PLANNED), WAY_OUT, status))
 

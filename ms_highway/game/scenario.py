@@ -64,7 +64,7 @@ SECONDS_LIMIT = (0.2, 8.0)  # 1/m and m/s^2
 REACHED = 0.8  # m
 """Distance from the centre of the target lane within which the robot has reached it."""
 
-HUMANS = 2, 12
+HUMANS = 2, 20
 """The fewest and the most humans of a scenario with streams."""
 
 SPACING = 8.0, 14.0  # m from centre to centre, shortest and longest

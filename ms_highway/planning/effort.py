@@ -41,7 +41,7 @@ class Effort:
     Steps that are counted are gradient steps, whatever the planner's solver and step size, and as long as is safe: 0.1,
     or `ms_highway.game.planning_settings.SHARE` of the longest where that is shorter, as it is from K = 6 on at 0.1 s.
     What a plan earns depends on the length of all its steps together: 6 of them earn what the paper's 20 of 0.03 earn,
-    and more of them earn more. Under the solver ``damped_newton``, its own steps are counted. Among several humans, a
+    and more of them earn more. Under the solver ``convex_newton``, its own steps are counted. Among several humans, a
     plan takes as many of the planner's steps as the most that a model in use asks for.
 
     Attributes:

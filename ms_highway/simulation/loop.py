@@ -195,7 +195,9 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
         if game.planner.persistent or warm.any():
             left = game.planner.persistent | jnp.asarray(warm)[now.memory.rungs if len(warm) > 1 else 0].any()
             start = jax.tree.map(
-                partial(jnp.where, left & now.robot.starts), one_step_later(now.robot.plan), cold_start(game, now.state)
+                partial(jnp.where, left & now.robot.starts),
+                one_step_later(now.robot.start),
+                cold_start(game, now.state),
             )
         return plan_for(models, game, now.state, now.memory.rungs, start)
 

@@ -37,7 +37,7 @@ WRONG = [
     ({"beliefs": "none"}, "config['beliefs'] is 'none'; choose one of 'learned', 'true'"),
     ({"way_out": 1}, "config['way_out'] is 1; it must be True or False"),
     ({"humans": 2.5}, "config['humans'] is 2.5"),
-    ({"humans": 13}, "config['humans'] is 13; it must be a whole number from"),
+    ({"humans": 21}, "config['humans'] is 13; it must be a whole number from"),
     ({"controller": "tom"}, "config['controller'] is 'tom'; its 'type' must be one of switching, horizon"),
     ({"controller": {"type": ["fixed"]}}, "its 'type' must be one of"),
     ({"controller": {"lamda": 1}}, "unknown key 'lamda' in config['controller']; did you mean 'lambda'"),
@@ -124,7 +124,7 @@ def test_a_wrong_configuration_is_refused_with_key_value_and_remedy(config, mess
 
 
 def test_one_human_is_one_and_streams_have_several():
-    for scenario, humans, message in ((PAIR, 2, "from 1 to 1"), (SEVERAL, 1, "from 2 to 12")):
+    for scenario, humans, message in ((PAIR, 2, "from 1 to 1"), (SEVERAL, 1, "from 2 to 20")):
         with pytest.raises(ValueError, match=f"'humans'.* is {humans}; it must be a whole number {message}"):
             make(scenario, humans=humans)
 
