@@ -228,7 +228,7 @@ class Driver:
     def _start(self, rungs: Rungs) -> Plan | None:
         """Return the scaled plan to start from, the rest of what was followed; None to start anew."""
         persistent = self.game.planner.persistent or any(starts_warm(self.rule.ladder[rung]) for rung in rungs)
-        return one_step_later(self._rest.start) if persistent and self._rest.starts else None
+        return one_step_later(self._rest.start) if persistent and self._rest.steps > 0 else None
 
     def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:
         """Brake where no plan is left, and keep a way out; return what drives, and the seconds of looking for it."""

@@ -54,11 +54,6 @@ class Rest(NamedTuple):
     rungs: Rungs
     start: Plan
 
-    @property
-    def starts(self) -> Flag:
-        """Whether a plan may start from it."""
-        return self.steps > 0
-
 
 class Followed(NamedTuple):
     """What drives in a step.

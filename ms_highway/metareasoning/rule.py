@@ -19,7 +19,7 @@ from ms_highway.runtime.arrays import Array, Control, Flag, Gains, HumansControl
 PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
 """Planning time of each model in the decisions of the paper's experiments."""
 
-SHIPPED_COSTS = {"naive": 0.002, "idm": 0.002, "turn": 0.003, "tom": 0.0036}  # s
+SHIPPED_COSTS = {"naive": 0.001, "idm": 0.001, "turn": 0.0016, "tom": 0.0022}  # s
 """Planning time among several humans, one of them under each model and the others under naive, measured on one core."""
 
 NEVER = -(2**20)

@@ -194,11 +194,8 @@ def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
         game, start, warm = own.robots(loop.game), None, np.array([starts_warm(model) for model in models])
         if game.planner.persistent or warm.any():
             left = game.planner.persistent | jnp.asarray(warm)[now.memory.rungs if len(warm) > 1 else 0].any()
-            start = jax.tree.map(
-                partial(jnp.where, left & now.robot.starts),
-                one_step_later(now.robot.start),
-                cold_start(game, now.state),
-            )
+            goes_on, rest = left & (now.robot.steps > 0), one_step_later(now.robot.start)
+            start = jax.tree.map(partial(jnp.where, goes_on), rest, cold_start(game, now.state))
         return plan_for(models, game, now.state, now.memory.rungs, start)
 
     if loop.game.number > 1:

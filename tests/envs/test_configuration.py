@@ -37,7 +37,7 @@ WRONG = [
     ({"beliefs": "none"}, "config['beliefs'] is 'none'; choose one of 'learned', 'true'"),
     ({"way_out": 1}, "config['way_out'] is 1; it must be True or False"),
     ({"humans": 2.5}, "config['humans'] is 2.5"),
-    ({"humans": 21}, "config['humans'] is 13; it must be a whole number from"),
+    ({"humans": 21}, "config['humans'] is 21; it must be a whole number from"),
     ({"controller": "tom"}, "config['controller'] is 'tom'; its 'type' must be one of switching, horizon"),
     ({"controller": {"type": ["fixed"]}}, "its 'type' must be one of"),
     ({"controller": {"lamda": 1}}, "unknown key 'lamda' in config['controller']; did you mean 'lambda'"),
