@@ -83,7 +83,7 @@ def test_a_plan_that_is_late_is_followed_from_the_next_step_on(two):
     np.testing.assert_allclose(third.plan, punctual.step(state).plan, rtol=1e-6)
 
 
-def test_what_is_left_of_an_escape_is_followed_where_the_next_plan_fails_but_no_plan_starts_from_it(played):
+def test_an_escape_is_followed_where_the_next_plan_fails_and_plans_go_on_from_the_one_that_it_replaced(played):
     """A human comes from behind, faster than the robot; another one is beside it."""
     game, state = played("dense_merge")
     lane, x = float(game.scene.target_lane), float(state[0, 0])
@@ -97,8 +97,11 @@ def test_what_is_left_of_an_escape_is_followed_where_the_next_plan_fails_but_no_
     fallback = failing.step(now)
     assert fallback.status == "previous plan"
     np.testing.assert_array_equal(fallback.plan, step.plan[1:])
-    driver.way_out = False
-    np.testing.assert_array_equal(driver.step(now).plan, fixed(game).step(now).plan)
+    driver.way_out, bold = False, fixed(game)
+    assert bold.step(start).status == "planned"
+    goes_on = driver.step(now).plan
+    np.testing.assert_array_equal(goes_on, bold.step(now).plan)
+    assert np.abs(goes_on - fixed(game).step(now).plan).max() > 1e-3
 
 
 def test_humans_drive_by_their_own_rewards(two):

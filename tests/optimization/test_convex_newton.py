@@ -42,7 +42,7 @@ def test_starts_that_differ_little_end_in_plans_that_differ_little_also_where_th
     def walls(path):
         return -jnp.sum(50 * jnp.maximum(0.3 - (path - 0.4) ** 2, 0.0) ** 3) - jnp.sum((path - 1.0) ** 2)
 
-    improve = jax.jit(jax.vmap(lambda start: convex_newton_steps(objective(walls, 2.0), start)))
+    improve = jax.jit(jax.vmap(lambda start: convex_newton_steps(objective(walls, 2.0), start, steps=6)))
 
     def changes(lowest, highest, number):
         starts = jnp.linspace(lowest, highest, number + 1)[:, None, None] * np.ones((6, 2), np.float32)
