@@ -10,7 +10,7 @@ from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.game.scenarios import GIVE_WAY, MERGER
 
-SMALL = {"humans": 2, "ladder": ["naive"], "solver": "convex_newton"}
+SMALL = {"humans": 2, "ladder": ["naive"]}
 """Of scenarios with several humans: all models of eight take minutes to compile."""
 
 BOUNDS = {"merger": 5e-4, "give_way": 2e-3, "dense_merge": 5e-3, "crossing_crowd": 1e-2}
