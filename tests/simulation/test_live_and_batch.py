@@ -147,23 +147,15 @@ def test_models_and_efforts_on_schedules(played, humans):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", rules(1))
 def test_rules(scene, records_of, name):
-    """Among several humans, plans jump with rounding on some processors: after the first, one start of two may part."""
     game, starts = scene
     records = records_of[name]
-    parted = []
     for episode, start in enumerate(starts):
         _, driven = live = drive(Driver(game, rules(game.number)[name]), start, STEPS)
         assert not any(step.choice_failed for step in driven)
-        np.testing.assert_allclose(records.states[episode, 0], live[0][1], atol=1e-3, rtol=0)
-        try:
-            agree(records, episode, live, PAPERS)
-            for gains, step in zip(records.gains[episode], driven, strict=True):
-                known = np.isfinite(step.gains)
-                np.testing.assert_allclose(gains[known], step.gains[known], atol=1e-2)
-        except AssertionError as error:
-            parted.append(error)
-    if len(parted) > len(starts) // 2 * (game.number > 1):
-        raise parted[0]
+        agree(records, episode, live, PAPERS)
+        for gains, step in zip(records.gains[episode], driven, strict=True):
+            known = np.isfinite(step.gains)
+            np.testing.assert_allclose(gains[known], step.gains[known], atol=1e-2)
 
 
 @pytest.mark.slow
