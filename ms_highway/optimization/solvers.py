@@ -34,8 +34,7 @@ class Planner:
         newton_steps: number of steps of the solver for seconds (static).
         ease: what plans for seconds pay, beside their reward, per squared scaled control that does not keep the
             velocity, so that they do not follow every bump of the reward at once.
-        solver: ``gradient``, the paper's, ``newton`` or ``convex_newton``, see `optimize_controls`
-            (static).
+        solver: ``gradient``, the paper's, ``newton`` or ``convex_newton``, see `optimize_controls` (static).
         persistent: whether plans start from the rest of the last one or, for seconds, from a manoeuvre that earns more
             (static).
     """
