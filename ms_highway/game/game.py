@@ -145,10 +145,15 @@ def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
 def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
     """Return car 0's cost of not keeping its present velocity, ``sum comfort (u - u_keep)^2 / 2``, u scaled.
 
-    For horizons of seconds, the planner's ``ease`` is added to its comfort.
+    For horizons of seconds, the planner's ``ease`` is added to its comfort. That of steering falls with the square of
+    the lateral acceleration that it causes, relative to that at the speed limit: a car that stands steers for nothing.
     """
     kept = keep_velocity(game.dynamics, car) / game.planner.control_scale
-    comfort = game.robot.comfort + game.planner.ease if game.planner.for_seconds else game.robot.comfort
+    comfort = game.robot.comfort
+    if game.planner.for_seconds:
+        pace = jnp.minimum(jnp.abs(car[3]) / game.robot.speed_limit, 1.0)
+        steering = pace**4 if game.dynamics.steering == "curvature" else pace**2
+        comfort = comfort + game.planner.ease * jnp.stack([steering, jnp.ones_like(pace)])
     return jnp.sum(comfort * (controls - kept) ** 2) / 2
 
 

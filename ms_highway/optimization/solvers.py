@@ -33,7 +33,8 @@ class Planner:
         iterations: number of gradient steps (static).
         newton_steps: number of steps of the solver for seconds (static).
         ease: what plans for seconds pay, beside their reward, per squared scaled control that does not keep the
-            velocity, so that they do not follow every bump of the reward at once.
+            velocity, so that they do not follow every bump of the reward at once; less for steering at low speed, see
+            `ms_highway.game.game.discomfort`.
         solver: ``gradient``, the paper's, ``newton`` or ``convex_newton``, see `optimize_controls` (static).
         persistent: whether plans start from the rest of the last one or, for seconds, from a manoeuvre that earns more
             (static).

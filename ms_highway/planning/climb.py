@@ -119,7 +119,7 @@ def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
     if not planner.for_seconds:
         return projected_ascent(planner, partial(_direction, who), start, limit, steps)
     steps = planner.newton_steps if steps is None else steps
-    return _newton_steps(who, limit(best_start(who.game, who.state, start)), steps)
+    return _newton_steps(who, limit(start), steps)
 
 
 def _put(values: HumansControls, human: Index, value: Controls) -> HumansControls:
@@ -158,6 +158,7 @@ def _newton_steps(who: Answering, start: Plan, steps: Any) -> Plan:
     """Take steps of the robot and of the humans, who answer it; those who do not are moved only once."""
     game, state = who.game, who.state
     humans = move_all(game, state[1 : 1 + game.number], start.humans)
+    start = start._replace(robot=bounded(game, state[0], best_start(game, state, start.robot, humans)))
     return jax.lax.fori_loop(0, steps, lambda _, now: _newton_step(who, *now), (start, humans))[0]
 
 

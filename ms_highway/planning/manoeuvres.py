@@ -8,7 +8,6 @@ from functools import partial
 from typing import TypeVar
 
 import jax
-import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
@@ -16,7 +15,6 @@ from ms_highway.game.dynamics import Motion, keep_velocity, step, within_grip
 from ms_highway.game.game import Game
 from ms_highway.runtime.arrays import Array, Car, Control, Numbers, Scalar
 
-ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of ways out
 FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
 SIDEWAYS = 6.0  # m/s^2, of lateral acceleration at most
 SLOWEST = 3.0  # m/s, below which curvatures are not computed by division by the speed
@@ -30,7 +28,7 @@ Ways = tuple[Float[jax.Array, "manoeuvres steps 2"], Float[jax.Array, "manoeuvre
 Around = TypeVar("Around")
 
 
-def manoeuvres(game: Game, car: Car, steps: int, accelerations: Array = ACCELERATIONS) -> Ways:
+def manoeuvres(game: Game, car: Car, steps: int, accelerations: Array) -> Ways:
     """Return scaled controls and states of a car that goes to the middle of each lane at each acceleration."""
     lanes, held = jnp.meshgrid(jnp.asarray(game.scene.lanes), jnp.asarray(accelerations), indexing="ij")
 

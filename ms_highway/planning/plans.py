@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
+from ms_highway.game.dynamics import observe
 from ms_highway.game.game import (
     Game,
     around,
@@ -18,7 +19,7 @@ from ms_highway.game.game import (
     trajectory_curvature,
     trajectory_reward,
 )
-from ms_highway.optimization.objective import Objective
+from ms_highway.optimization.objective import Objective, best_of
 from ms_highway.optimization.solvers import optimize_controls
 from ms_highway.planning.manoeuvres import into_gaps, manoeuvres
 from ms_highway.runtime.arrays import Car, Controls, HumansControls, State, Trajectories
@@ -26,7 +27,7 @@ from ms_highway.runtime.arrays import Car, Controls, HumansControls, State, Traj
 MARGIN = 5.0
 """Reward by which a manoeuvre has to be better than the last plan, so that plans do not change for little."""
 
-ACCELERATIONS = np.array([-8.0, -5.0, -2.5, 0.0, 2.0, 4.0], np.float32)  # m/s^2, of manoeuvres to start from
+ACCELERATIONS = np.array([-8.0, -5.0, -2.5, 0.0, 2.0, 4.0], np.float32)  # m/s^2, of the manoeuvres to start from
 
 
 class Plan(NamedTuple):
@@ -77,22 +78,30 @@ def driving(game: Game, car: Car, state: State, others: Trajectories) -> Objecti
     )
 
 
-def best_start(game: Game, state: State, last: Plan) -> Plan:
-    """Replace the robot's side of a plan by the manoeuvre that earns most, if that earns `MARGIN` more.
+def best_start(game: Game, state: State, last: Controls, others: Trajectories) -> Controls:
+    """Return the manoeuvre that earns most, if that is `MARGIN` more than the last plan earns; else the last plan.
+
+    NaN where none of them earns anything finite.
 
     Steps of a solver do not leave a local optimum: there is a start per gap, and one per lane and acceleration, see
-    `ms_highway.planning.manoeuvres`. The humans' side stays. Only where the planner is persistent, as the robot's is.
+    `ms_highway.planning.manoeuvres`. Only for horizons of seconds, and where the planner is persistent, as the robot's.
+
+    Args:
+        game: of the robot.
+        state: all cars now.
+        last: scaled controls to start from otherwise.
+        others: trajectories of the next cars; those beyond them keep their velocity.
     """
-    if not game.planner.persistent:
+    if not (game.planner.for_seconds and game.planner.persistent):
         return last
-    others = move_all(game, state[1 : 1 + game.number], last.humans)
-    held, _ = manoeuvres(game, state[0], game.planner.horizon, ACCELERATIONS)
-    gaps, _ = into_gaps(game, state[0], around(game, state, others))
-    candidates = jnp.concatenate([held, gaps, last.robot[None]])
-    earned = jax.vmap(driving(game, state[0], state, others).earned)(candidates)
-    earned = jnp.where(jnp.isfinite(earned), earned, -jnp.inf)
-    best = jnp.argmax(earned[:-1])
-    return last._replace(robot=jnp.where(earned[best] > earned[-1] + MARGIN, candidates[best], last.robot))
+    held = manoeuvres(game, state[0], game.planner.horizon, ACCELERATIONS)
+    gaps = into_gaps(game, state[0], around(game, state, others))
+    objective = driving(game, state[0], state, others)
+    controls, states = (jnp.concatenate(sides) for sides in zip(held, gaps, strict=True))
+    paths = jnp.stack(observe(states), axis=1)
+    earned = jax.vmap(lambda path, own: objective.reward(path) - objective.cost(own))(paths, controls)
+    kept = objective.earned(last) + MARGIN
+    return best_of(jnp.concatenate([last[None], controls]), jnp.concatenate([kept[None], earned]))
 
 
 @jax.jit  # traced once for the human and the robot, naive and turn
@@ -100,10 +109,9 @@ def plan_against(game: Game, state: State, humans: HumansControls, start: Plan |
     """Optimise the robot's controls against fixed controls of the humans."""
     expected = move_all(game, state[1 : 1 + len(humans)], humans)
     objective = driving(game, state[0], state, expected)
-    begin = Plan((cold_start(game, state) if start is None else start).robot, humans)
-    if game.planner.for_seconds:
-        begin = best_start(game, state, begin)
-    return Plan(optimize_controls(game.planner, objective, begin.robot), humans)
+    last = (cold_start(game, state) if start is None else start).robot
+    begin = best_start(game, state, last, expected)
+    return Plan(optimize_controls(game.planner, objective, begin), humans)
 
 
 def within_limits(game: Game, state: State, plan: Plan) -> Plan:

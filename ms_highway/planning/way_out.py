@@ -18,10 +18,11 @@ from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.dynamics import Motion, coast, observe, step
 from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
-from ms_highway.planning.manoeuvres import ACCELERATIONS, manoeuvres
+from ms_highway.planning.manoeuvres import manoeuvres
 from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State, unrolled_sum
 
 ESCAPE_STEPS = 25  # steps of an escape: 2.5 s at 0.1 s, a full stop from 20 m/s
+ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of the manoeuvres
 MARGIN = 0.15  # m between bodies that is wanted, as others do not keep their velocity exactly
 
 
@@ -54,9 +55,9 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     others = coast(game.dynamics, state[1:], ESCAPE_STEPS)
     first, later = (Motion(*(field[:, steps] for field in others)) for steps in (slice(1), slice(1, None)))
     clearance = jax.vmap(partial(_clearance, game), in_axes=(0, None))
-    _, ways = manoeuvres(game, after, ESCAPE_STEPS - 1)
+    _, ways = manoeuvres(game, after, ESCAPE_STEPS - 1, ACCELERATIONS)
     kept = jnp.minimum(clearance(ways, later).max(), _clearance(game, after[None], first))
-    controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS)
+    controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS, ACCELERATIONS)
     clear = clearance(escapes, others)
     earned = jax.vmap(lambda way: unrolled_sum(motion_reward(game.scene, game.robot, observe(way), others)))(escapes)
     hopeless = jnp.maximum(clear.max(), kept) == 0

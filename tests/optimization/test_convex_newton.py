@@ -17,7 +17,7 @@ def objective(reward, curvature=0.0, limit=10.0):
         reward,
         lambda controls: jnp.sum(controls**2) / 2,
         lambda controls: jnp.clip(controls, -limit, limit),
-        lambda path: jnp.full((6, 1, 1), curvature),
+        lambda path: (curvature(path) if callable(curvature) else jnp.full_like(path, curvature)).T[..., None],
     )
 
 
@@ -42,7 +42,11 @@ def test_starts_that_differ_little_end_in_plans_that_differ_little_also_where_th
     def walls(path):
         return -jnp.sum(50 * jnp.maximum(0.3 - (path - 0.4) ** 2, 0.0) ** 3) - jnp.sum((path - 1.0) ** 2)
 
-    improve = jax.jit(jax.vmap(lambda start: convex_newton_steps(objective(walls, 2.0), start, steps=6)))
+    def bend(path):
+        squared = (path - 0.4) ** 2
+        return 2 + 300 * jnp.maximum(0.3 - squared, 0.0) * 4 * squared
+
+    improve = jax.jit(jax.vmap(lambda start: convex_newton_steps(objective(walls, bend), start, steps=6)))
 
     def changes(lowest, highest, number):
         starts = jnp.linspace(lowest, highest, number + 1)[:, None, None] * np.ones((6, 2), np.float32)
@@ -50,8 +54,10 @@ def test_starts_that_differ_little_end_in_plans_that_differ_little_also_where_th
 
     all_over = changes(0.0, 0.5, 5000)
     fork = all_over.argmax() / 10000
+    closer = changes(fork, fork + 1e-4, 100)
+    finest = fork + closer.argmax() * 1e-6
     assert np.quantile(all_over, 0.99) < 20e-4  # for starts that are 1e-4 apart
-    assert changes(fork, fork + 1e-4, 100).max() < all_over.max() / 20  # a jump would stay
+    assert changes(finest, finest + 1e-6, 20).max() < all_over.max() / 20  # a jump would stay
 
 
 @pytest.mark.parametrize(

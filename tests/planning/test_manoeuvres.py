@@ -9,7 +9,7 @@ from ms_highway.game.game import constant_velocity, discomfort, move, move_all, 
 from ms_highway.game.scenario import build_game
 from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.planning.manoeuvres import into_gaps
-from ms_highway.planning.plans import MARGIN, Plan, best_start, cold_start
+from ms_highway.planning.plans import MARGIN, best_start, cold_start
 from ms_highway.runtime.compilation import jit_quickly
 
 SPEED = 20.0  # m/s
@@ -34,7 +34,7 @@ def ways(game):
 
 @pytest.fixture(scope="module")
 def start(game):
-    return jit_quickly(lambda state, last: best_start(game, state, last))
+    return jit_quickly(lambda state, last, humans: best_start(game, state, last, move_all(game, state[1:], humans)))
 
 
 def test_a_car_ends_in_the_gap_ahead_of_each_car_and_behind_the_last_of_each_lane(game, ways):
@@ -70,22 +70,33 @@ def earned(game, state, robot):
 
 def test_a_plan_that_is_good_enough_is_kept_and_one_that_hits_somebody_is_left(game, start):
     state = traffic(game, [-30.0, 30.0])
-    kept = cold_start(game, state)
+    kept = cold_start(game, state).robot
     humans = constant_velocity(game, state[1:])
 
-    first = start(state, Plan(kept.robot, humans))
-    assert earned(game, state, first.robot) > earned(game, state, kept.robot) + MARGIN  # it changes lanes
-    np.testing.assert_array_equal(start(state, first).robot, first.robot)
-    np.testing.assert_array_equal(first.humans, humans)
+    first = start(state, kept, humans)
+    assert earned(game, state, first) > earned(game, state, kept) + MARGIN  # it changes lanes
+    np.testing.assert_array_equal(start(state, first, humans), first)
 
     blocked = state.at[1].set(jnp.array([-30.0, 0.0, 0.0, 5.0]))
-    assert earned(game, blocked, kept.robot) < -100
-    other = start(blocked, Plan(kept.robot, constant_velocity(game, blocked[1:])))
-    assert earned(game, blocked, other.robot) > 0
+    assert earned(game, blocked, kept) < -100
+    other = start(blocked, kept, constant_velocity(game, blocked[1:]))
+    assert earned(game, blocked, other) > 0
 
 
 def test_a_plan_that_is_not_finite_is_left_for_a_manoeuvre_and_nothing_finite_is_no_plan(game, start):
     state = traffic(game, [-30.0, 30.0])
-    lost = Plan(jnp.full((20, 2), jnp.nan), constant_velocity(game, state[1:]))
-    assert np.isfinite(start(state, lost).robot).all()
-    assert np.isnan(start(state, Plan(lost.robot, jnp.full((2, 20, 2), jnp.nan))).robot).all()
+    lost = jnp.full((20, 2), jnp.nan)
+    assert np.isfinite(start(state, lost, constant_velocity(game, state[1:]))).all()
+    assert np.isnan(start(state, lost, jnp.full((2, 20, 2), jnp.nan))).all()
+
+
+def test_a_car_that_stands_before_an_obstacle_leaves_its_lane_once_the_other_is_free(game, start):
+    """At standstill, steering costs no comfort: a curve without speed is none."""
+    unit = float(game.scene.length_unit)
+    before = float(game.scene.obstacles[:, 0].min()) - 8.0
+    humans = [[before + 5 * unit, float(game.scene.target_lane), 0.0, SPEED]] * 2
+    state = jnp.asarray([[before, 0.0, 0.0, 0.0], *humans], jnp.float32)
+    left = start(state, cold_start(game, state).robot, constant_velocity(game, state[1:]))
+    path = np.asarray(move(game, state[0], left))
+    assert path[1, -1] < float(game.scene.target_lane) / 2
+    assert path[4, -1] > 5.0
