@@ -201,9 +201,10 @@ def _newton_step(who: Answering, plan: Plan, humans: Trajectories) -> tuple[Plan
         sides, paths = who.fold(put, (plan.humans, humans))
         return Plan(bounded(game, state[0], plan.robot + part * step.reshape(-1, 2)), sides), paths
 
-    def earned(tried: Plan, paths: Trajectories) -> Scalar:
-        return driving(game, state[0], state, paths).earned(tried.robot)
+    def earned(robot: Controls, paths: Trajectories) -> Scalar:
+        return driving(game, state[0], state, paths).earned(robot)
 
-    whole, none = after(jnp.ones(())), after(jnp.zeros(()))
-    slope = answers.slope @ (whole[0].robot - none[0].robot).ravel()
-    return after(share(slope, earned(*none), earned(*whole)))
+    (whole, reached), (none, held) = after(jnp.ones(())), after(jnp.zeros(()))
+    gone = whole.robot - none.robot
+    _, slope = jax.jvp(earned, (whole.robot, reached), (gone, reached - held))
+    return after(share(answers.slope @ gone.ravel(), slope))
