@@ -3,6 +3,7 @@
 import os
 import resource
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
@@ -37,8 +38,12 @@ function after the flags of the moment: after a test of a command, others would 
 def pytest_configure(config: pytest.Config) -> None:
     """Before any worker begins, remove from the cache what has not been used for longest, beyond its largest size."""
     if not hasattr(config, "workerinput"):
-        files = sorted(CACHE.glob("*"), key=lambda file: file.stat().st_atime, reverse=True)
-        for file, size in zip(files, accumulate(file.stat().st_size for file in files), strict=True):
+        found = []
+        for file in CACHE.glob("*"):
+            with suppress(FileNotFoundError):  # another run removes files, too
+                found.append((file.stat(), file))
+        found.sort(key=lambda entry: entry[0].st_atime, reverse=True)
+        for (_, file), size in zip(found, accumulate(kept.st_size for kept, _ in found), strict=True):
             if size > LARGEST:
                 file.unlink(missing_ok=True)
 
