@@ -35,9 +35,9 @@ class Objective(NamedTuple):
     bounded: Callable[[ManyControls], ManyControls]
     curvature: Callable[[Trajectory], Float[Any, "steps fields fields"]] = flat
 
-    def earned(self, controls: Controls) -> Scalar:
-        """Return what controls earn."""
-        return self.reward(self.path(controls)) - self.cost(controls)
+    def earned(self, controls: Controls, path: Trajectory | None = None) -> Scalar:
+        """Return what controls earn on their path, which is computed where it is not known."""
+        return self.reward(self.path(controls) if path is None else path) - self.cost(controls)
 
     def expand(self, controls: Controls) -> Expansion:
         """Return the expansion of `earned` to second order."""

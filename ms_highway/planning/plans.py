@@ -99,7 +99,7 @@ def best_start(game: Game, state: State, last: Controls, others: Trajectories) -
     objective = driving(game, state[0], state, others)
     controls, states = (jnp.concatenate(sides) for sides in zip(held, gaps, strict=True))
     paths = jnp.stack(observe(states), axis=1)
-    earned = jax.vmap(lambda path, own: objective.reward(path) - objective.cost(own))(paths, controls)
+    earned = jax.vmap(objective.earned)(controls, paths)
     kept = objective.earned(last) + MARGIN
     return best_of(jnp.concatenate([last[None], controls]), jnp.concatenate([kept[None], earned]))
 
