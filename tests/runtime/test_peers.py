@@ -94,6 +94,35 @@ def test_a_process_whose_greeting_comes_in_two_parts_is_counted_and_one_that_dri
         first.join(100)
 
 
+LEAVE_AT_ONCE = """
+import socket, sys
+from threading import Thread
+from ms_highway.runtime.peers import BEGIN, DONE, together
+
+def lead(server):  # as process 0 does, which has nothing else to do
+    link, _ = server.accept()
+    lines = link.makefile("rw")
+    lines.readline()
+    print(BEGIN, file=lines, flush=True)
+    assert lines.readline().strip() == DONE
+    link.shutdown(socket.SHUT_RDWR)
+
+sys.setswitchinterval(1e-6)  # s: threads take turns at any line
+for _ in range(300):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        leading = Thread(target=lead, args=(server,))
+        leading.start()
+        with together(f"127.0.0.1:{server.getsockname()[1]}", 2, 1):
+            pass
+        leading.join()
+"""
+
+
+def test_a_process_that_is_done_is_not_ended_by_process_0_which_leaves_at_once():
+    ended = subprocess.run([sys.executable, "-c", LEAVE_AT_ONCE], capture_output=True, text=True, timeout=300)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 def connected(host, port):
     """A connection, as soon as somebody listens."""
     while True:
