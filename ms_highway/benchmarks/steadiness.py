@@ -1,8 +1,11 @@
-"""How steady driving is: how far a little noise in the start changes where the robot drives, and what it earns.
+"""How steady driving is: how far a little noise changes where the robot drives, and what it earns.
 
-The start of the robot and of every human is moved by normal noise of a standard deviation s: x and y [m], the speed
-[m/s], and the heading by s over the speed limit [rad], so that the velocity changes alike along the road and across it.
-Scripted cars stay as they were drawn: they correct nothing, and another velocity of theirs would be another scene.
+Noise is normal, of a standard deviation s in x and y [m] and in the speed [m/s], and of s over the speed limit in the
+heading [rad], so that the velocity changes alike along the road and across it. It is
+
+* in the start of the robot and of every human. Scripted cars stay as they were drawn: they correct nothing, and another
+  velocity of theirs would be another scene; or
+* in what the robot sees of itself and of every human, in every step anew.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,7 +26,7 @@ from ms_highway.simulation.devices import use_devices
 AFTER = 1, 5, 10, 20
 """Steps from the start after which the change of the robot's path is told."""
 
-OF_A_START = 1.0, 1.0, 1 / (SPEED_LIMIT * PAPER_UNIT), 1.0  # noise of x, y, heading and speed, for 1 m
+SCALE = 1.0, 1.0, 1 / (SPEED_LIMIT * PAPER_UNIT), 1.0  # noise of x, y, heading and speed, for 1 m
 RESOLUTION = 1e-6  # m, about that of float32 near a start
 
 
@@ -33,8 +36,9 @@ def steadiness(
     noises: Sequence[float],
     devices: int | None = None,
     modules: Sequence[str] = (),
+    seen: bool = False,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Drive the same episodes as drawn and with noise in their starts, in batches in a process of its own.
+    """Drive the same episodes as drawn and with noise, in batches in a process of its own.
 
     Args:
         comparison: controllers, seeds, two at least, and configuration.
@@ -42,6 +46,7 @@ def steadiness(
         noises: standard deviations [m].
         devices: how many to use, see `ms_highway.simulation.devices.use_devices`.
         modules: to import in the other process, for scenarios and models that they add.
+        seen: whether the noise is in what the robot sees, rather than in the start.
 
     Yields:
         For every controller its name and ``seeds``, the first and how many; and ``noise``, by noise what `changes`
@@ -55,28 +60,30 @@ def steadiness(
         raise ValueError(f"episodes of {scenario} have {steps} steps; make their duration {AFTER[-1]} steps at least")
     with own_process(high_throughput, modules) as process:
         for controller in comparison.controllers[scenario]:
-            measured = process.submit(_measured, comparison, scenario, controller, noises, devices).result()
+            asked = comparison, scenario, controller, noises, devices, seen
+            measured = process.submit(_measured, *asked).result()
             yield controller, {"seeds": [comparison.first_seed, comparison.seeds], "noise": measured}
 
 
 def _measured(
-    comparison: Comparison, scenario: str, controller: str, noises: Sequence[float], devices: int | None
+    comparison: Comparison, scenario: str, controller: str, noises: Sequence[float], devices: int | None, seen: bool
 ) -> dict[str, dict[str, Any]]:
-    return changes(make_batch(comparison, scenario), controller, noises, use_devices(devices))
+    return changes(make_batch(comparison, scenario), controller, noises, use_devices(devices), seen)
 
 
 def changes(
-    batch: Batch, controller: str, noises: Sequence[float], mesh: Mesh | None = None
+    batch: Batch, controller: str, noises: Sequence[float], mesh: Mesh | None = None, seen: bool = False
 ) -> dict[str, dict[str, Any]]:
     """Drive a controller's episodes as drawn and with noise, all in one batch, and compare them start by start.
 
-    The noise of a start is the same for all controllers, and in proportion for all standard deviations.
+    The noise of an episode is the same for all controllers, and in proportion for all standard deviations.
 
     Args:
         batch: of the controller and others.
         controller: its short name.
         noises: standard deviations s [m], see this module.
         mesh: see `ms_highway.simulation.loop.simulate`.
+        seen: whether the noise is in what the robot sees, rather than in the start.
 
     Returns:
         By noise, for JSON:
@@ -94,11 +101,14 @@ def changes(
     """
     seeds = range(batch.comparison.first_seed, batch.comparison.first_seed + batch.comparison.seeds)
     keys = [(controller, seed) for seed in seeds]
-    noise = np.array([_noise(seed, 1 + batch.humans) for seed in seeds])
-    shifts = [size * noise for size in (0.0, *noises)]
-    records = batch.simulate(keys * len(shifts), mesh, np.concatenate(shifts))
-    paths = np.split(np.asarray(records.states, float)[:, : AFTER[-1], 0, :2], len(shifts))
-    tables = batch.episodes_table(keys * len(shifts), records).groupby(np.repeat(np.arange(len(shifts)), len(keys)))
+    driven, cars = 1 + batch.humans, batch.episodes(keys[:1]).starts.shape[1]
+    noise = np.array([_noise(seed, (batch.steps + 1, cars) if seen else (driven,)) for seed in seeds])
+    noise[..., driven:, :] = 0.0
+    sizes = (0.0, *noises)
+    all_keys, noisy = keys * len(sizes), np.concatenate([size * noise for size in sizes])
+    records = batch.simulate(all_keys, mesh, **{"errors" if seen else "shifts": noisy})
+    paths = np.split(np.asarray(records.states, float)[:, : AFTER[-1], 0, :2], len(sizes))
+    tables = batch.episodes_table(all_keys, records).groupby(np.repeat(np.arange(len(sizes)), len(keys)))
     before, *after = [table.reset_index(drop=True) for _, table in tables]
     return {
         str(size): {**_of_path(np.linalg.norm(path - paths[0], axis=-1)), **_of_outcome(before, own)}
@@ -106,9 +116,9 @@ def changes(
     }
 
 
-def _noise(seed: int, cars: int) -> Array:
-    """Draw the noise of a start for s = 1 m [cars, 4], from other random numbers than the start itself."""
-    return np.random.default_rng([seed, 1]).normal(scale=OF_A_START, size=(cars, 4))
+def _noise(seed: int, shape: tuple[int, ...]) -> Array:
+    """Draw the noise of an episode for s = 1 m, of cars or of steps and cars, from other numbers than its start."""
+    return np.random.default_rng([seed, len(shape)]).normal(scale=SCALE, size=(*shape, 4))
 
 
 def _of_path(distances: Array) -> dict[str, Any]:

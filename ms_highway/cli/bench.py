@@ -32,7 +32,8 @@ switching. MiB is the most memory that the batches have taken until then.
 For scenarios with several humans, measure plans by number of humans (--crowd), a process each.
 
 With --noise, measure how steady driving is: drive --seeds starts as they were drawn, and again with normal noise added
-to the start of the robot and of every human. NOISE is its standard deviation, of x and y [m] and of the speed [m/s];
+to the start of the robot and of every human or, with --seen, to what the robot sees of them and of itself in every
+step. NOISE is its standard deviation, of x and y [m] and of the speed [m/s];
 that of the heading is NOISE / 20 rad, so that the velocity changes as much across the road. Cars that nobody drives
 keep their starts. The table tells how far apart the robot is with noise and without after so many steps, the median
 and the 95 % quantile over the starts; growth, the factor per step of the median, from a straight line through its
@@ -51,6 +52,7 @@ examples:
   ms-highway bench dense_merge --crowd 1 2 4 6 8 12
   ms-highway bench merger --noise 1e-5 1e-3 1e-1
   ms-highway bench dense_merge --noise 1e-5 1e-3 --set ladder=naive, --set humans=2 --json noise.json
+  ms-highway bench merger --noise 0.1 --seen
   ms-highway bench road merge --drivers switching idm"""
 
 
@@ -93,6 +95,7 @@ def add_bench(commands: Any) -> None:
     add_number(parser, "--crowd", None, "numbers of humans (default: 1 6 8)", nargs="+", metavar="N")
     noise = number(*NOISES, float)
     parser.add_argument("--noise", nargs="+", type=noise, metavar="NOISE", help="measure steadiness under such noise")
+    parser.add_argument("--seen", action="store_true", help="put the --noise into what the robot sees in every step")
     add_number(parser, "--seeds", None, f"starts to add --noise to (default: {STARTS})", 2)
     add_number(parser, "--seed", None, "of the first start (default: 0)", 0, MOST_SEEDS)
     add_controllers(parser, "Those of --noise (default: all models of the ladder)")
@@ -113,8 +116,9 @@ def _bench(options: argparse.Namespace) -> None:
 
     if options.noise and (options.batches or options.peer or options.crowd):
         raise ValueError("--noise is about driving, and --batches, --peer and --crowd about time; leave one out")
-    if not options.noise and any(each is not None for each in (options.seeds, options.seed, options.controllers)):
-        raise ValueError("--seeds, --seed and --controllers are about --noise; give it, or leave them out")
+    about_noise = options.seeds, options.seed, options.controllers, options.seen or None
+    if not options.noise and any(each is not None for each in about_noise):
+        raise ValueError("--seen, --seeds, --seed and --controllers are about --noise; give it, or leave them out")
     if (options.batches and options.peer) or (options.devices and not (options.batches or options.noise)):
         raise ValueError("--peer is about plans, and --devices about --batches and --noise; leave one out")
     config, results = configuration(options), dict[str, dict[str, Any]]()
@@ -132,7 +136,7 @@ def _bench(options: argparse.Namespace) -> None:
         for scenario in scenarios:
             if options.noise:
                 noises = list(dict.fromkeys(options.noise))
-                measured = steadiness(asked, scenario, noises, options.devices, options.modules)
+                measured = steadiness(asked, scenario, noises, options.devices, options.modules, options.seen)
             elif options.batches:
                 loops = paper_controllers(scenario), options.batches, options.devices, options.modules
                 measured = throughput(scenario, *loops, config)

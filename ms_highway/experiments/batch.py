@@ -101,13 +101,16 @@ class Batch:
         places = range(self.comparison.seeds * len(names))[first:last]
         return [(names[place % len(names)], seed + place // len(names)) for place in places]
 
-    def simulate(self, keys: Sequence[Key], mesh: Mesh | None = None, shifts: Array | None = None) -> Records:
+    def simulate(
+        self, keys: Sequence[Key], mesh: Mesh | None = None, shifts: Array | None = None, errors: Array | None = None
+    ) -> Records:
         """Simulate episodes, together those of controllers that choose alike but for their lambda.
 
         Args:
             keys: which.
             mesh: see `ms_highway.simulation.loop.simulate`.
             shifts: what is added to the starts of the first cars, the robot before the humans [episodes, cars, 4].
+            errors: of what the robot sees, see `ms_highway.simulation.records.Episodes`.
 
         Raises:
             ValueError: without an episode, or for a negative seed.
@@ -123,6 +126,8 @@ class Batch:
             episodes = self.episodes([keys[place] for place in places])
             if shifts is not None:
                 episodes.starts[:, : shifts.shape[1]] += shifts[places]
+            if errors is not None:
+                episodes = replace(episodes, errors=errors[places])
             parts.append(simulate(loop, episodes, mesh))
         order = np.argsort(np.concatenate(alike))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)

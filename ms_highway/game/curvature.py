@@ -1,8 +1,10 @@
-"""Compute how a reward bends along a motion: a convex part of minus its Hessian, without eigenvalues.
+"""Bound how a reward bends along a motion by a convex matrix, without eigenvalues.
 
 Most features are concave functions of quantities that count as linear in the motion (Gauss-Newton), so that the sum is
-positive semidefinite. What has no such form is left out: smooth indicators of a lane, induced braking, and user-defined
-features, for which plans take short steps.
+positive semidefinite. Closeness to a body is a convex cost of a distance that is a square itself: between two ways
+round the body, it bends upwards. That part counts by its magnitude, as in the saddle-free Newton step of Dauphin et al.
+(2014): a step leads away from there, and no more than doubles the difference of plans. What has no such form is left
+out: smooth indicators of a lane, induced braking, and user-defined features, for which plans take short steps.
 """
 
 from functools import partial
@@ -24,15 +26,16 @@ from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import attention, depth_off_road
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Scalar
+from ms_highway.runtime.arrays import Scalar, unrolled_sum
 
 Blocks = Float[jax.Array, "times 5 5"]
 
 
 def curvature(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Blocks:
-    """Return the convex part of minus the Hessian of a car's smooth reward, in x, y, cosine, sine and speed.
+    """Return a convex bound on minus the Hessian of a car's smooth reward, in x, y, cosine, sine and speed.
 
-    With costs ``c_j(q_j)`` of quantities q_j, ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``.
+    With costs ``c_j(q_j)`` of quantities q_j, ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``; for the distances D of
+    `ms_highway.game.collision_risk`, ``|c_j'| d2D_j/ds2`` is added.
 
     Args:
         scene: road, obstacles and bodies.
@@ -82,16 +85,27 @@ def _bend_of_closeness(
     """Return the part of `ms_highway.game.collision_risk` with bodies of a size, in x, y, cosine and sine."""
     px, py = body_points(scene)
     x, y, cosine, sine = (field[..., None] for field in own[:4])
-    dx = x + cosine * px - sine * py - bodies.x[..., None]
-    dy = y + sine * px + cosine * py - bodies.y[..., None]
+    dx = (x + cosine * px - sine * py) - bodies.x[..., None]
+    dy = (y + sine * px + cosine * py) - bodies.y[..., None]
     along, across = 4 / size[0] ** 2, 4 / size[1] ** 2
     turned, slant = bodies.cosine[..., None], bodies.sine[..., None]
     ahead, aside = turned * dx + slant * dy, turned * dy - slant * dx
     excess = along * ahead**2 + across * aside**2 - 1
     gx = 2 * (along * ahead * turned - across * aside * slant)
     gy = 2 * (along * ahead * slant + across * aside * turned)
-    bend = risk * sharpness**2 * jnp.exp(-sharpness * excess) + 6 * CONTACT * contact * jnp.maximum(NEAR - excess, 0.0)
-    slopes = jnp.stack([gx, gy, gx * px + gy * py, gy * px - gx * py])
-    flat = jnp.moveaxis(slopes, 2, 1).reshape(4, own.x.size, -1)
-    weighted = jnp.moveaxis(bend * slopes, 2, 1).reshape(4, own.x.size, -1)
-    return jnp.einsum("ftn,gtn->tfg", flat, weighted)
+    close, depth = risk * jnp.exp(-sharpness * excess), CONTACT * contact * jnp.maximum(NEAR - excess, 0.0)
+    bend = sharpness**2 * close + 6 * depth
+    fall = sharpness * close + 3 * depth * jnp.maximum(NEAR - excess, 0.0)
+    # A point moves by a dx + b dy with (x, y, cosine, sine): first sum over bodies what belongs to dx and dy.
+    one, zero = jnp.ones_like(px), jnp.zeros_like(px)
+    a, b = jnp.stack([one, zero, px, -py]), jnp.stack([zero, one, py, px])
+    pairs = [a[:, None] * a, a[:, None] * b + b[:, None] * a, b[:, None] * b]
+    bodily = (
+        along * turned**2 + across * slant**2,
+        (along - across) * turned * slant,
+        along * slant**2 + across * turned**2,
+    )
+    products = zip((gx * gx, gx * gy, gy * gy), bodily, strict=True)
+    bent = [unrolled_sum(bend * square + 2 * fall * shape, axis=0) for square, shape in products]
+    summed = jnp.concatenate(bent, axis=1) @ jnp.concatenate(pairs, axis=2).reshape(16, -1).T
+    return summed.reshape(-1, 4, 4)

@@ -120,6 +120,44 @@ def rollout(
     return Motion(x, y, cosine, sine, speed[..., 1:])
 
 
+def rollout_jacobian(
+    dynamics: Dynamics, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]
+) -> Float[jax.Array, "fields steps controls"]:
+    """Return the derivative of a `rollout` of one car, its fields stacked, in the ravelled controls.
+
+    With ``V_kj = dv_k / da_j`` and the distances d of `step`, in closed form, where JAX would push a direction for
+    every control through the rollout::
+
+        dv_k = sum_j V_kj da_j;  dheading_k = dt sum_{l<k} (v_l domega_l + omega_l dv_l)
+        dx_k = sum_{l<k} (cos_l dd_l - d_l sin_l dheading_l);  dy_k = sum_{l<k} (sin_l dd_l + d_l cos_l dheading_l)
+
+    With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``.
+    """
+    dt, steps = dynamics.time_step, len(controls)
+    plain, age = _plain(steps, controls.dtype)
+    until = plain[1:, 1:]  # [after, control], 1 for controls that have been executed
+    speed = speeds(dynamics, car[3], controls[:, 1])
+    faster = plain[:, 1:] * dt * (1 - dynamics.drag * dt) ** np.maximum(age[:, 1:], 0)
+    curved = dynamics.steering == "curvature"
+    per_omega = dt * (speed[:-1] if curved else jnp.ones(steps))
+    heading = car[2] + plain @ jnp.concatenate([jnp.zeros(1), per_omega * controls[:, 0]])
+    turned_by_speed = until @ (dt * controls[:, :1] * faster[:-1]) if curved else jnp.zeros((steps, steps))
+
+    def ravelled(by_omega: jax.Array, by_acceleration: jax.Array) -> jax.Array:
+        return jnp.stack([by_omega, by_acceleration], axis=-1).reshape(steps, 2 * steps)
+
+    zero = jnp.zeros((steps, steps))
+    turned = ravelled(until * per_omega, turned_by_speed)
+    before = jnp.concatenate([jnp.zeros((1, 2 * steps)), turned[:-1]])
+    distance = speed[:-1] * dt + (controls[:, 1] - _resistance(dynamics, speed[:-1])) * dt**2 / 2
+    farther = ravelled(zero, faster[:-1] * (dt - dynamics.drag * dt**2 / 2) + np.eye(steps) * dt**2 / 2)
+    cosine, sine = jnp.cos(heading)[:, None], jnp.sin(heading)[:, None]
+    along = cosine[:-1] * farther - distance[:, None] * sine[:-1] * before
+    aside = sine[:-1] * farther + distance[:, None] * cosine[:-1] * before
+    x, y = jnp.split(until @ jnp.concatenate([along, aside], axis=1), 2, axis=1)
+    return jnp.stack([x, y, -sine[1:] * turned, cosine[1:] * turned, ravelled(zero, faster[1:])])
+
+
 def speeds(
     dynamics: Dynamics, speed: Float[jax.Array, "*cars"], accelerations: Float[jax.Array, "*cars steps"]
 ) -> Float[jax.Array, "*cars states"]:

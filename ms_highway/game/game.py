@@ -15,7 +15,16 @@ from jax import numpy as jnp
 from jaxtyping import Float, Int
 
 from ms_highway.game.curvature import Blocks, curvature
-from ms_highway.game.dynamics import Dynamics, Motion, coast, keep_velocity, rollout, speeds, within_grip
+from ms_highway.game.dynamics import (
+    Dynamics,
+    Motion,
+    coast,
+    keep_velocity,
+    rollout,
+    rollout_jacobian,
+    speeds,
+    within_grip,
+)
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
@@ -161,6 +170,12 @@ def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
 def move(game: Game, car: Car, controls: Controls) -> Trajectory:
     """Return the trajectory of a car under scaled controls."""
     return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
+
+
+def move_jacobian(game: Game, car: Car, controls: Controls) -> Float[jax.Array, "fields steps controls"]:
+    """Return the derivative of `move` in the ravelled scaled controls."""
+    scale = jnp.asarray(game.planner.control_scale)
+    return rollout_jacobian(game.dynamics, car, controls * scale) * jnp.tile(scale, len(controls))
 
 
 def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> Trajectories:

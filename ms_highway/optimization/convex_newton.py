@@ -25,12 +25,12 @@ EASE = 5.0
 Measured in Dense Merge under theory of mind, 60 starts, with a damping of 10: 6.06 per step and 3 collisions at 2, 6.63
 and none at 5, 6.33 and 1 at 10."""
 
-DAMPING = 5.0
+DAMPING = 1.0
 """Reward per squared scaled control: a step is short where nothing else bends the reward.
 
-Measured in Dense Merge, 150 starts: under theory of mind 6.73 per step and no collision at 5, 6.80 and 5 at 1; with
-naive plans 6.35 and 1, 6.58 and 2. Less damping earns more and is less steady: among two humans, a micrometre in the
-start grows within 8 steps to 0.3 mm at 5 in 90 % of 32 starts, at most 2 mm; to 1.4 mm and 28 mm at 2."""
+Measured in Dense Merge, 150 starts, with the curvature of `ms_highway.game.curvature`: under theory of mind 6.84 per
+step, 148 find in and 1 collides at 1; 6.50, 143 and 5 at 5; with naive plans 6.17, 146 and 2; 6.14, 144 and 4. Of 100
+starts 10 um apart, 95 are within 0.74 mm after two seconds under theory of mind at 1, within 0.25 mm at 5."""
 
 LONGEST = 1.0  # norm of a step [scaled controls]: full braking for two seconds
 LEAST_SHARE = 0.05  # of a step
@@ -65,17 +65,14 @@ def expand(objective: Objective, controls: Controls) -> Local:
     With ``J_k = ds_k / du`` of the motion at step k, the reward's convex curvature Q_k there and the costs' second
     derivative D, ``C = sum_k J_k^T Q_k J_k + D + DAMPING I``.
     """
-
-    def ravelled(point: Vector) -> jax.Array:
-        return objective.path(point.reshape(-1, 2))
-
-    point = controls.ravel()
-    steps, jacobian = ravelled(point), jax.jacfwd(ravelled)(point)
-    bent = jnp.einsum("kdf,fkn->dkn", objective.curvature(steps), jacobian)
-    curvature = jacobian.reshape(-1, point.size).T @ bent.reshape(-1, point.size)
+    steps, jacobian = objective.path(controls), objective.jacobian(controls)
+    blocks = jnp.moveaxis(objective.curvature(steps), 0, -1)  # sums of fields in one kernel, unlike an einsum
+    bent = sum(blocks[:, field, :, None] * jacobian[field] for field in range(len(steps)))
+    flat = jacobian.reshape(-1, controls.size)
+    curvature = flat.T @ bent.reshape(-1, controls.size)
     marginal, diagonal = jax.jvp(jax.grad(objective.cost), (controls,), (jnp.ones_like(controls),))
     curvature = curvature + jnp.diag(diagonal.ravel() + DAMPING)
-    gradient = jnp.sum(jacobian * jax.grad(objective.reward)(steps)[..., None], axis=(0, 1)) - marginal.ravel()
+    gradient = jax.grad(objective.reward)(steps).ravel() @ flat - marginal.ravel()
     return Local(gradient, jnp.linalg.cholesky(curvature, symmetrize_input=False), jacobian)
 
 

@@ -7,6 +7,7 @@ of the human to ``dR_R/du_i`` and one derivative of ``dR_i/du_i`` along it give 
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
@@ -24,7 +25,7 @@ from ms_highway.game.game import (
     swap_roles,
     trajectory_reward,
 )
-from ms_highway.optimization.convex_newton import Local, expand, improve, share
+from ms_highway.optimization.convex_newton import Local, convex_newton_steps, expand, improve, share
 from ms_highway.optimization.objective import Objective
 from ms_highway.optimization.second_derivatives import response
 from ms_highway.optimization.solvers import projected_ascent
@@ -87,9 +88,13 @@ class _Path(NamedTuple):
         return driving(game, car, self.state, others)
 
     def slope(self, human: Index, robot: Trajectory) -> Trajectory:
-        """Return the derivative of a human's reward in its own trajectory, with the robot on another one."""
-        reward = partial(trajectory_reward, swap_roles(self.game, human), self.state)
-        return jax.grad(reward)(self.humans[human], self.around(human, robot))
+        """Return the derivative of a human's reward in its own trajectory, up to what no robot changes."""
+        game, state = swap_roles(self.game, human), self.state
+        if game.robot.own or not game.planner.for_seconds:  # users' features may look at all others together
+            return jax.grad(partial(trajectory_reward, game, state))(self.humans[human], self.around(human, robot))
+        leader = game.scene.leader if game.scene.leader == 1 else None
+        pair = replace(game, scene=replace(game.scene, leader=leader))
+        return jax.grad(partial(trajectory_reward, pair, state[:2]))(self.humans[human], robot[None])
 
     def through(self, human: Index, jacobian: Float[Any, "fields steps n"], pushed: Vector) -> Trajectory:
         """Return ``J_i^T dR_R/du_i`` in the robot's trajectory, from ``-H_i^-1 dR_R/du_i``."""
@@ -99,7 +104,7 @@ class _Path(NamedTuple):
     def change(self, human: Index, jacobian: Float[Any, "fields steps n"], moved: Trajectory) -> Vector:
         """Return how a human's gradient in its controls changes if the robot's trajectory does."""
         _, pushed = jax.jvp(partial(self.slope, human), (self.robot,), (moved,))
-        return jnp.sum(jacobian * pushed[..., None], axis=(0, 1))
+        return pushed.ravel() @ jacobian.reshape(pushed.size, -1)
 
 
 def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
@@ -159,24 +164,31 @@ def _newton_steps(who: Answering, start: Plan, steps: Any) -> Plan:
     game, state = who.game, who.state
     humans = move_all(game, state[1 : 1 + game.number], start.humans)
     start = start._replace(robot=bounded(game, state[0], best_start(game, state, start.robot, humans)))
-    return jax.lax.fori_loop(0, steps, lambda _, now: _newton_step(who, *now), (start, humans))[0]
+
+    def answered() -> Plan:
+        return jax.lax.fori_loop(0, steps, lambda _, now: _newton_step(who, *now), (start, humans))[0]
+
+    def alone() -> Plan:
+        objective = driving(game, state[0], state, humans)
+        return start._replace(robot=convex_newton_steps(objective, start.robot, steps))
+
+    return jax.lax.cond(who.answering > 0, answered, alone)
 
 
 def _newton_step(who: Answering, plan: Plan, humans: Trajectories) -> tuple[Plan, Trajectories]:
     """Take a step from a plan, and from the humans' trajectories under it."""
     game, state, number = who.game, who.state, who.game.number
     path = _Path(game, state, move(game, state[0], plan.robot), humans)
-    slopes = jax.grad(trajectory_reward, argnums=3)
-    along = jax.lax.cond(who.answering > 0, slopes, lambda *_: jnp.zeros_like(humans), game, state, path.robot, humans)
+    along = jax.grad(trajectory_reward, argnums=3)(game, state, path.robot, humans)
     robot = expand(driving(game, state[0], state, humans), plan.robot)
 
     def answer(human: Index, answers: _Answers) -> _Answers:
         wanted, now = path.objective(human), plan.humans[human]
         own = expand(wanted, now)
-        pushed = own.solve(jnp.sum(own.jacobian * along[human][..., None], axis=(0, 1)))
+        pushed = own.solve(along[human].ravel() @ own.jacobian.reshape(-1, now.size))
         through = path.through(human, own.jacobian, pushed)
         return _Answers(
-            answers.slope + jnp.sum(robot.jacobian * through[..., None], axis=(0, 1)),
+            answers.slope + through.ravel() @ robot.jacobian.reshape(through.size, -1),
             jax.tree.map(lambda all_of, one: all_of.at[human].set(one), answers.local, own),
             answers.humans.at[human].set(improve(wanted, now, own)),
         )

@@ -16,6 +16,7 @@ from ms_highway.game.game import (
     discomfort,
     move,
     move_all,
+    move_jacobian,
     trajectory_curvature,
     trajectory_reward,
 )
@@ -75,6 +76,7 @@ def driving(game: Game, car: Car, state: State, others: Trajectories) -> Objecti
         partial(discomfort, game, car),
         partial(bounded, game, car),
         lambda own: trajectory_curvature(game, state, own, others),
+        partial(move_jacobian, game, car),
     )
 
 

@@ -82,6 +82,22 @@ class _Now(NamedTuple):
     humans: Rest  # of each human
 
 
+class _Step(NamedTuple):
+    """What is given for a step of every episode.
+
+    Attributes:
+        scheduled: models of the humans in it, and in the next one.
+        errors: with which the robot sees all cars before it, and before the next one; None where it sees the truth.
+    """
+
+    scheduled: Int[jax.Array, "2 episodes humans"]
+    errors: Float[jax.Array, "2 episodes cars 4"] | None
+
+    def seen(self, state: State, later: int = 0) -> State:
+        """Return a state as the robot sees it before the step, or one step later."""
+        return state if self.errors is None else state + self.errors[later]
+
+
 class _Own(NamedTuple):
     """An episode's own numbers."""
 
@@ -111,24 +127,31 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
     if decides:  # a step before the first one, in which nothing moves, so that choices are compiled once
         schedules = jnp.concatenate([jnp.full_like(schedules[:1], DECIDES), schedules])
     following = jnp.concatenate([schedules[1:], schedules[-1:]])
+    errors = episodes.errors
+    if errors is not None:
+        errors = jnp.moveaxis(jnp.asarray(errors, jnp.float32), 1, 0)
+        errors = jnp.concatenate([errors[:1], errors]) if decides else errors
+        errors = jnp.stack([errors[:-1], errors[1:]], axis=1)
     chunks, last = (count[0] + together - 1) // together, 2 * len(loop.models)  # behind all models
 
-    def one_step(now: _Now, step: tuple[Flag, Int[jax.Array, "2 episodes humans"]]) -> tuple[_Now, Records]:
-        begins, scheduled = step
-        rungs = _counted(loop, jnp.where(scheduled[0] == DECIDES, now.memory.rungs, scheduled[0]), now.belief)
+    def one_step(now: _Now, step: tuple[Flag, _Step]) -> tuple[_Now, Records]:
+        begins, given = step
+        scheduled = given.scheduled[0]
+        rungs = _counted(loop, jnp.where(scheduled == DECIDES, now.memory.rungs, scheduled), now.belief)
         now = now._replace(memory=now.memory._replace(rungs=rungs))
-        kinds = 2 * rungs[:, 0] + (scheduled[1] == DECIDES).any(axis=1)
+        kinds = 2 * rungs[:, 0] + (given.scheduled[1] == DECIDES).any(axis=1)
         order = jnp.argsort(jnp.where(jnp.arange(size) < count, kinds, last), stable=True)
 
         def one_chunk(number: Index, done: tuple[_Now, Records]) -> tuple[_Now, Records]:
             places = jax.lax.dynamic_slice_in_dim(order, number * together, together)
-            stepped = _step(loop, begins, *jax.tree.map(lambda part: part[places], (now, own, scheduled[1])))
+            chosen = jax.tree.map(lambda part: part[places], (now, own))
+            stepped = _step(loop, begins, *chosen, jax.tree.map(lambda part: part[:, places], given))
             return jax.tree.map(lambda part, new: part.at[places].set(new, unique_indices=True), done, stepped)
 
         return jax.lax.fori_loop(0, chunks, one_chunk, (now, _no_records(now)))
 
     begins = jnp.arange(len(schedules)) < decides
-    _, records = jax.lax.scan(one_step, first, (begins, jnp.stack([schedules, following], axis=1)))
+    _, records = jax.lax.scan(one_step, first, (begins, _Step(jnp.stack([schedules, following], axis=1), errors)))
     return jax.tree.map(lambda part: jnp.swapaxes(part[int(decides) :], 0, 1), records)
 
 
@@ -170,21 +193,23 @@ def _counted(
     return jnp.where(responds[rungs] & ~jax.vmap(counted_on)(belief), usual, rungs)
 
 
-def _step(
-    loop: Loop, begins: Flag, now: _Now, own: _Own, coming: Int[jax.Array, "chunk humans"]
-) -> tuple[_Now, Records]:
+def _step(loop: Loop, begins: Flag, now: _Now, own: _Own, given: _Step) -> tuple[_Now, Records]:
     """Advance a chunk of episodes by one step; before they begin, only choose the rungs of the first one."""
+    of_each = jax.tree.map(lambda part: jnp.moveaxis(part, 1, 0), given)
 
     def go() -> tuple[_Moved, Records]:
-        return _for_each(loop, partial(_move, loop), now, own, _plan(loop, now, own))
+        plans = _plan(loop, now._replace(state=given.seen(now.state)), own)
+        return _for_each(loop, partial(_move, loop), now, own, plans, of_each)
 
     if isinstance(loop.rule, Order):
         moved, records = go()
         return moved.now, records
-    moved, records = jax.lax.cond(
-        begins, lambda: (_for_each(loop, partial(_still, loop.game), now), _no_records(now)), go
-    )
-    return _choose(loop, now, own, coming, moved), records
+
+    def wait() -> tuple[_Moved, Records]:
+        return _for_each(loop, partial(_still, loop.game), now, given.seen(now.state)), _no_records(now)
+
+    moved, records = jax.lax.cond(begins, wait, go)
+    return _choose(loop, now, own, given.scheduled[1], moved), records
 
 
 def _plan(loop: Loop, now: _Now, own: _Own) -> Plan:
@@ -228,13 +253,13 @@ class _Moved(NamedTuple):
     outcome: Outcome
 
 
-def _move(loop: Loop, now: _Now, own: _Own, plan: Plan) -> tuple[_Moved, Records]:
+def _move(loop: Loop, now: _Now, own: _Own, plan: Plan, given: _Step) -> tuple[_Moved, Records]:
     """Let the humans plan and the world move; reward the robot."""
     game, truth, state, last = own.robots(loop.game), own.truly(loop.game), now.state, 1 + loop.game.number
-    scale = game.planner.control_scale
-    followed = _follow(game, state[0], plan, now.memory.rungs, now.robot)
+    scale, seen = game.planner.control_scale, given.seen(state)
+    followed = _follow(game, seen[0], plan, now.memory.rungs, now.robot)
     if loop.way_out:
-        followed = follow_escape(followed, keep_way_out(game, state, followed.now.plan.robot[0]))
+        followed = follow_escape(followed, keep_way_out(game, seen, followed.now.plan.robot[0]))
     own_plan, _, rungs, _ = followed.now
 
     def drive(human: Index) -> tuple[Control, Rest]:
@@ -254,19 +279,20 @@ def _move(loop: Loop, now: _Now, own: _Own, plan: Plan) -> tuple[_Moved, Records
     after = step(game.world, state, jnp.concatenate([driven, keep_velocity(game.world, state[last:])]))
     phi = features(game.scene, game.robot, after)
     reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
-    observed = recover_control(game.world, state[1:last], after[1:last]) / scale
-    outcome = Outcome(state, after, own_plan.robot[0], observed, reward, own_plan)
+    seen_after = given.seen(after, 1)
+    observed = recover_control(game.world, seen[1:last], seen_after[1:last]) / scale
+    outcome = Outcome(seen, seen_after, own_plan.robot[0], observed, reward, own_plan)
     records = Records(rungs, followed.status, reward, collision, now.gains, after)
-    belief = infer(game, now.belief, state, after, own_plan.robot) if loop.belief else now.belief
+    belief = infer(game, now.belief, seen, seen_after, own_plan.robot) if loop.belief else now.belief
     memory, unknown = now.memory._replace(rungs=rungs, step=now.memory.step + 1), jnp.full_like(now.gains, jnp.nan)
     return _Moved(_Now(after, memory, unknown, belief, followed.kept, human_rests), outcome), records
 
 
-def _still(game: Game, now: _Now) -> _Moved:
-    """Return the outcome of the step before the first one, in which no car moved."""
+def _still(game: Game, now: _Now, seen: State) -> _Moved:
+    """Return the outcome of the step before the first one, in which no car moved, from what is seen."""
     still = jnp.zeros((1 + game.number, game.planner.horizon, 2))
     plan = Plan(still[0], still[1:])
-    outcome = Outcome(now.state, now.state, still[0, 0], still[1:, 0], jnp.zeros(()), plan)
+    outcome = Outcome(seen, seen, still[0, 0], still[1:, 0], jnp.zeros(()), plan)
     return _Moved(now._replace(memory=now.memory._replace(step=now.memory.step + 1)), outcome)
 
 

@@ -34,6 +34,18 @@ def test_a_centimetre_in_the_start_is_forgotten_within_twenty_steps_where_the_ro
     assert (usual["collisions"], usual["success_changes"]) == ([0, 0], None)
 
 
+def test_noise_in_what_is_seen_is_averaged_out_where_the_robot_merges():
+    batch = make_batch(Comparison({"merger": ["naive"]}, seeds=8, config={"ladder": ["naive"]}), "merger")
+    nothing, (small, usual) = (
+        changes(batch, "naive", [0.0], seen=True),
+        changes(batch, "naive", [1e-3, 1e-2], seen=True).values(),
+    )
+    assert nothing["0.0"]["change_m"]["20"]["p95"] == 0
+    assert 1e-6 < small["change_m"]["1"]["p50"] < usual["change_m"]["1"]["p50"] < 1e-3  # it moves no car by itself
+    assert usual["change_m"]["20"]["p50"] < 5e-2
+    assert abs(usual["reward"]["mean"]) < 2e-2
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", BOUNDS)
 def test_a_millimetre_in_the_start_changes_the_path_no_more_than_is_known(scenario):
@@ -79,8 +91,9 @@ def test_the_command_tells_figures_of_every_controller_and_noise_among_one_human
         ("--noise 0.1 --seeds 1", "--seeds: '1' is no whole number from 2"),
         ("--noise 0.1 --controllers oracle", "unknown controller 'oracle'"),
         ("--noise 0.1 --set duration=1", "episodes of merger have 10 steps; make their duration 20 steps at least"),
-        ("--seed 0", "--seeds, --seed and --controllers are about --noise"),
-        ("--controllers naive", "--seeds, --seed and --controllers are about --noise"),
+        ("--seed 0", "--seen, --seeds, --seed and --controllers are about --noise"),
+        ("--seen", "--seen, --seeds, --seed and --controllers are about --noise"),
+        ("--controllers naive", "--seen, --seeds, --seed and --controllers are about --noise"),
     ],
 )
 def test_what_cannot_be_measured_together_is_refused_before_anything_is_driven(arguments, message, refused):

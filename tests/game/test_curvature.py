@@ -54,7 +54,7 @@ def test_on_both_sides_the_edge_of_the_road_bends_position_and_heading_as_the_re
     assert np.sign(bent[1, 2]) == np.sign(exact[1, 2])
 
 
-def test_closeness_bends_by_the_squares_of_the_slopes_of_distances():
+def test_closeness_bends_by_the_squares_of_the_slopes_of_distances_and_their_own_bend():
     """The distance of each point of the body, written down once more, and differentiated by JAX."""
     own, other = motion(-1.5, 0.1), motion(-3.3, -0.05, x=3.0)
     weights = {"collision_risk": -1.0, "collision": -100.0}
@@ -70,7 +70,9 @@ def test_closeness_bends_by_the_squares_of_the_slopes_of_distances():
     value, slopes = excess(fields), jax.jacfwd(excess)(fields)
     bend = CAR_SHARPNESS**2 * jnp.exp(-CAR_SHARPNESS * value) + 600 * CONTACT * jnp.maximum(NEAR - value, 0)
     assert (value < NEAR).any()
+    fall = CAR_SHARPNESS * jnp.exp(-CAR_SHARPNESS * value) + 300 * CONTACT * jnp.maximum(NEAR - value, 0) ** 2
     expected = jnp.einsum("p,pf,pg->fg", bend, slopes, slopes)
+    expected += jnp.einsum("p,pfg->fg", fall, jax.hessian(excess)(fields))
     others = Motion(*(jnp.stack([close, far]) for close, far in zip(other, (field[0] for field in FAR), strict=True)))
     scene = replace(GAME.scene, obstacles=np.zeros((0, 2)))
     np.testing.assert_allclose(
