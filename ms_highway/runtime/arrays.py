@@ -58,6 +58,13 @@ def unrolled_sum(values: Numbers, axis: int = -1) -> Array:
 
 
 def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], start: Any) -> Any:
-    """Loop over the places that are chosen, in as many rounds as there are: time is additive in them."""
-    order = jnp.argsort(~chosen, stable=True)
-    return jax.lax.fori_loop(0, jnp.sum(chosen), lambda place, found: function(order[place], found), start)
+    """Loop over the places that are chosen, in as many rounds as there are: time is additive in them.
+
+    Without a round, nothing is computed: XLA moves what is the same in all rounds out of the loop.
+    """
+
+    def loop() -> Any:
+        order = jnp.argsort(~chosen, stable=True)
+        return jax.lax.fori_loop(0, jnp.sum(chosen), lambda place, found: function(order[place], found), start)
+
+    return jax.lax.cond(chosen.any(), loop, lambda: start)
