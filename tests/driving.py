@@ -21,21 +21,26 @@ def move(game, state, controls):
     return step(world, state, np.concatenate([controls, keep_velocity(world, state[len(controls) :])]))
 
 
-def drive(driver, start, steps, truth=None, humans=None):
-    """Return the states and the robot's steps among humans who plan for their rewards in the game, or given ones."""
+def drive(driver, start, steps, truth=None, humans=None, errors=None):
+    """Return the states and the robot's steps among humans who plan for their rewards in the game, or given ones.
+
+    With errors, the robot sees its and the humans' states so far off in each step.
+    """
     truth = truth or driver.game
     humans = humans or [fixed(swap_roles(truth, human)) for human in range(truth.number)]
     states, driven = [np.asarray(start, float)], []
-    for _ in range(steps):
+    for number in range(steps):
         now = states[-1]
-        driven.append(driver.step(now))
+        seen = now.copy()
+        seen[: 1 + truth.number] += 0.0 if errors is None else errors[number]
+        driven.append(driver.step(seen))
         views = [np.concatenate([now[[car, 0]], np.delete(now, [0, car], 0)]) for car in range(1, 1 + len(humans))]
         others = [human.step(view).control for human, view in zip(humans, views, strict=True)]
         states.append(move(truth, now, [driven[-1].control, *others]))
     return np.array(states), driven
 
 
-def episodes(game, starts, steps=5, schedule=DECIDES, price=0.1, weights=None, yielding=USUAL):
+def episodes(game, starts, steps=5, schedule=DECIDES, price=0.1, weights=None, yielding=USUAL, errors=None):
     """Return episodes of a game from some starts; what is given for all of them is repeated."""
     number, humans = len(starts), game.number
     weights = game.humans.weights if weights is None else weights
@@ -46,6 +51,7 @@ def episodes(game, starts, steps=5, schedule=DECIDES, price=0.1, weights=None, y
         np.broadcast_to(game.robot.weights, (number, *game.robot.weights.shape)),
         np.broadcast_to(weights, (number, *game.humans.weights.shape)),
         np.broadcast_to(np.asarray(yielding, np.int32), (number, humans)),
+        errors,
     )
 
 

@@ -5,7 +5,7 @@ heading [rad], so that the velocity changes alike along the road and across it. 
 
 * in the start of the robot and of every human. Scripted cars stay as they were drawn: they correct nothing, and another
   velocity of theirs would be another scene; or
-* in what the robot sees of itself and of every human, in every step anew.
+* in what the robot sees of itself and of every human, in every step anew; scripted cars it sees as they are.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,7 +26,7 @@ from ms_highway.simulation.devices import use_devices
 AFTER = 1, 5, 10, 20
 """Steps from the start after which the change of the robot's path is told."""
 
-SCALE = 1.0, 1.0, 1 / (SPEED_LIMIT * PAPER_UNIT), 1.0  # noise of x, y, heading and speed, for 1 m
+NOISE_OF_A_METRE = 1.0, 1.0, 1 / (SPEED_LIMIT * PAPER_UNIT), 1.0  # noise of x, y, heading and speed, for 1 m
 RESOLUTION = 1e-6  # m, about that of float32 near a start
 
 
@@ -49,8 +49,8 @@ def steadiness(
         seen: whether the noise is in what the robot sees, rather than in the start.
 
     Yields:
-        For every controller its name and ``seeds``, the first and how many; and ``noise``, by noise what `changes`
-        returns.
+        For every controller its name and ``seeds``, the first and how many; ``seen``, whether the noise was in what the
+        robot sees; and ``noise``, by noise what `changes` returns.
 
     Raises:
         ValueError: for anything unknown or impossible, and for episodes that are shorter than the longest of `AFTER`.
@@ -62,7 +62,8 @@ def steadiness(
         for controller in comparison.controllers[scenario]:
             asked = comparison, scenario, controller, noises, devices, seen
             measured = process.submit(_measured, *asked).result()
-            yield controller, {"seeds": [comparison.first_seed, comparison.seeds], "noise": measured}
+            seeds = [comparison.first_seed, comparison.seeds]
+            yield controller, {"seeds": seeds, "seen": seen, "noise": measured}
 
 
 def _measured(
@@ -101,9 +102,8 @@ def changes(
     """
     seeds = range(batch.comparison.first_seed, batch.comparison.first_seed + batch.comparison.seeds)
     keys = [(controller, seed) for seed in seeds]
-    driven, cars = 1 + batch.humans, batch.episodes(keys[:1]).starts.shape[1]
-    noise = np.array([_noise(seed, (batch.steps + 1, cars) if seen else (driven,)) for seed in seeds])
-    noise[..., driven:, :] = 0.0
+    steps = (batch.steps + 1,) if seen else ()
+    noise = np.array([_noise(seed, (*steps, 1 + batch.humans)) for seed in seeds])
     sizes = (0.0, *noises)
     all_keys, noisy = keys * len(sizes), np.concatenate([size * noise for size in sizes])
     records = batch.simulate(all_keys, mesh, **{"errors" if seen else "shifts": noisy})
@@ -118,7 +118,7 @@ def changes(
 
 def _noise(seed: int, shape: tuple[int, ...]) -> Array:
     """Draw the noise of an episode for s = 1 m, of cars or of steps and cars, from other numbers than its start."""
-    return np.random.default_rng([seed, len(shape)]).normal(scale=SCALE, size=(*shape, 4))
+    return np.random.default_rng([seed, len(shape)]).normal(scale=NOISE_OF_A_METRE, size=(*shape, 4))
 
 
 def _of_path(distances: Array) -> dict[str, Any]:

@@ -33,14 +33,14 @@ For scenarios with several humans, measure plans by number of humans (--crowd), 
 
 With --noise, measure how steady driving is: drive --seeds starts as they were drawn, and again with normal noise added
 to the start of the robot and of every human or, with --seen, to what the robot sees of them and of itself in every
-step. NOISE is its standard deviation, of x and y [m] and of the speed [m/s];
-that of the heading is NOISE / 20 rad, so that the velocity changes as much across the road. Cars that nobody drives
-keep their starts. The table tells how far apart the robot is with noise and without after so many steps, the median
-and the 95 % quantile over the starts; growth, the factor per step of the median, from a straight line through its
-logarithm over 20 steps (noise is forgotten below 1, not even corrected at 1.05, amplified above); the change
-of the reward per step with its 90 % interval, and the mean of its magnitude; the share of the episodes whose success
-changes, among several humans; and episodes with a collision without noise and with it. Numbers have single precision:
-a distance below 0.01 mm is rounding.
+step. NOISE is its standard deviation, of x and y [m] and of the speed [m/s]; that of the heading is NOISE / 20 rad, so
+that the velocity changes as much across the road. Cars that nobody drives keep their starts, and are seen as they are.
+The table tells how far apart the robot is with noise and without after so many steps, the median and the 95 % quantile
+over the starts; growth, the factor per step of the median, from a straight line through its logarithm over 20 steps
+(noise is forgotten below 1, not even corrected at 1.05, amplified above); the change of the reward per step with its 90
+% interval, and the mean of its magnitude; the share of the episodes whose success changes, among several humans; and
+episodes with a collision without noise and with it. Numbers have single precision: a distance below 0.01 mm is
+rounding.
 
 `ms-highway bench road` measures how drivers fare in stock scenes of highway-env."""
 
@@ -116,8 +116,8 @@ def _bench(options: argparse.Namespace) -> None:
 
     if options.noise and (options.batches or options.peer or options.crowd):
         raise ValueError("--noise is about driving, and --batches, --peer and --crowd about time; leave one out")
-    about_noise = options.seeds, options.seed, options.controllers, options.seen or None
-    if not options.noise and any(each is not None for each in about_noise):
+    own = any(each is not None for each in (options.seeds, options.seed, options.controllers)) or options.seen
+    if not options.noise and own:
         raise ValueError("--seen, --seeds, --seed and --controllers are about --noise; give it, or leave them out")
     if (options.batches and options.peer) or (options.devices and not (options.batches or options.noise)):
         raise ValueError("--peer is about plans, and --devices about --batches and --noise; leave one out")
@@ -159,6 +159,7 @@ def _table(scenario: str, measured: Mapping[str, Any]) -> "Table":
     results = list(measured.values())
     if "noise" in results[0]:
         what = f"mm from the undisturbed path after 1 to 20 steps, median (95 %) of {results[0]['seeds'][1]} starts"
+        what += ", by noise in what the robot sees" if results[0]["seen"] else ""
         rows = [
             {"": name, "noise": noise, **_steady(figures)}
             for name, one in measured.items()

@@ -1,10 +1,11 @@
-"""Bound how a reward bends along a motion by a convex matrix, without eigenvalues.
+"""Approximate how a reward bends along a motion by a convex matrix, without eigenvalues.
 
 Most features are concave functions of quantities that count as linear in the motion (Gauss-Newton), so that the sum is
 positive semidefinite. Closeness to a body is a convex cost of a distance that is a square itself: between two ways
 round the body, it bends upwards. That part counts by its magnitude, as in the saddle-free Newton step of Dauphin et al.
-(2014): a step leads away from there, and no more than doubles the difference of plans. What has no such form is left
-out: smooth indicators of a lane, induced braking, and user-defined features, for which plans take short steps.
+(2014). So the matrix C bounds the Hessian H of closeness, ``-C <= H <= C``, and a step ``C^-1 g`` no more than doubles
+the difference of two plans. What has no such form is left out: smooth indicators of a lane, induced braking, and
+user-defined features, for which plans take short steps.
 """
 
 from functools import partial
@@ -32,7 +33,7 @@ Blocks = Float[jax.Array, "times 5 5"]
 
 
 def curvature(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Blocks:
-    """Return a convex bound on minus the Hessian of a car's smooth reward, in x, y, cosine, sine and speed.
+    """Return a convex matrix in place of minus the Hessian of a car's smooth reward, in x, y, cosine, sine and speed.
 
     With costs ``c_j(q_j)`` of quantities q_j, ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``; for the distances D of
     `ms_highway.game.collision_risk`, ``|c_j'| d2D_j/ds2`` is added.

@@ -131,7 +131,7 @@ def rollout_jacobian(
         dv_k = sum_j V_kj da_j;  dheading_k = dt sum_{l<k} (v_l domega_l + omega_l dv_l)
         dx_k = sum_{l<k} (cos_l dd_l - d_l sin_l dheading_l);  dy_k = sum_{l<k} (sin_l dd_l + d_l cos_l dheading_l)
 
-    With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``.
+    With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``. Friction is linear, as in a `rollout`.
     """
     dt, steps = dynamics.time_step, len(controls)
     plain, age = _plain(steps, controls.dtype)

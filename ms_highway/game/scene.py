@@ -1,6 +1,6 @@
 """Define the scene: lanes, obstacles, the size of cars, and the leader."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import numpy as np
@@ -50,6 +50,10 @@ class Scene:
     length_unit: Scalar
     bend: Scalar | None = None
     leader: int | None = field(default=None, metadata={"static": True})
+
+    def of_pair(self) -> "Scene":
+        """Return the scene without what the partner does not change for car 0: obstacles, and another leader."""
+        return replace(self, obstacles=self.obstacles[:0], leader=1 if self.leader == 1 else None)
 
     def __post_init__(self) -> None:
         for name, shape in SHAPES.items():

@@ -4,7 +4,7 @@ After a step with one rung of the ladder, a quadratic expansion of the one-step 
 estimates the robot's control under another rung and its reward. All controls are scaled, see `ms_highway.game.game`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import jax
@@ -61,7 +61,7 @@ def _expand(game: Game, state: State, robot: Control, human: Control) -> RewardE
     """
     pair, cars = game.scene, len(state)
     if not game.robot.own:
-        pair, cars = replace(pair, obstacles=pair.obstacles[:0], leader=1 if pair.leader == 1 else None), 2
+        pair, cars = pair.of_pair(), 2
 
     def derivatives(parameters: Reward, state: State, own: Control, partner: Control) -> tuple[jax.Array, ...]:
         def in_partner(both: Float[jax.Array, "2 2"]) -> tuple[jax.Array, jax.Array]:

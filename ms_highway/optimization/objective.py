@@ -27,7 +27,7 @@ class Objective(NamedTuple):
         bounded: projects controls on their limits.
         curvature: a convex bound on how the reward bends at each step of a trajectory, for
             `ms_highway.optimization.convex_newton`; by default, none.
-        slope: derivative of the path in the ravelled controls; by default, JAX finds it.
+        path_jacobian: derivative of the path in the ravelled controls, for steps of the same; by default, JAX finds it.
     """
 
     path: Callable[[Controls], Trajectory]
@@ -35,7 +35,7 @@ class Objective(NamedTuple):
     cost: Callable[[Controls], Scalar]
     bounded: Callable[[ManyControls], ManyControls]
     curvature: Callable[[Trajectory], Float[Any, "steps fields fields"]] = flat
-    slope: Callable[[Controls], Float[Any, "fields steps controls"]] | None = None
+    path_jacobian: Callable[[Controls], Float[Any, "fields steps controls"]] | None = None
 
     def earned(self, controls: Controls, path: Trajectory | None = None) -> Scalar:
         """Return what controls earn on their path, which is computed where it is not known."""
@@ -43,8 +43,8 @@ class Objective(NamedTuple):
 
     def jacobian(self, controls: Controls) -> Float[Any, "fields steps controls"]:
         """Return the derivative of the path in the ravelled controls."""
-        if self.slope is not None:
-            return self.slope(controls)
+        if self.path_jacobian is not None:
+            return self.path_jacobian(controls)
         return jax.jacfwd(lambda point: self.path(point.reshape(-1, 2)))(controls.ravel())
 
     def expand(self, controls: Controls) -> Expansion:

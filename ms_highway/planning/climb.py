@@ -88,13 +88,16 @@ class _Path(NamedTuple):
         return driving(game, car, self.state, others)
 
     def slope(self, human: Index, robot: Trajectory) -> Trajectory:
-        """Return the derivative of a human's reward in its own trajectory, up to what no robot changes."""
-        game, state = swap_roles(self.game, human), self.state
-        if game.robot.own or not game.planner.for_seconds:  # users' features may look at all others together
-            return jax.grad(partial(trajectory_reward, game, state))(self.humans[human], self.around(human, robot))
-        leader = game.scene.leader if game.scene.leader == 1 else None
-        pair = replace(game, scene=replace(game.scene, leader=leader))
-        return jax.grad(partial(trajectory_reward, pair, state[:2]))(self.humans[human], robot[None])
+        """Return the derivative of a human's reward in its own trajectory, but for a part that no robot changes.
+
+        The package's features add up over the other cars, so that these are left out; users' own need not. The paper's
+        plans keep to the sum over all, and so to their last digits.
+        """
+        game, cars = swap_roles(self.game, human), self.state
+        if game.robot.own or not game.planner.for_seconds:
+            return jax.grad(partial(trajectory_reward, game, cars))(self.humans[human], self.around(human, robot))
+        alone, two = replace(game, scene=game.scene.of_pair()), cars[:2]  # their number counts: none keeps its velocity
+        return jax.grad(partial(trajectory_reward, alone, two))(self.humans[human], robot[None])
 
     def through(self, human: Index, jacobian: Float[Any, "fields steps n"], pushed: Vector) -> Trajectory:
         """Return ``J_i^T dR_R/du_i`` in the robot's trajectory, from ``-H_i^-1 dR_R/du_i``."""
@@ -160,19 +163,24 @@ class _Answers(NamedTuple):
 
 
 def _newton_steps(who: Answering, start: Plan, steps: Any) -> Plan:
-    """Take steps of the robot and of the humans, who answer it; those who do not are moved only once."""
+    """Take steps of the robot and of the humans who answer it; if nobody does, of the robot alone.
+
+    Humans who do not answer are moved only once.
+    """
     game, state = who.game, who.state
     humans = move_all(game, state[1 : 1 + game.number], start.humans)
-    start = start._replace(robot=bounded(game, state[0], best_start(game, state, start.robot, humans)))
+    begin = best_start(game, state, start.robot, humans)
 
-    def answered() -> Plan:
-        return jax.lax.fori_loop(0, steps, lambda _, now: _newton_step(who, *now), (start, humans))[0]
+    def among_answers() -> Plan:
+        first = start._replace(robot=bounded(game, state[0], begin)), humans
+        return jax.lax.fori_loop(0, steps, lambda _, now: _newton_step(who, *now), first)[0]
 
-    def alone() -> Plan:
-        objective = driving(game, state[0], state, humans)
-        return start._replace(robot=convex_newton_steps(objective, start.robot, steps))
+    def among_predictions() -> Plan:
+        return start._replace(robot=convex_newton_steps(driving(game, state[0], state, humans), begin, steps))
 
-    return jax.lax.cond(who.answering > 0, answered, alone)
+    if who.order is None:
+        return among_answers()
+    return jax.lax.cond(who.answering > 0, among_answers, among_predictions)
 
 
 def _newton_step(who: Answering, plan: Plan, humans: Trajectories) -> tuple[Plan, Trajectories]:

@@ -60,7 +60,8 @@ def unrolled_sum(values: Numbers, axis: int = -1) -> Array:
 def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], start: Any) -> Any:
     """Loop over the places that are chosen, in as many rounds as there are: time is additive in them.
 
-    Without a round, nothing is computed: XLA moves what is the same in all rounds out of the loop.
+    Where none is chosen, nothing is computed; without the condition, XLA would compute before the loop what is the same
+    in all rounds.
     """
 
     def loop() -> Any:

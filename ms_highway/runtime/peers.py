@@ -55,7 +55,7 @@ def together(address: str, of: int, place: int, task: str = "") -> Iterator[None
         if place == 0:
             watching.join()
         else:
-            leaving.set()  # before process 0 hears of it: it may be the last, and close the connection at once
+            leaving.set()  # before process 0 hears it, which may close the connection at once
             _say(links, DONE)
     finally:
         leaving.set()

@@ -87,7 +87,7 @@ class _Step(NamedTuple):
 
     Attributes:
         scheduled: models of the humans in it, and in the next one.
-        errors: with which the robot sees all cars before it, and before the next one; None where it sees the truth.
+        errors: of what the robot sees of the first cars before it, and before the next one; None where there are none.
     """
 
     scheduled: Int[jax.Array, "2 episodes humans"]
@@ -95,7 +95,9 @@ class _Step(NamedTuple):
 
     def seen(self, state: State, later: int = 0) -> State:
         """Return a state as the robot sees it before the step, or one step later."""
-        return state if self.errors is None else state + self.errors[later]
+        if self.errors is None:
+            return state
+        return state.at[..., : self.errors.shape[-2], :].add(self.errors[later])
 
 
 class _Own(NamedTuple):
@@ -144,8 +146,8 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
 
         def one_chunk(number: Index, done: tuple[_Now, Records]) -> tuple[_Now, Records]:
             places = jax.lax.dynamic_slice_in_dim(order, number * together, together)
-            chosen = jax.tree.map(lambda part: part[places], (now, own))
-            stepped = _step(loop, begins, *chosen, jax.tree.map(lambda part: part[:, places], given))
+            these, theirs = jax.tree.map(lambda part: part[places], (now, own))
+            stepped = _step(loop, begins, these, theirs, jax.tree.map(lambda part: part[:, places], given))
             return jax.tree.map(lambda part, new: part.at[places].set(new, unique_indices=True), done, stepped)
 
         return jax.lax.fori_loop(0, chunks, one_chunk, (now, _no_records(now)))
@@ -263,12 +265,12 @@ def _move(loop: Loop, now: _Now, own: _Own, plan: Plan, given: _Step) -> tuple[_
     own_plan, _, rungs, _ = followed.now
 
     def drive(human: Index) -> tuple[Control, Rest]:
-        view, seen = swap_players(truth, state, human)
+        view, turned = swap_players(truth, state, human)
         rest = jax.tree.map(lambda part: part[human], now.humans)
-        driving = _follow(view, seen[0], Naive().plan(view, seen), rest.rungs, rest)
+        driving = _follow(view, turned[0], Naive().plan(view, turned), rest.rungs, rest)
         control = driving.now.plan.robot[0]
         if loop.yielding:
-            unmoved = unmoved_control(view, seen, own.yielding[human] == ALWAYS_YIELDS) / scale
+            unmoved = unmoved_control(view, turned, own.yielding[human] == ALWAYS_YIELDS) / scale
             control = jnp.where(own.yielding[human] == USUAL, control, unmoved)
         return control, driving.kept
 
@@ -281,7 +283,8 @@ def _move(loop: Loop, now: _Now, own: _Own, plan: Plan, given: _Step) -> tuple[_
     reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
     seen_after = given.seen(after, 1)
     observed = recover_control(game.world, seen[1:last], seen_after[1:last]) / scale
-    outcome = Outcome(seen, seen_after, own_plan.robot[0], observed, reward, own_plan)
+    told = reward if given.errors is None else features(game.scene, game.robot, seen_after) @ game.robot.weights
+    outcome = Outcome(seen, seen_after, own_plan.robot[0], observed, told, own_plan)
     records = Records(rungs, followed.status, reward, collision, now.gains, after)
     belief = infer(game, now.belief, seen, seen_after, own_plan.robot) if loop.belief else now.belief
     memory, unknown = now.memory._replace(rungs=rungs, step=now.memory.step + 1), jnp.full_like(now.gains, jnp.nan)

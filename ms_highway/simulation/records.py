@@ -68,8 +68,8 @@ class Episodes:
         robot_weights: of the robot's reward, in the order of its features.
         human_weights: of the rewards that the humans drive by; with one human, the robot knows them.
         yielding: of each human, `USUAL`, `NEVER_YIELDS` or `ALWAYS_YIELDS`.
-        errors: by which the robot sees every car elsewhere than it is, in every step and after the last one; None where
-            it sees the truth.
+        errors: of what the robot sees of the first cars before every step and after the last one; None where it sees
+            the truth.
     """
 
     starts: Float[Array, "episodes cars 4"]

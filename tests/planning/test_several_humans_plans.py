@@ -2,17 +2,19 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game.game import pair
+from ms_highway.game.game import move, move_all, pair
 from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import build_game, draw_episode
 from ms_highway.game.scenarios import DENSE_MERGE
+from ms_highway.planning.climb import _Path
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state, measure_costs, plan_function
 from ms_highway.planning.human_models import MODELS, Turn, ladder
-from ms_highway.planning.plans import cold_start
+from ms_highway.planning.plans import cold_start, plan_against
 from ms_highway.planning.several import plan_for
 from ms_highway.runtime.compilation import jit_quickly
 
@@ -48,6 +50,27 @@ def test_one_compilation_serves_all_assignments(three, plans):
     assert np.isfinite(again.robot).all()
     assert function is bolder.call(state, [TOM] * 3)[0]
     assert function._cache_size() == sizes
+
+
+def test_what_the_robot_changes_of_a_humans_gradient_is_found_without_the_other_cars(three):
+    game, state = three[0], jnp.asarray(three[1]).at[0, 1].set(-1.5)  # between the lanes
+    start = cold_start(game, state)
+    before, after = (move(game, state[0], robot) for robot in (start.robot, start.robot.at[:, 1].add(-0.2)))
+    path, changed = _Path(game, state, before, move_all(game, state[1:4], start.humans)), []
+    for human in range(3):
+        whole = [jax.grad(path._replace(robot=own).objective(human).reward) for own in (before, after)]
+        wanted = whole[1](path.humans[human]) - whole[0](path.humans[human])
+        found = path.slope(human, after) - path.slope(human, before)
+        np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-4)
+        changed.append(abs(wanted).max())
+    assert max(changed) > 0.1
+
+
+def test_a_plan_that_nobody_answers_is_the_plan_against_the_same_predictions(three, plans):
+    game, state = three
+    found = plans.plan(state, [NAIVE] * 3)[0]
+    alone = jit_quickly(plan_against)(game, jnp.asarray(state), found.humans, cold_start(game, jnp.asarray(state)))
+    np.testing.assert_allclose(found.robot, alone.robot, atol=1e-5)
 
 
 def test_each_human_is_predicted_in_the_robots_game_with_it_alone(three, plans):

@@ -19,7 +19,7 @@ from ms_highway.metareasoning.belief import RESPONDING
 from ms_highway.metareasoning.budget import Budget, OneStepGains
 from ms_highway.metareasoning.horizon import WholeHorizon
 from ms_highway.metareasoning.rankings import Barrier, Influence, Nearest, Risk, TimeToCollision
-from ms_highway.metareasoning.rule import Decision, Memory, Order, decide, unestimated
+from ms_highway.metareasoning.rule import Decision, Memory, Order, always, decide, unestimated
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.metareasoning.values import load_values
 from ms_highway.planning.compiled_plans import Costs
@@ -95,8 +95,8 @@ def rules(humans):
         "switching": Switching(costs, 0.1, PAPERS),
         "whole horizon": WholeHorizon(costs, 0.1, PAPERS),
         "learned": values.rule(PAPERS, costs, 1.0),
-        "budget": Budget(one_step, costs, seconds=0.6, deciding=0.01),
-        "budget of values": Budget(values.rule(PAPERS, costs, 0.0), costs, seconds=0.7, deciding=0.01),
+        "budget": Budget(one_step, costs, seconds=0.48, deciding=0.01),
+        "budget of values": Budget(values.rule(PAPERS, costs, 0.0), costs, seconds=0.56, deciding=0.01),
         "nearest": Nearest(1, costs, PAPERS),
         "time to collision": TimeToCollision(1, costs, PAPERS),
         "influence": Influence(1, costs, PAPERS),
@@ -154,6 +154,23 @@ def test_rules(scene, records_of, name):
         assert not any(step.choice_failed for step in driven)
         agree(records, episode, live, PAPERS)
         for gains, step in zip(records.gains[episode], driven, strict=True):
+            known = np.isfinite(step.gains)
+            np.testing.assert_allclose(gains[known], step.gains[known], atol=1e-2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rule", [Switching(Costs(0.0, np.array([0.09, 0.17, 0.37])), 0.1, PAPERS), always(PAPERS[0])])
+def test_errors_of_what_the_robot_sees(scene, rule):
+    game, starts = scene
+    random, shape = np.random.default_rng(0), (SEEDS, STEPS + 1, 1 + game.number, 4)
+    errors = random.normal(scale=[0.1, 0.1, 0.005, 0.1], size=shape)
+    loop = Loop(game, rule)
+    records, sees_well = simulated(loop, starts, errors=errors), simulated(loop, starts)
+    assert abs(records.states - sees_well.states)[..., 0, :].max() > 1e-3
+    for episode, start in enumerate(starts):
+        live = drive(Driver(game, rule), start, STEPS, errors=errors[episode])
+        agree(records, episode, live, loop.models)
+        for gains, step in zip(records.gains[episode], live[1], strict=True):
             known = np.isfinite(step.gains)
             np.testing.assert_allclose(gains[known], step.gains[known], atol=1e-2)
 
