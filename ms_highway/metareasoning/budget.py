@@ -15,11 +15,16 @@ from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.runtime.arrays import Array, Gains, Index, Rungs, Scalar
 
+SHARE = 0.8
+"""Share of a budget that decision and plan may need; the rest is for times above the quantile that was measured.
+
+Measured in 40 episodes of Dense Merge: with a share of 1, a budget of 5 ms is late in 47 % of the steps."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Budget:
-    """Maximise the summed gains of all humans, subject to ``deciding + base + sum_i each[rung_i] <= seconds``.
+    """Maximise the summed gains of all humans, subject to ``deciding + base + sum_i each[rung_i] <= share seconds``.
 
     Where even the first rungs do not fit, they are chosen all the same.
 
@@ -27,12 +32,14 @@ class Budget:
         gains: rule that estimates the gain of each rung, without a price; its own choice is not used.
         costs: of plans; a high quantile, if plans are to be in time.
         seconds: of a cycle.
+        share: of it that may be planned for.
         deciding: seconds of a decision; drivers measure them before their first step.
     """
 
     gains: Rule
     costs: Costs
     seconds: Scalar
+    share: Scalar = SHARE
     deciding: Scalar = 0.0
 
     @property
@@ -50,7 +57,7 @@ class Budget:
         known = jnp.isfinite(decision.gains)
         values = jnp.where(known, jnp.asarray(decision.gains), -jnp.inf)
         values = values.at[:, 0].set(jnp.where(known[:, 0], values[:, 0], 0.0))
-        capacity = self.seconds - self.deciding - self.costs.base
+        capacity = self.share * self.seconds - self.deciding - self.costs.base
         rungs = best_rungs(values, self.costs.each, capacity)
         return decision._replace(memory=decision.memory._replace(rungs=rungs))
 

@@ -114,13 +114,13 @@ def test_a_budget_is_spent_where_it_gains_most(outcome):
     costs = Costs(0.010, np.array([0.0, 0.002, 0.008]))
 
     def rungs(seconds, deciding=0.0):
-        return chosen(Budget(gains, costs, seconds, deciding), *outcome).memory.rungs.tolist()
+        return chosen(Budget(gains, costs, seconds, 0.5, deciding), *outcome).memory.rungs.tolist()
 
-    assert rungs(0.5) == [TOM, TOM, TOM, NAIVE]
-    assert rungs(0.0281) == [TOM, TURN, TOM, NAIVE]  # 8 + 2 + 8 ms of 28 - 10
-    assert rungs(0.0281, deciding=0.001) == [TURN, TURN, TOM, NAIVE]
-    assert rungs(0.0121) == [TURN, NAIVE, NAIVE, NAIVE] or rungs(0.0121) == [NAIVE, TURN, NAIVE, NAIVE]
-    assert rungs(0.0005) == [NAIVE] * 4  # not even these fit
+    assert rungs(1.0) == [TOM, TOM, TOM, NAIVE]
+    assert rungs(0.0561) == [TOM, TURN, TOM, NAIVE]  # 8 + 2 + 8 ms of 28 - 10
+    assert rungs(0.0561, deciding=0.001) == [TURN, TURN, TOM, NAIVE]
+    assert rungs(0.0242) == [TURN, NAIVE, NAIVE, NAIVE] or rungs(0.0242) == [NAIVE, TURN, NAIVE, NAIVE]
+    assert rungs(0.001) == [NAIVE] * 4  # not even these fit
 
 
 def estimates():
