@@ -134,27 +134,27 @@ def rollout_jacobian(
     With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``. Friction is linear, as in a `rollout`.
     """
     dt, steps = dynamics.time_step, len(controls)
-    plain, age = _plain(steps, controls.dtype)
-    until = plain[1:, 1:]  # [after, control], 1 for controls that have been executed
+    plain = _plain(steps, controls.dtype)[0]
+    executed = plain[1:, 1:]  # [states, controls], 1 for controls before a state
     speed = speeds(dynamics, car[3], controls[:, 1])
-    faster = plain[:, 1:] * dt * (1 - dynamics.drag * dt) ** np.maximum(age[:, 1:], 0)
+    faster = _fading(dynamics, steps, controls.dtype)[:, 1:] * dt
     curved = dynamics.steering == "curvature"
     per_omega = dt * (speed[:-1] if curved else jnp.ones(steps))
     heading = car[2] + plain @ jnp.concatenate([jnp.zeros(1), per_omega * controls[:, 0]])
-    turned_by_speed = until @ (dt * controls[:, :1] * faster[:-1]) if curved else jnp.zeros((steps, steps))
+    turned_by_speed = executed @ (dt * controls[:, :1] * faster[:-1]) if curved else jnp.zeros((steps, steps))
 
     def ravelled(by_omega: jax.Array, by_acceleration: jax.Array) -> jax.Array:
         return jnp.stack([by_omega, by_acceleration], axis=-1).reshape(steps, 2 * steps)
 
     zero = jnp.zeros((steps, steps))
-    turned = ravelled(until * per_omega, turned_by_speed)
-    before = jnp.concatenate([jnp.zeros((1, 2 * steps)), turned[:-1]])
+    turned = ravelled(executed * per_omega, turned_by_speed)
+    turned_before = jnp.concatenate([jnp.zeros((1, 2 * steps)), turned[:-1]])
     distance = speed[:-1] * dt + (controls[:, 1] - _resistance(dynamics, speed[:-1])) * dt**2 / 2
     farther = ravelled(zero, faster[:-1] * (dt - dynamics.drag * dt**2 / 2) + np.eye(steps) * dt**2 / 2)
     cosine, sine = jnp.cos(heading)[:, None], jnp.sin(heading)[:, None]
-    along = cosine[:-1] * farther - distance[:, None] * sine[:-1] * before
-    aside = sine[:-1] * farther + distance[:, None] * cosine[:-1] * before
-    x, y = jnp.split(until @ jnp.concatenate([along, aside], axis=1), 2, axis=1)
+    along = cosine[:-1] * farther - distance[:, None] * sine[:-1] * turned_before
+    aside = sine[:-1] * farther + distance[:, None] * cosine[:-1] * turned_before
+    x, y = jnp.split(executed @ jnp.concatenate([along, aside], axis=1), 2, axis=1)
     return jnp.stack([x, y, -sine[1:] * turned, cosine[1:] * turned, ravelled(zero, faster[1:])])
 
 
@@ -162,9 +162,14 @@ def speeds(
     dynamics: Dynamics, speed: Float[jax.Array, "*cars"], accelerations: Float[jax.Array, "*cars steps"]
 ) -> Float[jax.Array, "*cars states"]:
     """Return the speeds now and after each of a sequence of accelerations, with linear friction, see `rollout`."""
-    plain, age = _plain(accelerations.shape[-1], accelerations.dtype)
-    fading = plain * (1 - dynamics.drag * dynamics.time_step) ** np.maximum(age, 0)
+    fading = _fading(dynamics, accelerations.shape[-1], accelerations.dtype)
     return _accumulate(fading, speed, accelerations * dynamics.time_step)
+
+
+def _fading(dynamics: Dynamics, steps: int, dtype: np.dtype) -> Float[jax.Array, "states terms"]:
+    """Return the share of a speed, or of a change of it, that linear friction leaves until each state."""
+    plain, age = _plain(steps, dtype)
+    return plain * (1 - dynamics.drag * dynamics.time_step) ** np.maximum(age, 0)
 
 
 def _plain(steps: int, dtype: np.dtype) -> tuple[Float[jax.Array, "states terms"], Int[np.ndarray, "states terms"]]:
