@@ -28,6 +28,7 @@ from ms_highway.game.dynamics import (
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
+from ms_highway.game.stopping import stopping_cost, stopping_curvature
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, project
 from ms_highway.runtime.arrays import (
@@ -189,13 +190,18 @@ def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> T
 def trajectory_reward(game: Game, state: State, own: Trajectory, others: Trajectories) -> Scalar:
     """Sum car 0's reward over the steps of its trajectory and of others'.
 
+    For horizons of seconds, less `ms_highway.game.stopping.stopping_cost`, weighed as a collision.
+
     Args:
         game: rewards and dynamics.
         state: all cars now; those beyond car 0 and the others keep their velocity.
         own: trajectory of car 0.
         others: trajectories of the next cars, its partner first.
     """
-    return unrolled_sum(step_rewards(game, state, own, others))
+    earned = unrolled_sum(step_rewards(game, state, own, others))
+    if not _keeps_room(game):
+        return earned
+    return earned - _collision(game) * stopping_cost(game.scene, _braking(game), Motion(*own))
 
 
 def step_rewards(game: Game, state: State, own: Trajectory, others: Trajectories) -> Float[Any, "steps"]:
@@ -214,7 +220,25 @@ def around(game: Game, state: State, others: Trajectories) -> Motion:
 
 def trajectory_curvature(game: Game, state: State, own: Trajectory, others: Trajectories) -> Blocks:
     """Return how `trajectory_reward` bends, see `ms_highway.game.curvature`."""
-    return curvature(game.scene, game.robot, Motion(*own), around(game, state, others))
+    bent = curvature(game.scene, game.robot, Motion(*own), around(game, state, others))
+    if not _keeps_room(game):
+        return bent
+    return bent + _collision(game) * stopping_curvature(game.scene, _braking(game), Motion(*own))
+
+
+def _keeps_room(game: Game) -> bool:
+    return game.planner.for_seconds and len(game.scene.obstacles) > 0
+
+
+def _collision(game: Game) -> Scalar:
+    """Return what car 0 pays for a collision."""
+    return jnp.maximum(-jnp.asarray(game.robot.weights)[game.robot.names.index("collision")], 0.0)
+
+
+def _braking(game: Game) -> Scalar:
+    """Return the deceleration of which plans are capable."""
+    planner = game.planner
+    return jnp.asarray(planner.control_limit)[1] if planner.grip is None else jnp.asarray(planner.grip)
 
 
 def rollout_reward(game: Game, car: Car, controls: Controls, others: Motion) -> Scalar:
