@@ -14,7 +14,7 @@ from ms_highway.runtime.arrays import Array, Times, unrolled_reduce, unrolled_su
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
 OBSTACLE_SHARE = 0.5  # weight of an obstacle's risk relative to a car's
-NEAR, CONTACT = 0.6, 0.2  # D - 1 at which the smooth indicator begins to rise, and its slope
+NEAR, CONTACT = 0.6, 0.3  # D - 1 at which the smooth indicator begins to rise, and its slope
 CARS_AT_ONCE = 2  # XLA unrolls and vectorises loops over two cars, but not over three
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
 MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of edges and of the body
@@ -29,7 +29,7 @@ def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = Fal
         risk = sum over cars and points of exp(-1.5 (D - 1)) + sum over obstacles and points of exp(-4 (D - 1)) / 2
 
     The indicator has no gradient, and the risk none in the shape of cars. The smooth indicator is the sum over cars,
-    obstacles and points of ``max(1.6 - D, 0)^3 / 5``, which begins to rise before bodies touch.
+    obstacles and points of ``0.3 max(1.6 - D, 0)^3``, which begins to rise before bodies touch.
 
     Args:
         scene: obstacles and sizes of bodies.
