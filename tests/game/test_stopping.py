@@ -16,7 +16,7 @@ from ms_highway.planning.several import plan_for
 GAME = build_game(DENSE_MERGE, control_limit=DENSE_MERGE.control_limit, grip=DENSE_MERGE.grip, humans=3)
 SCENE = GAME.scene
 CAR, CONE = (float(size[0]) for size in (SCENE.car_size, SCENE.obstacle_size))
-STOP = float(SCENE.obstacles[:, 0].min()) - (CAR + CONE) / 2 - ROOM * CAR  # where a car stands as far away as wanted [m]
+STOP = float(SCENE.obstacles[:, 0].min()) - (CAR + CONE) / 2 - ROOM * CAR  # m, where a car stands with room
 STEPS, HALF = 20, 9
 
 
