@@ -80,7 +80,7 @@ class InteractionEnv(StageEnv):
     * ``solver``: how the robot improves its plans under models that do not respond: ``"gradient"``, the paper's,
       ``"newton"``, or for horizons of seconds ``"convex_newton"``. That one climbs a reward whose jumps are smooth,
       with a small cost of not keeping the velocity (`ms_highway.optimization.convex_newton.EASE`), so that what is
-      seen changes plans steadily.
+      seen changes plans steadily, and a cost of leaving no room to stop (`ms_highway.game.stopping`).
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
       robot and humans plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step
       size are None, what suits the horizon is chosen; steps that are longer than

@@ -14,7 +14,7 @@ from ms_highway.runtime.arrays import Array, Times, unrolled_reduce, unrolled_su
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
 OBSTACLE_SHARE = 0.5  # weight of an obstacle's risk relative to a car's
-NEAR, CONTACT = 0.6, 0.3  # D - 1 at which the smooth indicator begins to rise, and its slope
+NEAR, CONTACT = 0.6, 0.3  # D - 1 at which the smooth indicator begins to rise, and the factor of its cube
 CARS_AT_ONCE = 2  # XLA unrolls and vectorises loops over two cars, but not over three
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
 MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of edges and of the body

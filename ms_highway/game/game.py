@@ -7,7 +7,7 @@ them to curvatures and accelerations.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -190,7 +190,7 @@ def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> T
 def trajectory_reward(game: Game, state: State, own: Trajectory, others: Trajectories) -> Scalar:
     """Sum car 0's reward over the steps of its trajectory and of others'.
 
-    For horizons of seconds, less `ms_highway.game.stopping.stopping_cost`, weighed as a collision.
+    For horizons of seconds, `room_cost` is subtracted.
 
     Args:
         game: rewards and dynamics.
@@ -198,14 +198,21 @@ def trajectory_reward(game: Game, state: State, own: Trajectory, others: Traject
         own: trajectory of car 0.
         others: trajectories of the next cars, its partner first.
     """
-    earned = unrolled_sum(step_rewards(game, state, own, others))
-    if not _keeps_room(game):
-        return earned
-    return earned - _collision(game) * stopping_cost(game.scene, _braking(game), Motion(*own))
+    return unrolled_sum(step_rewards(game, state, own, others)) - room_cost(game, own)
+
+
+def room_cost(game: Game, own: Trajectory) -> Scalar:
+    """Return what car 0's trajectory pays for leaving no room to stop before obstacles.
+
+    It is `ms_highway.game.stopping.stopping_cost` at the price of a collision, and zero where the reward has none; only
+    for horizons of seconds.
+    """
+    room = _room(game)
+    return jnp.zeros(()) if room is None else room.price * stopping_cost(game.scene, room.braking, Motion(*own))
 
 
 def step_rewards(game: Game, state: State, own: Trajectory, others: Trajectories) -> Float[Any, "steps"]:
-    """Compute car 0's reward after each step, see `trajectory_reward`; the smooth one for horizons of seconds."""
+    """Compute car 0's reward after each step, without `room_cost`; the smooth one for horizons of seconds."""
     others = around(game, state, others)
     return motion_reward(game.scene, game.robot, Motion(*own), others, game.planner.for_seconds)
 
@@ -219,26 +226,32 @@ def around(game: Game, state: State, others: Trajectories) -> Motion:
 
 
 def trajectory_curvature(game: Game, state: State, own: Trajectory, others: Trajectories) -> Blocks:
-    """Return how `trajectory_reward` bends, see `ms_highway.game.curvature`."""
+    """Return how `trajectory_reward` bends, see `ms_highway.game.curvature` and `ms_highway.game.stopping`."""
     bent = curvature(game.scene, game.robot, Motion(*own), around(game, state, others))
-    if not _keeps_room(game):
-        return bent
-    return bent + _collision(game) * stopping_curvature(game.scene, _braking(game), Motion(*own))
+    room = _room(game)
+    return bent if room is None else bent + room.price * stopping_curvature(game.scene, room.braking, Motion(*own))
 
 
-def _keeps_room(game: Game) -> bool:
-    return game.planner.for_seconds and len(game.scene.obstacles) > 0
+class _Room(NamedTuple):
+    """What keeping room to stop depends on, but for the scene.
+
+    Attributes:
+        price: what car 0 pays for a collision.
+        braking: the deceleration that the limits of plans allow.
+    """
+
+    price: Scalar
+    braking: Scalar
 
 
-def _collision(game: Game) -> Scalar:
-    """Return what car 0 pays for a collision."""
-    return jnp.maximum(-jnp.asarray(game.robot.weights)[game.robot.names.index("collision")], 0.0)
-
-
-def _braking(game: Game) -> Scalar:
-    """Return the deceleration of which plans are capable."""
+def _room(game: Game) -> _Room | None:
+    """Return what keeping room depends on; None where nothing is paid for it."""
     planner = game.planner
-    return jnp.asarray(planner.control_limit)[1] if planner.grip is None else jnp.asarray(planner.grip)
+    if not planner.for_seconds or len(game.scene.obstacles) == 0:
+        return None
+    price = jnp.maximum(-jnp.asarray(game.robot.weights)[game.robot.names.index("collision")], 0.0)
+    limit = jnp.asarray(planner.control_limit)[1]
+    return _Room(price, limit if planner.grip is None else jnp.minimum(limit, jnp.asarray(planner.grip)))
 
 
 def rollout_reward(game: Game, car: Car, controls: Controls, others: Motion) -> Scalar:
@@ -255,6 +268,6 @@ def rollout_reward(game: Game, car: Car, controls: Controls, others: Motion) -> 
 
 
 def total_reward(game: Game, state: State, robot: Controls, humans: HumansControls) -> Scalar:
-    """Sum the robot's reward over the states after each step, R_R(x, u_R, u_H); controls are scaled."""
+    """Return the robot's `trajectory_reward` under controls of all, R_R(x, u_R, u_H); they are scaled."""
     paths = move_all(game, state[1 : 1 + len(humans)], humans)
     return trajectory_reward(game, state, move(game, state[0], robot), paths)

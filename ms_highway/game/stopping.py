@@ -15,46 +15,47 @@ from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Scalar
 
 ROOM = 0.8  # car lengths (4 m) left to an obstacle after a stop: room to steer around it
+SOFT = 0.2  # car lengths, overshoot from which on the lateness is nearly linear
 
 
 def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Scalar:
-    """Return how much too late, and how squarely, a car would stop before the obstacles ahead, ``sum r^2`` with::
+    """Return how much too late, and how squarely, a car would stop before the obstacles, ``sum r^2`` with::
 
-        r = max(v^2 / (2 b) + l - dx, 0) / length  max(1 - (dy / w)^2, 0)
+        r = d^2 / (d + 0.2)  max(1 - (dy / w)^2, 0)^2  s
+        d = max(v^2 / (2 b) + l + room - dx, 0) / car length
 
-    half-way through its motion: dx and dy are the distances of the centres, l the length at which bodies touch, and
-    `ROOM`, and w the width at which they pass each other.
+    half-way through its motion. The distance of the centres is (dx, dy); bodies touch at the length l, and pass each
+    other at the width w; s falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is passed.
 
     Args:
         scene: obstacles and sizes of bodies.
-        braking: deceleration b.
+        braking: deceleration b; without a limit, only the gap counts.
         own: motion of the car, arrays [steps].
     """
-    return jnp.sum(_lateness(scene, braking, own.x[0], _half_way(own)) ** 2)
+    return jnp.sum(_lateness(scene, braking, jnp.stack(own)[:, _half_way(own)]) ** 2)
 
 
 def stopping_curvature(scene: Scene, braking: Scalar, own: Motion) -> Float[jax.Array, "steps 5 5"]:
     """Return the Gauss-Newton form ``sum 2 dr dr^T`` of `stopping_cost`, in x, y, cosine, sine and speed of each step.
 
-    It is zero but for the step half-way.
+    It is zero but for the step half-way, and a continuous function of the motion, as r is smooth where it begins.
     """
-    slopes = jax.jacfwd(partial(_lateness, scene, braking, own.x[0]))(_half_way(own))
-    steps = len(own.x)
-    return jnp.zeros((steps, 5, 5)).at[(steps - 1) // 2].set(2 * slopes.T @ slopes)
+    half = _half_way(own)
+    slopes = jax.jacfwd(partial(_lateness, scene, braking))(jnp.stack(own)[:, half])
+    return jnp.zeros((len(own.x), 5, 5)).at[half].set(2 * slopes.T @ slopes)
 
 
-def _half_way(own: Motion) -> Float[jax.Array, "5"]:
-    return jnp.stack([field[(len(own.x) - 1) // 2] for field in own])
+def _half_way(own: Motion) -> int:
+    return (len(own.x) - 1) // 2
 
 
-def _lateness(
-    scene: Scene, braking: Scalar, passed: Scalar, moment: Float[jax.Array, "5"]
-) -> Float[jax.Array, "obstacles"]:
-    """Return r for every obstacle; 0 for those that the car has passed."""
+def _lateness(scene: Scene, braking: Scalar, moment: Float[jax.Array, "5"]) -> Float[jax.Array, "obstacles"]:
+    """Return r for every obstacle."""
     x, y, _, _, speed = moment
     obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T
     length, width = (jnp.asarray(scene.car_size) + jnp.asarray(scene.obstacle_size)) / 2
-    unit = jnp.asarray(scene.car_size)[0]
-    late = jnp.maximum(speed**2 / (2 * braking) + length + ROOM * unit - (obstacle_x - x), 0.0) / unit
+    car, gap = jnp.asarray(scene.car_size)[0], obstacle_x - x
+    late = jnp.maximum((speed**2 / (2 * braking) + length - gap) / car + ROOM, 0.0)
     aligned = jnp.maximum(1 - ((y - obstacle_y) / width) ** 2, 0.0)
-    return jnp.where(obstacle_x > passed, late * aligned, 0.0)
+    ahead = jnp.clip((gap / length + 1) / 2, 0.0, 1.0)
+    return late**2 / (late + SOFT) * aligned**2 * ahead**2 * (3 - 2 * ahead)

@@ -25,7 +25,7 @@ class Objective(NamedTuple):
         reward: of a trajectory, a sum over its steps.
         cost: of the controls themselves, a sum over them.
         bounded: projects controls on their limits.
-        curvature: a convex bound on how the reward bends at each step of a trajectory, for
+        curvature: a convex form of how the reward bends at each step of a trajectory, for
             `ms_highway.optimization.convex_newton`; by default, none.
         path_jacobian: derivative of the path in the ravelled controls, for steps of the same; by default, JAX finds it.
     """
