@@ -15,14 +15,14 @@ from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Scalar
 
 ROOM = 0.8  # car lengths (4 m) left to an obstacle after a stop: room to steer around it
-SOFT = 0.2  # car lengths, overshoot from which on the lateness is nearly linear
+SOFT = 0.2  # from which on what a car is late or aligned by counts nearly in proportion
 
 
 def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Scalar:
     """Return how much too late, and how squarely, a car would stop before the obstacles, ``sum r^2`` with::
 
-        r = d^2 / (d + 0.2)  max(1 - (dy / w)^2, 0)^2  s
-        d = max(v^2 / (2 b) + l + room - dx, 0) / car length
+        r = soft(d) soft(1 - (dy / w)^2) s,  soft(z) = max(z, 0)^2 / (max(z, 0) + 0.2)
+        d = (v^2 / (2 b) + l - dx) / car length + room
 
     half-way through its motion. The distance of the centres is (dx, dy); bodies touch at the length l, and pass each
     other at the width w; s falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is passed.
@@ -55,7 +55,13 @@ def _lateness(scene: Scene, braking: Scalar, moment: Float[jax.Array, "5"]) -> F
     obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T
     length, width = (jnp.asarray(scene.car_size) + jnp.asarray(scene.obstacle_size)) / 2
     car, gap = jnp.asarray(scene.car_size)[0], obstacle_x - x
-    late = jnp.maximum((speed**2 / (2 * braking) + length - gap) / car + ROOM, 0.0)
-    aligned = jnp.maximum(1 - ((y - obstacle_y) / width) ** 2, 0.0)
+    late = _soft((speed**2 / (2 * braking) + length - gap) / car + ROOM)
+    aligned = _soft(1 - ((y - obstacle_y) / width) ** 2)
     ahead = jnp.clip((gap / length + 1) / 2, 0.0, 1.0)
-    return late**2 / (late + SOFT) * aligned**2 * ahead**2 * (3 - 2 * ahead)
+    return late * aligned * ahead**2 * (3 - 2 * ahead)
+
+
+def _soft(excess: Float[jax.Array, "obstacles"]) -> Float[jax.Array, "obstacles"]:
+    """Return the positive part, which begins as a square does."""
+    positive = jnp.maximum(excess, 0.0)
+    return positive**2 / (positive + SOFT)
