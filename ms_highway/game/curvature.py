@@ -27,12 +27,13 @@ from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import attention, depth_off_road
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
+from ms_highway.game.stopping import stopping_curvature
 from ms_highway.runtime.arrays import Scalar, unrolled_sum
 
 Blocks = Float[jax.Array, "times 5 5"]
 
 
-def curvature(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> Blocks:
+def curvature(scene: Scene, parameters: Reward, own: Motion, others: Motion, braking: Scalar | None = None) -> Blocks:
     """Return a convex matrix in place of minus the Hessian of a car's smooth reward, in x, y, cosine, sine and speed.
 
     With costs ``c_j(q_j)`` of quantities q_j, ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``; for the distances D of
@@ -43,6 +44,7 @@ def curvature(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> 
         parameters: the reward.
         own: motion of the car, arrays [times].
         others: motion of all others, arrays [others, times].
+        braking: deceleration that `ms_highway.game.stopping` counts on; None where it costs nothing.
     """
     weights = dict(zip(parameters.names, jnp.unstack(parameters.weights), strict=True))
     per_unit, zero, one = 1 / scene.length_unit, jnp.zeros_like(own.x), jnp.ones_like(own.x)
@@ -65,12 +67,14 @@ def curvature(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> 
     factors = jnp.stack([2 * jnp.maximum(weight, 0.0) for weight, _ in costs])
     slopes = jnp.stack([jnp.stack(slope) for _, slope in costs])
     bent = jnp.einsum("j,jft,jgt->tfg", factors, slopes, slopes)
-    risk, contact = (jnp.maximum(-weights[name], 0.0) for name in ("collision_risk", "collision"))
+    risk, contact = parameters.price("collision_risk"), parameters.price("collision")
     bent = bent.at[:, :4, :4].add(_bend_of_closeness(scene, own, others, scene.car_size, CAR_SHARPNESS, risk, contact))
     if len(scene.obstacles):
         bodies, share = obstacles_as_bodies(scene, own.x.ndim), OBSTACLE_SHARE * risk
         near = _bend_of_closeness(scene, own, bodies, scene.obstacle_size, OBSTACLE_SHARPNESS, share, contact)
         bent = bent.at[:, :4, :4].add(near)
+    if braking is not None:
+        bent += contact * stopping_curvature(scene, braking, own)
     return bent
 
 

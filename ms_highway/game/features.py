@@ -154,15 +154,20 @@ def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, 
 def depth_off_road(scene: Scene, car: Motion, smooth: bool = False) -> Times:
     """Return the distance d of the outermost corner beyond the edge of the road, 0 on the road [m].
 
-    If it is to be smooth, ``d^2 / (d + 0.2 m)`` instead.
+    If it is to be smooth, its `soft_positive` instead.
     """
     length, width = scene.car_size
     slant = jnp.sqrt(car.sine**2 + SOFT_SLANT**2) - SOFT_SLANT if smooth else jnp.abs(car.sine)
     reach = (length * slant + width * jnp.abs(car.cosine)) / 2
     low, high = (unrolled_reduce(choice, jnp.asarray(scene.lanes)) for choice in (jnp.minimum, jnp.maximum))
     depth = jnp.abs(car.y - (low + high) / 2) + reach - (high - low + scene.lane_width) / 2
-    depth = jnp.where(depth > 0, depth, 0.0)
-    return depth**2 / (depth + SOFT_EDGE) if smooth else depth
+    return soft_positive(depth, SOFT_EDGE) if smooth else jnp.where(depth > 0, depth, 0.0)
+
+
+def soft_positive(excess: Array, soft: float) -> Array:
+    """Return the positive part z of an excess as ``z^2 / (z + soft)``, which begins as a square does."""
+    positive = jnp.where(excess > 0, excess, 0.0)
+    return positive**2 / (positive + soft)
 
 
 def _merged(scene: Scene, car: Motion, smooth: bool) -> Times:

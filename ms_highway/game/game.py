@@ -7,7 +7,7 @@ them to curvatures and accelerations.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -28,7 +28,7 @@ from ms_highway.game.dynamics import (
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.game.stopping import stopping_cost, stopping_curvature
+from ms_highway.game.stopping import stopping_cost
 from ms_highway.optimization.second_derivatives import Influence
 from ms_highway.optimization.solvers import Planner, project
 from ms_highway.runtime.arrays import (
@@ -76,6 +76,15 @@ class Game:
     def number(self) -> int:
         """Number of humans."""
         return int(np.shape(self.humans.weights)[0])
+
+    @property
+    def braking(self) -> Scalar | None:
+        """Deceleration by which the robot's plans for seconds keep room to stop before obstacles; None for others."""
+        planner = self.planner
+        if not (planner.for_seconds and planner.persistent) or len(self.scene.obstacles) == 0:
+            return None
+        limit = jnp.asarray(planner.control_limit)[1]
+        return limit if planner.grip is None else jnp.minimum(limit, jnp.asarray(planner.grip))
 
     def human(self, human: Index = 0) -> Reward:
         """Return the reward of a human."""
@@ -188,9 +197,7 @@ def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> T
 
 @jax.jit  # traced and differentiated once for all plans
 def trajectory_reward(game: Game, state: State, own: Trajectory, others: Trajectories) -> Scalar:
-    """Sum car 0's reward over the steps of its trajectory and of others'.
-
-    For horizons of seconds, `room_cost` is subtracted.
+    """Sum car 0's `step_rewards` over its trajectory and those of others.
 
     Args:
         game: rewards and dynamics.
@@ -198,23 +205,20 @@ def trajectory_reward(game: Game, state: State, own: Trajectory, others: Traject
         own: trajectory of car 0.
         others: trajectories of the next cars, its partner first.
     """
-    return unrolled_sum(step_rewards(game, state, own, others)) - room_cost(game, own)
-
-
-def room_cost(game: Game, own: Trajectory) -> Scalar:
-    """Return what car 0's trajectory pays for leaving no room to stop before obstacles.
-
-    It is `ms_highway.game.stopping.stopping_cost` at the price of a collision, and zero where the reward has none; only
-    for horizons of seconds.
-    """
-    room = _room(game)
-    return jnp.zeros(()) if room is None else room.price * stopping_cost(game.scene, room.braking, Motion(*own))
+    return unrolled_sum(step_rewards(game, state, own, others))
 
 
 def step_rewards(game: Game, state: State, own: Trajectory, others: Trajectories) -> Float[Any, "steps"]:
-    """Compute car 0's reward after each step, without `room_cost`; the smooth one for horizons of seconds."""
-    others = around(game, state, others)
-    return motion_reward(game.scene, game.robot, Motion(*own), others, game.planner.for_seconds)
+    """Compute car 0's reward after each step.
+
+    For horizons of seconds it is the smooth one, and the robot pays for leaving no room to stop before obstacles:
+    `ms_highway.game.stopping.stopping_cost`, at the price of a collision.
+    """
+    motion, others = Motion(*own), around(game, state, others)
+    rewards, braking = motion_reward(game.scene, game.robot, motion, others, game.planner.for_seconds), game.braking
+    if braking is None:
+        return rewards
+    return rewards - game.robot.price("collision") * stopping_cost(game.scene, braking, motion)
 
 
 def around(game: Game, state: State, others: Trajectories) -> Motion:
@@ -226,32 +230,8 @@ def around(game: Game, state: State, others: Trajectories) -> Motion:
 
 
 def trajectory_curvature(game: Game, state: State, own: Trajectory, others: Trajectories) -> Blocks:
-    """Return how `trajectory_reward` bends, see `ms_highway.game.curvature` and `ms_highway.game.stopping`."""
-    bent = curvature(game.scene, game.robot, Motion(*own), around(game, state, others))
-    room = _room(game)
-    return bent if room is None else bent + room.price * stopping_curvature(game.scene, room.braking, Motion(*own))
-
-
-class _Room(NamedTuple):
-    """What keeping room to stop depends on, but for the scene.
-
-    Attributes:
-        price: what car 0 pays for a collision.
-        braking: the deceleration that the limits of plans allow.
-    """
-
-    price: Scalar
-    braking: Scalar
-
-
-def _room(game: Game) -> _Room | None:
-    """Return what keeping room depends on; None where nothing is paid for it."""
-    planner = game.planner
-    if not planner.for_seconds or len(game.scene.obstacles) == 0:
-        return None
-    price = jnp.maximum(-jnp.asarray(game.robot.weights)[game.robot.names.index("collision")], 0.0)
-    limit = jnp.asarray(planner.control_limit)[1]
-    return _Room(price, limit if planner.grip is None else jnp.minimum(limit, jnp.asarray(planner.grip)))
+    """Return how `trajectory_reward` bends, see `ms_highway.game.curvature`."""
+    return curvature(game.scene, game.robot, Motion(*own), around(game, state, others), game.braking)
 
 
 def rollout_reward(game: Game, car: Car, controls: Controls, others: Motion) -> Scalar:

@@ -74,6 +74,10 @@ class Reward:
     own: tuple[Feature, ...] = field(default=(), metadata={"static": True})
     headway: Scalar = TIME_HEADWAY
 
+    def price(self, name: str) -> Scalar:
+        """Return what a unit of a feature costs by its weight; 0 where it is rewarded."""
+        return jnp.maximum(-jnp.asarray(self.weights)[self.names.index(name)], 0.0)
+
 
 def add_feature(name: str, function: Feature) -> None:
     """Register a user-defined feature by name, for rewards, configurations and commands of this process.

@@ -11,28 +11,35 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.dynamics import Motion
+from ms_highway.game.features import soft_positive
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Scalar
+from ms_highway.runtime.arrays import Scalar, Times
 
 ROOM = 0.8  # car lengths (4 m) left to an obstacle after a stop: room to steer around it
+ASIDE = 0.4  # car widths (1 m) between bodies, at which an obstacle is no longer in the way
 SOFT = 0.2  # from which on what a car is late or aligned by counts nearly in proportion
 
 
-def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Scalar:
+def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
     """Return how much too late, and how squarely, a car would stop before the obstacles, ``sum r^2`` with::
 
         r = soft(d) soft(1 - (dy / w)^2) s,  soft(z) = max(z, 0)^2 / (max(z, 0) + 0.2)
         d = (v^2 / (2 b) + l - dx) / car length + room
 
-    half-way through its motion. The distance of the centres is (dx, dy); bodies touch at the length l, and pass each
-    other at the width w; s falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is passed.
+    The distance of the centres is (dx, dy); bodies touch at the length l, and pass each other with `ASIDE` between them
+    at the width w; s falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is passed.
 
     Args:
         scene: obstacles and sizes of bodies.
         braking: deceleration b; without a limit, only the gap counts.
         own: motion of the car, arrays [steps].
+
+    Returns:
+        An array [steps], zero but for the step half-way.
     """
-    return jnp.sum(_lateness(scene, braking, jnp.stack(own)[:, _half_way(own)]) ** 2)
+    half = _half_way(own)
+    cost = jnp.sum(_lateness(scene, braking, jnp.stack(own)[:, half]) ** 2)
+    return jnp.where(jnp.arange(len(own.x)) == half, cost, 0.0)
 
 
 def stopping_curvature(scene: Scene, braking: Scalar, own: Motion) -> Float[jax.Array, "steps 5 5"]:
@@ -53,15 +60,10 @@ def _lateness(scene: Scene, braking: Scalar, moment: Float[jax.Array, "5"]) -> F
     """Return r for every obstacle."""
     x, y, _, _, speed = moment
     obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T
+    car_length, car_width = jnp.asarray(scene.car_size)
     length, width = (jnp.asarray(scene.car_size) + jnp.asarray(scene.obstacle_size)) / 2
-    car, gap = jnp.asarray(scene.car_size)[0], obstacle_x - x
-    late = _soft((speed**2 / (2 * braking) + length - gap) / car + ROOM)
-    aligned = _soft(1 - ((y - obstacle_y) / width) ** 2)
+    gap = obstacle_x - x
+    late = soft_positive((speed**2 / (2 * braking) + length - gap) / car_length + ROOM, SOFT)
+    aligned = soft_positive(1 - ((y - obstacle_y) / (width + ASIDE * car_width)) ** 2, SOFT)
     ahead = jnp.clip((gap / length + 1) / 2, 0.0, 1.0)
     return late * aligned * ahead**2 * (3 - 2 * ahead)
-
-
-def _soft(excess: Float[jax.Array, "obstacles"]) -> Float[jax.Array, "obstacles"]:
-    """Return the positive part, which begins as a square does."""
-    positive = jnp.maximum(excess, 0.0)
-    return positive**2 / (positive + SOFT)

@@ -10,7 +10,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.game import Game, move, room_cost, step_rewards, swap_players, total_reward, trajectory_reward
+from ms_highway.game.game import Game, move, step_rewards, swap_players, total_reward, trajectory_reward
 from ms_highway.game.reward import Reward
 from ms_highway.metareasoning.quadratic_rule import QuadraticRule, RewardExpansion
 from ms_highway.metareasoning.rule import Outcome
@@ -41,9 +41,8 @@ class WholeHorizon(QuadraticRule):
         state, plan = jnp.asarray(outcome.before), outcome.plan
         robot = jnp.asarray(plan.robot).at[0].set(outcome.robot)
         human = jnp.asarray(plan.humans[0]).at[0].set(outcome.humans[0])
-        own = move(game, state[0], robot)
-        expected = step_rewards(game, state, own, move(game, state[1], human)[None])
-        return robot.ravel(), human.ravel(), outcome.reward + jnp.sum(expected[1:]) - room_cost(game, own)
+        expected = step_rewards(game, state, move(game, state[0], robot), move(game, state[1], human)[None])
+        return robot.ravel(), human.ravel(), outcome.reward + jnp.sum(expected[1:])
 
     def expand(self, game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
         """See `QuadraticRule.expand`. Both rewards are expanded in one batch, each from its own car's side."""

@@ -6,7 +6,6 @@ safety against velocity-keepers, as in contingency planning.
 """
 
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -41,41 +40,35 @@ class Escape(NamedTuple):
 def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     """Return the best escape, and whether it replaces the robot's control, which leaves no way out as good.
 
-    A way out is better if it keeps `MARGIN` to all others than if it only does not collide; the control with what can
-    follow it and the escapes are looked at over the same `ESCAPE_STEPS` from now on. Of equally good escapes, that
-    which earns most is the best. Where nothing is free of collisions, the robot brakes at least as the softest of the
-    manoeuvres do that brake: as that of them which earns most.
+    The best of all manoeuvres collides latest; of those that do not collide, it keeps `MARGIN` to all others; of equal
+    ones, it earns most. The control with what can follow it and the escapes are looked at over the same `ESCAPE_STEPS`
+    from now on.
 
     Args:
         game: of the robot.
         state: all cars now.
         control: scaled, about to be executed.
     """
-    after = step(game.dynamics, state[0], control * game.planner.control_scale)
     others = coast(game.dynamics, state[1:], ESCAPE_STEPS)
-    first, later = (Motion(*(field[:, steps] for field in others)) for steps in (slice(1), slice(1, None)))
-    clearance = jax.vmap(partial(_clearance, game), in_axes=(0, None))
+    clearance = jax.vmap(lambda way: _clearance(game, way, others))
+    after = step(game.dynamics, state[0], control * game.planner.control_scale)
     _, ways = manoeuvres(game, after, ESCAPE_STEPS - 1, ACCELERATIONS)
-    kept = jnp.minimum(clearance(ways, later).max(), _clearance(game, after[None], first))
+    kept = clearance(jnp.concatenate([jnp.broadcast_to(after, (len(ways), 1, 4)), ways], axis=1)).max()
     controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS, ACCELERATIONS)
-    clear = clearance(escapes, others)
+    clear = clearance(escapes)
     earned = jax.vmap(lambda way: unrolled_sum(motion_reward(game.scene, game.robot, observe(way), others)))(escapes)
-    hopeless = jnp.maximum(clear.max(), kept) == 0
-    brakes = jnp.tile(ACCELERATIONS < 0, len(clear) // len(ACCELERATIONS))
-    best = jnp.argmax(jnp.where(jnp.where(hopeless, brakes, clear == clear.max()), earned, -jnp.inf))
-    softest = jnp.where(brakes, controls[:, 0, 1], -jnp.inf).max()
-    replaces = jnp.where(hopeless, control[1] > softest, clear.max() > kept)
+    best = jnp.argmax(jnp.where(clear == clear.max(), earned, -jnp.inf))
     steps = np.minimum(np.arange(game.planner.horizon), ESCAPE_STEPS - 1)
-    return Escape(controls[best][steps], replaces)
+    return Escape(controls[best][steps], clear.max() > kept)
 
 
 def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Index:
-    """Return 2 if a car keeps the margin to all others and obstacles on its way, 1 if it collides with none, else 0."""
+    """Return the steps until a car collides on its way, one more if it keeps the margin to all others and obstacles."""
     scene, own = game.scene, observe(way)
     wider = replace(
         scene,
         car_size=jnp.asarray(scene.car_size) + MARGIN,
         obstacle_size=jnp.asarray(scene.obstacle_size) + MARGIN,
     )
-    free = [~(collision_risk(checked, own, others)[1] > 0).any() for checked in (scene, wider)]
-    return jnp.sum(jnp.stack(free))
+    free, wide = (collision_risk(checked, own, others)[1] == 0 for checked in (scene, wider))
+    return jnp.sum(jnp.cumprod(free)) + wide.all()

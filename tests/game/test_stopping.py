@@ -8,18 +8,19 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.game.dynamics import Motion, observe
-from ms_highway.game.game import move, room_cost, swap_roles, trajectory_curvature, trajectory_reward
+from ms_highway.game.game import move, swap_roles, trajectory_curvature, trajectory_reward
 from ms_highway.game.scenario import GRIP, build_game
 from ms_highway.game.scenarios import DENSE_MERGE
-from ms_highway.game.stopping import ROOM, stopping_cost, stopping_curvature
+from ms_highway.game.stopping import ASIDE, ROOM, stopping_cost, stopping_curvature
 from ms_highway.planning.human_models import Naive
 from ms_highway.planning.several import plan_for
 
 GAME = build_game(DENSE_MERGE, control_limit=DENSE_MERGE.control_limit, grip=DENSE_MERGE.grip, humans=3)
 SCENE = replace(GAME.scene, obstacles=GAME.scene.obstacles[:1])
 (CONE,) = np.asarray(SCENE.obstacles, float)
-LENGTH, WIDTH = (np.asarray(SCENE.car_size, float) + np.asarray(SCENE.obstacle_size, float)) / 2  # where bodies touch
-CAR = float(SCENE.car_size[0])
+CAR, CAR_WIDTH = np.asarray(SCENE.car_size, float)
+LENGTH, TOUCH = (np.asarray(SCENE.car_size, float) + np.asarray(SCENE.obstacle_size, float)) / 2
+WIDTH = TOUCH + ASIDE * CAR_WIDTH  # m, at which an obstacle is out of the way
 SPEED = 20.0
 BRAKING = SPEED**2 / (2 * GRIP)
 STOP = CONE[0] - LENGTH - ROOM * CAR  # m, where a car stands with room
@@ -34,7 +35,7 @@ def motion(x, y=CONE[1], speed=SPEED):
 
 
 def cost(*where):
-    return float(stopping_cost(SCENE, GRIP, motion(*where)))
+    return float(stopping_cost(SCENE, GRIP, motion(*where)).sum())
 
 
 def test_a_car_pays_from_where_it_can_no_longer_stop_with_room_to_steer_out():
@@ -58,7 +59,7 @@ def test_the_curvature_is_that_of_squares_and_has_no_jump(late):
 
     def lateness(fields):
         path = jnp.asarray(np.stack(own)).at[:, HALF].set(fields)
-        return np.sqrt(float(stopping_cost(SCENE, GRIP, Motion(*path))))
+        return np.sqrt(float(stopping_cost(SCENE, GRIP, Motion(*path)).sum()))
 
     bumps = np.diag([0.02, 0.02, 0.02, 0.02, 0.02])
     slopes = np.array([(lateness(moment + bump) - lateness(moment - bump)) / 0.04 for bump in bumps])
@@ -73,38 +74,35 @@ def test_where_the_cost_begins_its_curvature_is_small(where):
     assert np.abs(near).max() < 0.02
 
 
-@pytest.mark.parametrize(("grip", "limit"), [(8.0, 8.0), (None, 8.0), (8.0, 3.0), (None, np.inf)])
-def test_plans_count_on_the_braking_that_their_limits_allow_at_the_price_of_a_collision(grip, limit):
+@pytest.mark.parametrize(("grip", "limit"), [(8.0, 8.0), (None, 8.0), (8.0, 3.0)])
+def test_plans_count_on_the_braking_that_their_limits_allow(grip, limit):
     planner = replace(GAME.planner, grip=grip, control_limit=np.array([0.2, limit], np.float32))
-    game = replace(GAME, scene=SCENE, planner=planner)
-    own = jnp.stack(motion(STOP - 5.0))
-    braking = min(limit, np.inf if grip is None else grip)
-    assert room_cost(game, own) == pytest.approx(
-        100 * float(stopping_cost(SCENE, braking, motion(STOP - 5.0))), rel=1e-5
-    )
-    assert np.isfinite(jax.grad(lambda own: room_cost(game, own))(own)).all()
+    assert replace(GAME, planner=planner).braking == min(limit, np.inf if grip is None else grip)
 
 
-def test_reward_and_curvature_of_a_plan_hold_the_cost_and_those_of_the_papers_do_not():
+def test_only_plans_for_seconds_of_a_robot_before_obstacles_keep_room():
+    assert build_game(DENSE_MERGE, solver="gradient", humans=3).braking is None
+    assert swap_roles(GAME).braking is None
+    assert replace(GAME, scene=replace(SCENE, obstacles=np.zeros((0, 2)))).braking is None
+
+
+def test_without_a_limit_of_braking_only_the_gap_counts():
+    slopes = jax.grad(lambda own: stopping_cost(SCENE, np.inf, Motion(*own)).sum())(jnp.stack(motion(STOP + 1.0)))
+    assert slopes[0].any()
+    assert not slopes[4].any()
+
+
+def test_reward_and_curvature_of_a_plan_hold_the_cost_at_the_price_of_a_collision():
     state = jnp.asarray([[STOP - 38.0, 0.0, 0.0, SPEED], *[[300.0 + place, -3.3, 0.0, SPEED] for place in (0, 9, 18)]])
-    own, nobody = jnp.stack(motion(STOP - 20.0)), jnp.zeros((0, 5, STEPS))
-
-    def without_room(game):
-        return replace(
-            game, robot=replace(game.robot, weights=game.robot.weights * (np.array(game.robot.names) != "collision"))
-        )
-
-    free = without_room(GAME)
-    price = float(room_cost(GAME, own))
+    own, nobody = motion(STOP - 20.0), jnp.zeros((0, 5, STEPS))
+    free = replace(GAME, planner=replace(GAME.planner, persistent=False))
+    price = 100 * float(stopping_cost(GAME.scene, GRIP, own).sum())
     assert price > 10.0
-    assert room_cost(free, own) == 0.0
-    assert room_cost(swap_roles(GAME), own) == pytest.approx(price)  # humans with the published reward pay, too
-    paid = trajectory_reward(GAME, state, own, nobody) - trajectory_reward(free, state, own, nobody)
-    assert paid == pytest.approx(-price, rel=1e-3)
-    bent = trajectory_curvature(GAME, state, own, nobody) - trajectory_curvature(free, state, own, nobody)
-    expected = 100 * stopping_curvature(GAME.scene, GRIP, Motion(*own))
-    np.testing.assert_allclose(bent[HALF], expected[HALF], rtol=1e-3, atol=0.1)
-    assert room_cost(build_game(DENSE_MERGE, solver="gradient", humans=3), own) == 0.0
+    paid, free_of_it = (trajectory_reward(game, state, jnp.stack(own), nobody) for game in (GAME, free))
+    assert paid - free_of_it == pytest.approx(-price, rel=1e-3)
+    bent, straight = (trajectory_curvature(game, state, jnp.stack(own), nobody) for game in (GAME, free))
+    expected = 100 * stopping_curvature(GAME.scene, GRIP, own)
+    np.testing.assert_allclose((bent - straight)[HALF], expected[HALF], rtol=1e-3, atol=0.1)
 
 
 def test_a_robot_without_a_gap_beside_it_plans_to_stop_in_time_and_no_earlier_than_it_must():
