@@ -5,7 +5,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.road import BEHIND, KNOTS, LANES, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path, RoadScene, place
-from ms_highway.planning.road.proposals import Manners, as_given, simulate_plans
+from ms_highway.planning.road.proposals import LAST_PLAN, Manners, profiles, simulate_plans
 from ms_highway.planning.road.scoring import score
 from ms_highway.planning.road.settings import LANE, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traffic import situation_of
@@ -88,6 +88,11 @@ def keeping_velocity(scene):
         return jnp.stack([*place(path, s, jnp.zeros_like(s)), jnp.full_like(s, state[3])])
 
     return jax.vmap(one)(scene.paths, scene.states)
+
+
+def as_given(controls, lane):
+    """Profiles of plans whose controls are given."""
+    return jax.vmap(lambda *plan: jax.tree.map(lambda field: field[LAST_PLAN], profiles(*plan)))(controls, lane)
 
 
 @jit_quickly

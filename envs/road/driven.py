@@ -58,7 +58,7 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
         env: a highway, merge, roundabout, intersection, exit, two-way, u-turn or racetrack environment. highway-env
             itself cannot make merge and roundabout with ``ContinuousAction``.
         config: any of these keys, see `ms_highway.envs.road.settings.RoadSettings`: ``driver`` (``"priced"`` by
-            default; ``"fixed:naive"``, ``"proposals"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
+            default; ``"fixed:naive"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
             ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs``,
             ``traits`` (whether each driver's desired speed and headway are estimated) and ``belief`` (whether the robot
             infers which model each driver follows).

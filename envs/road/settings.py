@@ -14,7 +14,7 @@ from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.vehicle.road_robot import MARGIN
 
-DRIVERS = ("priced", "priced:PRICE", "budget:MS", "proposals", *(f"fixed:{rung}" for rung in PACKAGE_MODELS))
+DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in PACKAGE_MODELS))
 """What drives, as in ``config["driver"]``."""
 
 NUMBERED: dict[str, tuple[Callable[..., RungChoice], str]] = {
@@ -31,8 +31,7 @@ class RoadSettings(Struct, frozen=True):
 
     Attributes:
         driver: ``"priced"``, a rung for each car by price or budget; ``"priced:PRICE"`` and ``"budget:MS"``, the same
-            with the number; ``"fixed:RUNG"``, the same rung for all cars; ``"proposals"``, the best proposal, without
-            refinement.
+            with the number; ``"fixed:RUNG"``, the same rung for all cars.
         price: reward that a second of computation costs.
         budget: milliseconds of computation per plan, instead of a price; None for no budget.
         costs: ``"shipped"``; ``"measured"`` in the first step among others; or milliseconds that each rung adds to a
@@ -100,8 +99,6 @@ class RoadSettings(Struct, frozen=True):
                 return rule(convert(rest, NotNegative, strict=False), self.ladder)
             except ValidationError:
                 raise ValueError(f"{message}; it needs {wanted}, as a number from 0") from None
-        if self.driver == "proposals":
-            return FixedRung("idm")
         if kind == "fixed" and rest in PACKAGE_MODELS:
             if rest in self.ladder:
                 return FixedRung(rest)
@@ -121,5 +118,4 @@ class RoadSettings(Struct, frozen=True):
         costs = SHIPPED_COSTS if self.costs == "shipped" else None
         if isinstance(self.costs, dict):
             costs = Costs(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in PACKAGE_MODELS]))
-        refines = self.driver != "proposals"
-        return RoadDriver(planning, self.choice(), refines, costs=costs, traits=self.traits, belief=self.belief)
+        return RoadDriver(planning, self.choice(), costs=costs, traits=self.traits, belief=self.belief)

@@ -20,11 +20,11 @@ it was rear-ended in a lane that it had kept for a second. |a| is the largest ac
 simulation [m/s^2], jerk the root mean square [m/s^3], ms the time of a decision, without compilation, late the share of
 plans that were not ready within a budget. Choices count the time of models at what this package ships.
 
-Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS, fixed:RUNG (naive, idm, turn, tom) and proposals,
-which refines nothing; with +traits, the desired speed and headway of each car are estimated, with +belief, the model
-that its driver follows (such as priced+traits+belief). Others: idm, highway-env's IDM and MOBIL in the place of the
-ego; idle, which keeps speed and lane; random, which chooses the environment's actions by chance. Drivers above 10 m/s^2
-are labelled unphysical."""
+Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, turn, tom); with
++traits, the desired speed and headway of each car are estimated, with +belief, the model that its driver follows (such
+as priced+traits+belief). Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and
+lane; random, which chooses the environment's actions by chance. Drivers above 10 m/s^2 are
+labelled unphysical."""
 
 EXAMPLES = """\
 examples:

@@ -1,7 +1,6 @@
 """Drive on a road: observe, infer, choose how to predict each car, plan, follow the plan or fall back."""
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -18,7 +17,7 @@ from ms_highway.optimization.kalman import Gaussian
 from ms_highway.planning.car_following import HARDEST
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import PACKAGE_MODELS
-from ms_highway.planning.road.plan import REFINED, LastPlan, RoadPlan, no_plan, plan_road, worth_of_answers
+from ms_highway.planning.road.plan import LastPlan, RoadPlan, no_plan, plan_road, worth_of_answers
 from ms_highway.planning.road.proposals import FULL_BRAKING, LAST_PLAN
 from ms_highway.planning.road.settings import NAIVE, TOM, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traits import prior, traits_of, updated_traits
@@ -31,12 +30,11 @@ SHIPPED_COSTS = Costs(0.008, np.array([0.0, 0.0, 0.0019, 0.0028]))
 """Planning time among naive cars, and what each car adds under each model, as measured on one core [s]."""
 
 BRAKING_SHARE = 0.95  # share of the grip from which a plan that breaks a constraint counts as braking
-SOURCES = {REFINED: "refined", LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
+SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 REPEATS = 9  # plans that are timed for the costs of models
 
-plan_of = {refines: jit_quickly(partial(plan_road, refines=refines)) for refines in (False, True)}
-worth_of = jit_quickly(worth_of_answers)
-"""Plans, refined or not, and the worth of answers, each compiled once for all scenes, rungs, limits and weights."""
+plan_of, worth_of = jit_quickly(plan_road), jit_quickly(worth_of_answers)
+"""Plans and the worth of answers, each compiled once for all scenes, rungs, limits and weights."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +48,7 @@ class RoadStep(ControlStep):
     Attributes:
         path: x, y and heading of the robot's centre, as planned, world coordinates; no steps if the plan failed.
         owners: number of the car that each path belongs to, -1 without one.
-        source: what drives: ``refined``, ``proposal``, ``last plan`` or ``braking``.
+        source: what drives: ``proposal``, ``last plan`` or ``braking``.
         broken: whether the best plan breaks a constraint: it hits somebody, leaves the road or lacks the room to stop.
         traits: estimated of the driver on each path, None if they are not.
     """
@@ -77,7 +75,6 @@ class RoadDriver:
     Attributes:
         planning: limits and wishes; may be replaced between steps.
         choice: of the models that predict others.
-        refines: whether the best proposal is refined.
         weights: what counts.
         costs: of models; None to measure them in the first step with others, which noise may change.
         traits: whether desired speeds and headways of others are estimated, and used to predict them.
@@ -87,7 +84,6 @@ class RoadDriver:
 
     planning: RoadPlanning
     choice: RungChoice
-    refines: bool = True
     weights: RoadWeights = field(default_factory=RoadWeights)
     costs: Costs | None = SHIPPED_COSTS
     traits: bool = False
@@ -149,7 +145,7 @@ class RoadDriver:
         )
 
     def _planned(self, scene: RoadScene, rungs: Rungs) -> tuple[RoadPlan, float]:
-        plan, seconds = timed(plan_of[self.refines], scene, self.planning, self.weights, rungs, self._last)
+        plan, seconds = timed(plan_of, scene, self.planning, self.weights, rungs, self._last)
         return jax.tree.map(np.asarray, plan), seconds
 
     def _followed(self, plan: RoadPlan, late: bool) -> tuple[Controls, int, str]:
@@ -170,7 +166,7 @@ class RoadDriver:
         """Compile, and return what models cost, measured once there are others if the choice looks at it."""
         given, others = (scene, self.planning, self.weights), np.asarray(scene.moving & scene.present)
         rungs = np.outer(range(len(PACKAGE_MODELS)), others).astype(np.int32)
-        warm_up(plan_of[self.refines], *given, rungs[0], self._last)
+        warm_up(plan_of, *given, rungs[0], self._last)
         if self.choice.looks:
             warm_up(worth_of, *given, self._last)
         if self.costs is None and self.choice.looks and others.any():

@@ -17,7 +17,7 @@ from ms_highway.planning.road.settings import RoadWeights
 COSTS = Costs(0.004, np.array([0.0, 0.0001, 0.001, 0.003]))
 SCENE = scene_of(robot=(0.0, 0.0, 0.0, 18.0), cars=[(45.0, 0, 12.0), (-12.0, 1, 22.0), (30.0, -1, 15.0)])
 BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
-PLANS = ("refined", "proposal", "last plan")
+PLANS = ("proposal", "last plan")
 
 
 def driver(choice=FixedRung("naive"), **known):  # noqa: B008
@@ -102,7 +102,7 @@ def test_nothing_compiles_after_the_first_step(caplog):
     with jax.log_compiles():
         for choice in (*map(FixedRung, PACKAGE_MODELS), PricedRungs(0.0), BudgetedRungs(20.0)):
             planning = replace(PLANNING, desired_speed=22.0, grip=4.0)
-            other = RoadDriver(planning, choice, True, RoadWeights(speed=2.0), COSTS)
+            other = RoadDriver(planning, choice, RoadWeights(speed=2.0), COSTS)
             other.step(scene_of(cars=[(20.0, 0, 10.0)]))
             other.step(scene_of(bend=1 / 50, robot=(0.0, 0.0, 0.0, 10.0)))
     assert not [record for record in caplog.records if "compilation" in record.getMessage()]

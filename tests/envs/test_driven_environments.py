@@ -60,7 +60,7 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the
     assert env.action_space.contains(road["action"])
     assert np.isfinite([road["planning_seconds"], road["decision_seconds"], road["jerk"], *np.atleast_1d(reward)]).all()
     assert not np.any(terminated)
-    assert road["source"] in ("refined", "proposal", "last plan", "braking")
+    assert road["source"] in ("proposal", "last plan", "braking")
     assert len(accelerations) == int(base.config["simulation_frequency"] // base.config["policy_frequency"])
     assert max(accelerations) <= min(road["acceleration"] + 1e-9, 5.0)
 
@@ -216,7 +216,7 @@ def test_pictures_and_videos_are_made_inside_and_outside_of_the_wrapper(outside,
 
 @pytest.mark.slow
 def test_belief_and_traits_are_told_and_shown_where_they_are_configured():
-    config = {"driver": "proposals", "belief": True, "traits": True}
+    config = {"driver": "fixed:idm", "belief": True, "traits": True}
     env = ms_highway.drive(gym.make("merge-v0", render_mode="rgb_array"), config)
     env.reset(seed=0)
     road = env.step(0)[4]["road"]

@@ -34,7 +34,9 @@ def answer(scene, robot, others):
 
 @jax.jit
 def follow(scene, accelerations):
-    return commuter_of(scene, PLANNING, 0).drive(accelerations / UNIT)
+    human = commuter_of(scene, PLANNING, 0)
+    s, speed = human.move(human.held(accelerations / UNIT))
+    return jnp.stack([*place(human.path, s, human.aside), speed])
 
 
 AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)

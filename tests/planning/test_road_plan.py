@@ -1,4 +1,4 @@
-"""Plans of the robot on roads: proposals, answers of others and refinement together."""
+"""Plans of the robot on roads: proposals and answers of others together."""
 
 from dataclasses import replace
 
@@ -6,13 +6,13 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import NOBODY, PLANNING, WEIGHTS, judged, scene_of
+from roads import PLANNING, WEIGHTS, scene_of
 
 from ms_highway.control.road import plan_of as planned
 from ms_highway.game.road import TRAFFIC
 from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.motion import bodies, execute
-from ms_highway.planning.road.plan import REFINED, LastPlan, no_plan, propose
+from ms_highway.planning.road.plan import LastPlan, no_plan, propose
 from ms_highway.planning.road.proposals import LAST_PLAN
 from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
@@ -34,7 +34,7 @@ def everybody(name):
 
 
 def plan_of(scene, name="naive", memory=MEMORY):
-    return planned[True](scene, PLANNING, WEIGHTS, everybody(name), memory)
+    return planned(scene, PLANNING, WEIGHTS, everybody(name), memory)
 
 
 def busy(seed):
@@ -79,20 +79,12 @@ def test_a_plan_breaks_no_constraint_where_some_proposal_breaks_none(seed):
         assert not plan_of(scene, name).broken
 
 
-def test_a_refined_plan_drives_only_if_it_breaks_nothing_and_earns_as_much_as_all_proposals():
-    refined = 0
+def test_without_answers_the_best_proposal_drives():
     for scene in (*SCENES.values(), busy(1), busy(2), busy(3)):
         proposals, plan = proposed(scene, everybody("naive"), MEMORY), plan_of(scene)
-        best = int(np.argmax(proposals.scores.total))
-        if plan.chosen == REFINED:
-            _, scores = judged(scene, np.tile(plan.controls, (3, 1, 1)), np.arange(3), NOBODY)
-            assert scores.total.max() >= proposals.scores.total[best] - 0.01
-            assert not plan.broken
-            refined += 1
-        else:
-            assert plan.chosen == best
-            np.testing.assert_allclose(plan.controls, proposals.driven.controls[best], atol=1e-4)
-    assert refined > 0
+        best = int(np.argmax(proposals.scores.preference))
+        assert plan.chosen == best
+        np.testing.assert_allclose(plan.controls, proposals.driven.controls[best], atol=1e-4)
 
 
 def test_the_rest_of_the_last_plan_is_among_the_proposals():

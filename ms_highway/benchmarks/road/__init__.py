@@ -19,7 +19,7 @@ OTHER_SCENES = ("highway-v0", "racetrack-oval-v1", "racetrack-oval-v0")
 PEERS = ("idm", "idle", "random")
 """Drivers that are not this package's."""
 
-DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", "proposals", *PEERS)
+DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", *PEERS)
 """Drivers that are measured by default."""
 
 TRAFFIC = {

@@ -1,4 +1,4 @@
-"""Plan on any road, in road coordinates: proposals, predictions of traffic, refined plans and their checks.
+"""Plan on any road, in road coordinates: proposals, predictions of traffic, answers and checks.
 
 May import ``game``, ``optimization`` and ``runtime``.
 """

@@ -16,7 +16,7 @@ from ms_highway.game.features import ATTENTION, OWN_LANE, SMALLEST_GAP, STANDSTI
 from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.neighbours import FAR_AWAY
 from ms_highway.game.reward import Reward, linear_reward
-from ms_highway.game.road import Path, RoadScene, Sizes, locate, place
+from ms_highway.game.road import Path, RoadScene, Sizes, locate
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.optimization.objective import best_of
@@ -76,11 +76,6 @@ class Commuter:
         hessian = jnp.tensordot(effects, bent, ((0, 1), (0, 1)))
         return self.pull(self._slopes(motion)) - comfort * scaled, hessian - comfort * jnp.eye(len(scaled))
 
-    def influence(self, scaled: Vector, robot: World) -> Numbers:
-        """Return how the robot's trajectory changes the slopes of the reward in s and speed [4, 2, steps]."""
-        moved = self.move(scaled)
-        return by_fields(lambda robot: replace(self, others=self.see(robot[:, None]))._slopes(moved), robot)
-
     def answer(self) -> Vector:
         """Return the best accelerations, by damped Newton steps from steady braking.
 
@@ -113,18 +108,10 @@ class Commuter:
         kept = free - jnp.minimum(jax.lax.cummin(free, axis=free.ndim - 1), 0.0)
         return (kept - earlier(speed, kept)) / per_step
 
-    def drive(self, scaled: Vector) -> World:
-        """Return the trajectory under accelerations."""
-        return self.place(self.move(self.held(scaled)))
-
     def move(self, scaled: Vector) -> Steps:
         """Return s and speed after each step [2, steps]."""
         s, _, _, speed = self.state
         return jnp.stack([s + speed * self.planning.times, jnp.full_like(scaled, speed)]) + self.push(scaled)
-
-    def place(self, motion: Steps) -> World:
-        """Return the trajectory with s and speed after each step."""
-        return jnp.stack([*place(self.path, motion[0], self.aside), motion[1]])
 
     def see(self, trajectories: World) -> Steps:
         """Return the motions [5, cars, steps] of trajectories [4, cars, steps] in the coordinates of the path."""

@@ -1,9 +1,8 @@
-"""Plan on a road: propose, let others answer, refine, check.
+"""Plan on a road: propose, let others answer, check.
 
 All proposals are judged with others who keep their speed or follow by the Intelligent Driver Model. If some plan for
 their reward, they answer the best few of these proposals (theory of mind) or a robot that keeps its velocity (turn),
-and these proposals are judged again. The best one is refined; the refined plan drives if it breaks no constraint and
-earns as much by the same scores. Answers make plans better, not safe: what hits somebody who only follows does not
+and these proposals are judged again. Answers make plans better, not safe: what hits somebody who only follows does not
 drive where anything else holds.
 """
 
@@ -22,19 +21,14 @@ from ms_highway.planning.road.proposals import (
     DrivenPlans,
     Manners,
     Profiles,
-    as_given,
     profiles,
     simulate_plans,
 )
-from ms_highway.planning.road.refinement import Aim, refine
 from ms_highway.planning.road.scoring import UNSOUND, Scores, score
 from ms_highway.planning.road.settings import IDM, NAIVE, TOM, TURN, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traffic import Situation, assumed_traits, situation_of
 from ms_highway.planning.road.traits import followed, jointly
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, Vector, for_each
-
-REFINED = -1
-"""Number of a refined plan, in place of that of a proposal."""
 
 ANSWERED = 6  # best proposals that others answer
 
@@ -66,7 +60,7 @@ class RoadPlan(NamedTuple):
         controls: of the robot: curvature and acceleration.
         path: x, y and heading of the robot's centre after each step [steps, 3].
         predictions: x and y of others [traffic, steps, 2].
-        chosen: number of the proposal that drives, `REFINED` if it is a refined one.
+        chosen: number of the proposal that drives.
         broken: whether it breaks a constraint.
     """
 
@@ -109,7 +103,6 @@ def plan_road(
     weights: RoadWeights,
     rungs: Places,
     last: LastPlan,
-    refines: bool = True,
 ) -> RoadPlan:
     """Plan with a model for each of the others.
 
@@ -119,7 +112,6 @@ def plan_road(
         weights: what counts.
         rungs: see `propose`.
         last: plan.
-        refines: whether the best proposal is refined (static).
     """
     now = situation_of(scene, planning, weights)
     proposed = propose(now, rungs, last)
@@ -127,29 +119,17 @@ def plan_road(
     few = jax.tree.map(lambda field: field[numbers], proposed)
     following, optimises = _following(now, rungs, ANSWERED), (rungs >= TURN) & scene.moving & scene.present
 
-    def again() -> tuple[Judged, Manners]:
+    def again() -> Judged:
         manners = following._replace(given=optimises, accelerations=_answers(now, rungs, optimises, few.driven))
-        return _judged(now, few.plans, manners), manners
+        return _judged(now, few.plans, manners)
 
     collides = few.scores.collides  # if others only follow: nobody is counted on to make way
-    few, manners = jax.lax.cond(optimises.any(), again, lambda: (few, following))
+    few = jax.lax.cond(optimises.any(), again, lambda: few)
     best = jnp.argmax(few.scores.preference - UNSOUND * (collides & ~few.scores.broken))
-    chosen, drives = numbers[best], jax.tree.map(lambda field: field[best, None], few)
-    if refines:
-        aim = Aim(scene, planning, few.plans.lane[best], optimises & (rungs == TOM))
-        others, accelerations = drives.driven.world[0], manners.accelerations[best]
-        controls = refine(aim, drives.driven.controls[0], others, accelerations / UNIT)
-        given = as_given(controls[None], few.plans.lane[best, None])
-        refined = _judged(now, given, manners._replace(accelerations=accelerations[None]))
-        unanswered = _judged(now, given, _following(now, rungs, 1))
-        broken = refined.scores.broken[0] | unanswered.scores.collides[0]
-        better = ~broken & (refined.scores.preference[0] >= drives.scores.preference[0])
-        chosen = jnp.where(better, REFINED, chosen)
-        drives = jax.tree.map(lambda new, old: jnp.where(better, new, old), refined, drives)
-    driven = drives.driven
-    predictions = jnp.swapaxes(driven.world[0, :, :2], 1, 2)
-    path = centres(scene, driven.states)[0, :3].T
-    return RoadPlan(driven.controls[0], path, predictions, chosen, drives.scores.broken[0])
+    driven = few.driven
+    predictions = jnp.swapaxes(driven.world[best, :, :2], 1, 2)
+    path = centres(scene, driven.states)[best, :3].T
+    return RoadPlan(driven.controls[best], path, predictions, numbers[best], few.scores.broken[best])
 
 
 def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:

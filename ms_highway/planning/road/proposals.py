@@ -138,11 +138,6 @@ def profiles(last: Controls, last_lane: Lane) -> Profiles:
     return Profiles(*(jnp.where(given, last_lane, lane), *columns, given, controls))
 
 
-def as_given(controls: ManyControls, lane: Lane) -> Profiles:
-    """Return the profiles of plans whose controls are given."""
-    return jax.vmap(lambda *plan: jax.tree.map(lambda field: field[LAST_PLAN], profiles(*plan)))(controls, lane)
-
-
 def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:
     """Drive plans among others who answer each of them."""
     scene, planning, dt = now.scene, now.planning, now.planning.time_step

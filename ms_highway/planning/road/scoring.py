@@ -1,4 +1,4 @@
-"""Judge proposals and refined plans: what they earn, and which constraints they break."""
+"""Judge proposals: what they earn, and which constraints they break."""
 
 from typing import NamedTuple
 

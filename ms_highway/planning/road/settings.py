@@ -48,7 +48,7 @@ class RoadPlanning:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RoadWeights:
-    """What a proposal or a refined plan is worth, per second unless stated otherwise.
+    """What a plan is worth, per second unless stated otherwise.
 
     Attributes:
         speed: of the share of the desired speed that is reached.
@@ -85,32 +85,3 @@ class RoadWeights:
     avoidable: Scalar = 0.02
     off_road: Scalar = 200.0
     stopping: Scalar = 1.0
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class SmoothWeights:
-    """Costs of the robot's motion that a plan is refined by, all per second.
-
-    Attributes:
-        speed: of a deviation from the speed wished for [s^2/m^2]; linear beyond 5 m/s.
-        excess: of its square above that speed, in addition [s^2/m^2].
-        lateral: of the distance to the lane's centre [1/m^2]; linear beyond 1 m.
-        heading: of the squared angle to the route [1/rad^2].
-        acceleration: of its square [s^4/m^2].
-        jerk: of its square, along and across [s^6/m^2].
-        edges: of each corner's squared intrusion on the 0.3 m beside the road's edge [1/(0.3 m)^2]; linear beyond.
-        collision: of the squared depth in another car's surroundings, 1/4 at 1.5 m along or 0.5 m aside of it.
-        following: of the squared lack of distance to cars ahead [1/(10 m)^2]: of 2 m, 1 s, and what it takes to brake
-            to their speed by 3 m/s^2.
-    """
-
-    speed: Scalar = 0.1
-    excess: Scalar = 0.4
-    lateral: Scalar = 1.0
-    heading: Scalar = 10.0
-    acceleration: Scalar = 0.02
-    jerk: Scalar = 0.01
-    edges: Scalar = 50.0
-    collision: Scalar = 100.0
-    following: Scalar = 10.0
