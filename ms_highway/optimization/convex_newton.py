@@ -6,18 +6,21 @@ top of the parabola with the slopes at both of its ends, which float32 resolves 
 Nothing is chosen among candidates: plans from starts that differ little differ little.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
-from jaxtyping import Float
+from jaxtyping import Float, PyTree
 
 from ms_highway.optimization.objective import Objective
-from ms_highway.runtime.arrays import Controls, Matrix, Scalar, Vector, unrolled_sum
+from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, Vector, unrolled_sum
 
-STEPS = 4
-"""Usual number of steps of a plan."""
+Point = TypeVar("Point", bound=PyTree)
+
+STEPS = 8
+"""Usual number of steps of a plan at most, see `until_still`."""
 
 EASE = 5.0
 """Usual ease of a planner, see `ms_highway.optimization.solvers.Planner`: braking by 4 m/s^2 costs 0.04 per step.
@@ -33,6 +36,8 @@ a damping of 2, within 1.1 mm with 1.5 and within 1.5 mm with 1 (95 % of 100). W
 150 of 150 starts reach the lane with 2, 299 of 300 with the others."""
 
 LONGEST = 1.0  # norm of a step [scaled controls]: full braking for two seconds
+STILL = 1e-3  # norm of a step that is not worth taking [scaled controls]
+LEAST_PART = 0.1  # of a step, where it is hardly longer than that
 LEAST_SHARE = 0.05  # of a step
 
 
@@ -110,11 +115,39 @@ def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
     return objective.bounded(controls + share(local.gradient @ step.ravel(), after) * whole)
 
 
-def convex_newton_steps(objective: Objective, start: Controls, steps: int = STEPS) -> Controls:
-    """Improve controls by some steps, see `improve`."""
-    return jax.lax.fori_loop(
-        0,
-        steps,
-        lambda _, controls: improve(objective, controls, expand(objective, controls)),
+def convex_newton_steps(objective: Objective, start: Controls, steps: Index = STEPS) -> Controls:
+    """Improve controls by some steps at most, see `improve` and `until_still`."""
+    return until_still(
+        lambda controls: improve(objective, controls, expand(objective, controls)),
         objective.bounded(start),
+        steps,
+        lambda controls: controls,
     )
+
+
+def until_still(step: Callable[[Point], Point], start: Point, most: Index, moving: Callable[[Point], Any]) -> Point:
+    """Repeat a step until it hardly moves anything.
+
+    A step whose norm is between `STILL` and twice that is taken in part, a shorter one not at all: where another start
+    needs one step more or less, it ends in nearly the same point.
+
+    Args:
+        step: returns the next point.
+        start: first point.
+        most: number of steps at most.
+        moving: returns the controls of a point, by whose change steps are measured.
+    """
+
+    def go(now: tuple[Point, Scalar, Index]) -> tuple[Point, Scalar, Index]:
+        point, _, count = now
+        after = step(point)
+        gone = jax.tree.map(jnp.subtract, after, point)
+        norm = jnp.sqrt(sum(jnp.sum(part**2) for part in jax.tree.leaves(moving(gone))))
+        part = jnp.clip(norm / STILL - 1, 0.0, 1.0)
+        return jax.tree.map(lambda here, way: here + part * way, point, gone), part, count + 1
+
+    def goes_on(now: tuple[Point, Scalar, Index]) -> Flag:
+        _, part, count = now
+        return (part > LEAST_PART) & (count < most)
+
+    return jax.lax.while_loop(goes_on, go, (start, jnp.ones(()), jnp.zeros((), int)))[0]

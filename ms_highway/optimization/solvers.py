@@ -31,7 +31,7 @@ class Planner:
         step_size: length of a gradient step per unit of gradient.
         horizon: number of planned controls, K in the paper (static).
         iterations: number of gradient steps (static).
-        newton_steps: number of steps of the solver for seconds (static).
+        newton_steps: number of steps of the solver for seconds at most (static).
         ease: what plans for seconds pay, beside their reward, per squared scaled control that does not keep the
             velocity, so that they do not follow every bump of the reward at once; less for steering at low speed, see
             `ms_highway.game.game.discomfort`.

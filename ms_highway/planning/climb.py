@@ -25,7 +25,7 @@ from ms_highway.game.game import (
     swap_roles,
     trajectory_reward,
 )
-from ms_highway.optimization.convex_newton import Local, convex_newton_steps, expand, improve, share
+from ms_highway.optimization.convex_newton import Local, convex_newton_steps, expand, improve, share, until_still
 from ms_highway.optimization.objective import Objective
 from ms_highway.optimization.second_derivatives import response
 from ms_highway.optimization.solvers import projected_ascent
@@ -173,7 +173,7 @@ def _newton_steps(who: Answering, start: Plan, steps: Any) -> Plan:
 
     def among_answers() -> Plan:
         first = start._replace(robot=bounded(game, state[0], begin)), humans
-        return jax.lax.fori_loop(0, steps, lambda _, now: _newton_step(who, *now), first)[0]
+        return until_still(lambda now: _newton_step(who, *now), first, steps, lambda now: now[0])[0]
 
     def among_predictions() -> Plan:
         return start._replace(robot=convex_newton_steps(driving(game, state[0], state, humans), begin, steps))

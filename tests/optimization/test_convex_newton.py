@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.optimization.convex_newton import LEAST_SHARE, convex_newton_steps, share
+from ms_highway.optimization.convex_newton import LEAST_PART, LEAST_SHARE, STILL, convex_newton_steps, share, until_still
 from ms_highway.optimization.objective import Objective
 
 PATH = jnp.asarray(np.random.default_rng(0).normal(size=(1, 6, 12)) / 3)
@@ -82,3 +82,16 @@ def test_steps_into_what_is_not_finite_are_short_and_out_of_it_none_so_that_a_pl
     assert share(jnp.float32(1.0), jnp.float32(jnp.nan)) == jnp.float32(LEAST_SHARE)
     lost = objective(lambda path: jnp.sum(path) * jnp.nan)
     assert np.isnan(convex_newton_steps(lost, jnp.zeros((6, 2)))).all()
+
+
+def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_changes_nearly_nothing():
+    def rest(start, most=50, left=0.3):
+        return until_still(lambda point: left * point, jnp.float32(start), most, lambda point: point)
+
+    starts = np.geomspace(0.01, 1.0, 4001, dtype=np.float32)
+    ends = np.asarray(jax.jit(jax.vmap(rest))(starts))
+    assert ends.max() < 2 * STILL / 0.7
+    assert np.abs(np.diff(ends)).max() < 2 * LEAST_PART * STILL
+    assert rest(1.0, most=2) == pytest.approx(0.09)
+    assert rest(0.5 * STILL) == pytest.approx(0.5 * STILL)  # not worth a step
+    assert np.isnan(rest(1.0, left=np.nan))
