@@ -8,7 +8,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float, PyTree
 
-from ms_highway.optimization.convex_newton import STEPS, convex_newton_steps
+from ms_highway.optimization.convex_newton import ANSWERED_STEPS, STEPS, convex_newton_steps
 from ms_highway.optimization.newton import newton_steps
 from ms_highway.optimization.objective import Objective
 from ms_highway.runtime.arrays import Control, Controls, Scalar
@@ -32,6 +32,7 @@ class Planner:
         horizon: number of planned controls, K in the paper (static).
         iterations: number of gradient steps (static).
         newton_steps: number of steps of the solver for seconds at most (static).
+        answered_steps: the same where humans answer each of them (static).
         ease: what plans for seconds pay, beside their reward, per squared scaled control that does not keep the
             velocity, so that they do not follow every bump of the reward at once; less for steering at low speed, see
             `ms_highway.game.game.discomfort`.
@@ -48,6 +49,7 @@ class Planner:
     horizon: int = field(default=5, metadata={"static": True})
     iterations: int = field(default=20, metadata={"static": True})
     newton_steps: int = field(default=STEPS, metadata={"static": True})
+    answered_steps: int = field(default=ANSWERED_STEPS, metadata={"static": True})
     solver: Solver = field(default="gradient", metadata={"static": True})
     persistent: bool = field(default=False, metadata={"static": True})
 

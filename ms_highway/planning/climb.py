@@ -121,12 +121,11 @@ def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
     Args:
         who: the situation.
         start: scaled plan; humans who do not answer keep to it.
-        steps: their number, the planner's by default.
+        steps: their number, those of the planner by default.
     """
     planner, limit = who.game.planner, partial(within_limits, who.game, who.state)
     if not planner.for_seconds:
         return projected_ascent(planner, partial(_direction, who), start, limit, steps)
-    steps = planner.newton_steps if steps is None else steps
     return _newton_steps(who, limit(start), steps)
 
 
@@ -167,16 +166,17 @@ def _newton_steps(who: Answering, start: Plan, steps: Any) -> Plan:
 
     Humans who do not answer are moved only once.
     """
-    game, state = who.game, who.state
+    game, state, planner = who.game, who.state, who.game.planner
+    alone, answered = (planner.newton_steps, planner.answered_steps) if steps is None else (steps, steps)
     humans = move_all(game, state[1 : 1 + game.number], start.humans)
     begin = best_start(game, state, start.robot, humans)
 
     def among_answers() -> Plan:
         first = start._replace(robot=bounded(game, state[0], begin)), humans
-        return until_still(lambda now: _newton_step(who, *now), first, steps, lambda now: now[0])[0]
+        return until_still(lambda now: _newton_step(who, *now), first, answered, lambda now: now[0])[0]
 
     def among_predictions() -> Plan:
-        return start._replace(robot=convex_newton_steps(driving(game, state[0], state, humans), begin, steps))
+        return start._replace(robot=convex_newton_steps(driving(game, state[0], state, humans), begin, alone))
 
     if who.order is None:
         return among_answers()

@@ -76,7 +76,7 @@ class Effort:
         if self.steps is None:
             return game
         if game.planner.for_seconds:
-            return replace(game, planner=replace(game.planner, newton_steps=self.steps))
+            return replace(game, planner=replace(game.planner, newton_steps=self.steps, answered_steps=self.steps))
         longest = longest_traced_step(game.planner.horizon, game.dynamics.time_step)
         length = jnp.minimum(LENGTH, SHARE * longest)
         return replace(game, planner=replace(game.planner, iterations=self.steps, step_size=length, solver="gradient"))

@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.optimization.convex_newton import LEAST_PART, LEAST_SHARE, STILL, convex_newton_steps, share, until_still
+from ms_highway.optimization.convex_newton import (
+    LEAST_PART,
+    LEAST_SHARE,
+    STILL,
+    convex_newton_steps,
+    share,
+    until_still,
+)
 from ms_highway.optimization.objective import Objective
 
 PATH = jnp.asarray(np.random.default_rng(0).normal(size=(1, 6, 12)) / 3)
