@@ -16,9 +16,10 @@ from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings,
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
 from ms_highway.metareasoning.rule import PUBLISHED_COSTS, SHIPPED_COSTS
+from ms_highway.optimization.convex_newton import ANSWERED_STEPS, STEPS
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.effort import seconds_of
+from ms_highway.planning.effort import base_of, seconds_of
 from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
 
 HUMAN_REWARDS = {"paper": "learned", "released": "published"}
@@ -125,10 +126,14 @@ class Settings(Struct, frozen=True):
         named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS}
         given = named[self.costs] if isinstance(self.costs, str) else self.costs
         others = map(human_model, self.controller.names()) if isinstance(self.controller, OrderSettings) else ()
-        known = {
-            model.name: seconds_of(model, given, gradient_steps(self.planning)[0]) for model in (*others, *self.models)
-        }
+        known = {model.name: seconds_of(model, given, self._steps(model)) for model in (*others, *self.models)}
         return {**given, **{name: seconds for name, seconds in known.items() if seconds is not None}}
+
+    def _steps(self, model: HumanModel) -> int:
+        """Return how many steps a model's plans take where it says nothing of its own."""
+        if self.solver != "convex_newton":
+            return gradient_steps(self.planning)[0]
+        return ANSWERED_STEPS if base_of(model).responds else STEPS
 
     def start(self, costs: Costs, steps: int, random: np.random.Generator) -> Start:
         """Return what a rule is built from: the costs of plans on the ladder, an episode's steps, and what draws."""

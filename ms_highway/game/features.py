@@ -154,7 +154,7 @@ def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, 
 def depth_off_road(scene: Scene, car: Motion, smooth: bool = False) -> Times:
     """Return the distance d of the outermost corner beyond the edge of the road, 0 on the road [m].
 
-    If it is to be smooth, its `soft_positive` instead.
+    If it is to be smooth, its `soft_positive` with `SOFT_EDGE` instead.
     """
     length, width = scene.car_size
     slant = jnp.sqrt(car.sine**2 + SOFT_SLANT**2) - SOFT_SLANT if smooth else jnp.abs(car.sine)

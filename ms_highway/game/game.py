@@ -79,9 +79,9 @@ class Game:
 
     @property
     def braking(self) -> Scalar | None:
-        """Deceleration by which the robot's plans for seconds keep room to stop before obstacles; None for others."""
+        """Deceleration by which plans for seconds keep room to stop before obstacles; None for others."""
         planner = self.planner
-        if not (planner.for_seconds and planner.persistent) or len(self.scene.obstacles) == 0:
+        if not planner.for_seconds or len(self.scene.obstacles) == 0:
             return None
         limit = jnp.asarray(planner.control_limit)[1]
         return limit if planner.grip is None else jnp.minimum(limit, jnp.asarray(planner.grip))
@@ -211,7 +211,7 @@ def trajectory_reward(game: Game, state: State, own: Trajectory, others: Traject
 def step_rewards(game: Game, state: State, own: Trajectory, others: Trajectories) -> Float[Any, "steps"]:
     """Compute car 0's reward after each step.
 
-    For horizons of seconds it is the smooth one, and the robot pays for leaving no room to stop before obstacles:
+    For horizons of seconds it is the smooth one, and the car pays for leaving no room to stop before obstacles:
     `ms_highway.game.stopping.stopping_cost`, at the price of a collision.
     """
     motion, others = Motion(*own), around(game, state, others)

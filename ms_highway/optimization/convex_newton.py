@@ -40,7 +40,7 @@ are within 1.1 mm of each other two seconds later with a damping of 1.5, within 
 
 LONGEST = 1.0  # norm of a step [scaled controls]: full braking for two seconds
 STILL = 1e-3  # norm of a step that is not worth taking [scaled controls]
-LEAST_PART = 0.1  # of a step, where it is hardly longer than that
+LEAST_PART = 0.1  # of a step that is taken, up to which it is the last one
 LEAST_SHARE = 0.05  # of a step
 
 
@@ -147,7 +147,11 @@ def until_still(step: Callable[[Point], Point], start: Point, most: Index, movin
         gone = jax.tree.map(jnp.subtract, after, point)
         norm = jnp.sqrt(sum(jnp.sum(part**2) for part in jax.tree.leaves(moving(gone))))
         part = jnp.clip(norm / STILL - 1, 0.0, 1.0)
-        return jax.tree.map(lambda here, way: here + part * way, point, gone), part, count + 1
+        return (
+            jax.tree.map(lambda a, b, way: jnp.where(part < 1, a + part * way, b), point, after, gone),
+            part,
+            count + 1,
+        )
 
     def goes_on(now: tuple[Point, Scalar, Index]) -> Flag:
         _, part, count = now

@@ -2,18 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Float, PyTree
+from jaxtyping import Float
 
-from ms_highway.optimization.convex_newton import ANSWERED_STEPS, STEPS, convex_newton_steps
+from ms_highway.optimization.convex_newton import ANSWERED_STEPS, STEPS, Point, convex_newton_steps
 from ms_highway.optimization.newton import newton_steps
 from ms_highway.optimization.objective import Objective
 from ms_highway.runtime.arrays import Control, Controls, Scalar
 
-Point = TypeVar("Point", bound=PyTree)
 Solver: TypeAlias = Literal["gradient", "newton", "convex_newton"]
 
 

@@ -110,7 +110,7 @@ class _Path(NamedTuple):
         return pushed.ravel() @ jacobian.reshape(pushed.size, -1)
 
 
-def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
+def climb(who: Answering, start: Plan, steps: tuple[Index, Index] | None = None) -> Plan:
     """Improve the robot's controls and those of the humans who answer.
 
     * The planner's solver ``gradient`` (and ``newton``): the paper's joint gradient steps.
@@ -121,11 +121,11 @@ def climb(who: Answering, start: Plan, steps: Any = None) -> Plan:
     Args:
         who: the situation.
         start: scaled plan; humans who do not answer keep to it.
-        steps: their number, those of the planner by default.
+        steps: their number, at most, without answers and with; those of the planner by default.
     """
     planner, limit = who.game.planner, partial(within_limits, who.game, who.state)
     if not planner.for_seconds:
-        return projected_ascent(planner, partial(_direction, who), start, limit, steps)
+        return projected_ascent(planner, partial(_direction, who), start, limit, None if steps is None else steps[0])
     return _newton_steps(who, limit(start), steps)
 
 
@@ -161,13 +161,13 @@ class _Answers(NamedTuple):
     humans: HumansControls  # improved
 
 
-def _newton_steps(who: Answering, start: Plan, steps: Any) -> Plan:
+def _newton_steps(who: Answering, start: Plan, steps: tuple[Index, Index] | None) -> Plan:
     """Take steps of the robot and of the humans who answer it; if nobody does, of the robot alone.
 
     Humans who do not answer are moved only once.
     """
     game, state, planner = who.game, who.state, who.game.planner
-    alone, answered = (planner.newton_steps, planner.answered_steps) if steps is None else (steps, steps)
+    alone, answered = steps or (planner.newton_steps, planner.answered_steps)
     humans = move_all(game, state[1 : 1 + game.number], start.humans)
     begin = best_start(game, state, start.robot, humans)
 

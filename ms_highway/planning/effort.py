@@ -41,8 +41,8 @@ class Effort:
     Steps that are counted are gradient steps, whatever the planner's solver and step size, and as long as is safe: 0.1,
     or `ms_highway.game.planning_settings.SHARE` of the longest where that is shorter, as it is from K = 6 on at 0.1 s.
     What a plan earns depends on the length of all its steps together: 6 of them earn what the paper's 20 of 0.03 earn,
-    and more of them earn more. Under the solver ``convex_newton``, its own steps are counted. Among several humans, a
-    plan takes as many of the planner's steps as the most that a model in use asks for.
+    and more of them earn more. Under the solver ``convex_newton``, its own steps are counted. Among several humans, see
+    `ms_highway.planning.several.most_steps`.
 
     Attributes:
         model: human model that plans.
@@ -108,7 +108,7 @@ def parse(name: object, models: Mapping[str, "HumanModel"]) -> "HumanModel | Non
     return Effort(model, steps or None, warm) if steps or warm else model
 
 
-def seconds_of(model: "HumanModel", costs: Mapping[str, float], iterations: int) -> float | None:
+def seconds_of(model: "HumanModel", costs: Mapping[str, float], usual: int) -> float | None:
     """Return T(M) of a model [s]; None where it does not follow from the costs.
 
     It is what the costs say for the model's name, or else for its name without ``+warm``, as a start costs nothing; or
@@ -117,7 +117,7 @@ def seconds_of(model: "HumanModel", costs: Mapping[str, float], iterations: int)
     Args:
         model: human model, with or without an effort.
         costs: T(M) by name [s].
-        iterations: number of gradient steps of models without one.
+        usual: number of steps of the model without an effort.
     """
     if model.name in costs or not isinstance(model, Effort):
         return costs.get(model.name)
@@ -125,4 +125,4 @@ def seconds_of(model: "HumanModel", costs: Mapping[str, float], iterations: int)
     if cold in costs:
         return costs[cold]
     base = costs.get(model.model.name)
-    return None if base is None or model.steps is None else base * model.steps / iterations
+    return None if base is None or model.steps is None else base * model.steps / usual

@@ -43,8 +43,8 @@ def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rung
     """Plan with a rung for each of several humans.
 
     A loop over the humans under each rung takes as many rounds as there are: the time of a plan is additive in the
-    models, and one compiled function plans under all assignments. Where rungs ask for different efforts, the plan takes
-    as many steps as the most of them.
+    models, and one compiled function plans under all assignments. See `most_steps` for how
+    many steps it takes.
     """
     bases = [base_of(model) for model in ladder]
     answers = np.array([type(base) is TheoryOfMind for base in bases])
@@ -55,7 +55,7 @@ def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rung
     responding = jnp.asarray(answers)[rungs]
     who = Answering(game, state, jnp.argsort(~responding, stable=True), jnp.sum(responding))
     first = Plan(start.robot, jnp.where(responding[:, None, None], start.humans, expected))
-    return climb(who, first, _most_steps(ladder, game, rungs))
+    return climb(who, first, most_steps(ladder, game, rungs))
 
 
 def _predict(
@@ -71,9 +71,16 @@ def _predict(
     return for_each(rungs == rung, predict, expected)
 
 
-def _most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> Index | None:
-    """Return the most steps that a rung in use asks for; None if all ask for the planner's."""
-    planner = game.planner
-    usual = planner.newton_steps if planner.for_seconds else planner.iterations
-    steps = [model.steps or usual if isinstance(model, Effort) else usual for model in ladder]
-    return None if set(steps) == {usual} else jnp.asarray(steps)[rungs].max()
+def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tuple[Index, Index] | None:
+    """Return the most steps that rungs in use ask for, without answers and with; None if all ask for the planner's.
+
+    Only theory of mind counts for steps that are answered.
+    """
+    planner, counted = game.planner, [model.steps if isinstance(model, Effort) else None for model in ladder]
+    if not any(counted):
+        return None
+    answers = [type(base_of(model)) is TheoryOfMind for model in ladder]
+    steps = planner.newton_steps if planner.for_seconds else planner.iterations
+    alone = jnp.asarray([own or steps for own in counted])
+    answered = [own or planner.answered_steps for own in counted] if planner.for_seconds else alone
+    return alone[rungs].max(), jnp.where(jnp.asarray(answers), jnp.asarray(answered), 0)[rungs].max()

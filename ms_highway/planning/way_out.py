@@ -1,4 +1,4 @@
-"""Keep a way out: a control is executed only if, after it, the robot can still escape from humans who do not yield.
+"""Keep a way out: a control is executed only if no escape from humans who do not yield is better than those after it.
 
 Theory of mind counts on humans who answer; one who does not is hit. After a control, a way out is a simple manoeuvre,
 braking or speeding up in this lane or another, that collides with nobody if all others keep their velocity: passive
@@ -40,9 +40,9 @@ class Escape(NamedTuple):
 def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     """Return the best escape, and whether it replaces the robot's control, which leaves no way out as good.
 
-    The best of all manoeuvres collides latest; of those that do not collide, it keeps `MARGIN` to all others; of equal
-    ones, it earns most. The control with what can follow it and the escapes are looked at over the same `ESCAPE_STEPS`
-    from now on.
+    Of all manoeuvres, the best escape is the one that collides latest; among those that never collide, one that keeps
+    `MARGIN` to all others is better; of equals, the one that earns most. The control, with the best that can follow it,
+    is looked at over the same `ESCAPE_STEPS` from now on as the escapes, and stays where it is as good.
 
     Args:
         game: of the robot.
@@ -63,7 +63,7 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
 
 
 def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Index:
-    """Return the steps until a car collides on its way, one more if it keeps the margin to all others and obstacles."""
+    """Return the number of steps before a car collides on its way, one more if it keeps the margin to everything."""
     scene, own = game.scene, observe(way)
     wider = replace(
         scene,

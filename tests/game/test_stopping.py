@@ -10,7 +10,7 @@ from jax import numpy as jnp
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.game import move, swap_roles, trajectory_curvature, trajectory_reward
 from ms_highway.game.scenario import GRIP, build_game
-from ms_highway.game.scenarios import DENSE_MERGE
+from ms_highway.game.scenarios import DENSE_MERGE, STAY_BACK
 from ms_highway.game.stopping import ASIDE, ROOM, stopping_cost, stopping_curvature
 from ms_highway.planning.human_models import Naive
 from ms_highway.planning.several import plan_for
@@ -80,9 +80,10 @@ def test_plans_count_on_the_braking_that_their_limits_allow(grip, limit):
     assert replace(GAME, planner=planner).braking == min(limit, np.inf if grip is None else grip)
 
 
-def test_only_plans_for_seconds_of_a_robot_before_obstacles_keep_room():
+def test_only_plans_for_seconds_where_there_are_obstacles_keep_room():
     assert build_game(DENSE_MERGE, solver="gradient", humans=3).braking is None
-    assert swap_roles(GAME).braking is None
+    assert swap_roles(GAME).braking == GAME.braking  # humans with the published reward pay, too
+    assert build_game(STAY_BACK, solver="convex_newton", grip=5.0).braking == 5.0
     assert replace(GAME, scene=replace(SCENE, obstacles=np.zeros((0, 2)))).braking is None
 
 
@@ -95,9 +96,10 @@ def test_without_a_limit_of_braking_only_the_gap_counts():
 def test_reward_and_curvature_of_a_plan_hold_the_cost_at_the_price_of_a_collision():
     state = jnp.asarray([[STOP - 38.0, 0.0, 0.0, SPEED], *[[300.0 + place, -3.3, 0.0, SPEED] for place in (0, 9, 18)]])
     own, nobody = motion(STOP - 20.0), jnp.zeros((0, 5, STEPS))
-    free = replace(GAME, planner=replace(GAME.planner, persistent=False))
     price = 100 * float(stopping_cost(GAME.scene, GRIP, own).sum())
     assert price > 10.0
+    weights = GAME.robot.weights * (np.array(GAME.robot.names) != "collision")
+    free = replace(GAME, robot=replace(GAME.robot, weights=weights))
     paid, free_of_it = (trajectory_reward(game, state, jnp.stack(own), nobody) for game in (GAME, free))
     assert paid - free_of_it == pytest.approx(-price, rel=1e-3)
     bent, straight = (trajectory_curvature(game, state, jnp.stack(own), nobody) for game in (GAME, free))

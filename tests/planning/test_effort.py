@@ -131,6 +131,9 @@ def test_costs_are_those_given_or_proportional_to_the_steps():
     assert published["tom@8"] == published["tom@8+warm"] == pytest.approx(0.37 * 8 / 20)
     assert published["tom+warm"] == published["tom"] == 0.37
     assert costs("published", "tom@8", iterations=40)["tom@8"] == pytest.approx(0.37 * 8 / 40)
+    of_seconds = costs("published", "naive@4", "tom@8", solver="convex_newton")  # whose steps are 8, and 4 if answered
+    assert of_seconds["naive@4"] == pytest.approx(0.09 / 2)
+    assert of_seconds["tom@8"] == pytest.approx(0.37 * 2)
     given = costs({"naive": 0.1, "tom": 0.4, "tom@8": 0.3}, "naive", "tom@4", "tom@8+warm")
     assert given["tom@4"] == pytest.approx(0.08)
     assert given["tom@8+warm"] == 0.3

@@ -15,7 +15,7 @@ from ms_highway.planning.climb import _Path
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state, measure_costs, plan_function
 from ms_highway.planning.human_models import MODELS, Turn, ladder
 from ms_highway.planning.plans import cold_start, plan_against
-from ms_highway.planning.several import plan_for
+from ms_highway.planning.several import most_steps, plan_for
 from ms_highway.runtime.compilation import jit_quickly
 
 FAR = 2000.0  # m
@@ -106,6 +106,22 @@ def test_a_plan_takes_as_many_steps_as_the_most_that_a_rung_in_use_asks_for(thre
     full, brief, mixed = (plans.plan(state, rungs)[0].robot for rungs in ([TOM] * 3, [BRIEF] * 3, [TOM, BRIEF, BRIEF]))
     np.testing.assert_allclose(mixed, full, atol=1e-6)
     assert abs(brief - full).max() > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("names", "rungs", "steps"),
+    [
+        ("naive tom", [1, 1, 0], None),
+        ("naive tom@8", [1, 0, 0], (8, 8)),
+        ("naive tom@6", [1, 0, 0], (8, 6)),
+        ("naive tom@2 tom", [2, 2, 2], (8, 4)),
+        ("naive tom@2 tom", [1, 0, 1], (8, 2)),
+        ("naive@2 naive@12 tom", [0, 1, 0], (12, 0)),  # nobody answers
+    ],
+)
+def test_answers_limit_the_steps_of_a_plan_unless_a_rung_in_use_asks_for_a_number(three, names, rungs, steps):
+    found = most_steps(ladder(names.split()), three[0], np.array(rungs))
+    assert (found and tuple(map(int, found))) == steps
 
 
 def test_plans_start_from_zero_controls_or_at_once_from_keeping_the_velocity(three, plans):

@@ -85,13 +85,9 @@ class Commuter:
         return jax.lax.fori_loop(0, STEPS, lambda _, scaled: self.improved(scaled), first)
 
     def improved(self, scaled: Vector) -> Vector:
-        """Return accelerations after a damped Newton step."""
+        """Return accelerations after the share of a damped Newton step that earns most."""
         gradient, hessian = self.expand(scaled)
-        return self.toward(scaled, damped_solve(damped_factor(hessian), gradient))
-
-    def toward(self, scaled: Vector, step: Vector) -> Vector:
-        """Return accelerations after the share of a step that earns most."""
-        return self._best_of(scaled + SHARES[:, None] * step)
+        return self._best_of(scaled + SHARES[:, None] * damped_solve(damped_factor(hessian), gradient))
 
     def _best_of(self, candidates: Steps) -> Vector:
         held = self.held(candidates)
