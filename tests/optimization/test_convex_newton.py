@@ -99,6 +99,17 @@ def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_changes_ne
     ends = np.asarray(jax.jit(jax.vmap(rest))(starts))
     assert ends.max() < 2 * STILL / 0.7
     assert np.abs(np.diff(ends)).max() < 2 * LEAST_PART * STILL
-    assert rest(1.0, most=2) == pytest.approx(0.09)
+    np.testing.assert_array_equal(ends[::1000], [rest(start) for start in starts[::1000]])
+    assert rest(1.0, most=jnp.int32(2)) == pytest.approx(0.09)
     assert rest(0.5 * STILL) == pytest.approx(0.5 * STILL)  # not worth a step
     assert np.isnan(rest(1.0, left=np.nan))
+
+
+def test_steps_end_exactly_on_their_limits_and_carry_what_does_not_count():
+    def step(point):
+        controls, count = point
+        return jnp.minimum(controls + 0.1, jnp.float32(0.24)), count + 1
+
+    controls, count = until_still(step, (jnp.linspace(-0.1, 0.2, 7), jnp.float32(0)), 50, lambda point: point[0])
+    np.testing.assert_array_equal(controls, np.float32(0.24))
+    assert count == 4  # the fifth moves nothing

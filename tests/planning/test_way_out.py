@@ -90,7 +90,16 @@ def test_the_controls_of_an_escape_are_those_that_avoid_the_collision(game, esca
         assert not collides(game, state)
 
 
-def test_where_nothing_is_free_of_collisions_the_robot_does_what_collides_latest(game, escape):
+def test_a_robot_that_cannot_get_away_from_who_comes_up_behind_speeds_up(game, escape):
+    state = beside(game, [-12.0, 0.0, 8.0]).at[1, 1].set(0.0).at[1, 3].set(30.0)
+    steady = keep_velocity(game.dynamics, state[0]) / np.asarray(game.planner.control_scale)
+    found = escape(state, steady)
+    assert bool(found.replaces)
+    assert found.controls[0, 1] > steady[1]
+    assert not escape(state, found.controls[0]).replaces  # one that is as good stays
+
+
+def test_a_robot_that_cannot_stop_before_the_cones_brakes_as_hard_as_it_can(game, escape):
     cones = float(game.scene.obstacles[:, 0].min())
     state = beside(game, [-8.0, 0.0, 8.0]).at[:, 0].add(cones - 20.0)
     scale, steady = np.asarray(game.planner.control_scale), np.asarray(keep_velocity(game.dynamics, state[0]))
