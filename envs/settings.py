@@ -19,7 +19,7 @@ from ms_highway.metareasoning.rule import PUBLISHED_COSTS, SHIPPED_COSTS
 from ms_highway.optimization.convex_newton import ANSWERED_STEPS, STEPS
 from ms_highway.optimization.solvers import Solver
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.effort import base_of, seconds_of
+from ms_highway.planning.effort import seconds_of
 from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
 
 HUMAN_REWARDS = {"paper": "learned", "released": "published"}
@@ -133,7 +133,7 @@ class Settings(Struct, frozen=True):
         """Return how many steps a model's plans take where it says nothing of its own."""
         if self.solver != "convex_newton":
             return gradient_steps(self.planning)[0]
-        return ANSWERED_STEPS if base_of(model).responds else STEPS
+        return ANSWERED_STEPS if model.responds else STEPS
 
     def start(self, costs: Costs, steps: int, random: np.random.Generator) -> Start:
         """Return what a rule is built from: the costs of plans on the ladder, an episode's steps, and what draws."""

@@ -23,8 +23,7 @@ plans that were not ready within a budget. Choices count the time of models at w
 Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, turn, tom); with
 +traits, the desired speed and headway of each car are estimated, with +belief, the model that its driver follows (such
 as priced+traits+belief). Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and
-lane; random, which chooses the environment's actions by chance. Drivers above 10 m/s^2 are
-labelled unphysical."""
+lane; random, which chooses the environment's actions by chance. Drivers above 10 m/s^2 are labelled unphysical."""
 
 EXAMPLES = """\
 examples:

@@ -57,6 +57,11 @@ class Planner:
         """Whether the solver is made for horizons of seconds, and climbs a reward whose jumps are smooth."""
         return self.solver == "convex_newton"
 
+    @property
+    def steps(self) -> tuple[int, int]:
+        """Numbers of steps of a plan, at most: where no human answers it, and where some do."""
+        return (self.newton_steps, self.answered_steps) if self.for_seconds else (self.iterations, self.iterations)
+
 
 def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[jax.Array, "*batch 2"]:
     """Clip scaled controls to ``control_limit``; for all limits see `ms_highway.game.game.bounded`."""

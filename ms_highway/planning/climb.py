@@ -124,9 +124,10 @@ def climb(who: Answering, start: Plan, steps: tuple[Index, Index] | None = None)
         steps: their number, at most, without answers and with; those of the planner by default.
     """
     planner, limit = who.game.planner, partial(within_limits, who.game, who.state)
+    alone, answered = steps or planner.steps
     if not planner.for_seconds:
-        return projected_ascent(planner, partial(_direction, who), start, limit, None if steps is None else steps[0])
-    return _newton_steps(who, limit(start), steps)
+        return projected_ascent(planner, partial(_direction, who), start, limit, alone)
+    return _newton_steps(who, limit(start), alone, answered)
 
 
 def _put(values: HumansControls, human: Index, value: Controls) -> HumansControls:
@@ -161,13 +162,12 @@ class _Answers(NamedTuple):
     humans: HumansControls  # improved
 
 
-def _newton_steps(who: Answering, start: Plan, steps: tuple[Index, Index] | None) -> Plan:
+def _newton_steps(who: Answering, start: Plan, alone: Index, answered: Index) -> Plan:
     """Take steps of the robot and of the humans who answer it; if nobody does, of the robot alone.
 
     Humans who do not answer are moved only once.
     """
-    game, state, planner = who.game, who.state, who.game.planner
-    alone, answered = steps or (planner.newton_steps, planner.answered_steps)
+    game, state = who.game, who.state
     humans = move_all(game, state[1 : 1 + game.number], start.humans)
     begin = best_start(game, state, start.robot, humans)
 

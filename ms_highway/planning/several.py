@@ -1,6 +1,5 @@
 """Plan with a human model for each human: one compiled function for all assignments of models to several humans."""
 
-import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.game import Game, bounded, constant_velocity, pair
@@ -43,14 +42,12 @@ def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rung
     """Plan with a rung for each of several humans.
 
     A loop over the humans under each rung takes as many rounds as there are: the time of a plan is additive in the
-    models, and one compiled function plans under all assignments. See `most_steps` for how
-    many steps it takes.
+    models, and one compiled function plans under all assignments. See `most_steps` for how many steps it takes.
     """
-    bases = [base_of(model) for model in ladder]
-    answers = np.array([type(base) is TheoryOfMind for base in bases])
+    answers = _answers(ladder)
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
     for rung, model in enumerate(ladder):
-        if not answers[rung] and type(bases[rung]) is not Naive:
+        if not answers[rung] and type(base_of(model)) is not Naive:
             expected = _predict(model, rung, game, state, rungs, start, expected)
     responding = jnp.asarray(answers)[rungs]
     who = Answering(game, state, jnp.argsort(~responding, stable=True), jnp.sum(responding))
@@ -76,11 +73,17 @@ def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tupl
 
     Only theory of mind counts for steps that are answered.
     """
-    planner, counted = game.planner, [model.steps if isinstance(model, Effort) else None for model in ladder]
+    counted = [model.steps if isinstance(model, Effort) else None for model in ladder]
     if not any(counted):
         return None
-    answers = [type(base_of(model)) is TheoryOfMind for model in ladder]
-    steps = planner.newton_steps if planner.for_seconds else planner.iterations
-    alone = jnp.asarray([own or steps for own in counted])
-    answered = [own or planner.answered_steps for own in counted] if planner.for_seconds else alone
-    return alone[rungs].max(), jnp.where(jnp.asarray(answers), jnp.asarray(answered), 0)[rungs].max()
+    alone, answered = game.planner.steps
+    each = [
+        (own or alone, (own or answered) if answers else 0)
+        for own, answers in zip(counted, _answers(ladder), strict=True)
+    ]
+    return tuple(jnp.asarray(each)[rungs].max(axis=0))
+
+
+def _answers(ladder: tuple[HumanModel, ...]) -> list[bool]:
+    """Return under which of the models a human answers the robot's plan."""
+    return [type(base_of(model)) is TheoryOfMind for model in ladder]

@@ -74,7 +74,7 @@ def test_where_the_cost_begins_its_curvature_is_small(where):
     assert np.abs(near).max() < 0.02
 
 
-@pytest.mark.parametrize(("grip", "limit"), [(8.0, 8.0), (None, 8.0), (8.0, 3.0)])
+@pytest.mark.parametrize(("grip", "limit"), [(8.0, 8.0), (None, 8.0), (8.0, 3.0), (None, np.inf)])
 def test_plans_count_on_the_braking_that_their_limits_allow(grip, limit):
     planner = replace(GAME.planner, grip=grip, control_limit=np.array([0.2, limit], np.float32))
     assert replace(GAME, planner=planner).braking == min(limit, np.inf if grip is None else grip)
@@ -89,6 +89,7 @@ def test_only_plans_for_seconds_where_there_are_obstacles_keep_room():
 
 def test_without_a_limit_of_braking_only_the_gap_counts():
     slopes = jax.grad(lambda own: stopping_cost(SCENE, np.inf, Motion(*own)).sum())(jnp.stack(motion(STOP + 1.0)))
+    assert np.isfinite(slopes).all()
     assert slopes[0].any()
     assert not slopes[4].any()
 

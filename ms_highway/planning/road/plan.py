@@ -98,11 +98,7 @@ def worth_of_answers(scene: RoadScene, planning: RoadPlanning, weights: RoadWeig
 
 
 def plan_road(
-    scene: RoadScene,
-    planning: RoadPlanning,
-    weights: RoadWeights,
-    rungs: Places,
-    last: LastPlan,
+    scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, rungs: Places, last: LastPlan
 ) -> RoadPlan:
     """Plan with a model for each of the others.
 
@@ -128,7 +124,7 @@ def plan_road(
     best = jnp.argmax(few.scores.preference - UNSOUND * (collides & ~few.scores.broken))
     driven = few.driven
     predictions = jnp.swapaxes(driven.world[best, :, :2], 1, 2)
-    path = centres(scene, driven.states)[best, :3].T
+    path = centres(scene, driven.states[best])[:3].T
     return RoadPlan(driven.controls[best], path, predictions, numbers[best], few.scores.broken[best])
 
 
