@@ -64,7 +64,7 @@ add_rule(NearSettings)
 
 if __name__ == "__main__":
     common = {"ladder": ["coasting", "tom"], "costs": {"coasting": 0.09, "tom": 0.37}}
-    for scenario, own in {"merger": {}, "dense_merge": {"humans": 2, "horizon": 5}}.items():
+    for scenario, own in {"merger": {}, "dense_merge": {"humans": 2}}.items():
         config = {**common, **own, "controller": {"type": "near", "distance": 6}}
         env = gym.make(f"ms_highway:ms-highway/{scenario.replace('_', '-')}-v0", config=config)
         env.reset(seed=0)
