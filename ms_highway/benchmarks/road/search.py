@@ -11,10 +11,12 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from ms_highway.benchmarks.road.peers import Peer, route_to_goal
 from ms_highway.envs.road.driven import unheeded
-from ms_highway.envs.road.stock import desired_speed_of, replace_ego, success
+from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego, success
+from ms_highway.game.road import BEHIND, SPACING
+from ms_highway.planning.road.settings import CORNERING
 from ms_highway.vehicle.road_robot import RoadRobot
 
-SHARES = 0.0, 0.35, 0.6, 0.8, 1.0
+SHARES = 0.0, 0.3, 0.5, 0.67, 0.85, 1.0
 """Speeds that may be told, as shares of the desired one."""
 
 SECONDS = 1.0
@@ -25,6 +27,7 @@ KEPT = 16
 
 CELL = 3.0, 1.5, 1.5  # m, m, m/s: of x, y and speed; of the copies in one, the one that has earned most is kept
 LONGEST = 60.0  # s
+SLOWING = 2.5  # m/s^2, before bends
 
 
 class Choice(NamedTuple):
@@ -52,20 +55,32 @@ class Told(RoadRobot):
     speed_control = ControlledVehicle.speed_control
 
     def tell(self, choice: Choice, desired: float) -> None:
-        """Take a choice where the desired speed is this [m/s]."""
-        self.target_speed = choice.share * desired
+        """Take a choice where the desired speed is this [m/s]; bends ahead may allow less."""
+        self.target_speed = min(choice.share * desired, self._allowed())
         start, end, number = self.target_lane_index
         self.target_lane_index = start, end, number + choice.change
 
-    def choices(self) -> Iterator[Choice]:
-        """Yield what may be told now: each speed in its lane, and the usual one in those beside it."""
-        yield from map(Choice, SHARES)
+    def choices(self, desired: float) -> Iterator[Choice]:
+        """Yield what may be told now: each speed in its lane, and the desired one in those beside it.
+
+        Of the speeds that it cannot reach until the next choice, only the next ones count.
+        """
+        changes, most = np.array(SHARES) * desired - self.speed, self.grip * SECONDS
+        for share, change, slower, faster in zip(SHARES, changes, (-np.inf, *changes), (*changes[1:], np.inf), strict=False):
+            if faster > -most and slower < most:
+                yield Choice(share)
         start, end, number = self.target_lane_index
         for change in (-1, 1):
             if 0 <= number + change < len(self.road.network.graph[start][end]):
                 lane = self.road.network.get_lane((start, end, number + change))
                 if lane.is_reachable_from(self.position):
                     yield Choice(1.0, change)
+
+    def _allowed(self) -> float:
+        """Return the speed from which gentle braking, a choice later, suffices for all bends ahead."""
+        bends = np.maximum(np.abs(self.look().route.curvature[round(BEHIND / SPACING) :]), 1e-4)
+        left = np.maximum(SPACING * np.arange(len(bends)) - self.speed * SECONDS, 0.0)
+        return float(np.sqrt(CORNERING * self.grip / bends + 2 * SLOWING * left).min())
 
     def act(self, action: Any = None) -> None:
         """Go for the lane and the speed; actions are ignored."""
@@ -95,9 +110,13 @@ class Node(NamedTuple):
 
     @property
     def worth(self) -> tuple[bool, bool, int, float]:
-        """What ends are compared by: success, no crash, how long it lasted if it crashed, and what was earned."""
-        crashed = bool(self.ego.crashed)
-        return success(self.env) is not False and not crashed, not crashed, crashed * len(self.told), self.earned
+        """What ends are compared by: success, no crash, how long it lasted otherwise, and what was earned."""
+        return not self.failed and success(self.env) is not False, not self.failed, self.failed * len(self.told), self.earned
+
+    @property
+    def failed(self) -> bool:
+        """Whether the car has crashed or left the road."""
+        return bool(self.ego.crashed or not self.ego.on_road)
 
     def after(self, choice: Choice, desired: float) -> "Node":
         """Return the node that a choice leads to."""
@@ -107,9 +126,10 @@ class Node(NamedTuple):
             _, reward, terminated, truncated, _ = env.step(unheeded(env.action_type))
             earned += float(reward)
             ended = terminated or truncated or env.time >= max(LONGEST, env.config.get("duration", 0.0))
-            if ended:
+            if ended or not env.vehicle.on_road:
                 break
-        return Node(env, earned, (*self.told, choice), bool(ended))
+        node = Node(env, earned, (*self.told, choice), bool(ended))
+        return node._replace(ended=node.ended or node.failed)
 
 
 def copied(env: Any) -> Any:
@@ -127,7 +147,7 @@ def best_choices(env: Any, desired: float) -> tuple[Choice, ...]:
     """
     now, ends = [Node(env)], list[Node]()
     while now:
-        after = [node.after(choice, desired) for node in now for choice in node.ego.choices()]
+        after = [node.after(choice, desired) for node in now for choice in node.ego.choices(desired)]
         ends += [node for node in after if node.ended]
         cells: dict[tuple[int, ...], Node] = {}
         for node in sorted((node for node in after if not node.ended), key=lambda node: node.earned):
@@ -147,7 +167,7 @@ class Search(Peer):
         desired = desired_speed_of(self.inner)
         told = replace_ego(self.env, lambda old: Told(old.road, old.position, old.heading, old.speed))
         told.route = route_to_goal(self.inner) or told.route
-        told.target_lane_index = told.lane_index
+        told.goal, told.target_lane_index = destination_of(self.inner), told.lane_index
         self.desired, self.left = desired, iter(best_choices(self.inner, desired))
         self.every, self.steps = max(1, round(SECONDS * self.inner.config["policy_frequency"])), 0
 
