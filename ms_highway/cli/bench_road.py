@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ms_highway.benchmarks.road import DRIVERS, SCENES, TRAFFIC, known_scenes
+from ms_highway.benchmarks.road import DRIVERS, SCENES, SEARCH, TRAFFIC, known_scenes
 from ms_highway.cli.console import add_command, count_episodes, draw_unseen, print_tables
 from ms_highway.cli.options import MOST_PROCESSES, MOST_SEEDS, add_number
 
@@ -23,13 +23,19 @@ plans that were not ready within a budget. Choices count the time of models at w
 Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, turn, tom); with
 +traits, the desired speed and headway of each car are estimated, with +belief, the model that its driver follows (such
 as priced+traits+belief). Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and
-lane; random, which chooses the environment's actions by chance. Drivers above 10 m/s^2 are labelled unphysical."""
+lane; random, which chooses the environment's actions by chance; search, a beam search over copies of the environment
+that knows all that will happen, within the tyres of this package's drivers: a bound, privileged, about a minute for an
+episode. Drivers above 10 m/s^2 are labelled unphysical. Beside a search, or with --bound, the table says how far the
+others stay behind it from the same starts: solved, the share of the starts that it solves; regret, the reward per step
+that they earn less; waited, the time that they stood longer, in seconds, from the starts that it solves."""
 
 EXAMPLES = """\
 examples:
   ms-highway bench road merge --drivers priced idm
   ms-highway bench road --seeds 100 --seed 1000 --json road.json --log road.csv
-  ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films"""
+  ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films
+  ms-highway bench road intersection-v0 --drivers search --seeds 20 --log search.csv
+  ms-highway bench road intersection-v0 --drivers priced idm --seeds 20 --bound search.csv"""
 
 
 COLUMNS = {
@@ -47,6 +53,9 @@ COLUMNS = {
     "late": "{late:.0%}",
 }
 """What tables show of a driver's figures, by heading."""
+
+BEHIND = {"solved": "{solved:.0%}", "regret": "{regret:.3f}", "waited": "{waited:.1f}"}
+"""What they show besides where there is a bound."""
 
 
 def add_bench_road(commands: Any) -> None:
@@ -70,6 +79,7 @@ def add_bench_road(commands: Any) -> None:
     add_number(parser, "--jobs", None, "processes at once (default: number of cores)", most=MOST_PROCESSES)
     for name, metavar, text in (
         ("--films", "DIR", "film the first success and failure of each driver"),
+        ("--bound", "FILE", "compare with the search in a log that --log has written"),
         ("--json", "FILE", "write all figures to a JSON file"),
         ("--log", "FILE", "write a row per episode to a CSV file"),
     ):
@@ -81,6 +91,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     import pandas as pd
 
     from ms_highway.benchmarks.road.blocks import run_blocks
+    from ms_highway.benchmarks.road.bound import behind, bound_of, read_bounds
     from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, row, summary
     from ms_highway.cli.results_directory import write_table
     from ms_highway.control.road import SHIPPED_COSTS
@@ -91,6 +102,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
     for driver in drivers:
         check_driver(driver)
+    bounds = read_bounds(options.bound, options.traffic) if options.bound else {}
     draw_unseen()
     blocks = [Block(scene, driver, options.traffic) for scene in scenes for driver in drivers]
     seeds = range(options.seed, options.seed + options.seeds)
@@ -113,11 +125,26 @@ def _bench_road(options: argparse.Namespace) -> None:
                     write_table(pd.DataFrame(rows), options.log)
 
     count_episodes(driven(), 0, len(blocks) * len(seeds))
+    for block in blocks:
+        if SEARCH in drivers:
+            bounds[block.scene] = bound_of(episodes[Block(block.scene, SEARCH, options.traffic)])
+        results[block.scene][block.driver] |= behind(episodes[block], bounds.get(block.scene, {}))
+    if bounds and options.json:
+        write_json(options.json, results)
     costs = zip(PACKAGE_MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
     counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
     for scene, figures in results.items():
+        columns = COLUMNS | (BEHIND if bounds.get(scene) else {})
         rows = [
-            {heading: form.format(driver=driver, **figures[driver]) for heading, form in COLUMNS.items()}
+            {heading: _told(form, {"driver": driver, **figures[driver]}) for heading, form in columns.items()}
             for driver in drivers
         ]
         print_tables(grid(f"{scene}: {len(seeds)} episodes; choices count {counted} ms a car", rows, left=2))
+
+
+def _told(form: str, figures: dict[str, Any]) -> str:
+    """Return a cell, empty where there is no figure for it."""
+    try:
+        return form.format(**figures)
+    except (KeyError, TypeError):
+        return ""

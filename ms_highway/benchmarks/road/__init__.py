@@ -19,6 +19,9 @@ OTHER_SCENES = ("highway-v0", "racetrack-oval-v1", "racetrack-oval-v0")
 PEERS = ("idm", "idle", "random")
 """Drivers that are not this package's."""
 
+SEARCH = "search"
+"""The driver that knows what will happen, a bound for all others; it takes a minute for an episode."""
+
 DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", *PEERS)
 """Drivers that are measured by default."""
 

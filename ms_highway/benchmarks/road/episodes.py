@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from ms_highway.benchmarks.road import TRAFFIC, driver_config
+from ms_highway.benchmarks.road import SEARCH, TRAFFIC, driver_config
 from ms_highway.benchmarks.road.measures import Watch
-from ms_highway.benchmarks.road.peers import PEERS
+from ms_highway.benchmarks.road.peers import PEERS, Peer
+from ms_highway.benchmarks.road.search import Search
 from ms_highway.envs.road import drive
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
 from ms_highway.envs.road.stock import success
@@ -27,6 +28,9 @@ UNPHYSICAL = 10.0
 """Acceleration [m/s^2] that no tyres hold."""
 
 FRAMES_PER_SECOND = 15  # of films, at most
+
+OTHERS: dict[str, type[Peer]] = {**PEERS, SEARCH: Search}
+"""Wrappers of the drivers that are not this package's own, by name."""
 
 
 class Block(NamedTuple):
@@ -58,6 +62,7 @@ class Episode:
         frames: of the simulation.
         distance: the sum of speed times time [m].
         seconds: duration of the frames.
+        stood: duration of those in which it was slower than 1 m/s [s].
         max_acceleration: the largest acceleration in any frame [m/s^2].
         max_acceleration_of_centre: that of the middle of the car, which also goes sideways when the front wheels are
             turned [m/s^2].
@@ -78,6 +83,7 @@ class Episode:
     frames: int
     distance: float
     seconds: float
+    stood: float
     max_acceleration: float
     max_acceleration_of_centre: float
     squared_jerk: float
@@ -93,11 +99,11 @@ def check_driver(name: str) -> None:
     Raises:
         ValueError: naming those that are.
     """
-    if name not in PEERS:
+    if name not in OTHERS:
         try:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
-            known = ", ".join([*PEERS, *DRIVERS, "DRIVER[+traits][+belief]"])
+            known = ", ".join([*OTHERS, *DRIVERS, "DRIVER[+traits][+belief]"])
             raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
 
 
@@ -112,7 +118,7 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
         env = gym.make(block.scene, config=config, disable_env_checker=True, **options)
-    return PEERS[block.driver](env) if block.driver in PEERS else drive(env, driver_config(block.driver))
+    return OTHERS[block.driver](env) if block.driver in OTHERS else drive(env, driver_config(block.driver))
 
 
 _kept_driver = cache(make_driver)
@@ -185,7 +191,7 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
     * ``success``, ``off_road``: shares of the episodes in which the goal was reached, and the road was left;
     * ``collisions``, ``at_fault``: numbers of episodes in which the ego crashed, and was at fault;
     * ``reward_per_step``, ``return``: mean reward over all steps of all episodes, and its sum per episode;
-    * ``mean_speed``: over all frames [m/s];
+    * ``mean_speed``: over all frames [m/s]; ``stood``: mean time slower than 1 m/s in an episode [s];
     * ``max_acceleration``, ``max_acceleration_of_centre``: largest in any frame [m/s^2];
     * ``jerk``: root mean square over all frames [m/s^3];
     * ``p50_ms``, ``p99_ms``: quantiles over all decisions of all episodes [ms];
@@ -194,7 +200,8 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
     * ``sources``: shares of the decisions by what drove, where the driver says so;
     * ``rungs``: shares of the cars that each rung predicted;
     * ``episodes``, ``seeds``, ``traffic``, ``label``: their number, the first seed and how many, the type of the other
-      vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL`.
+      vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL`, ``privileged`` for
+      the search.
     """
     of = SimpleNamespace(**{name: [getattr(each, name) for each in episodes] for name in vars(episodes[0])})
     p50, p99 = np.quantile(1e3 * np.concatenate(of.decisions), [0.5, 0.99])
@@ -206,6 +213,7 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
         "reward_per_step": sum(of.reward) / sum(of.steps),
         "return": np.mean(of.reward),
         "mean_speed": sum(of.distance) / sum(of.seconds),
+        "stood": np.mean(of.stood),
         "max_acceleration": max(of.max_acceleration),
         "max_acceleration_of_centre": max(of.max_acceleration_of_centre),
         "jerk": np.sqrt(np.average(of.squared_jerk, weights=of.frames)),
@@ -218,9 +226,15 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
         "episodes": len(episodes),
         "seeds": [of.seed[0], len(episodes)],
         "traffic": block.traffic,
-        "label": "unphysical" if max(of.max_acceleration) > UNPHYSICAL else "",
+        "label": _label(block, max(of.max_acceleration)),
     }
     return {name: figure.item() if isinstance(figure, np.generic) else figure for name, figure in figures.items()}
+
+
+def _label(block: Block, acceleration: float) -> str:
+    if block.driver == SEARCH:
+        return "privileged"
+    return "unphysical" if acceleration > UNPHYSICAL else ""
 
 
 def _shares(counters: Sequence[Counter[str]]) -> dict[str, float]:

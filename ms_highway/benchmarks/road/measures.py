@@ -38,6 +38,7 @@ def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dic
         "frames": len(turning),
         "distance": float(np.sum(np.abs(speed[1:])) * time_step),
         "seconds": len(turning) * time_step,
+        "stood": float(np.sum(np.abs(speed[1:]) < STANDING) * time_step),
         "max_acceleration": float(max(np.max(turning, initial=0.0), np.max(np.hypot(*acceleration), initial=0.0))),
         "max_acceleration_of_centre": float(np.max(np.hypot(*centre), initial=0.0)),
         "squared_jerk": float(np.mean(np.sum(jerk**2, axis=0))) if jerk.size else 0.0,

@@ -66,9 +66,8 @@ class Told(RoadRobot):
         Of the speeds that it cannot reach until the next choice, only the next ones count.
         """
         changes, most = np.array(SHARES) * desired - self.speed, self.grip * SECONDS
-        for share, change, slower, faster in zip(SHARES, changes, (-np.inf, *changes), (*changes[1:], np.inf), strict=False):
-            if faster > -most and slower < most:
-                yield Choice(share)
+        slower, faster = np.append(-np.inf, changes[:-1]), np.append(changes[1:], np.inf)
+        yield from map(Choice, np.array(SHARES)[(faster > -most) & (slower < most)].tolist())
         start, end, number = self.target_lane_index
         for change in (-1, 1):
             if 0 <= number + change < len(self.road.network.graph[start][end]):
@@ -111,7 +110,12 @@ class Node(NamedTuple):
     @property
     def worth(self) -> tuple[bool, bool, int, float]:
         """What ends are compared by: success, no crash, how long it lasted otherwise, and what was earned."""
-        return not self.failed and success(self.env) is not False, not self.failed, self.failed * len(self.told), self.earned
+        return (
+            not self.failed and success(self.env) is not False,
+            not self.failed,
+            self.failed * len(self.told),
+            self.earned,
+        )
 
     @property
     def failed(self) -> bool:
