@@ -19,15 +19,16 @@ from ms_highway.runtime.compilation import jit_quickly
 GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
 FOLLOWING = np.ones(TRAFFIC, bool)
 NOTHING = np.zeros((TRAFFIC, STEPS), np.float32)
+AS_MODELLED = np.zeros(TRAFFIC, np.float32)
 STRAIGHT_ON = np.zeros((STEPS, 2), np.float32)
 LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
 
 
 @jit_quickly
-def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=NOTHING):
+def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=NOTHING, surprise=AS_MODELLED):
     """All proposals, and how they turn out."""
     plans = profiles(jnp.asarray(last), jnp.asarray(1))
-    manners = Manners(follows, ordered, jnp.broadcast_to(accelerations, (PROPOSALS, *accelerations.shape)))
+    manners = Manners(follows, ordered, jnp.broadcast_to(accelerations, (PROPOSALS, *accelerations.shape)), surprise)
     return plans, simulate_plans(situation_of(scene, PLANNING, WEIGHTS), manners, plans)
 
 
@@ -126,6 +127,14 @@ def test_a_car_that_is_much_slower_than_its_limit_is_expected_to_want_that():
     slow = scene_of(cars=[(60.0, 1, 5.0)], limit=30.0)
     speeds = np.asarray(given(slow, STRAIGHT_ON, 1, FOLLOWING).speeds)
     assert (speeds[0, 0] - 5.0) / DT == pytest.approx(theirs(5.0, 30.0, 1e4, 30.0), abs=5e-3)
+
+
+def test_a_car_that_rolls_backwards_faster_and_faster_is_expected_to_go_on_so_for_a_moment_then_forwards_again():
+    braking = np.where(np.arange(TRAFFIC) == 0, -8.0, 0.0).astype(np.float32)
+    _, rollouts = proposed(scene_of(cars=[(60.0, 0, -3.0)]), FOLLOWING, STRAIGHT_ON, NOBODY, NOTHING, braking)
+    speeds = np.asarray(rollouts.speeds)[0, 0]
+    assert speeds[2] < -3.5
+    assert speeds[-1] > 0
 
 
 def test_predictions_stay_on_their_paths():

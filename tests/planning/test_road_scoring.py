@@ -178,12 +178,14 @@ def test_a_robot_that_stands_where_a_car_comes_is_in_its_way_and_no_other(s, com
     assert not np.asarray(scores.collides).any()
 
 
-def test_a_car_that_crosses_is_given_room_in_time():
-    """Who meets it breaks a constraint, who waits breaks none."""
-    scene = replace(crossing(0.0, 32.0), robot=np.array([10.0, 0.0, 0.0, 8.0], np.float32))
-    _, scores = scores_of(scene, KEEPING, (0.0, -3.0))
-    np.testing.assert_array_equal(scores.collides, [True, False])
-    np.testing.assert_array_equal(scores.broken, [True, False])
+@pytest.mark.parametrize(("s", "come_from", "broken"), [(26.0, 12.0, True), (10.0, 32.0, False)])
+def test_who_meets_a_car_that_crosses_breaks_a_constraint_once_it_can_no_longer_stop_before_it(s, come_from, broken):
+    """Until then it costs something; who waits breaks none."""
+    scene = replace(crossing(0.0, come_from), robot=np.array([s, 0.0, 0.0, 8.0], np.float32))
+    _, scores = scores_of(scene, KEEPING, (0.0, -4.9))
+    assert scores.others[0, 0] > scores.others[1, 0]
+    np.testing.assert_array_equal(scores.collides, [broken, False])
+    np.testing.assert_array_equal(scores.broken, [broken, False])
 
 
 def test_changes_of_lane_that_are_left_get_urgent_as_their_room_shrinks():

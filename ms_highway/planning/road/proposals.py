@@ -58,7 +58,7 @@ COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
 CREEPING = 3.0  # m/s, at which cars come that stand
 FADES = 1.0  # s, in which others who do not do what their model says come back to it
 
-STOPPING = 3.5
+STOPPING = 4.5
 """Deceleration before crossings [m/s^2]."""
 
 
@@ -143,6 +143,7 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
     scene, planning, dt = now.scene, now.planning, now.planning.time_step
     half, traits = scene.size[0] / 2, assumed_traits(scene)
     across, start = aside(scene, planning.times), (scene.robot, scene.states[:, 0], scene.states[:, 3])
+    rolls = scene.states[:, 3] < 0  # backwards: it may go on so; others stop at most
     surprises = jnp.exp(-planning.times / FADES)[:, None] * manners.surprise
 
     def one(plan: Profiles, order: EachStep) -> tuple:
@@ -156,7 +157,7 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
             modelled = jnp.where(manners.given, ordered, jnp.where(manners.follows, answer, 0.0))
             acceleration = jnp.clip(modelled + surprise, -HARDEST, HARDEST)
             acceleration = jnp.where(scene.moving, acceleration, -speeds)  # who has crashed slides to a stop
-            acceleration = jnp.where(speeds < 0, 0.0, jnp.maximum(acceleration, -speeds / dt))
+            acceleration = jnp.maximum(acceleration, jnp.where(rolls, -jnp.inf, -speeds / dt))
             moved, after = along + speeds * dt, speeds + acceleration * dt
             ahead = advance(scene, planning, car, control)
             return (ahead, moved, after), (ahead, control, moved, after, *on_route(now.ways, moved, sideways))

@@ -25,7 +25,7 @@ MARGIN = 0.35  # m between bodies that counts as a collision
 FADING = 0.95  # of what is expected later, per step
 TOLERATED = 1.5  # m/s^2, of braking of others that costs nothing
 SOON = 1.6  # s, until when all counts that others may do
-EARLY = 0.15  # s, that cars which cross may come earlier or later
+EARLY = 0.08  # s, that cars which cross may come earlier or later
 CLEARANCE = 1.0  # m, around where others cross the robot's way
 UNSURE = 6.0  # m/s^2, of the accelerations that others may have
 DECIDED = 1  # step after which stopping has to be possible
@@ -137,7 +137,9 @@ def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
 def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar, Plans, Plans]:
     """Return what the nearness of others costs, how deep plans are in their margins, and how hard they hit somebody.
 
-    The impact is the highest difference of velocities when bodies first touch.
+    Where a plan can still stop before a car's way once it has begun, what that car may do later costs less and breaks
+    no constraint: the robot sees it come, and plans again. The impact is the highest difference of velocities when
+    bodies first touch.
     """
     scene, planning, weights, speeds = now.scene, now.planning, now.weights, driven.speeds
     dt, (s, d, _, speed) = planning.time_step, driven.robot
@@ -153,7 +155,8 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
     first = touch & (jnp.cumsum(touch, axis=-1) == 1)
     squared = speed**2 + speeds**2 - 2 * speed * speeds * jnp.cos(own[2] - others[2])
     revised, steps = _avoidable(now, driven)[..., None], jnp.arange(planning.steps)
-    fading = FADING**steps * jnp.where(revised & (dt * steps > SOON), weights.avoidable, 1.0)
+    binds = ~(revised & (dt * steps > SOON))
+    fading = FADING**steps * jnp.where(binds, 1.0, weights.avoidable)
     near = jnp.clip(1 - clear / weights.comfortable, 0.0, 1.0) ** 2
     slowed = jnp.diff(speeds, axis=-1, prepend=jnp.broadcast_to(scene.states[:, 3:], (*speeds.shape[:-1], 1))) / dt
     endangered = (driven.s < s) & (speeds > speed)  # behind a faster robot, gaps open by themselves
@@ -165,8 +168,8 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
         + weights.collision * jnp.max(jnp.where(depth > 0, fading, 0.0), axis=-1)
         + weights.blocking * blocks(now, driven) * jnp.where(revised[..., 0], weights.avoidable, 1.0)
     )
-    impact = jnp.where(first, jnp.sqrt(jnp.maximum(squared, 1e-4)), 0.0).max(axis=(1, 2))
-    return cost, jnp.maximum(depth, 0.0).max(axis=(1, 2)), impact
+    impact = jnp.where(first & binds, jnp.sqrt(jnp.maximum(squared, 1e-4)), 0.0).max(axis=(1, 2))
+    return cost, jnp.where(binds, jnp.maximum(depth, 0.0), 0.0).max(axis=(1, 2)), impact
 
 
 def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
