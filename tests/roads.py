@@ -96,9 +96,9 @@ def as_given(controls, lane):
 
 
 @jit_quickly
-def judged(scene, controls, lanes, follows):
+def judged(scene, controls, lanes, follows, planning=PLANNING):
     """Plans whose controls are given [plans, steps, 2], driven and judged; the others follow or keep their speed."""
-    now, plans = situation_of(scene, PLANNING, WEIGHTS), as_given(jnp.asarray(controls), jnp.asarray(lanes))
-    manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((len(controls), TRAFFIC, PLANNING.steps)))
+    now, plans = situation_of(scene, planning, WEIGHTS), as_given(jnp.asarray(controls), jnp.asarray(lanes))
+    manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((len(controls), TRAFFIC, planning.steps)))
     driven = simulate_plans(now, manners, plans)
     return driven, score(now, driven, plans.lane)

@@ -24,10 +24,11 @@ Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RU
 +traits, the desired speed and headway of each car are estimated, with +belief, the model that its driver follows (such
 as priced+traits+belief). Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and
 lane; random, which chooses the environment's actions by chance; search, a beam search over copies of the environment
-that knows all that will happen, within the tyres of this package's drivers: a bound, privileged, about a minute for an
-episode. Drivers above 10 m/s^2 are labelled unphysical. Beside a search, or with --bound, the table says how far the
-others stay behind it from the same starts: solved, the share of the starts that it solves; regret, the reward per step
-that they earn less; waited, the time that they stood longer, in seconds, from the starts that it solves."""
+that knows all that will happen, within the tyres of this package's drivers: privileged, about half a minute for an
+episode, which may last 60 s. Drivers above 10 m/s^2 are labelled unphysical. With a search, or its log as --bound, the
+table says how others fare from the same starts: solved, the share of those that the search solves which they solve,
+too; regret, what they earn less, per step of the search, which need not find the best; waited, the time that they stood
+longer, in seconds, where both solve the start."""
 
 EXAMPLES = """\
 examples:
@@ -54,8 +55,13 @@ COLUMNS = {
 }
 """What tables show of a driver's figures, by heading."""
 
-BEHIND = {"solved": "{solved:.0%}", "regret": "{regret:.3f}", "waited": "{waited:.1f}"}
-"""What they show besides where there is a bound."""
+AGAINST_SEARCH = {
+    "starts": ("bounded", "d"),
+    "solved": ("solved", ".0%"),
+    "regret": ("regret", ".3f"),
+    "waited": ("waited", ".1f"),
+}
+"""What they show besides where there is a search to compare with."""
 
 
 def add_bench_road(commands: Any) -> None:
@@ -92,7 +98,7 @@ def _bench_road(options: argparse.Namespace) -> None:
 
     from ms_highway.benchmarks.road.blocks import run_blocks
     from ms_highway.benchmarks.road.bound import behind, bound_of, read_bounds
-    from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, row, summary
+    from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, make_driver, row, summary
     from ms_highway.cli.results_directory import write_table
     from ms_highway.control.road import SHIPPED_COSTS
     from ms_highway.planning.human_models import PACKAGE_MODELS
@@ -102,10 +108,16 @@ def _bench_road(options: argparse.Namespace) -> None:
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
     for driver in drivers:
         check_driver(driver)
+    for scene in scenes if SEARCH in drivers else ():
+        make_driver(Block(scene, SEARCH))  # or refuse what is too long for it
+    seeds = range(options.seed, options.seed + options.seeds)
     bounds = read_bounds(options.bound, options.traffic) if options.bound else {}
+    if options.bound and not any(seed in bounds.get(scene, {}) for scene in scenes for seed in seeds):
+        raise ValueError(f"--bound: {options.bound} has no start of these scenes and seeds")
+    if options.bound and options.log and options.bound.resolve() == options.log.resolve():
+        raise ValueError(f"--log would overwrite {options.bound}, which is the bound; give another file")
     draw_unseen()
     blocks = [Block(scene, driver, options.traffic) for scene in scenes for driver in drivers]
-    seeds = range(options.seed, options.seed + options.seeds)
     episodes: dict[Block, list[Episode]] = {block: [] for block in blocks}
     results: dict[str, dict[str, Any]] = {scene: {} for scene in scenes}
 
@@ -125,26 +137,26 @@ def _bench_road(options: argparse.Namespace) -> None:
                     write_table(pd.DataFrame(rows), options.log)
 
     count_episodes(driven(), 0, len(blocks) * len(seeds))
+    if SEARCH in drivers:
+        bounds |= {scene: bound_of(episodes[Block(scene, SEARCH, options.traffic)]) for scene in scenes}
     for block in blocks:
-        if SEARCH in drivers:
-            bounds[block.scene] = bound_of(episodes[Block(block.scene, SEARCH, options.traffic)])
         results[block.scene][block.driver] |= behind(episodes[block], bounds.get(block.scene, {}))
     if bounds and options.json:
         write_json(options.json, results)
     costs = zip(PACKAGE_MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
     counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
     for scene, figures in results.items():
-        columns = COLUMNS | (BEHIND if bounds.get(scene) else {})
         rows = [
-            {heading: _told(form, {"driver": driver, **figures[driver]}) for heading, form in columns.items()}
+            {heading: form.format(driver=driver, **figures[driver]) for heading, form in COLUMNS.items()}
+            | (_against_search(figures[driver]) if bounds.get(scene) else {})
             for driver in drivers
         ]
         print_tables(grid(f"{scene}: {len(seeds)} episodes; choices count {counted} ms a car", rows, left=2))
 
 
-def _told(form: str, figures: dict[str, Any]) -> str:
-    """Return a cell, empty where there is no figure for it."""
-    try:
-        return form.format(**figures)
-    except (KeyError, TypeError):
-        return ""
+def _against_search(figures: dict[str, Any]) -> dict[str, str]:
+    """Return the cells of a driver, empty where there is no figure."""
+    return {
+        heading: format(figures[name], form) if figures.get(name) is not None else ""
+        for heading, (name, form) in AGAINST_SEARCH.items()
+    }

@@ -1,5 +1,6 @@
 """The search that bounds what drivers of stock scenes can earn, and how far they stay behind it."""
 
+import json
 from dataclasses import replace
 
 import gymnasium as gym
@@ -12,8 +13,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.benchmarks.road import SEARCH
 from ms_highway.benchmarks.road.bound import behind, bound_of, read_bounds
 from ms_highway.benchmarks.road.episodes import Block, run_episode
-from ms_highway.benchmarks.road.search import Choice, Told, best_choices, copied
-from ms_highway.envs.road.stock import replace_ego
+from ms_highway.benchmarks.road.search import Choice, best_end, copied, put_told
 
 SHORT = {"duration": 4, "vehicles_count": 8}
 
@@ -21,8 +21,7 @@ SHORT = {"duration": 4, "vehicles_count": 8}
 def told_in(scene, config=None, seed=3):
     env = gym.make(scene, config=config, disable_env_checker=True)
     env.reset(seed=seed)
-    told = replace_ego(env, lambda old: Told(old.road, old.position, old.heading, old.speed))
-    told.target_lane_index = told.lane_index
+    put_told(env)
     return env.unwrapped
 
 
@@ -43,7 +42,7 @@ def test_the_search_passes_a_slow_car_that_it_would_hit_at_its_speed():
     env = told_in("highway-fast-v0", SHORT, seed=0)
     slow = Vehicle(env.road, env.vehicle.position + np.array([30.0, 0.0]), 0.0, 15.0)
     env.road.vehicles = [env.vehicle, slow]
-    found, kept = best_choices(env, 30.0), copied(env)
+    found, kept = best_end(env, 30.0).told, copied(env)
     for choice in found:
         env.vehicle.tell(choice, 30.0)
         env.step(1)
@@ -54,6 +53,18 @@ def test_the_search_passes_a_slow_car_that_it_would_hit_at_its_speed():
         kept.vehicle.tell(Choice(1.0), 30.0)
         kept.step(1)
     assert kept.vehicle.crashed
+
+
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+@pytest.mark.parametrize(("scene", "desired", "seed"), [("roundabout-v0", 16.0, 1), ("intersection-v0", 10.0, 2)])
+def test_what_the_search_found_is_what_the_environment_does(scene, desired, seed):
+    env = told_in(scene, seed=seed)
+    found, earned = best_end(env, desired, kept=2), 0.0
+    for choice in found.told:
+        env.vehicle.tell(choice, desired)
+        earned += env.step(1)[1]
+    assert earned == found.earned
+    assert env.vehicle.position.tolist() == found.ego.position.tolist()
 
 
 @pytest.mark.slow
@@ -77,27 +88,39 @@ def log(tmp_path_factory):
 
 
 def test_drivers_are_compared_with_the_search_in_a_log(log, capsys, tmp_path):
-    earned = [found.earned for found in read_bounds(log, "idm")["highway-fast-v0"].values()]
-    table = pd.read_csv(log)
-    assert earned == pytest.approx((table["reward"] / table["steps"]).tolist())
+    found, table = read_bounds(log, "idm")["highway-fast-v0"], pd.read_csv(log)
+    assert [one.reward for one in found.values()] == table["reward"].tolist()
     capsys.readouterr()
-    run(f"bench road highway-fast-v0 --drivers idle --seeds 2 --bound {log} --json {tmp_path / 'road.json'}")
+    run(f"bench road highway-fast-v0 --drivers idle --seeds 3 --bound {log} --json {tmp_path / 'road.json'}")
     shown = capsys.readouterr().out
-    assert all(word in shown for word in ("solved", "regret", "waited", "0.000"))
-    assert '"regret": 0.0' in (tmp_path / "road.json").read_text()
+    assert all(word in shown for word in ("starts", "solved", "regret", "waited"))
+    figures = json.loads((tmp_path / "road.json").read_text())["highway-fast-v0"]["idle"]
+    assert (figures["bounded"], figures["regret"]) == (2, 0.0)
 
 
 def test_regret_and_waiting_are_of_the_starts_that_both_have():
     episodes = [run_episode(Block("highway-fast-v0", "idle"), seed) for seed in range(2)]
-    worse = [replace(one, reward=one.reward - one.steps, stood=one.stood + 2.0, success=False) for one in episodes]
-    better = bound_of([replace(episodes[0], success=True)])
-    assert behind(worse, better) == pytest.approx(
-        {"bounded": 1, "solvable": 1.0, "solved": 0.0, "regret": 1.0, "waited": 2.0}
-    )
+    worse = [replace(one, reward=one.reward - one.steps, stood=one.stood + 2.0, success=True) for one in episodes]
+    found = bound_of([replace(episodes[0], success=True)])
+    told = {"bounded": 1, "solvable": 1.0, "solved": 1.0, "regret": 1.0, "waited": 2.0}
+    assert behind(worse, found) == pytest.approx(told)
+    crashed = [replace(one, success=False) for one in worse]
+    assert behind(crashed, found) == told | {"solved": 0.0, "waited": None}
+    assert behind(worse, bound_of(episodes))["solved"] is None
     assert behind(worse, {}) == {}
 
 
-@pytest.mark.parametrize("content", ["", "a,b\n1,2\n", "scene,driver,seed,success,reward,steps,stood,traffic\n"])
+COLUMNS = "scene,driver,traffic,seed,success,reward,steps,stood\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("", "a,b\n1,2\n", COLUMNS),
+        *(COLUMNS + f"merge-v0,search,idm,{rest}\n" for rest in ("0,True,1.0,0,0.0", "0,,1.0,2,0.0", "0,True,,2,0.0")),
+        COLUMNS + 2 * "merge-v0,search,idm,0,True,1.0,2,0.0\n",
+    ],
+)
 def test_a_file_that_is_no_log_of_a_search_is_refused_with_the_remedy(content, tmp_path, refused):
     file = tmp_path / "bound.csv"
     file.write_text(content)
@@ -105,3 +128,10 @@ def test_a_file_that_is_no_log_of_a_search_is_refused_with_the_remedy(content, t
     assert str(file) in message
     assert "--drivers search --log" in message
     assert not (tmp_path / "road.json").exists()
+
+
+def test_a_search_of_other_starts_or_one_that_would_be_overwritten_or_takes_hours_is_refused(log, refused):
+    assert "has no start of these scenes and seeds" in refused(f"bench road merge-v0 --drivers idle --bound {log}")
+    again = f"bench road highway-fast-v0 --drivers idle --bound {log} --log {log}"
+    assert "would overwrite" in refused(again)
+    assert "racetrack-v1 lasts 300 s, too long" in refused("bench road racetrack-v1 --drivers search --seeds 1")

@@ -178,14 +178,18 @@ def test_a_robot_that_stands_where_a_car_comes_is_in_its_way_and_no_other(s, com
     assert not np.asarray(scores.collides).any()
 
 
-@pytest.mark.parametrize(("s", "come_from", "broken"), [(26.0, 12.0, True), (10.0, 32.0, False)])
-def test_who_meets_a_car_that_crosses_breaks_a_constraint_once_it_can_no_longer_stop_before_it(s, come_from, broken):
-    """Until then it costs something; who waits breaks none."""
+@pytest.mark.parametrize(
+    ("s", "come_from", "grip", "broken"),
+    [(26.0, 12.0, 5.0, [True, False]), (10.0, 32.0, 5.0, [False, False]), (10.0, 32.0, 1.0, [True, False])],
+)
+def test_who_meets_a_car_that_crosses_breaks_a_constraint_once_tyres_cannot_stop_it(s, come_from, grip, broken):
+    """The second plan brakes as hard as it can."""
     scene = replace(crossing(0.0, come_from), robot=np.array([s, 0.0, 0.0, 8.0], np.float32))
-    _, scores = scores_of(scene, KEEPING, (0.0, -4.9))
-    assert scores.others[0, 0] > scores.others[1, 0]
-    np.testing.assert_array_equal(scores.collides, [broken, False])
-    np.testing.assert_array_equal(scores.broken, [broken, False])
+    controls = np.tile(np.array([KEEPING, (0.0, -grip)], np.float32)[:, None], (1, STEPS, 1))
+    _, scores = judged(scene, controls, np.array([OWN, OWN]), NOBODY, replace(PLANNING, grip=grip))
+    np.testing.assert_array_equal(scores.collides, broken)
+    np.testing.assert_array_equal(scores.broken, broken)
+    assert scores.others[0, 0] > 0
 
 
 def test_changes_of_lane_that_are_left_get_urgent_as_their_room_shrinks():

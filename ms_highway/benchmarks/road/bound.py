@@ -1,4 +1,7 @@
-"""Compare drivers with a bound on what can be earned from the same starts: the episodes of ``search``."""
+"""Compare drivers with what the driver ``search`` found from the same starts.
+
+The search knows what will happen, but need not find the best: a regret may be negative.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,13 +18,15 @@ class Found(NamedTuple):
     """What the search found from a start.
 
     Attributes:
-        success: whether it is a success; else nobody is known to be able to solve it.
-        earned: reward per step.
+        success: whether it is a success.
+        reward: the sum over all steps.
+        steps: of the environment.
         stood: how long the ego stood [s].
     """
 
     success: bool
-    earned: float
+    reward: float
+    steps: int
     stood: float
 
 
@@ -31,7 +36,7 @@ Bound = Mapping[int, Found]
 
 def bound_of(episodes: Sequence[Episode]) -> Bound:
     """Return the bound that episodes of the search make."""
-    return {one.seed: Found(one.success, one.reward / one.steps, one.stood) for one in episodes}
+    return {one.seed: Found(one.success, one.reward, one.steps, one.stood) for one in episodes}
 
 
 def read_bounds(file: Path, traffic: str) -> dict[str, Bound]:
@@ -47,36 +52,42 @@ def read_bounds(file: Path, traffic: str) -> dict[str, Bound]:
     """
     remedy = f"write one with ms-highway bench road --drivers {SEARCH} --log {file}"
     try:
-        log = pd.read_csv(file)
-        own = log[(log["driver"] == SEARCH) & (log["traffic"] == traffic)]
-        rows = zip(*(own[name] for name in ("scene", "seed", "success", "reward", "steps", "stood")), strict=True)
-        found: dict[str, dict[int, Found]] = {}
-        for scene, seed, success, reward, steps, stood in rows:
-            found.setdefault(scene, {})[int(seed)] = Found(bool(success), float(reward) / int(steps), float(stood))
-    except (KeyError, ValueError, UnicodeDecodeError) as error:
+        log = pd.read_csv(file, dtype={"seed": int, "success": bool, "reward": float, "steps": int, "stood": float})
+        own = log[(log["driver"] == SEARCH) & (log["traffic"] == traffic)].set_index(["scene", "seed"], drop=True)
+        own = own[list(Found._fields)]
+        if not np.isfinite(own[["reward", "stood"]]).all(axis=None) or (own["steps"] < 1).any():
+            raise ValueError("an episode without a step, a reward or a time")
+        if own.index.has_duplicates:
+            raise ValueError(f"{own.index[own.index.duplicated()][0]} is there twice")
+    except (KeyError, ValueError) as error:
         raise ValueError(f"--bound: {file} is no log of episodes ({error}); {remedy}") from None
-    if not found:
+    if own.empty:
         raise ValueError(f"--bound: {file} has no episodes of {SEARCH!r} among {traffic!r} traffic; {remedy}")
-    return dict(found)
+    bounds: dict[str, dict[int, Found]] = {}
+    for (scene, seed), *found in own.itertuples():
+        bounds.setdefault(scene, {})[seed] = Found(*found)
+    return dict(bounds)
 
 
 def behind(episodes: Sequence[Episode], bound: Bound) -> dict[str, Any]:
-    """Return how far a driver stays behind a bound, from the starts that both have: figures for JSON.
+    """Return how far a driver stays behind the search, from the starts that both have: figures for JSON.
 
     * ``bounded``: number of these starts;
     * ``solvable``: share of them that the search solves;
     * ``solved``: share of those that the driver solves, too; None without any;
-    * ``regret``: mean reward per step that it earns less than the search;
-    * ``waited``: mean time that it stood longer than the search, from the starts that the search solves [s].
+    * ``regret``: what it earns less in all, per step of the search;
+    * ``waited``: mean time that it stood longer than the search where both solve the start, shorter ones as 0 [s]; None
+      without any.
     """
     both = [(one, bound[one.seed]) for one in episodes if one.seed in bound]
     if not both:
         return {}
-    solvable = [(one, found) for one, found in both if found.success]
+    solvable = [one.success for one, found in both if found.success]
+    longer = [max(one.stood - found.stood, 0.0) for one, found in both if one.success and found.success]
     return {
         "bounded": len(both),
         "solvable": len(solvable) / len(both),
-        "solved": float(np.mean([one.success for one, _ in solvable])) if solvable else None,
-        "regret": float(np.mean([found.earned - one.reward / one.steps for one, found in both])),
-        "waited": float(np.mean([max(one.stood - found.stood, 0.0) for one, found in solvable])) if solvable else None,
+        "solved": float(np.mean(solvable)) if solvable else None,
+        "regret": sum(found.reward - one.reward for one, found in both) / sum(found.steps for _, found in both),
+        "waited": float(np.mean(longer)) if longer else None,
     }

@@ -14,15 +14,12 @@ import gymnasium as gym
 import numpy as np
 
 from ms_highway.benchmarks.road import SEARCH, TRAFFIC, driver_config
-from ms_highway.benchmarks.road.measures import Watch
+from ms_highway.benchmarks.road.measures import Watch, has_ended
 from ms_highway.benchmarks.road.peers import PEERS, Peer
 from ms_highway.benchmarks.road.search import Search
 from ms_highway.envs.road import drive
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
 from ms_highway.envs.road.stock import success
-
-LONGEST = 60.0
-"""Seconds after which an episode ends in scenes that have no end of their own: a car may stand still."""
 
 UNPHYSICAL = 10.0
 """Acceleration [m/s^2] that no tyres hold."""
@@ -145,7 +142,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         _, reward, terminated, truncated, info = env.step(None)
         rewards.append(float(reward))
         roads.append(info["road"])
-        done = terminated or truncated or inner.time >= max(LONGEST, inner.config.get("duration", 0.0))
+        done = has_ended(inner, terminated, truncated)
     off_road = bool(watch.off_road or (terminated and not watch.crashed and not inner.vehicle.on_road))
     reached = success(inner)
     return Episode(
@@ -232,9 +229,8 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
 
 
 def _label(block: Block, acceleration: float) -> str:
-    if block.driver == SEARCH:
-        return "privileged"
-    return "unphysical" if acceleration > UNPHYSICAL else ""
+    labels = {"privileged": block.driver == SEARCH, "unphysical": acceleration > UNPHYSICAL}
+    return ", ".join(label for label, holds in labels.items() if holds)
 
 
 def _shares(counters: Sequence[Counter[str]]) -> dict[str, float]:

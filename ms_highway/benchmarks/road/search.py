@@ -1,14 +1,19 @@
-"""A bound on what drivers can earn: a beam search over copies of the environment, which know what will happen."""
+"""What can be earned by who knows what will happen: a beam search over copies of the environment.
+
+It need not be the most, as speeds are few, choices are held for a second, and the beam is narrow.
+"""
 
 from collections.abc import Iterator
-from copy import deepcopy
+from copy import copy, deepcopy
 from math import atan, sin, tan
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from highway_env.road.road import LaneIndex
 from highway_env.vehicle.controller import ControlledVehicle
 
+from ms_highway.benchmarks.road.measures import LONGEST, has_ended, stays_on_road
 from ms_highway.benchmarks.road.peers import Peer, route_to_goal
 from ms_highway.envs.road.driven import unheeded
 from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego, success
@@ -26,7 +31,6 @@ KEPT = 16
 """Copies that are kept after each choice."""
 
 CELL = 3.0, 1.5, 1.5  # m, m, m/s: of x, y and speed; of the copies in one, the one that has earned most is kept
-LONGEST = 60.0  # s
 SLOWING = 2.5  # m/s^2, before bends
 
 
@@ -45,10 +49,12 @@ class Told(RoadRobot):
     Attributes:
         target_lane_index: the lane.
         target_speed: the speed [m/s].
+        left_road: whether it has left the road in any frame.
     """
 
     target_lane_index: LaneIndex = None  # pyright: ignore
     target_speed = 0.0
+    left_road = False
     KP_A, KP_HEADING, KP_LATERAL = (ControlledVehicle.KP_A, ControlledVehicle.KP_HEADING, ControlledVehicle.KP_LATERAL)
     TAU_PURSUIT, MAX_STEERING_ANGLE = ControlledVehicle.TAU_PURSUIT, ControlledVehicle.MAX_STEERING_ANGLE
     follow_road, steering_control = ControlledVehicle.follow_road, ControlledVehicle.steering_control
@@ -77,7 +83,8 @@ class Told(RoadRobot):
 
     def _allowed(self) -> float:
         """Return the speed from which gentle braking, a choice later, suffices for all bends ahead."""
-        bends = np.maximum(np.abs(self.look().route.curvature[round(BEHIND / SPACING) :]), 1e-4)
+        seen = copy(self).look()  # not from the memory of lanes once followed, which copies of the environment lack
+        bends = np.maximum(np.abs(seen.route.curvature[round(BEHIND / SPACING) :]), 1e-4)
         left = np.maximum(SPACING * np.arange(len(bends)) - self.speed * SECONDS, 0.0)
         return float(np.sqrt(CORNERING * self.grip / bends + 2 * SLOWING * left).min())
 
@@ -87,12 +94,33 @@ class Told(RoadRobot):
         slip = atan(tan(self.steering_control(self.target_lane_index)) / 2)
         self._wanted = np.array([2 * sin(slip) / self.LENGTH, self.speed_control(self.target_speed)])
 
+    def step(self, dt: float) -> None:
+        """Move for ``dt`` seconds."""
+        super().step(dt)
+        self.left_road |= not self.crashed and not stays_on_road(self)
+
+
+def put_told(env: gym.Env) -> None:
+    """Put a car that is told, on its way to the goal, in the place of the ego of a stock environment."""
+    told = replace_ego(env, lambda old: Told(old.road, old.position, old.heading, old.speed))
+    told.route = route_to_goal(env.unwrapped) or told.route
+    told.goal, told.target_lane_index = destination_of(env), told.lane_index
+
 
 class Node(NamedTuple):
-    """A copy of the environment, what it has earned, the choices that led there, and whether the episode has ended."""
+    """A copy of the environment, and how it came about.
+
+    Attributes:
+        env: the copy.
+        earned: rewards so far.
+        steps: of the environment so far.
+        told: choices so far.
+        ended: whether the episode has ended, or the car has crashed or left the road.
+    """
 
     env: Any
     earned: float = 0.0
+    steps: int = 0
     told: tuple[Choice, ...] = ()
     ended: bool = False
 
@@ -102,6 +130,11 @@ class Node(NamedTuple):
         return self.env.vehicle
 
     @property
+    def failed(self) -> bool:
+        """Whether the car has crashed or left the road."""
+        return bool(self.ego.crashed or self.ego.left_road)
+
+    @property
     def cell(self) -> tuple[int, ...]:
         """What nodes have in common of which one is kept."""
         place = np.array([*self.ego.position, self.ego.speed]) / CELL
@@ -109,45 +142,42 @@ class Node(NamedTuple):
 
     @property
     def worth(self) -> tuple[bool, bool, int, float]:
-        """What ends are compared by: success, no crash, how long it lasted otherwise, and what was earned."""
-        return (
-            not self.failed and success(self.env) is not False,
-            not self.failed,
-            self.failed * len(self.told),
-            self.earned,
-        )
-
-    @property
-    def failed(self) -> bool:
-        """Whether the car has crashed or left the road."""
-        return bool(self.ego.crashed or not self.ego.on_road)
+        """What ends are compared by: success, no failure, how long it lasted otherwise, and the reward per step."""
+        sound = not self.failed
+        return sound and success(self.env) is not False, sound, 0 if sound else self.steps, self.earned / self.steps
 
     def after(self, choice: Choice, desired: float) -> "Node":
         """Return the node that a choice leads to."""
-        env, earned, ended = copied(self.env), self.earned, False
+        env, earned, steps = copied(self.env), self.earned, self.steps
         env.vehicle.tell(choice, desired)
-        for _ in range(max(1, round(SECONDS * env.config["policy_frequency"]))):
+        for _ in range(steps_of_choice(env)):
             _, reward, terminated, truncated, _ = env.step(unheeded(env.action_type))
-            earned += float(reward)
-            ended = terminated or truncated or env.time >= max(LONGEST, env.config.get("duration", 0.0))
-            if ended or not env.vehicle.on_road:
+            earned, steps = earned + float(reward), steps + 1
+            ended = has_ended(env, terminated, truncated) or env.vehicle.left_road
+            if ended:
                 break
-        node = Node(env, earned, (*self.told, choice), bool(ended))
-        return node._replace(ended=node.ended or node.failed)
+        return Node(env, earned, steps, (*self.told, choice), ended)
+
+
+def steps_of_choice(env: Any) -> int:
+    """Return how many steps of an environment a choice is held."""
+    return max(1, round(SECONDS * env.config["policy_frequency"]))
 
 
 def copied(env: Any) -> Any:
     """Return a copy of an environment with random numbers of its own, which are the same; its roads are shared."""
-    shared = env.road.network, env.config, env.observation_space, env.action_space, env.spec
+    network = env.road.network
+    shared = network, *network.lanes_list(), env.config, env.observation_space, env.action_space, env.spec
     return deepcopy(env, {id(part): part for part in shared})
 
 
-def best_choices(env: Any, desired: float) -> tuple[Choice, ...]:
-    """Search for the choices that earn most until the episode ends.
+def best_end(env: Any, desired: float, kept: int = KEPT) -> Node:
+    """Search for the end of the episode that is worth most.
 
     Args:
         env: whose controlled vehicle is `Told`; it is left as it is.
         desired: speed [m/s].
+        kept: copies that are kept after each choice.
     """
     now, ends = [Node(env)], list[Node]()
     while now:
@@ -156,24 +186,34 @@ def best_choices(env: Any, desired: float) -> tuple[Choice, ...]:
         cells: dict[tuple[int, ...], Node] = {}
         for node in sorted((node for node in after if not node.ended), key=lambda node: node.earned):
             cells[node.cell] = node
-        now = sorted(cells.values(), key=lambda node: node.earned)[-KEPT:]
-    return max(ends, key=lambda node: node.worth).told
+        now = sorted(cells.values(), key=lambda node: node.earned)[-kept:]
+    return max(ends, key=lambda node: node.worth)
 
 
 class Search(Peer):
-    """Drive as a search found that knows all that will happen: *privileged*, a bound on what others can earn.
+    """Drive as a search found that knows all that will happen: *privileged*.
 
-    The ego holds the tyres of this package's drivers, and decides once a second.
+    The ego keeps within the tyres of this package's drivers, and decides once a second.
+
+    Raises:
+        ValueError: for an episode that is too long for it.
     """
+
+    def __init__(self, env: gym.Env) -> None:
+        super().__init__(env)
+        duration = self.inner.config.get("duration", 0.0)
+        if duration > LONGEST:
+            raise ValueError(
+                f"{self.inner.spec.id} lasts {duration:g} s, too long for the driver search; it searches {LONGEST:g} s "
+                "at most"
+            )
 
     def begin(self, seed: int | None) -> None:
         """Search from the start of the episode."""
         desired = desired_speed_of(self.inner)
-        told = replace_ego(self.env, lambda old: Told(old.road, old.position, old.heading, old.speed))
-        told.route = route_to_goal(self.inner) or told.route
-        told.goal, told.target_lane_index = destination_of(self.inner), told.lane_index
-        self.desired, self.left = desired, iter(best_choices(self.inner, desired))
-        self.every, self.steps = max(1, round(SECONDS * self.inner.config["policy_frequency"])), 0
+        put_told(self.env)
+        self.desired, self.left = desired, iter(best_end(self.inner, desired).told)
+        self.every, self.steps = steps_of_choice(self.inner), 0
 
     def choose(self) -> Any:
         """Tell the car what was found."""

@@ -10,6 +10,7 @@ from ms_highway.game.road import LANES, Flags, Pose, Traffic, interpolate, place
 from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration
 from ms_highway.planning.road.arrays import EachStep, Lane, PlanFlags, Plans, States, World
 from ms_highway.planning.road.motion import advance, within_tyres
+from ms_highway.planning.road.settings import STOPPING
 from ms_highway.planning.road.traffic import (
     ROOM,
     WAITING,
@@ -56,10 +57,8 @@ SLOWEST = 3.0  # m/s, below which steering is not sharper than at this speed
 PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
 CREEPING = 3.0  # m/s, at which cars come that stand
+BACKWARDS = 0.3  # m/s, above which a car rolls backwards
 FADES = 1.0  # s, in which others who do not do what their model says come back to it
-
-STOPPING = 4.5
-"""Deceleration before crossings [m/s^2]."""
 
 
 class Manners(NamedTuple):
@@ -143,7 +142,7 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
     scene, planning, dt = now.scene, now.planning, now.planning.time_step
     half, traits = scene.size[0] / 2, assumed_traits(scene)
     across, start = aside(scene, planning.times), (scene.robot, scene.states[:, 0], scene.states[:, 3])
-    rolls = scene.states[:, 3] < 0  # backwards: it may go on so; others stop at most
+    rolls = scene.states[:, 3] < -BACKWARDS  # may go on so; others stop at most
     surprises = jnp.exp(-planning.times / FADES)[:, None] * manners.surprise
 
     def one(plan: Profiles, order: EachStep) -> tuple:
@@ -188,7 +187,9 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     awaited = scene.present & scene.moving & (arrival < plan.yields) & (along < now.crossings.last + lengths / 2 + 1.0)
     left = now.crossings.line - (s + scene.size[0])
     left = lowest(left, awaited & (left > -WAITING)) - PREVIEW * speed
-    cap = jnp.minimum(interpolate(now.caps, s + PREVIEW * speed), jnp.sqrt(2 * STOPPING * jnp.maximum(left, 0.0)))
+    cap = jnp.minimum(
+        interpolate(now.caps, s + PREVIEW * speed), jnp.sqrt(2 * STOPPING * planning.grip * jnp.maximum(left, 0.0))
+    )
 
     # behind whoever is ahead, here or in the lane that the robot goes to
     front, apart = s + scene.size[0] / 2, scene.reach[:, 1] + ROOM

@@ -8,7 +8,7 @@ from ms_highway.game.road import Knots, RoadScene, interpolate
 from ms_highway.planning.car_following import FAR
 from ms_highway.planning.road.arrays import EachCar, EachFlag, Lane, Plans, Values
 from ms_highway.planning.road.proposals import DrivenPlans
-from ms_highway.planning.road.settings import LANE
+from ms_highway.planning.road.settings import LANE, STOPPING
 from ms_highway.planning.road.traffic import CROSSING, SAME_WAY, STANDING, Situation
 from ms_highway.runtime.arrays import Numbers, Scalar
 
@@ -22,7 +22,6 @@ ROOM_BEHIND, ROOM_AHEAD, GENTLE = 3.0, 1.0, 2.5  # m, m, m/s^2: to others after 
 REACTION, LEAST_GAP = 0.2, 0.2  # s
 DISTURBED = 25.0  # m, to a car that joins, up to which others may change lanes for it
 SLOWING_DOWN = 2.0  # m/s^2, with which a car ahead may brake
-STOPPING = 0.9  # share of the grip that a full stop may take
 SECONDS_PER_CHANGE = 2.0  # s, that a change of lane may take
 
 

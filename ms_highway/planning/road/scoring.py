@@ -8,8 +8,9 @@ from ms_highway.game.road import Pose, Sizes, interpolate, rotated
 from ms_highway.planning.car_following import FAR
 from ms_highway.planning.road.arrays import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans
 from ms_highway.planning.road.motion import bodies, earlier
-from ms_highway.planning.road.proposals import STOPPING, DrivenPlans
+from ms_highway.planning.road.proposals import DrivenPlans
 from ms_highway.planning.road.prospects import lane_of, missing_room, prospects, urgency
+from ms_highway.planning.road.settings import STOPPING
 from ms_highway.planning.road.traffic import (
     CROSSING,
     SAME_WAY,
@@ -207,7 +208,7 @@ def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
     """Return whether the robot can still stop before where a car crosses its route, soon after a plan has begun."""
     s, _, _, speed = driven.robot[..., DECIDED]
     left = now.crossings.line - s - now.scene.size[0]
-    return (now.crossings.begin < FAR) & (left > speed**2 / (2 * STOPPING))
+    return (now.crossings.begin < FAR) & (left > speed**2 / (2 * STOPPING * now.planning.grip))
 
 
 def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:

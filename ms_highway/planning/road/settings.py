@@ -16,8 +16,8 @@ while the robot keeps its velocity; answer the robot's plan optimally (theory of
 LANE = 4.0
 """Width of lanes [m]."""
 
-CORNERING = 0.85
-"""Share of the grip that bends may take."""
+CORNERING, STOPPING = 0.85, 0.9
+"""Shares of the grip that bends, and a stop, may take."""
 
 
 @jax.tree_util.register_dataclass
