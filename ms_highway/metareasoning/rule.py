@@ -20,8 +20,9 @@ PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
 """Planning time of each model in the decisions of the paper's experiments."""
 
 SHIPPED_COSTS = {"naive": 0.0015, "idm": 0.0015, "turn": 0.0021, "tom": 0.0021}  # s
-"""Planning time among several humans with one of them under each model: of a naive plan, and what each of eight humans
-adds, in the mean of six episodes of Dense Merge on one core."""
+"""Planning time among several humans: of a naive plan, or with one of them under another model.
+
+The mean of six episodes of Dense Merge on one core: 1.5 ms, and 0.6 more for each of eight humans under turn or tom."""
 
 NEVER = -(2**20)
 """Step of a check that has not been made."""
