@@ -10,14 +10,14 @@ from jaxtyping import Float
 
 from ms_highway.control.controller import ControlStep
 from ms_highway.control.fallback import LATE, PLANNED, STATUSES, fallback_status
-from ms_highway.game.road import TRAFFIC, Places, RoadScene, Traffic, Traits
+from ms_highway.game.road import TRAFFIC, Places, RoadScene, Traits
 from ms_highway.metareasoning.belief import first_belief
 from ms_highway.metareasoning.road import RungChoice, counted_rungs, updated_road_belief
 from ms_highway.optimization.kalman import Gaussian
 from ms_highway.planning.car_following import HARDEST
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import PACKAGE_MODELS
-from ms_highway.planning.road.plan import LastPlan, RoadPlan, no_plan, plan_road
+from ms_highway.planning.road.plan import LastPlan, RoadPlan, no_plan, plan_road, worth_of_answers
 from ms_highway.planning.road.proposals import FULL_BRAKING, LAST_PLAN
 from ms_highway.planning.road.settings import NAIVE, TOM, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traits import prior, traits_of, updated_traits
@@ -33,8 +33,8 @@ BRAKING_SHARE = 0.95  # share of the grip from which a plan that breaks a constr
 SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 REPEATS = 9  # plans that are timed for the costs of models
 
-plan_of = jit_quickly(plan_road)
-"""Plans, compiled once for all scenes, rungs, limits and weights."""
+plan_of, worth_of = jit_quickly(plan_road), jit_quickly(worth_of_answers)
+"""Plans and the worth of answers, each compiled once for all scenes, rungs, limits and weights."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,15 +107,17 @@ class RoadDriver:
         scene, belief = self._seen.look(scene)
         costs, preparing = timed(self._prepared, scene)
         compiling += preparing
-        rungs = self._rungs(scene, belief, np.zeros(TRAFFIC), costs, perf_counter() - start - compiling)
-        plan, planning = self._planned(scene, rungs)
         worth = np.full(TRAFFIC, np.nan)
         if self.choice.looks:
-            worth = plan.worth if belief is None else plan.worth * belief[:, TOM]
-            chosen = self._rungs(scene, belief, worth, costs, perf_counter() - start - compiling)
-            if (chosen != rungs).any():
-                rungs, (plan, planning) = chosen, self._planned(scene, chosen)
-        deciding = perf_counter() - start - compiling - planning
+            worth = np.asarray(worth_of(scene, self.planning, self.weights, self._last))
+        if belief is not None:
+            worth = worth * belief[:, TOM]
+        chosen = self.choice.choose(worth, costs, perf_counter() - start - compiling)
+        rungs = np.where(scene.moving & scene.present, chosen, NAIVE).astype(np.int32)
+        if belief is not None:
+            rungs = counted_rungs(rungs, belief)
+        deciding = perf_counter() - start - compiling
+        plan, planning = self._planned(scene, rungs)
         late = deciding + planning > 1e-3 * getattr(self.choice, "milliseconds", np.inf)
         controls, status, source = self._followed(plan, late)
         path = plan.path[: len(controls) if status in (PLANNED, LATE) else 0]
@@ -142,12 +144,6 @@ class RoadDriver:
             traits=scene.traits,
         )
 
-    def _rungs(self, scene: RoadScene, belief: Belief | None, worth: Traffic, costs: Costs, spent: float) -> Rungs:
-        """Return the rung of each of the others, where answers are worth this much [reward]."""
-        chosen = self.choice.choose(worth, costs, spent)
-        rungs = np.where(scene.moving & scene.present, chosen, NAIVE).astype(np.int32)
-        return rungs if belief is None else counted_rungs(rungs, belief)
-
     def _planned(self, scene: RoadScene, rungs: Rungs) -> tuple[RoadPlan, float]:
         plan, seconds = timed(plan_of, scene, self.planning, self.weights, rungs, self._last)
         return jax.tree.map(np.asarray, plan), seconds
@@ -171,6 +167,8 @@ class RoadDriver:
         given, others = (scene, self.planning, self.weights), np.asarray(scene.moving & scene.present)
         rungs = np.outer(range(len(PACKAGE_MODELS)), others).astype(np.int32)
         warm_up(plan_of, *given, rungs[0], self._last)
+        if self.choice.looks:
+            warm_up(worth_of, *given, self._last)
         if self.costs is None and self.choice.looks and others.any():
             # Noise only adds to times, and not to all repeats.
             seconds = np.min([[self._planned(scene, each)[1] for each in rungs] for _ in range(REPEATS)], axis=0)

@@ -25,7 +25,7 @@ from ms_highway.planning.road.proposals import (
     simulate_plans,
 )
 from ms_highway.planning.road.scoring import UNSOUND, Scores, score
-from ms_highway.planning.road.settings import IDM, TOM, TURN, RoadPlanning, RoadWeights
+from ms_highway.planning.road.settings import IDM, NAIVE, TOM, TURN, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traffic import Situation, assumed_traits, situation_of
 from ms_highway.planning.road.traits import followed, jointly
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, Vector, for_each
@@ -62,8 +62,6 @@ class RoadPlan(NamedTuple):
         predictions: x and y of others [traffic, steps, 2].
         chosen: number of the proposal that drives.
         broken: whether it breaks a constraint.
-        worth: what the best proposal would gain if each of the others made way, beyond what is predicted of those who
-            do not optimise: a bound on what its answer is worth.
     """
 
     controls: Controls
@@ -71,7 +69,6 @@ class RoadPlan(NamedTuple):
     predictions: Numbers
     chosen: Index
     broken: Flag
-    worth: Traffic
 
 
 def no_plan(planning: RoadPlanning) -> LastPlan:
@@ -92,6 +89,14 @@ def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
     return _judged(now, profiles(last.controls, lane), _following(now, rungs, PROPOSALS))
 
 
+def worth_of_answers(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, last: LastPlan) -> Traffic:
+    """Return what the best plan would gain if each of the others made way: a bound on what its answer is worth."""
+    nobody = jnp.full_like(scene.names, NAIVE)
+    scores = propose(situation_of(scene, planning, weights), nobody, last).scores
+    total = scores.total
+    return (total[:, None] + scores.answerable).max(axis=0) - total.max()
+
+
 def plan_road(
     scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, rungs: Places, last: LastPlan
 ) -> RoadPlan:
@@ -106,8 +111,6 @@ def plan_road(
     """
     now = situation_of(scene, planning, weights)
     proposed = propose(now, rungs, last)
-    total = proposed.scores.total
-    worth = (total[:, None] + proposed.scores.answerable).max(axis=0) - total.max()
     _, numbers = jax.lax.top_k(proposed.scores.preference, ANSWERED)
     few = jax.tree.map(lambda field: field[numbers], proposed)
     following, optimises = _following(now, rungs, ANSWERED), (rungs >= TURN) & scene.moving & scene.present
@@ -122,7 +125,7 @@ def plan_road(
     driven = few.driven
     predictions = jnp.swapaxes(driven.world[best, :, :2], 1, 2)
     path = centres(scene, driven.states[best])[:3].T
-    return RoadPlan(driven.controls[best], path, predictions, numbers[best], few.scores.broken[best], worth)
+    return RoadPlan(driven.controls[best], path, predictions, numbers[best], few.scores.broken[best])
 
 
 def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:

@@ -41,8 +41,8 @@ class Scores(NamedTuple):
     Attributes:
         own: without others.
         others: cost of each of the others.
-        answerable: the part of it that may change if a car answers the robot: not that of cars ahead of it in its lane
-            or with the right of way, and not what happens after the plan.
+        answerable: the part of it that may change if a car answers the robot: not that of cars ahead of it in its lane,
+            and not what happens after the plan.
         intrusion: depth in the margin around others [m]; at most that margin where nobody is hit.
         impact: highest difference of velocities at which it hits somebody for good [m/s]; 0 if it does not.
         leaves: whether it leaves the road.
@@ -105,7 +105,7 @@ def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
     return Scores(
         own=planning.time_step * per_second.sum(axis=1) + per_plan - jnp.where(charged.any(axis=-1), 0.0, lost),
         others=others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0),
-        answerable=jnp.where(leads | scene.priority, 0.0, others),
+        answerable=jnp.where(leads, 0.0, others),
         intrusion=intrusion,
         impact=impact,
         leaves=leaves | closed,
