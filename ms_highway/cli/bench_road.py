@@ -27,8 +27,8 @@ lane; random, which chooses the environment's actions by chance; search, a beam 
 that knows all that will happen, within the tyres of this package's drivers: privileged, about half a minute for an
 episode, which may last 60 s. Drivers above 10 m/s^2 are labelled unphysical. With a search, or its log as --bound, the
 table says how others fare from the same starts: solved, the share of those that the search solves which they solve,
-too; regret, what they earn less, per step of the search, which need not find the best; waited, the time that they stood
-longer, in seconds, where both solve the start."""
+too; regret, what they earn less per step, to be read beside crashes, which cut episodes short (the search need not find
+the best); waited, the time that they stood longer, in seconds, where both solve the start."""
 
 EXAMPLES = """\
 examples:

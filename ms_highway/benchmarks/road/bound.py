@@ -3,7 +3,7 @@
 The search knows what will happen, but need not find the best: a regret may be negative.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -75,7 +75,7 @@ def behind(episodes: Sequence[Episode], bound: Bound) -> dict[str, Any]:
     * ``bounded``: number of these starts;
     * ``solvable``: share of them that the search solves;
     * ``solved``: share of those that the driver solves, too; None without any;
-    * ``regret``: what it earns less in all, per step of the search;
+    * ``regret``: what it earns less per step, over all steps of these starts, which a crash cuts short;
     * ``waited``: mean time that it stood longer than the search where both solve the start, shorter ones as 0 [s]; None
       without any.
     """
@@ -88,6 +88,11 @@ def behind(episodes: Sequence[Episode], bound: Bound) -> dict[str, Any]:
         "bounded": len(both),
         "solvable": len(solvable) / len(both),
         "solved": float(np.mean(solvable)) if solvable else None,
-        "regret": sum(found.reward - one.reward for one, found in both) / sum(found.steps for _, found in both),
+        "regret": _per_step(found for _, found in both) - _per_step(one for one, _ in both),
         "waited": float(np.mean(longer)) if longer else None,
     }
+
+
+def _per_step(driven: Iterable[Found | Episode]) -> float:
+    rewards, steps = zip(*((one.reward, one.steps) for one in driven), strict=True)
+    return sum(rewards) / sum(steps)
