@@ -20,7 +20,7 @@ PEERS = ("idm", "idle", "random")
 """Drivers that are not this package's."""
 
 SEARCH = "search"
-"""The driver that knows what will happen, a bound for all others; it takes a minute for an episode."""
+"""The driver that knows what will happen, which others are compared with; it takes half a minute for an episode."""
 
 DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", *PEERS)
 """Drivers that are measured by default."""

@@ -18,6 +18,7 @@ from ms_highway.benchmarks.road.peers import Peer, route_to_goal
 from ms_highway.envs.road.driven import unheeded
 from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego, success
 from ms_highway.game.road import BEHIND, SPACING
+from ms_highway.planning.road.motion import SLOWING
 from ms_highway.planning.road.settings import CORNERING
 from ms_highway.vehicle.road_robot import RoadRobot
 
@@ -31,7 +32,6 @@ KEPT = 16
 """Copies that are kept after each choice."""
 
 CELL = 3.0, 1.5, 1.5  # m, m, m/s: of x, y and speed; of the copies in one, the one that has earned most is kept
-SLOWING = 2.5  # m/s^2, before bends
 
 
 class Choice(NamedTuple):
