@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ms_highway.benchmarks.road import DRIVERS, SCENES, SEARCH, TRAFFIC, known_scenes
+from ms_highway.benchmarks.road import AGENT, DRIVERS, SCENES, SEARCH, TRAFFIC, known_scenes
 from ms_highway.cli.console import add_command, count_episodes, draw_unseen, print_tables
 from ms_highway.cli.options import MOST_PROCESSES, MOST_SEEDS, add_number
 
@@ -25,7 +25,8 @@ Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RU
 as priced+traits+belief). Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and
 lane; random, which chooses the environment's actions by chance; search, a beam search over copies of the environment
 that knows all that will happen, within the tyres of this package's drivers: privileged, about half a minute for an
-episode, which may last 60 s. Drivers above 10 m/s^2 are labelled unphysical. With a search, or its log as --bound, the
+episode, which may last 60 s; or the file of an agent that stable-baselines3 has saved (it has to be installed), such as
+notebooks/examples/train_peers.py writes. Drivers above 10 m/s^2 are labelled unphysical. With a search, or its log as --bound, the
 table says how others fare from the same starts: solved, the share of those that the search solves which they solve,
 too; regret, what they earn less per step, to be read beside crashes, which cut episodes short (the search need not find
 the best); waited, the time that they stood longer, in seconds, where both solve the start."""
@@ -36,6 +37,7 @@ examples:
   ms-highway bench road --seeds 100 --seed 1000 --json road.json --log road.csv
   ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films
   ms-highway bench road intersection-v0 --drivers search --seeds 20 --log search.csv
+  ms-highway bench road merge-v0 --drivers priced agents/dqn-merge-v0-0.zip
   ms-highway bench road intersection-v0 --drivers priced idm --seeds 20 --bound search.csv"""
 
 
@@ -108,8 +110,10 @@ def _bench_road(options: argparse.Namespace) -> None:
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
     for driver in drivers:
         check_driver(driver)
-    for scene in scenes if SEARCH in drivers else ():
-        make_driver(Block(scene, SEARCH))  # or refuse what is too long for it
+    for scene in scenes:
+        for driver in drivers:
+            if driver == SEARCH or driver.endswith(AGENT):
+                make_driver(Block(scene, driver))  # or refuse scenes that are not for it
     seeds = range(options.seed, options.seed + options.seeds)
     bounds = read_bounds(options.bound, options.traffic) if options.bound else {}
     if options.bound and not any(seed in bounds.get(scene, {}) for scene in scenes for seed in seeds):

@@ -25,6 +25,9 @@ SEARCH = "search"
 DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", *PEERS)
 """Drivers that are measured by default."""
 
+AGENT = ".zip"
+"""How the names of drivers end that are files of agents, as stable-baselines3 saves them."""
+
 TRAFFIC = {
     "idm": "highway_env.vehicle.behavior.IDMVehicle",
     "aggressive": "highway_env.vehicle.behavior.AggressiveVehicle",

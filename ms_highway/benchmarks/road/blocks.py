@@ -4,6 +4,7 @@ A process is left after its episodes, because some scenes change the class of th
 """
 
 import os
+import re
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -56,7 +57,7 @@ def run_blocks(
                 for success, seed in seen.items():
                     name = f"{block.scene}_{block.driver}_{'success' if success else 'failure'}_{seed}.gif"
                     if films:
-                        process.submit(film, block, seed, films / name.replace(":", "_")).result()
+                        process.submit(film, block, seed, films / re.sub(r"[:/\\]", "_", name)).result()
         finally:
             free.put(core)
 

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from ms_highway.benchmarks.road import SEARCH, TRAFFIC, driver_config
+from ms_highway.benchmarks.road import AGENT, SEARCH, TRAFFIC, driver_config
 from ms_highway.benchmarks.road.measures import Watch, has_ended
-from ms_highway.benchmarks.road.peers import PEERS, Peer
+from ms_highway.benchmarks.road.peers import PEERS, Agent, Peer, policy_of
 from ms_highway.benchmarks.road.search import Search
 from ms_highway.envs.road import drive
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
@@ -94,13 +94,16 @@ def check_driver(name: str) -> None:
     """Refuse a driver that is not known.
 
     Raises:
+        ModuleNotFoundError: if an agent needs what is not installed.
         ValueError: naming those that are.
     """
-    if name not in OTHERS:
+    if name.endswith(AGENT):
+        policy_of(name)
+    elif name not in OTHERS:
         try:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
-            known = ", ".join([*OTHERS, *DRIVERS, "DRIVER[+traits][+belief]"])
+            known = ", ".join([*OTHERS, *DRIVERS, "DRIVER[+traits][+belief]", f"AGENT{AGENT}"])
             raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
 
 
@@ -115,6 +118,8 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
         env = gym.make(block.scene, config=config, disable_env_checker=True, **options)
+    if block.driver.endswith(AGENT):
+        return Agent(env, block.driver)
     return OTHERS[block.driver](env) if block.driver in OTHERS else drive(env, driver_config(block.driver))
 
 

@@ -1,6 +1,7 @@
-"""Drivers that are not this package's: highway-env's IDM and MOBIL, doing nothing, and chance."""
+"""Drivers that are not this package's: highway-env's IDM and MOBIL, doing nothing, chance, and trained agents."""
 
 from itertools import pairwise
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -83,6 +84,68 @@ class Random(Peer):
     def choose(self) -> Any:
         """Draw an action."""
         return self.inner.action_space.sample()
+
+
+class Agent(Peer):
+    """Take the actions of an agent that stable-baselines3 has trained, the likeliest ones.
+
+    Args:
+        env: the environment.
+        file: that the agent has been saved to.
+
+    Raises:
+        ModuleNotFoundError: without stable-baselines3.
+        ValueError: if the file is no such agent, or one of another observation or action.
+    """
+
+    def __init__(self, env: gym.Env, file: str) -> None:
+        super().__init__(env)
+        self.policy = policy_of(file)
+        for name in ("observation_space", "action_space"):
+            known, offered = getattr(self.policy, name), getattr(env, name)
+            if known != offered:
+                scene = env.spec.id if env.spec else "the environment"
+                what = name.replace("_", " ")
+                raise ValueError(f"{file}: the agent's {what} is {known}, that of {scene} {offered}; train one there")
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        self.seen, info = super().reset(**options)
+        return self.seen, info
+
+    def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Decide, and take a step of the environment."""
+        self.seen, *outcome = super().step()
+        return self.seen, *outcome
+
+    def choose(self) -> Any:
+        """Return the agent's action after the last observation."""
+        action, _ = self.policy.predict(self.seen, deterministic=True)
+        return action if action.shape else action.item()
+
+
+def policy_of(file: str) -> Any:
+    """Return the policy of an agent of any algorithm of stable-baselines3.
+
+    Raises:
+        ModuleNotFoundError: without stable-baselines3.
+        ValueError: if the file is no such agent.
+    """
+    if not Path(file).is_file():
+        raise ValueError(f"there is no agent {file}; notebooks/examples/train_peers.py trains some")
+    try:
+        from stable_baselines3.common.save_util import load_from_zip_file
+    except ModuleNotFoundError as error:
+        message = f"the agent {file} needs stable-baselines3: pip install stable-baselines3"
+        raise ModuleNotFoundError(message, name=error.name) from None
+    try:
+        data, parameters, _ = load_from_zip_file(file, device="cpu")
+        spaces = data["observation_space"], data["action_space"]
+        policy = data["policy_class"](*spaces, lambda _: 0.0, **data["policy_kwargs"])
+        policy.load_state_dict(parameters["policy"])
+    except (ValueError, KeyError, TypeError, OSError) as error:
+        raise ValueError(f"{file} is no agent that stable-baselines3 has saved ({error!r})") from None
+    return policy
 
 
 class IdmEgo(OfferedSpeeds, IDMVehicle):
