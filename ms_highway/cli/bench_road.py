@@ -26,10 +26,10 @@ as priced+traits+belief). Others: idm, highway-env's IDM and MOBIL in the place 
 lane; random, which chooses the environment's actions by chance; search, a beam search over copies of the environment
 that knows all that will happen, within the tyres of this package's drivers: privileged, about half a minute for an
 episode, which may last 60 s; or the file of an agent that stable-baselines3 has saved (it has to be installed), such as
-notebooks/examples/train_peers.py writes. Drivers above 10 m/s^2 are labelled unphysical. With a search, or its log as --bound, the
-table says how others fare from the same starts: solved, the share of those that the search solves which they solve,
-too; regret, what they earn less per step, to be read beside crashes, which cut episodes short (the search need not find
-the best); waited, the time that they stood longer, in seconds, where both solve the start."""
+notebooks/examples/train_peers.py writes. Drivers above 10 m/s^2 are labelled unphysical. With a search, or its log as
+--bound, the table says how others fare from the same starts: solved, the share of those that the search solves which
+they solve, too; regret, what they earn less per step, to be read beside crashes, which cut episodes short (the search
+need not find the best); waited, the time that they stood longer, in seconds, where both solve the start."""
 
 EXAMPLES = """\
 examples:

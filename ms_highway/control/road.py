@@ -10,31 +10,31 @@ from jaxtyping import Float
 
 from ms_highway.control.controller import ControlStep
 from ms_highway.control.fallback import LATE, PLANNED, STATUSES, fallback_status
-from ms_highway.game.road import TRAFFIC, Places, RoadScene, Traits
+from ms_highway.game.road import TRAFFIC, Places, RoadScene, Traffic, Traits
 from ms_highway.metareasoning.belief import first_belief
 from ms_highway.metareasoning.road import RungChoice, counted_rungs, updated_road_belief
 from ms_highway.optimization.kalman import Gaussian
 from ms_highway.planning.car_following import HARDEST
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import PACKAGE_MODELS
-from ms_highway.planning.road.plan import LastPlan, RoadPlan, no_plan, plan_road, worth_of_answers
+from ms_highway.planning.road.plan import LastPlan, Proposed, RoadPlan, answer_road, no_plan, propose_road
 from ms_highway.planning.road.proposals import FULL_BRAKING, LAST_PLAN
-from ms_highway.planning.road.settings import NAIVE, TOM, RoadPlanning, RoadWeights
+from ms_highway.planning.road.settings import IDM, NAIVE, TOM, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traits import prior, traits_of, updated_traits
 from ms_highway.runtime.arrays import Belief, Controls, Rungs
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
-SHIPPED_COSTS = Costs(0.008, np.array([0.0, 0.0, 0.0019, 0.0028]))
+SHIPPED_COSTS = Costs(0.0039, np.array([0.0, 0.0, 0.0017, 0.0017]))
 """Planning time among naive cars, and what each car adds under each model, as measured on one core [s]."""
 
 BRAKING_SHARE = 0.95  # share of the grip from which a plan that breaks a constraint counts as braking
 SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 REPEATS = 9  # plans that are timed for the costs of models
 
-plan_of, worth_of = jit_quickly(plan_road), jit_quickly(worth_of_answers)
-"""Plans and the worth of answers, each compiled once for all scenes, rungs, limits and weights."""
+proposed_for, answered_by = jit_quickly(propose_road), jit_quickly(answer_road)
+"""Proposals and answers to them, each compiled once for all scenes, rungs, limits and weights."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,17 +107,8 @@ class RoadDriver:
         scene, belief = self._seen.look(scene)
         costs, preparing = timed(self._prepared, scene)
         compiling += preparing
-        worth = np.full(TRAFFIC, np.nan)
-        if self.choice.looks:
-            worth = np.asarray(worth_of(scene, self.planning, self.weights, self._last))
-        if belief is not None:
-            worth = worth * belief[:, TOM]
-        chosen = self.choice.choose(worth, costs, perf_counter() - start - compiling)
-        rungs = np.where(scene.moving & scene.present, chosen, NAIVE).astype(np.int32)
-        if belief is not None:
-            rungs = counted_rungs(rungs, belief)
-        deciding = perf_counter() - start - compiling
-        plan, planning = self._planned(scene, rungs)
+        plan, rungs, worth, planning = self._chosen(scene, belief, costs, perf_counter() - start - compiling)
+        deciding = perf_counter() - start - compiling - planning
         late = deciding + planning > 1e-3 * getattr(self.choice, "milliseconds", np.inf)
         controls, status, source = self._followed(plan, late)
         path = plan.path[: len(controls) if status in (PLANNED, LATE) else 0]
@@ -144,9 +135,37 @@ class RoadDriver:
             traits=scene.traits,
         )
 
-    def _planned(self, scene: RoadScene, rungs: Rungs) -> tuple[RoadPlan, float]:
-        plan, seconds = timed(plan_of, scene, self.planning, self.weights, rungs, self._last)
-        return jax.tree.map(np.asarray, plan), seconds
+    def _chosen(
+        self, scene: RoadScene, belief: Belief | None, costs: Costs, spent: float
+    ) -> tuple[RoadPlan, Rungs, Traffic, float]:
+        """Return the plan, the rung of each of the others, what their answers are worth, and its seconds."""
+        rungs, worth = self._rungs(scene, belief, np.zeros(TRAFFIC), costs, spent), np.full(TRAFFIC, np.nan)
+        proposed, planning = timed(self._proposed, scene, rungs)
+        if self.choice.looks:
+            worth = np.asarray(proposed.worth) * (1.0 if belief is None else belief[:, TOM])
+            first, rungs = rungs, self._rungs(scene, belief, worth, costs, spent)
+            if (np.minimum(first, IDM) != np.minimum(rungs, IDM)).any():
+                proposed, again = timed(self._proposed, scene, rungs)
+                planning += again
+        plan, answering = timed(self._answered, proposed, rungs)
+        return plan, rungs, worth, planning + answering
+
+    def _rungs(self, scene: RoadScene, belief: Belief | None, worth: Traffic, costs: Costs, spent: float) -> Rungs:
+        """Return the rung of each of the others, whose answers are worth this much [reward]."""
+        chosen = self.choice.choose(worth, costs, spent)
+        rungs = np.where(scene.moving & scene.present, chosen, NAIVE).astype(np.int32)
+        return rungs if belief is None else counted_rungs(rungs, belief)
+
+    def _proposed(self, scene: RoadScene, rungs: Rungs) -> Proposed:
+        return proposed_for(scene, self.planning, self.weights, np.minimum(rungs, IDM), self._last)
+
+    def _answered(self, proposed: Proposed, rungs: Rungs) -> RoadPlan:
+        """Return the best plan, answered by those who optimise their reward, if there are any."""
+        plan = answered_by(proposed, rungs) if (rungs > IDM).any() else proposed.plan
+        return jax.tree.map(np.asarray, plan)
+
+    def _planned(self, scene: RoadScene, rungs: Rungs) -> RoadPlan:
+        return self._answered(self._proposed(scene, rungs), rungs)
 
     def _followed(self, plan: RoadPlan, late: bool) -> tuple[Controls, int, str]:
         """Return the controls to follow, the number of their status and their source; keep what is left of the plan."""
@@ -166,12 +185,11 @@ class RoadDriver:
         """Compile, and return what models cost, measured once there are others if the choice looks at it."""
         given, others = (scene, self.planning, self.weights), np.asarray(scene.moving & scene.present)
         rungs = np.outer(range(len(PACKAGE_MODELS)), others).astype(np.int32)
-        warm_up(plan_of, *given, rungs[0], self._last)
-        if self.choice.looks:
-            warm_up(worth_of, *given, self._last)
+        if warm_up(proposed_for, *given, rungs[0], self._last):
+            warm_up(answered_by, self._proposed(scene, rungs[0]), rungs[0])
         if self.costs is None and self.choice.looks and others.any():
             # Noise only adds to times, and not to all repeats.
-            seconds = np.min([[self._planned(scene, each)[1] for each in rungs] for _ in range(REPEATS)], axis=0)
+            seconds = np.min([[timed(self._planned, scene, each)[1] for each in rungs] for _ in range(REPEATS)], axis=0)
             self.costs = Costs(float(seconds[0]), np.maximum.accumulate(seconds - seconds[0]) / others.sum())
         return self.costs or Costs(0.0, np.zeros(len(PACKAGE_MODELS)))
 

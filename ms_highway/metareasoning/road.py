@@ -1,8 +1,8 @@
 """Choose a model for each car of the traffic on a road: what its answer could be worth, against the time of the model.
 
-Proposals are judged with everybody keeping its velocity first, which is cheap. What the best of them would gain if it
-were not for a car bounds what any better prediction of this car can be worth: ``max_p (R(p) + c_i(p)) - max_p R(p)``,
-with R what a proposal earns and c_i the part of it that car i costs. Where nothing is to be gained, nothing is spent.
+Proposals are judged with what costs nothing to predict first. What the best of them would gain if it were not for a car
+bounds what any better prediction of this car can be worth: ``max_p (R(p) + c_i(p)) - max_p R(p)``, with R what a
+proposal earns and c_i the part of it that car i costs. Where nothing is to be gained, nothing more is spent.
 A belief says which model each driver follows.
 """
 

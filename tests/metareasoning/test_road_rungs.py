@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from roads import PLANNING, WEIGHTS, scene_of
 
-from ms_highway.control.road import worth_of
+from ms_highway.control.road import proposed_for
 from ms_highway.game.road import TRAFFIC
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs
 from ms_highway.planning.compiled_plans import Costs
@@ -19,7 +19,8 @@ GAINS = np.array([0.0, 5.0, 0.2, 30.0, 1e-3, 0.0, 2.0])
 
 
 def gains_of(scene):
-    return np.asarray(worth_of(scene, PLANNING, WEIGHTS, no_plan(PLANNING)))
+    nobody = np.zeros(TRAFFIC, np.int32)
+    return np.asarray(proposed_for(scene, PLANNING, WEIGHTS, nobody, no_plan(PLANNING)).worth)
 
 
 def test_answers_of_cars_far_away_and_of_nobody_are_worth_nothing():

@@ -8,12 +8,13 @@ import pytest
 from jax import numpy as jnp
 from roads import PLANNING, WEIGHTS, scene_of
 
-from ms_highway.control.road import plan_of as planned
+from ms_highway.control.road import answered_by, proposed_for
 from ms_highway.game.road import TRAFFIC
 from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.motion import bodies, execute
 from ms_highway.planning.road.plan import LastPlan, no_plan, propose
 from ms_highway.planning.road.proposals import LAST_PLAN
+from ms_highway.planning.road.settings import IDM
 from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
@@ -34,7 +35,8 @@ def everybody(name):
 
 
 def plan_of(scene, name="naive", memory=MEMORY):
-    return planned(scene, PLANNING, WEIGHTS, everybody(name), memory)
+    rungs = everybody(name)
+    return answered_by(proposed_for(scene, PLANNING, WEIGHTS, np.minimum(rungs, IDM), memory), rungs)
 
 
 def busy(seed):

@@ -25,12 +25,13 @@ from ms_highway.planning.road.proposals import (
     simulate_plans,
 )
 from ms_highway.planning.road.scoring import UNSOUND, Scores, score
-from ms_highway.planning.road.settings import IDM, NAIVE, TOM, TURN, RoadPlanning, RoadWeights
-from ms_highway.planning.road.traffic import Situation, assumed_traits, situation_of
+from ms_highway.planning.road.settings import IDM, LANE, TOM, TURN, RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import Situation, assumed_traits, leads, situation_of
 from ms_highway.planning.road.traits import followed, jointly
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, Vector, for_each
 
 ANSWERED = 6  # best proposals that others answer
+HARD, BESIDE = 3.0, 1.5  # m/s^2, lanes aside: who brakes harder than this ahead, up to there, is expected to go on so
 
 
 class LastPlan(NamedTuple):
@@ -71,6 +72,24 @@ class RoadPlan(NamedTuple):
     broken: Flag
 
 
+class Proposed(NamedTuple):
+    """The best proposals while nobody answers them.
+
+    Attributes:
+        now: the situation.
+        few: the best of the proposals, `ANSWERED` of them.
+        numbers: which ones these are.
+        worth: what the best proposal would gain if each of the others made way: a bound on what its answer is worth.
+        plan: the best one.
+    """
+
+    now: Situation
+    few: Judged
+    numbers: Places
+    worth: Traffic
+    plan: RoadPlan
+
+
 def no_plan(planning: RoadPlanning) -> LastPlan:
     """Return what stands for the last plan before the first one: go on straight."""
     return LastPlan(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32))
@@ -89,18 +108,10 @@ def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
     return _judged(now, profiles(last.controls, lane), _following(now, rungs, PROPOSALS))
 
 
-def worth_of_answers(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, last: LastPlan) -> Traffic:
-    """Return what the best plan would gain if each of the others made way: a bound on what its answer is worth."""
-    nobody = jnp.full_like(scene.names, NAIVE)
-    scores = propose(situation_of(scene, planning, weights), nobody, last).scores
-    total = scores.total
-    return (total[:, None] + scores.answerable).max(axis=0) - total.max()
-
-
-def plan_road(
+def propose_road(
     scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, rungs: Places, last: LastPlan
-) -> RoadPlan:
-    """Plan with a model for each of the others.
+) -> Proposed:
+    """Propose plans, and find the best of them while nobody answers.
 
     Args:
         scene: the road.
@@ -110,22 +121,35 @@ def plan_road(
         last: plan.
     """
     now = situation_of(scene, planning, weights)
-    proposed = propose(now, rungs, last)
-    _, numbers = jax.lax.top_k(proposed.scores.preference, ANSWERED)
-    few = jax.tree.map(lambda field: field[numbers], proposed)
-    following, optimises = _following(now, rungs, ANSWERED), (rungs >= TURN) & scene.moving & scene.present
+    judged = propose(now, rungs, last)
+    total = judged.scores.total
+    worth = (total[:, None] + judged.scores.answerable).max(axis=0) - total.max()
+    _, numbers = jax.lax.top_k(judged.scores.preference, ANSWERED)
+    few = jax.tree.map(lambda field: field[numbers], judged)
+    return Proposed(now, few, numbers, worth, _best(now, few, few, numbers))
 
-    def again() -> Judged:
-        manners = following._replace(given=optimises, accelerations=_answers(now, rungs, optimises, few.driven))
-        return _judged(now, few.plans, manners)
 
-    collides = few.scores.collides  # if others only follow: nobody is counted on to make way
-    few = jax.lax.cond(optimises.any(), again, lambda: few)
-    best = jnp.argmax(few.scores.preference - UNSOUND * (collides & ~few.scores.broken))
-    driven = few.driven
+def answer_road(proposed: Proposed, rungs: Places) -> RoadPlan:
+    """Return the best of the proposals when those answer them who optimise their reward.
+
+    Args:
+        proposed: plans, while all others do what their models say up to `IDM`.
+        rungs: number of the model of each of the others.
+    """
+    now, few = proposed.now, proposed.few
+    following, optimises = _following(now, rungs, ANSWERED), (rungs >= TURN) & now.scene.moving & now.scene.present
+    manners = following._replace(given=optimises, accelerations=_answers(now, rungs, optimises, few.driven))
+    return _best(now, few, _judged(now, few.plans, manners), proposed.numbers)
+
+
+def _best(now: Situation, few: Judged, answered: Judged, numbers: Places) -> RoadPlan:
+    """Return the best plan once it is answered, of those that are sound while nobody is counted on to make way."""
+    relies = few.scores.collides & ~answered.scores.broken
+    best = jnp.argmax(answered.scores.preference - UNSOUND * relies)
+    driven = answered.driven
     predictions = jnp.swapaxes(driven.world[best, :, :2], 1, 2)
-    path = centres(scene, driven.states[best])[:3].T
-    return RoadPlan(driven.controls[best], path, predictions, numbers[best], few.scores.broken[best])
+    path = centres(now.scene, driven.states[best])[:3].T
+    return RoadPlan(driven.controls[best], path, predictions, numbers[best], answered.scores.broken[best])
 
 
 def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:
@@ -134,14 +158,21 @@ def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:
 
 
 def _following(now: Situation, rungs: Places, plans: int) -> Manners:
-    """Return the manners of others who keep their speed, or follow."""
+    """Return the manners of others who keep their speed, or follow.
+
+    Who may cross the robot's way keeps its speed: whom it follows depends on the way that it takes.
+    """
     scene, planning = now.scene, now.planning
-    follows = (rungs >= IDM) & scene.moving
+    follows = (rungs >= IDM) & scene.moving & ~now.crossings.exist
     manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((plans, len(rungs), planning.steps)))
     if scene.accelerations is None:
         return manners
     modelled = jointly(scene, followed(scene, assumed_traits(scene)), planning.time_step)
-    return manners._replace(surprise=scene.accelerations - jnp.where(follows, modelled, 0.0))
+    brakes = leads(scene, now.ways, BESIDE * LANE) & (scene.accelerations < -HARD)
+    return manners._replace(
+        surprise=scene.accelerations - jnp.where(follows, modelled, 0.0),
+        held=jnp.where(brakes, scene.accelerations, jnp.inf),
+    )
 
 
 def _answers(now: Situation, rungs: Places, optimises: Flags, driven: DrivenPlans) -> EachStep:

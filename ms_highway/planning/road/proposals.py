@@ -59,6 +59,8 @@ COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
 CREEPING = 3.0  # m/s, at which cars come that stand
 BACKWARDS = 0.3  # m/s, above which a car rolls backwards
 FADES = 1.0  # s, in which others who do not do what their model says come back to it
+HELD = 3.0  # s, for which who brakes hard ahead goes on so
+RESERVED = 0.6  # share of the grip that braking may take before steering
 
 
 class Manners(NamedTuple):
@@ -69,12 +71,14 @@ class Manners(NamedTuple):
         given: whether its accelerations are given.
         accelerations: those, for every plan [m/s^2].
         surprise: what its last acceleration was above what its model says, which fades [m/s^2]; none by default.
+        held: its acceleration at most for `HELD` seconds [m/s^2]; any by default.
     """
 
     follows: Flags
     given: Flags
     accelerations: EachStep
     surprise: Traffic = np.zeros(1, np.float32)
+    held: Traffic = np.full(1, np.inf, np.float32)
 
 
 class Profiles(NamedTuple):
@@ -144,28 +148,32 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
     across, start = aside(scene, planning.times), (scene.robot, scene.states[:, 0], scene.states[:, 3])
     rolls = scene.states[:, 3] < -BACKWARDS  # may go on so; others stop at most
     surprises = jnp.exp(-planning.times / FADES)[:, None] * manners.surprise
+    most = jnp.where(planning.times[:, None] < HELD, manners.held, jnp.inf)
 
     def one(plan: Profiles, order: EachStep) -> tuple:
         def go(carry: tuple, step: tuple) -> tuple[tuple, tuple]:
-            (car, along, speeds), (held, sideways, ordered, surprise) = carry, step
+            (car, along, speeds), (held, sideways, ordered, surprise, limit) = carry, step
             where = on_route(now.ways, along, sideways)
             control = jnp.where(plan.given, held, _control(now, plan, car, along, where, speeds))
             control = within_tyres(planning, car[3], control)
             gaps = scene.gaps + along[scene.leaders] - along
             answer = follow_all(scene, traits, where, speeds, gaps, (car[0] + half, car[1:2], car[3]))
             modelled = jnp.where(manners.given, ordered, jnp.where(manners.follows, answer, 0.0))
-            acceleration = jnp.clip(modelled + surprise, -HARDEST, HARDEST)
+            acceleration = jnp.clip(jnp.minimum(modelled + surprise, limit), -HARDEST, HARDEST)
             acceleration = jnp.where(scene.moving, acceleration, -speeds)  # who has crashed slides to a stop
             acceleration = jnp.maximum(acceleration, jnp.where(rolls, -jnp.inf, -speeds / dt))
             moved, after = along + speeds * dt, speeds + acceleration * dt
             ahead = advance(scene, planning, car, control)
             return (ahead, moved, after), (ahead, control, moved, after, *on_route(now.ways, moved, sideways))
 
-        return jax.lax.scan(go, start, (plan.controls, across.T, order.T, surprises))[1]
+        return jax.lax.scan(go, start, (plan.controls, across.T, order.T, surprises, most))[1]
 
     states, controls, *others = jax.vmap(one)(plans, manners.accelerations)
     along, speeds, s, d, cosine = (jnp.swapaxes(field, 1, 2) for field in others)
-    world = jnp.stack([*jax.vmap(place, (0, -2, 0), -2)(scene.paths, along, across), speeds], axis=-2)
+    x, y, heading = jax.vmap(place, (0, -2, 0), -2)(scene.paths, along, across)
+    slip = jax.vmap(interpolate, (0, -2), -2)(scene.paths.curvature, along) * scene.sizes[:, :1] / 2
+    heading = heading - jnp.arcsin(jnp.clip(slip, -0.9, 0.9))  # in bends, rear axles keep to the inside
+    world = jnp.stack([x, y, heading, speeds], axis=-2)
     return DrivenPlans(states, controls, world, along, s, d, speeds, cosine)
 
 
@@ -204,4 +212,7 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     free = gain * (COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed))
     free = jnp.minimum(jnp.clip(free, -HASTE, haste), jnp.minimum(kept, haste))
     acceleration = jnp.where(plan.follows, free, plan.rate)
-    return jnp.stack([curvature, jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))])
+    acceleration = jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))
+    braking = jnp.clip(-acceleration, 0.0, RESERVED * planning.grip)
+    sharpest = jnp.sqrt(planning.grip**2 - braking**2) / squared
+    return jnp.stack([jnp.clip(curvature, -sharpest, sharpest), acceleration])

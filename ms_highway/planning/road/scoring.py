@@ -16,8 +16,8 @@ from ms_highway.planning.road.traffic import (
     SAME_WAY,
     STANDING,
     Situation,
+    leads,
     lowest,
-    on_route,
     way_knots,
 )
 from ms_highway.runtime.arrays import Numbers
@@ -97,15 +97,13 @@ def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
         - weights.off_road * (leaves.astype(float) + closed)
     )
     others, intrusion, impact = _meetings(now, driven, lanes)
-    leading_s, leading_d, cosine = on_route(now.ways, scene.states[:, 0], scene.states[:, 1])
-    leads = (leading_s > scene.robot[0]) & (jnp.abs(leading_d - scene.robot[1]) < scene.size[1]) & (cosine > CROSSING)
     missing = missing_room(now, driven, goal[:, -1])
     slower, charged = prospects(now, driven, lanes)
     lost = weights.prospect * slower / desired
     return Scores(
         own=planning.time_step * per_second.sum(axis=1) + per_plan - jnp.where(charged.any(axis=-1), 0.0, lost),
         others=others + weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0),
-        answerable=jnp.where(leads, 0.0, others),
+        answerable=jnp.where(leads(scene, now.ways, scene.size[1]), 0.0, others),
         intrusion=intrusion,
         impact=impact,
         leaves=leaves | closed,
@@ -208,7 +206,7 @@ def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
     """Return whether the robot can still stop before where a car crosses its route, soon after a plan has begun."""
     s, _, _, speed = driven.robot[..., DECIDED]
     left = now.crossings.line - s - now.scene.size[0]
-    return (now.crossings.begin < FAR) & (left > speed**2 / (2 * STOPPING * now.planning.grip))
+    return now.crossings.exist & (left > speed**2 / (2 * STOPPING * now.planning.grip))
 
 
 def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:

@@ -11,6 +11,7 @@ from jax import numpy as jnp
 from ms_highway.game.road import (
     BEHIND,
     SPACING,
+    Flags,
     Knots,
     Pose,
     RoadScene,
@@ -67,6 +68,11 @@ class Crossings(NamedTuple):
     begin: Traffic
     last: Traffic
 
+    @property
+    def exist(self) -> Flags:
+        """Which of the paths cross the route at all."""
+        return self.begin < FAR
+
 
 class Situation(NamedTuple):
     """What all plans of a step are made and judged with.
@@ -110,6 +116,12 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     across = inside & (ways.cosine < SHARING) & ~shares[:, None]
     knots, line = way_knots(ways), lowest(ways.s, across) - scene.sizes[:, 1] / 2 - WAITING
     return Crossings(across, line, lowest(knots, across), -lowest(-knots, across))
+
+
+def leads(scene: RoadScene, ways: Ways, aside: Numbers) -> Flags:
+    """Return who is ahead of the robot, goes its way, and is at most this far aside [m]."""
+    s, d, cosine = on_route(ways, scene.states[:, 0], scene.states[:, 1])
+    return (s > scene.robot[0]) & (jnp.abs(d - scene.robot[1]) < aside) & (cosine > CROSSING)
 
 
 def way_knots(ways: Ways) -> Knots:
