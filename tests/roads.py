@@ -79,6 +79,15 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
     )
 
 
+def crossing(robot_s, come_from, speed=10.0):
+    """A standing robot, and a car that crosses its route at s = 40 from the left, so far away now [m]."""
+    scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, speed)])
+    along = np.arange(TRAFFIC_KNOTS) * SPACING - BEHIND - come_from
+    for field, values in (("x", 40.0), ("y", along), ("heading", np.pi / 2), ("curvature", 0.0)):
+        getattr(scene.paths, field)[0] = values
+    return scene
+
+
 @jax.jit
 def keeping_velocity(scene):
     """World trajectories [TRAFFIC, 4, steps] of traffic that keeps its velocity along its path."""

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import PLANNING, WEIGHTS, scene_of
+from roads import PLANNING, WEIGHTS, crossing, scene_of
 
 from ms_highway.control.road import answered_by, proposed_for
 from ms_highway.game.road import TRAFFIC
@@ -116,3 +116,30 @@ def test_obstacles_stay_where_they_are_under_every_model():
     scene = replace(SCENES["standing car ahead"], moving=np.zeros(TRAFFIC, bool))
     for name in PACKAGE_MODELS:
         assert final_place(scene, name) == pytest.approx(45.0, abs=1e-3)
+
+
+def accelerating(scene, *accelerations):
+    """The scene, with accelerations of others since the last look."""
+    return replace(scene, accelerations=np.pad(np.float32(accelerations), (0, TRAFFIC - len(accelerations))))
+
+
+def test_who_brakes_hard_ahead_is_expected_to_stop_and_nobody_else():
+    ahead, behind = scene_of(cars=[(30.0, 1, 10.0)]), scene_of(cars=[(-15.0, 1, 10.0)])
+    in_three_seconds = round(3.0 / PLANNING.time_step) - 1
+
+    def covered(scene, acceleration):
+        return float(plan_of(accelerating(scene, acceleration), "idm").predictions[0, in_three_seconds, 0])
+
+    assert covered(ahead, -6.0) == pytest.approx(30.0 + 10.0**2 / 12, abs=1.5)
+    assert covered(ahead, -2.0) > 30.0 + 20.0
+    assert covered(behind, -6.0) > -15.0 + 12.0
+
+
+def test_who_may_cross_is_expected_to_keep_its_speed_and_not_to_follow_a_car_on_one_of_its_ways():
+    led = crossing(0.0, 60.0)
+    led.leaders[0], led.gaps[0], led.present[1], led.moving[1] = 1, 12.0, True, True
+    for field in ("x", "y", "heading", "curvature"):
+        getattr(led.paths, field)[1] = getattr(led.paths, field)[0]
+    led.states[1] = 12.0, 0.0, 0.0, 0.0
+    kept = -60.0 + 10.0 * STEPS * PLANNING.time_step
+    assert float(plan_of(led, "idm").predictions[0, -1, 1]) == pytest.approx(kept, abs=0.05)

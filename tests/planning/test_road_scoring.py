@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
-from roads import NOBODY, PLANNING, SPACING, TRAFFIC_KNOTS, WEIGHTS, judged, scene_of
+from roads import NOBODY, PLANNING, WEIGHTS, crossing, judged, scene_of
 
-from ms_highway.game.road import BEHIND, LANES, TRAFFIC
+from ms_highway.game.road import LANES, TRAFFIC
 from ms_highway.planning.road.prospects import missing_room, urgency
 from ms_highway.planning.road.scoring import blocks, separation
 from ms_highway.planning.road.traffic import situation_of
@@ -152,15 +152,6 @@ def test_a_car_that_the_robot_cuts_in_on_does_count():
     controls = np.stack([changing(0.008, 1.2), np.zeros((STEPS, 2))]).astype(np.float32)
     _, scores = judged(scene, controls, np.array([RIGHT, OWN]), NOBODY)
     np.testing.assert_array_equal(scores.collides, [True, False])
-
-
-def crossing(robot_s, come_from, speed=10.0):
-    """A standing robot, and a car that crosses its route at s = 40 from the left, so far away now [m]."""
-    scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, speed)])
-    along = np.arange(TRAFFIC_KNOTS) * SPACING - BEHIND - come_from
-    for field, values in (("x", 40.0), ("y", along), ("heading", np.pi / 2), ("curvature", 0.0)):
-        getattr(scene.paths, field)[0] = values
-    return scene
 
 
 @pytest.mark.parametrize(

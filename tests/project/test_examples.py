@@ -1,5 +1,6 @@
 """The examples run, and print what their texts say."""
 
+import json
 import re
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from textwrap import indent
 import pytest
 
 DIRECTORY = Path(__file__).parents[2] / "notebooks" / "examples"
-LEARNING = "learn_to_choose"  # which needs an extra
+LEARNING, TRAINING = AGENTS = "learn_to_choose", "train_peers"  # which need stable-baselines3
 EXAMPLES = {path.stem: path.read_text() for path in sorted(DIRECTORY.glob("*.py"))}
 
 PROGRAM = """
@@ -25,7 +26,7 @@ for example in sys.argv[1:]:
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory):
     """What each example prints, by name; all run in one process, as they change what this one knows."""
-    names = [name for name in EXAMPLES if name != LEARNING]
+    names = [name for name in EXAMPLES if name not in AGENTS]
     command = [sys.executable, "-c", PROGRAM, *(str(DIRECTORY / f"{name}.py") for name in names)]
     run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path_factory.mktemp("examples"))
     assert run.returncode == 0, run.stderr
@@ -65,7 +66,7 @@ def test_robots_of_the_examples_choose_their_models_and_drive_without_a_crash_an
 def test_an_example_imports_the_package_by_one_line_beside_experiments():
     for name, text in EXAMPLES.items():
         lines = re.findall(r"^(?:from|import) ms_highway\b(?!\.experiments).*", text, re.MULTILINE)
-        assert name == LEARNING or len(lines) <= 1, name
+        assert name in AGENTS or len(lines) <= 1, name
 
 
 @pytest.mark.slow
@@ -74,3 +75,18 @@ def test_an_agent_learns_to_choose_and_is_set_beside_switching_and_tom():
     command = [sys.executable, str(DIRECTORY / f"{LEARNING}.py"), "merger", "--steps", "450", "--episodes", "1"]
     run = subprocess.run(command, check=True, capture_output=True, text=True)
     assert [line[:16].strip() for line in run.stdout.splitlines()[2:]] == ["switching:0.1", "tom", "dqn, seed 0"]
+
+
+@pytest.mark.slow
+def test_trained_peers_drive_in_the_scene_that_they_know_and_are_refused_in_others(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
+    command = [sys.executable, str(DIRECTORY / f"{TRAINING}.py"), "merge-v0", "--steps", "300", "--to", str(tmp_path)]
+    subprocess.run(command, check=True, capture_output=True)
+    agents = [str(tmp_path / f"{algorithm}-merge-v0-0.zip") for algorithm in ("dqn", "ppo")]
+    bench = [sys.executable, "-m", "ms_highway", "bench", "road"]
+    figures = tmp_path / "road.json"
+    subprocess.run([*bench, "merge-v0", "--drivers", *agents, "--seeds", "1", "--json", str(figures)], check=True)
+    assert list(json.loads(figures.read_text())["merge-v0"]) == agents
+    refused = subprocess.run([*bench, "intersection-v0", "--drivers", agents[0]], capture_output=True, text=True)
+    assert refused.returncode == 2
+    assert "the agent's observation space is Box" in refused.stderr
