@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ms_highway.benchmarks.road import AGENT, DRIVERS, SCENES, SEARCH, TRAFFIC, known_scenes
+from ms_highway.benchmarks.road import DRIVERS, SCENES, SEARCH, TRAFFIC, is_agent, known_scenes
 from ms_highway.cli.console import add_command, count_episodes, draw_unseen, print_tables
 from ms_highway.cli.options import MOST_PROCESSES, MOST_SEEDS, add_number
 
@@ -26,10 +26,11 @@ as priced+traits+belief). Others: idm, highway-env's IDM and MOBIL in the place 
 lane; random, which chooses the environment's actions by chance; search, a beam search over copies of the environment
 that knows all that will happen, within the tyres of this package's drivers: privileged, about half a minute for an
 episode, which may last 60 s; or the file of an agent that stable-baselines3 has saved (it has to be installed), such as
-notebooks/examples/train_peers.py writes. Drivers above 10 m/s^2 are labelled unphysical. With a search, or its log as
---bound, the table says how others fare from the same starts: solved, the share of those that the search solves which
-they solve, too; regret, what they earn less per step, to be read beside crashes, which cut episodes short (the search
-need not find the best); waited, the time that they stood longer, in seconds, where both solve the start."""
+notebooks/examples/train_peers.py writes: open only files that you trust, as they may hold any program. Drivers above 10
+m/s^2 are labelled unphysical. With a search, or its log as --bound, the table says how others fare from the same
+starts: solved, the share of those that the search solves which they solve, too; regret, what they earn less per step,
+to be read beside crashes, which cut episodes short (the search need not find the best); waited, the time that they
+stood longer, in seconds, where both solve the start."""
 
 EXAMPLES = """\
 examples:
@@ -112,8 +113,8 @@ def _bench_road(options: argparse.Namespace) -> None:
         check_driver(driver)
     for scene in scenes:
         for driver in drivers:
-            if driver == SEARCH or driver.endswith(AGENT):
-                make_driver(Block(scene, driver))  # or refuse scenes that are not for it
+            if driver == SEARCH or is_agent(driver):
+                make_driver(Block(scene, driver)).close()  # or refuse scenes that are not for it
     seeds = range(options.seed, options.seed + options.seeds)
     bounds = read_bounds(options.bound, options.traffic) if options.bound else {}
     if options.bound and not any(seed in bounds.get(scene, {}) for scene in scenes for seed in seeds):

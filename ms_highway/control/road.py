@@ -19,7 +19,7 @@ from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.plan import LastPlan, Proposed, RoadPlan, answer_road, no_plan, propose_road
 from ms_highway.planning.road.proposals import FULL_BRAKING, LAST_PLAN
-from ms_highway.planning.road.settings import IDM, NAIVE, TOM, RoadPlanning, RoadWeights
+from ms_highway.planning.road.settings import IDM, NAIVE, TOM, TURN, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traits import prior, traits_of, updated_traits
 from ms_highway.runtime.arrays import Belief, Controls, Rungs
 from ms_highway.runtime.compilation import jit_quickly
@@ -35,6 +35,12 @@ REPEATS = 9  # plans that are timed for the costs of models
 
 proposed_for, answered_by = jit_quickly(propose_road), jit_quickly(answer_road)
 """Proposals and answers to them, each compiled once for all scenes, rungs, limits and weights."""
+
+
+def _proposed_and_answered(
+    scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, rungs: Rungs, last: LastPlan
+) -> RoadPlan:
+    return answered_by(proposed_for(scene, planning, weights, rungs, last), rungs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,13 +144,13 @@ class RoadDriver:
     def _chosen(
         self, scene: RoadScene, belief: Belief | None, costs: Costs, spent: float
     ) -> tuple[RoadPlan, Rungs, Traffic, float]:
-        """Return the plan, the rung of each of the others, what their answers are worth, and its seconds."""
+        """Return the plan, the rung of each of the others, what their answers are worth, and its planning time."""
         rungs, worth = self._rungs(scene, belief, np.zeros(TRAFFIC), costs, spent), np.full(TRAFFIC, np.nan)
         proposed, planning = timed(self._proposed, scene, rungs)
         if self.choice.looks:
             worth = np.asarray(proposed.worth) * (1.0 if belief is None else belief[:, TOM])
             first, rungs = rungs, self._rungs(scene, belief, worth, costs, spent)
-            if (np.minimum(first, IDM) != np.minimum(rungs, IDM)).any():
+            if ((rungs <= IDM) & (rungs != first)).any():  # what optimises is predicted anew anyway
                 proposed, again = timed(self._proposed, scene, rungs)
                 planning += again
         plan, answering = timed(self._answered, proposed, rungs)
@@ -157,7 +163,7 @@ class RoadDriver:
         return rungs if belief is None else counted_rungs(rungs, belief)
 
     def _proposed(self, scene: RoadScene, rungs: Rungs) -> Proposed:
-        return proposed_for(scene, self.planning, self.weights, np.minimum(rungs, IDM), self._last)
+        return proposed_for(scene, self.planning, self.weights, rungs, self._last)
 
     def _answered(self, proposed: Proposed, rungs: Rungs) -> RoadPlan:
         """Return the best plan, answered by those who optimise their reward, if there are any."""
@@ -183,13 +189,13 @@ class RoadDriver:
 
     def _prepared(self, scene: RoadScene) -> Costs:
         """Compile, and return what models cost, measured once there are others if the choice looks at it."""
-        given, others = (scene, self.planning, self.weights), np.asarray(scene.moving & scene.present)
+        others = np.asarray(scene.moving & scene.present)
         rungs = np.outer(range(len(PACKAGE_MODELS)), others).astype(np.int32)
-        if warm_up(proposed_for, *given, rungs[0], self._last):
-            warm_up(answered_by, self._proposed(scene, rungs[0]), rungs[0])
+        warm_up(_proposed_and_answered, scene, self.planning, self.weights, rungs[0], self._last)
         if self.costs is None and self.choice.looks and others.any():
             # Noise only adds to times, and not to all repeats.
             seconds = np.min([[timed(self._planned, scene, each)[1] for each in rungs] for _ in range(REPEATS)], axis=0)
+            seconds[:TURN] = seconds[:TURN].min()  # one program
             self.costs = Costs(float(seconds[0]), np.maximum.accumulate(seconds - seconds[0]) / others.sum())
         return self.costs or Costs(0.0, np.zeros(len(PACKAGE_MODELS)))
 

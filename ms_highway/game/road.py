@@ -164,10 +164,14 @@ def locate(path: Path, x: Numbers, y: Numbers, heading: Numbers) -> Pose:
     s = nearest * SPACING - BEHIND
     for _ in range(2):
         ahead, aside, _ = _offset(path, s, x, y)
-        bend = jnp.where((s > -BEHIND) & (s < _end(path)), interpolate(path.curvature, s), 0.0)
-        s = s + ahead / jnp.maximum(1 - aside * bend, 0.2)
+        s = s + ahead / jnp.maximum(1 - aside * bend(path, s), 0.2)
     _, d, along = _offset(path, s, x, y)
     return s, d, wrapped(heading - along)
+
+
+def bend(path: Path, s: Numbers) -> Numbers:
+    """Return the path's curvature; beyond its ends, it goes straight on."""
+    return jnp.where((s > -BEHIND) & (s < _end(path)), interpolate(path.curvature, s), 0.0)
 
 
 def _end(path: Path) -> float:

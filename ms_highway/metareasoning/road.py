@@ -34,12 +34,12 @@ class RungChoice(Protocol):
     looks: bool
 
     def choose(self, gains: PerHuman, costs: Costs, spent: float) -> Rungs:
-        """Return the rung of each car.
+        """Return the rung of each car; asked without gains first, for the proposals that gains are computed from.
 
         Args:
             gains: bounds on what its answer is worth [reward].
             costs: of plans.
-            spent: seconds of this step that are gone.
+            spent: seconds of this step that are gone, proposals left out, which belong to the plan.
         """
 
 

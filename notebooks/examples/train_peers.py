@@ -41,7 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Train peers for ms-highway bench road.")
     parser.add_argument("scenes", nargs="*", default=SCENES, help=f"environments (default: {' '.join(SCENES)})")
     parser.add_argument("--algorithms", nargs="+", choices=AGENTS, default=list(AGENTS), help="default: all")
-    parser.add_argument("--steps", type=int, default=20_000, help="of the environments, each (default: 20000)")
+    parser.add_argument("--steps", type=int, default=20_000, help="of each agent (default: 20000)")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="of the trainings (default: 0)")
     parser.add_argument("--to", type=Path, default=Path("agents"), help="directory (default: agents)")
     options = parser.parse_args()

@@ -48,11 +48,15 @@ def test_obstacles_are_predicted_by_the_cheapest_model():
 
 def test_models_are_chosen_by_gains_and_costs():
     eager, thrifty = (driver(PricedRungs(price)).step(SCENE) for price in (0.0, 1e9))
-    np.testing.assert_array_equal(eager.gains, thrifty.gains)
     assert set(eager.models[:3]) == {"tom"}
     assert set(thrifty.models[:3]) == {"naive"}
     hurried = driver(BudgetedRungs(0.0)).step(SCENE)
     assert set(hurried.models[:3]) == {"naive"}
+    beside = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)])
+    wanting = replace(beside, changes=np.array([2.0, 1.0, 0.0], np.float32), room=np.float32(30.0))
+    step = driver(PricedRungs(1.0)).step(wanting)
+    assert step.gains[0, -1] > 0
+    assert step.models[:2] == ("tom", "naive")
 
 
 def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there():

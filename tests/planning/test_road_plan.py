@@ -9,17 +9,17 @@ from jax import numpy as jnp
 from roads import PLANNING, WEIGHTS, crossing, scene_of
 
 from ms_highway.control.road import answered_by, proposed_for
-from ms_highway.game.road import TRAFFIC
+from ms_highway.game.road import BEHIND, SPACING, TRAFFIC
 from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.motion import bodies, execute
 from ms_highway.planning.road.plan import LastPlan, no_plan, propose
 from ms_highway.planning.road.proposals import LAST_PLAN
-from ms_highway.planning.road.settings import IDM
 from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 GRIP, STEPS = float(PLANNING.grip), PLANNING.steps
 MEMORY = no_plan(PLANNING)
+ZERO = round(BEHIND / SPACING)  # knot of paths at s = 0
 
 
 @jit_quickly
@@ -36,7 +36,7 @@ def everybody(name):
 
 def plan_of(scene, name="naive", memory=MEMORY):
     rungs = everybody(name)
-    return answered_by(proposed_for(scene, PLANNING, WEIGHTS, np.minimum(rungs, IDM), memory), rungs)
+    return answered_by(proposed_for(scene, PLANNING, WEIGHTS, rungs, memory), rungs)
 
 
 def busy(seed):
@@ -124,15 +124,27 @@ def accelerating(scene, *accelerations):
 
 
 def test_who_brakes_hard_ahead_is_expected_to_stop_and_nobody_else():
-    ahead, behind = scene_of(cars=[(30.0, 1, 10.0)]), scene_of(cars=[(-15.0, 1, 10.0)])
-    in_three_seconds = round(3.0 / PLANNING.time_step) - 1
+    ahead, behind, far_aside = (scene_of(cars=[(s, lane, 10.0)]) for s, lane in ((30.0, 1), (-15.0, 1), (30.0, 2)))
 
-    def covered(scene, acceleration):
-        return float(plan_of(accelerating(scene, acceleration), "idm").predictions[0, in_three_seconds, 0])
+    def covered(scene, acceleration, seconds=3.0):
+        plan = plan_of(accelerating(scene, acceleration), "idm")
+        return float(plan.predictions[0, round(seconds / PLANNING.time_step) - 1, 0] - scene.paths.x[0, ZERO])
 
-    assert covered(ahead, -6.0) == pytest.approx(30.0 + 10.0**2 / 12, abs=1.5)
-    assert covered(ahead, -2.0) > 30.0 + 20.0
-    assert covered(behind, -6.0) > -15.0 + 12.0
+    assert covered(ahead, -6.0) == pytest.approx(10.0**2 / 12, abs=1.5)
+    assert covered(ahead, -6.0) == pytest.approx(covered(ahead, -6.0, 2.0), abs=0.01), "it stands"
+    assert covered(ahead, -6.0, 4.0) > covered(ahead, -6.0) + 0.5, "later, it goes on"
+    assert covered(ahead, -2.0) > 22.0
+    assert covered(behind, -6.0) > 12.0
+    assert covered(far_aside, -6.0) > 12.0
+
+
+def test_the_plan_of_proposals_is_the_one_after_answers_where_nobody_optimises():
+    for scene in (*SCENES.values(), busy(1)):
+        rungs = everybody("idm")
+        found = proposed_for(scene, PLANNING, WEIGHTS, rungs, MEMORY)
+        jax.tree.map(
+            lambda one, other: np.testing.assert_allclose(one, other, atol=1e-4), found.plan, answered_by(found, rungs)
+        )
 
 
 def test_who_may_cross_is_expected_to_keep_its_speed_and_not_to_follow_a_car_on_one_of_its_ways():

@@ -25,9 +25,6 @@ SEARCH = "search"
 DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", *PEERS)
 """Drivers that are measured by default."""
 
-AGENT = ".zip"
-"""How the names of drivers end that are files of agents, as stable-baselines3 saves them."""
-
 TRAFFIC = {
     "idm": "highway_env.vehicle.behavior.IDMVehicle",
     "aggressive": "highway_env.vehicle.behavior.AggressiveVehicle",
@@ -56,3 +53,8 @@ def driver_config(name: str) -> dict[str, Any]:
     """Return the configuration, for `ms_highway.drive`, of a driver of this package, such as ``priced:2+traits``."""
     driver, *suffixes = re.split(r"(?=\+traits|\+belief)", name)
     return {"driver": driver, "traits": "+traits" in suffixes, "belief": "+belief" in suffixes}
+
+
+def is_agent(driver: str) -> bool:
+    """Return whether a driver is the file of an agent, as stable-baselines3 saves it."""
+    return driver.endswith(".zip")

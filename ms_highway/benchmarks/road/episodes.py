@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from ms_highway.benchmarks.road import AGENT, SEARCH, TRAFFIC, driver_config
+from ms_highway.benchmarks.road import SEARCH, TRAFFIC, driver_config, is_agent
 from ms_highway.benchmarks.road.measures import Watch, has_ended
 from ms_highway.benchmarks.road.peers import PEERS, Agent, Peer, policy_of
 from ms_highway.benchmarks.road.search import Search
@@ -97,13 +97,13 @@ def check_driver(name: str) -> None:
         ModuleNotFoundError: if an agent needs what is not installed.
         ValueError: naming those that are.
     """
-    if name.endswith(AGENT):
+    if is_agent(name):
         policy_of(name)
     elif name not in OTHERS:
         try:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
-            known = ", ".join([*OTHERS, *DRIVERS, "DRIVER[+traits][+belief]", f"AGENT{AGENT}"])
+            known = ", ".join([*OTHERS, *DRIVERS, "DRIVER[+traits][+belief]", "AGENT.zip"])
             raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
 
 
@@ -118,7 +118,7 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
         env = gym.make(block.scene, config=config, disable_env_checker=True, **options)
-    if block.driver.endswith(AGENT):
+    if is_agent(block.driver):
         return Agent(env, block.driver)
     return OTHERS[block.driver](env) if block.driver in OTHERS else drive(env, driver_config(block.driver))
 

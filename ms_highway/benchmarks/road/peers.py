@@ -1,7 +1,9 @@
 """Drivers that are not this package's: highway-env's IDM and MOBIL, doing nothing, chance, and trained agents."""
 
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from pickle import UnpicklingError
 from time import perf_counter
 from typing import Any
 
@@ -124,11 +126,12 @@ class Agent(Peer):
         return action if action.shape else action.item()
 
 
+@cache
 def policy_of(file: str) -> Any:
-    """Return the policy of an agent of any algorithm of stable-baselines3.
+    """Return the policy of an agent of stable-baselines3 that takes observations as they are; opening it may run code.
 
     Raises:
-        ModuleNotFoundError: without stable-baselines3.
+        ModuleNotFoundError: without stable-baselines3, or another package that the agent needs.
         ValueError: if the file is no such agent.
     """
     if not Path(file).is_file():
@@ -141,9 +144,12 @@ def policy_of(file: str) -> Any:
     try:
         data, parameters, _ = load_from_zip_file(file, device="cpu")
         spaces = data["observation_space"], data["action_space"]
-        policy = data["policy_class"](*spaces, lambda _: 0.0, **data["policy_kwargs"])
+        explores = {"use_sde": True} if data.get("use_sde") else {}
+        policy = data["policy_class"](*spaces, lambda _: 0.0, **explores, **data["policy_kwargs"])
         policy.load_state_dict(parameters["policy"])
-    except (ValueError, KeyError, TypeError, OSError) as error:
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(f"the agent {file} needs a package: {error}", name=error.name) from None
+    except (ValueError, KeyError, TypeError, OSError, RuntimeError, UnpicklingError) as error:
         raise ValueError(f"{file} is no agent that stable-baselines3 has saved ({error!r})") from None
     return policy
 

@@ -10,15 +10,18 @@ from ms_highway.runtime.arrays import Car, Control, ManyControls, Numbers, Scala
 
 SLOWEST = 1.0  # m/s, below which curvature is limited as at this speed
 SLOWING = 2.5  # m/s^2, before bends
+RESERVED = 0.6  # share of the grip that the braking of plans may take before their steering
 
 
-def within_tyres(planning: RoadPlanning, speed: Numbers, control: Control) -> Control:
+def within_tyres(planning: RoadPlanning, speed: Numbers, control: Control, reserved: float = 0.0) -> Control:
     """Limit curvature and acceleration to the friction circle, to the sharpest curve, and to a stop, never backwards.
 
-    The acceleration gives way to the curve: ``|v^2 k| <= grip`` first, then ``a^2 <= grip^2 - (v^2 k)^2``.
+    Braking takes up to ``reserved``, a share of the grip, first: ``b = min(-a, reserved grip)``. Then the curve: ``(v^2
+    k)^2 <= grip^2 - b^2``. Then all acceleration: ``a^2 <= grip^2 - (v^2 k)^2``.
     """
     squared = jnp.maximum(speed, SLOWEST) ** 2
-    sharpest = jnp.minimum(planning.curvature, planning.grip / squared)
+    braking = jnp.clip(-control[..., 1], 0.0, reserved * planning.grip)
+    sharpest = jnp.minimum(planning.curvature, jnp.sqrt(planning.grip**2 - braking**2) / squared)
     curvature = jnp.clip(control[..., 0], -sharpest, sharpest)
     left = jnp.sqrt(jnp.maximum(planning.grip**2 - (squared * curvature) ** 2, 1e-6))
     acceleration = jnp.maximum(jnp.clip(control[..., 1], -left, left), -speed / planning.time_step)

@@ -31,7 +31,8 @@ from ms_highway.planning.road.traits import followed, jointly
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, Vector, for_each
 
 ANSWERED = 6  # best proposals that others answer
-HARD, BESIDE = 3.0, 1.5  # m/s^2, lanes aside: who brakes harder than this ahead, up to there, is expected to go on so
+HARD = 3.0  # m/s^2, from which who brakes ahead is expected to go on so
+BESIDE = 1.5  # lanes aside, up to which that matters
 
 
 class LastPlan(NamedTuple):
@@ -73,13 +74,14 @@ class RoadPlan(NamedTuple):
 
 
 class Proposed(NamedTuple):
-    """The best proposals while nobody answers them.
+    """The best proposals while nobody optimises.
 
     Attributes:
         now: the situation.
         few: the best of the proposals, `ANSWERED` of them.
         numbers: which ones these are.
-        worth: what the best proposal would gain if each of the others made way: a bound on what its answer is worth.
+        worth: what the best proposal would gain if each of the others, alone, made way: a bound on what its answer is
+            worth.
         plan: the best one.
     """
 
@@ -111,7 +113,7 @@ def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
 def propose_road(
     scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, rungs: Places, last: LastPlan
 ) -> Proposed:
-    """Propose plans, and find the best of them while nobody answers.
+    """Propose plans, and find the best of them while nobody optimises.
 
     Args:
         scene: the road.
@@ -137,13 +139,15 @@ def answer_road(proposed: Proposed, rungs: Places) -> RoadPlan:
         rungs: number of the model of each of the others.
     """
     now, few = proposed.now, proposed.few
-    following, optimises = _following(now, rungs, ANSWERED), (rungs >= TURN) & now.scene.moving & now.scene.present
-    manners = following._replace(given=optimises, accelerations=_answers(now, rungs, optimises, few.driven))
+    optimises = (rungs >= TURN) & now.scene.moving & now.scene.present
+    manners = _following(now, rungs, ANSWERED)._replace(
+        given=optimises, accelerations=_answers(now, rungs, optimises, few.driven)
+    )
     return _best(now, few, _judged(now, few.plans, manners), proposed.numbers)
 
 
 def _best(now: Situation, few: Judged, answered: Judged, numbers: Places) -> RoadPlan:
-    """Return the best plan once it is answered, of those that are sound while nobody is counted on to make way."""
+    """Return the best plan; one that hits somebody who makes no way ranks behind those that do not."""
     relies = few.scores.collides & ~answered.scores.broken
     best = jnp.argmax(answered.scores.preference - UNSOUND * relies)
     driven = answered.driven
@@ -160,17 +164,19 @@ def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:
 def _following(now: Situation, rungs: Places, plans: int) -> Manners:
     """Return the manners of others who keep their speed, or follow.
 
-    Who may cross the robot's way keeps its speed: whom it follows depends on the way that it takes.
+    Who may cross the robot's way keeps its speed, as it stops and starts there for others than the car ahead. What
+    accelerations are beyond models fades; braking hard ahead of the robot goes on.
     """
     scene, planning = now.scene, now.planning
     follows = (rungs >= IDM) & scene.moving & ~now.crossings.exist
+    expected = follows | ((rungs >= TURN) & scene.moving)
     manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((plans, len(rungs), planning.steps)))
     if scene.accelerations is None:
         return manners
     modelled = jointly(scene, followed(scene, assumed_traits(scene)), planning.time_step)
     brakes = leads(scene, now.ways, BESIDE * LANE) & (scene.accelerations < -HARD)
     return manners._replace(
-        surprise=scene.accelerations - jnp.where(follows, modelled, 0.0),
+        surprise=scene.accelerations - jnp.where(expected, modelled, 0.0),
         held=jnp.where(brakes, scene.accelerations, jnp.inf),
     )
 

@@ -6,10 +6,10 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.road import LANES, Flags, Pose, Traffic, interpolate, place
+from ms_highway.game.road import LANES, Flags, Pose, RoadScene, Traffic, bend, interpolate, place
 from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration
 from ms_highway.planning.road.arrays import EachStep, Lane, PlanFlags, Plans, States, World
-from ms_highway.planning.road.motion import advance, within_tyres
+from ms_highway.planning.road.motion import RESERVED, advance, within_tyres
 from ms_highway.planning.road.settings import STOPPING
 from ms_highway.planning.road.traffic import (
     ROOM,
@@ -46,6 +46,7 @@ LAST_PLAN = PROPOSALS - 1
 FULL_BRAKING = tuple(number for number, profile in enumerate(ALL) if profile[2] == min(STEADY))
 """Numbers of those that brake hardest."""
 
+SIDELONG = 0.9  # sine of the angle between a car and its path at most
 FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
 SIDEWAYS = 3.0  # m/s^2, of lateral acceleration for it at most
 EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
@@ -60,7 +61,6 @@ CREEPING = 3.0  # m/s, at which cars come that stand
 BACKWARDS = 0.3  # m/s, above which a car rolls backwards
 FADES = 1.0  # s, in which others who do not do what their model says come back to it
 HELD = 3.0  # s, for which who brakes hard ahead goes on so
-RESERVED = 0.6  # share of the grip that braking may take before steering
 
 
 class Manners(NamedTuple):
@@ -148,14 +148,14 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
     across, start = aside(scene, planning.times), (scene.robot, scene.states[:, 0], scene.states[:, 3])
     rolls = scene.states[:, 3] < -BACKWARDS  # may go on so; others stop at most
     surprises = jnp.exp(-planning.times / FADES)[:, None] * manners.surprise
-    most = jnp.where(planning.times[:, None] < HELD, manners.held, jnp.inf)
+    most = jnp.where((planning.times - dt / 2 < HELD)[:, None], manners.held, jnp.inf)
 
     def one(plan: Profiles, order: EachStep) -> tuple:
         def go(carry: tuple, step: tuple) -> tuple[tuple, tuple]:
             (car, along, speeds), (held, sideways, ordered, surprise, limit) = carry, step
             where = on_route(now.ways, along, sideways)
             control = jnp.where(plan.given, held, _control(now, plan, car, along, where, speeds))
-            control = within_tyres(planning, car[3], control)
+            control = within_tyres(planning, car[3], control, RESERVED)
             gaps = scene.gaps + along[scene.leaders] - along
             answer = follow_all(scene, traits, where, speeds, gaps, (car[0] + half, car[1:2], car[3]))
             modelled = jnp.where(manners.given, ordered, jnp.where(manners.follows, answer, 0.0))
@@ -171,10 +171,14 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
     states, controls, *others = jax.vmap(one)(plans, manners.accelerations)
     along, speeds, s, d, cosine = (jnp.swapaxes(field, 1, 2) for field in others)
     x, y, heading = jax.vmap(place, (0, -2, 0), -2)(scene.paths, along, across)
-    slip = jax.vmap(interpolate, (0, -2), -2)(scene.paths.curvature, along) * scene.sizes[:, :1] / 2
-    heading = heading - jnp.arcsin(jnp.clip(slip, -0.9, 0.9))  # in bends, rear axles keep to the inside
-    world = jnp.stack([x, y, heading, speeds], axis=-2)
+    world = jnp.stack([x, y, heading - _slip(scene, along), speeds], axis=-2)
     return DrivenPlans(states, controls, world, along, s, d, speeds, cosine)
+
+
+def _slip(scene: RoadScene, along: EachStep) -> EachStep:
+    """Return the angles from the headings of others to their paths: centres that turn move aside of where cars head."""
+    bends = jnp.where(scene.moving[:, None], jax.vmap(bend, (0, -2), -2)(scene.paths, along), 0.0)
+    return jnp.arcsin(jnp.clip(bends * scene.sizes[:, :1] / 2, -SIDELONG, SIDELONG))
 
 
 def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pose, speeds: Traffic) -> Control:
@@ -184,10 +188,10 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     goal = interpolate(scene.lanes[plan.lane], s)
 
     # towards the centre of the lane
-    bend = interpolate(scene.route.curvature, s + 0.5 * speed * planning.time_step)
+    turn = interpolate(scene.route.curvature, s + 0.5 * speed * planning.time_step)
     back = -(FREQUENCY**2) * (d - goal) - 2 * FREQUENCY * speed * jnp.sin(heading)
     squared = jnp.maximum(speed, SLOWEST) ** 2
-    curvature = bend / jnp.maximum(1 - d * bend, 0.2) + jnp.clip(back, -SIDEWAYS, SIDEWAYS) / squared
+    curvature = turn / jnp.maximum(1 - d * turn, 0.2) + jnp.clip(back, -SIDEWAYS, SIDEWAYS) / squared
 
     # slow enough for bends, and to wait for those who cross until they have passed; past its line, it goes
     lengths = scene.sizes[:, 0]
@@ -212,7 +216,4 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     free = gain * (COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed))
     free = jnp.minimum(jnp.clip(free, -HASTE, haste), jnp.minimum(kept, haste))
     acceleration = jnp.where(plan.follows, free, plan.rate)
-    acceleration = jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))
-    braking = jnp.clip(-acceleration, 0.0, RESERVED * planning.grip)
-    sharpest = jnp.sqrt(planning.grip**2 - braking**2) / squared
-    return jnp.stack([jnp.clip(curvature, -sharpest, sharpest), acceleration])
+    return jnp.stack([curvature, jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))])

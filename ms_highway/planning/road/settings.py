@@ -10,8 +10,9 @@ from ms_highway.planning.road.arrays import Steps
 from ms_highway.runtime.arrays import Scalar
 
 NAIVE, IDM, TURN, TOM = range(len(PACKAGE_MODELS))
-"""Numbers of the models that predict traffic: keep the velocity along the lane; follow by IDM; optimise the own reward
-while the robot keeps its velocity; answer the robot's plan optimally (theory of mind)."""
+"""Numbers of the models that predict traffic: keep the velocity along the lane; follow by IDM, but keep the velocity on
+ways that cross the robot's; optimise the own reward while the robot keeps its velocity; answer the robot's plan
+optimally (theory of mind)."""
 
 LANE = 4.0
 """Width of lanes [m]."""

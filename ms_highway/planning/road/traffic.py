@@ -118,10 +118,10 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     return Crossings(across, line, lowest(knots, across), -lowest(-knots, across))
 
 
-def leads(scene: RoadScene, ways: Ways, aside: Numbers) -> Flags:
-    """Return who is ahead of the robot, goes its way, and is at most this far aside [m]."""
+def leads(scene: RoadScene, ways: Ways, reach: Scalar) -> Flags:
+    """Return who is ahead of the robot's rear axle, goes its way, and is less than this far aside of it [m]."""
     s, d, cosine = on_route(ways, scene.states[:, 0], scene.states[:, 1])
-    return (s > scene.robot[0]) & (jnp.abs(d - scene.robot[1]) < aside) & (cosine > CROSSING)
+    return (s > scene.robot[0]) & (jnp.abs(d - scene.robot[1]) < reach) & (cosine > CROSSING)
 
 
 def way_knots(ways: Ways) -> Knots:
