@@ -94,7 +94,6 @@ class RoadScene:
         owners: number of the car that each path belongs to, in the order of distance; -1 where none does.
         names: number of the car that each path belongs to, the same as long as the car lives; -1 where none does.
         moving: which of the others can move; obstacles cannot.
-        priority: which of the others the robot has to give way to where their ways cross.
         traits: of the drivers of others, None where nothing is known of them.
         accelerations: of others since the last look, 0 of new ones; None where nobody has looked before [m/s^2].
     """
@@ -119,7 +118,6 @@ class RoadScene:
     owners: Places
     names: Places
     moving: Flags
-    priority: Flags
     traits: Traits | None = None
     accelerations: Traffic | None = None
 

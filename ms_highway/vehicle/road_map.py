@@ -28,7 +28,6 @@ REACH = 0.5  # widths of a lane, sideways at a joint, up to which a lane leads t
 BRIDGED = 10.0  # m, along the lane at a joint
 SHARPEST_TURN = 2.0  # rad, at a joint
 TURN = 5.0  # m of a jump that one radian of a jump in heading is worth
-UNEVEN = 0.5  # m, by which a lane may continue another less evenly than the best
 BEFORE, AFTER = 70.0, 260.0  # m, sampled before and after a block
 MOST_ROADS = 50  # in which changes of lane are looked for
 
@@ -56,7 +55,6 @@ class Lane:
         shape: the lane of highway-env.
         length: [m].
         limit: of speed [m/s].
-        priority: whoever comes along a lane of a lower one gives way.
     """
 
     def __init__(self, roads: "RoadMap", index: LaneIndex, shape: AbstractLane) -> None:
@@ -65,7 +63,6 @@ class Lane:
         self.length = float(shape.length)
         self.limit = float(shape.speed_limit or LIMIT)
         self.forbidden = bool(shape.forbidden)
-        self.priority = getattr(shape, "priority", 0)
 
     def beside(self, steps: int) -> "Lane | None":
         """Return the lane of the same road some lanes to the right, None without one."""
@@ -100,10 +97,6 @@ class Lane:
         """The lane that this one continues best."""
         best = min(self.joints, key=lambda other: self.joints[other].kink, default=None)
         return best if best and self.joints[best].aside < REACH else None
-
-    def continues_best(self, before: "Lane") -> bool:
-        """Return whether no other lane leads to this one clearly more evenly; whoever joins gives way."""
-        return self.joints[before].kink < min(joint.kink for joint in self.joints.values()) + UNEVEN
 
     @cached_property
     def refuge(self) -> "Lane | None":

@@ -66,7 +66,7 @@ def observe_road(
         size=np.array([vehicle.LENGTH, vehicle.WIDTH], dtype=np.float32),
         applied=np.array(applied, dtype=np.float32),
         **around.at(s - BEHIND + SPACING * np.arange(KNOTS)),
-        **traffic_of(vehicle, roads, route, chain, way),
+        **traffic_of(vehicle, roads, route),
     )
 
 

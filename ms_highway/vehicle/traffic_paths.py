@@ -1,7 +1,6 @@
-"""Find the ways that other vehicles may take, and who follows whom and who gives way on them."""
+"""Find the ways that other vehicles may take, and who follows whom on them."""
 
 from itertools import count as counter
-from itertools import pairwise
 from math import sin
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
@@ -24,9 +23,8 @@ LENGTH = 140.0  # m, of ways
 TENS = 10.0  # m, in steps of which the rest of a lane is counted
 CROOKED = 0.8  # widths of a lane: others take joints, such as exits from inner lanes, that the robot does not
 ON_LANE, ALONG = 1.0, 0.3  # m aside and rad, up to which a vehicle may follow a lane that begins where its own does
-NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, and conflict
+NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, also oncoming ones
 IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m aside and ahead, in which a vehicle leads another
-JOINED = 5.0  # m after a joint, up to which a vehicle still has the right of way there
 NO_GAP = 1e3  # m, without a leader
 FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
@@ -40,7 +38,6 @@ NOBODY = {
     "owners": -1,
     "names": -1,
     "moving": False,
-    "priority": False,
 }
 """An unused row of what is known of others."""
 
@@ -67,27 +64,16 @@ class Way(NamedTuple):
     state: Car
 
 
-class Conflict(NamedTuple):
-    """Distances along a path and along the route to where they first come near, and how near [m]."""
-
-    ahead: float
-    on_route: float
-    apart: float
-
-
-def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, chain: Chain, at: float) -> dict[str, Any]:
+def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path) -> dict[str, Any]:
     """Return what a ``RoadScene`` has of others: those whose paths come near the robot's route first, then by distance.
 
     Args:
         vehicle: the robot.
         roads: of its network.
         route: its path.
-        chain: lanes of its path.
-        at: way at which it is along them [m].
     """
     ways = [way for number, car in enumerate(_in_sight(vehicle)) for way in _ways(car, number, roads)]
-    meeting = [(way, _conflict(way.path, route)) for way in ways]
-    meeting = sorted(meeting, key=lambda item: (item[1] is None, item[0].owner))[:TRAFFIC]
+    ways = sorted(ways, key=lambda way: (not _meets(way.path, route), way.owner))[:TRAFFIC]
     rows = [
         {
             "paths": way.path,
@@ -98,12 +84,11 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, chain: Chain, at: 
             "owners": way.owner,
             "names": _number_of(way.car),
             "moving": _drives(way.car),
-            "priority": _goes_first(way, conflict, chain, at),
         }
-        for way, conflict in meeting
+        for way in ways
     ]
     table = jax.tree.map(_column, *rows, *[NOBODY] * (TRAFFIC - len(rows)))
-    leaders, gaps = _leaders_of(table["paths"], [way.car for way, _ in meeting], table["owners"])
+    leaders, gaps = _leaders_of(table["paths"], [way.car for way in ways], table["owners"])
     return table | {"leaders": leaders, "gaps": gaps}
 
 
@@ -193,49 +178,12 @@ def _chains_from(lane: Lane, tens: int) -> list[Chain]:
     return found
 
 
-def _conflict(path: Path, route: Path) -> Conflict | None:
-    """Return where a path and the route come near; None if they never do.
-
-    Oncoming traffic that keeps to its own lane does not come near.
-    """
+def _meets(path: Path, route: Path) -> bool:
+    """Return whether a path comes near the route; oncoming traffic that keeps to its own lane does not."""
     ahead = slice(int(BEHIND / SPACING) - 2, None, EVERY)
     distances = np.hypot(path.x[ahead, None] - route.x[None, ahead], path.y[ahead, None] - route.y[None, ahead])
     oncoming = np.cos(path.heading[ahead, None] - route.heading[None, ahead]) < 0
-    crossing = (distances < CROSSING).any(axis=1)
-    near = crossing | ((distances < NEAR_ROUTE) & ~oncoming).any(axis=1)
-    if not near.any():
-        return None
-    first = int(np.argmax(crossing if crossing.any() else near))
-    on_route = int(np.argmin(distances[first]))
-    return Conflict(first * EVERY * SPACING, on_route * EVERY * SPACING, float(distances[first, on_route]))
-
-
-def _goes_first(way: Way, conflict: Conflict | None, chain: Chain, at: float) -> bool:
-    """Return whether the robot, at a way along a chain of lanes, has to give way to a vehicle that drives.
-
-    It has to
-
-    * where their ways come within 3 m and the lowest ``priority`` of the vehicle's lanes from here to there is higher
-      than that of the robot's lanes;
-    * with equal priorities, where their ways join in a lane that another lane than the robot's continues into more
-      evenly, such as the ring of a roundabout from its entry, and the vehicle comes from there.
-    """
-    if conflict is None or conflict.apart > CROSSING or not _drives(way.car):
-        return False
-    until = way.chain.leg(way.place + conflict.ahead) + 1
-    onward = chain.lanes[chain.leg(at) :]
-    theirs = min(lane.priority for lane in way.chain.lanes[:until])
-    mine = min(lane.priority for lane in onward[: chain.leg(at + conflict.on_route) - chain.leg(at) + 1])
-    if theirs != mine:
-        return theirs > mine
-    meeting = way.chain.lanes[: until + 1]
-    for before, lane in pairwise(onward):
-        if lane in meeting:
-            if lane.continues_best(before):
-                return False
-            place = meeting.index(lane)
-            return way.place < JOINED if place == 0 else lane.continues_best(meeting[place - 1])
-    return False
+    return bool(((distances < CROSSING) | ((distances < NEAR_ROUTE) & ~oncoming)).any())
 
 
 def _leaders_of(paths: Path, cars: list[RoadObject], owners: Owners) -> tuple[Owners, Row]:

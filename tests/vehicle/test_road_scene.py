@@ -21,7 +21,7 @@ GOALS |= {"intersection-v0": "o1", "intersection-v2": "o1"}
 NAMES = ["highway", "highway-fast", "merge", "merge-generic", "two-way", "racetrack", "lane-keeping"]
 SCENES = [*GOALS, *(f"{name}-v0" for name in NAMES)]
 KINDS = {"leaders": np.int32, "owners": np.int32, "names": np.int32}
-KINDS |= dict.fromkeys(("open", "present", "moving", "priority"), bool)
+KINDS |= dict.fromkeys(("open", "present", "moving"), bool)
 
 
 def with_ego(scene, lane=None, at=0.0):
@@ -166,22 +166,6 @@ def test_cars_before_an_intersection_may_go_several_ways():
     assert len(np.unique(ends.round(-1), axis=0)) == 3
     among(ego, (("ir2", "il3", 0), 10.0))
     assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
-
-
-@pytest.mark.parametrize(
-    ("scene", "own", "theirs", "expected"),
-    [
-        ("intersection-v0", (("o0", "ir0", 0), 85.0), (("o1", "ir1", 0), 85.0), True),
-        ("intersection-v0", (("o0", "ir0", 0), 85.0), (("o2", "ir2", 0), 85.0), True),
-        ("intersection-v0", (("o0", "ir0", 0), 85.0), (("il2", "o2", 0), 85.0), False),
-        ("roundabout-v0", (("ses", "se", 0), 5.0), (("sx", "se", 1), 5.0), True),
-        ("roundabout-v0", (("ses", "se", 0), 5.0), (("ees", "ee", 0), 5.0), False),
-    ],
-)
-def test_the_robot_gives_way_to_higher_priorities_and_to_the_ring_of_a_roundabout(scene, own, theirs, expected):
-    ego = with_ego(scene, *own)
-    among(ego, theirs)
-    assert observe_road(ego, GOALS.get(scene)).priority.any() == expected
 
 
 def test_a_car_that_changes_lane_has_a_way_along_both_lanes():
