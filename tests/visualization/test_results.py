@@ -52,8 +52,8 @@ def renamed(old, new):
         ("steps.csv", renamed("switching:0.4", "swerving"), "unknown controller 'swerving'"),
         (
             "steps.csv",
-            renamed("stay_back", "zipper"),
-            "holds scenario 'zipper', not one of stay_back, merger, give_way",
+            renamed("stay_back", "cul_de_sac"),
+            "holds scenario 'cul_de_sac', not one of stay_back, merger, give_way",
         ),
         ("steps.csv", renamed("0.09", "cheap"), "has texts where numbers belong, in column counted_seconds"),
         ("steps.csv", renamed("False", "no"), "something else than True and False in column collision"),
