@@ -48,7 +48,7 @@ def renamed(old, new):
         ("provenance.json", "{}", "provenance.json cannot be read as a list of runs"),
         ("steps.csv", renamed("model", "mode"), "has no column model"),
         ("steps.csv", lambda text: f"{text}stay_back,naive,2,0,naive,0.5\n", "holds an unfinished episode"),
-        ("steps.csv", renamed("naive", "brief"), "holds model 'brief', not one of naive"),
+        ("steps.csv", renamed("naive", "telepathy"), "holds model 'telepathy', not one of naive"),
         ("steps.csv", renamed("switching:0.4", "swerving"), "unknown controller 'swerving'"),
         (
             "steps.csv",
