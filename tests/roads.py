@@ -5,6 +5,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.road import BEHIND, KNOTS, LANES, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path, RoadScene, place
+from ms_highway.planning.road.motion import advance, within_tyres
 from ms_highway.planning.road.proposals import LAST_PLAN, Manners, profiles, simulate_plans
 from ms_highway.planning.road.scoring import score
 from ms_highway.planning.road.settings import LANE, RoadPlanning, RoadWeights
@@ -85,6 +86,17 @@ def crossing(robot_s, come_from, speed=10.0):
     for field, values in (("x", 40.0), ("y", along), ("heading", np.pi / 2), ("curvature", 0.0)):
         getattr(scene.paths, field)[0] = values
     return scene
+
+
+def execute(scene, planning, controls):
+    """Return the robot's states after each control, and the controls within limits that it executed."""
+
+    def go(state, control):
+        held = within_tyres(planning, state[3], control)
+        moved = advance(scene, planning, state, held)
+        return moved, (moved, held)
+
+    return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
 
 
 @jax.jit

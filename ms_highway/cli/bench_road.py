@@ -111,10 +111,10 @@ def _bench_road(options: argparse.Namespace) -> None:
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
     for driver in drivers:
         check_driver(driver)
-    for scene in scenes:
-        for driver in drivers:
-            if driver == SEARCH or is_agent(driver):
-                make_driver(Block(scene, driver)).close()  # or refuse scenes that are not for it
+    blocks = [Block(scene, driver, options.traffic) for scene in scenes for driver in drivers]
+    for block in blocks:
+        if block.driver == SEARCH or is_agent(block.driver):
+            make_driver(block).close()  # or refuse scenes that are not for it
     seeds = range(options.seed, options.seed + options.seeds)
     bounds = read_bounds(options.bound, options.traffic) if options.bound else {}
     if options.bound and not any(seed in bounds.get(scene, {}) for scene in scenes for seed in seeds):
@@ -122,7 +122,6 @@ def _bench_road(options: argparse.Namespace) -> None:
     if options.bound and options.log and options.bound.resolve() == options.log.resolve():
         raise ValueError(f"--log would overwrite {options.bound}, which is the bound; give another file")
     draw_unseen()
-    blocks = [Block(scene, driver, options.traffic) for scene in scenes for driver in drivers]
     episodes: dict[Block, list[Episode]] = {block: [] for block in blocks}
     results: dict[str, dict[str, Any]] = {scene: {} for scene in scenes}
 

@@ -37,9 +37,8 @@ proposed_for, answered_by = jit_quickly(propose_road), jit_quickly(answer_road)
 """Proposals and answers to them, each compiled once for all scenes, rungs, limits and weights."""
 
 
-def _proposed_and_answered(
-    scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, rungs: Rungs, last: LastPlan
-) -> RoadPlan:
+def plan_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, rungs: Rungs, last: LastPlan) -> RoadPlan:
+    """Return the plan with a model for each of the others, by both."""
     return answered_by(proposed_for(scene, planning, weights, rungs, last), rungs)
 
 
@@ -191,7 +190,7 @@ class RoadDriver:
         """Compile, and return what models cost, measured once there are others if the choice looks at it."""
         others = np.asarray(scene.moving & scene.present)
         rungs = np.outer(range(len(PACKAGE_MODELS)), others).astype(np.int32)
-        warm_up(_proposed_and_answered, scene, self.planning, self.weights, rungs[0], self._last)
+        warm_up(plan_of, scene, self.planning, self.weights, rungs[0], self._last)
         if self.costs is None and self.choice.looks and others.any():
             # Noise only adds to times, and not to all repeats.
             seconds = np.min([[timed(self._planned, scene, each)[1] for each in rungs] for _ in range(REPEATS)], axis=0)

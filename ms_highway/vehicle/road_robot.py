@@ -12,6 +12,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.control.road import RoadDriver, RoadStep
 from ms_highway.game.road import RoadScene
+from ms_highway.planning.road.motion import SLIP
 from ms_highway.vehicle.lane_paths import Point
 from ms_highway.vehicle.road_scene import observe_road
 from ms_highway.vehicle.road_view import at_constant_speed
@@ -25,7 +26,6 @@ GRIP = 5.0
 MARGIN = 0.98
 """Share of the grip that is used."""
 
-SHARPEST = 0.9  # sine of the slip angle at most
 WIDEST = 1.1  # rad, slip angle at most
 ANY_TURN = 3.2  # rad, where a car hardly moves
 
@@ -39,7 +39,7 @@ def steering_of(curvature: float, length: float) -> float:
 
 
 def _slip(curvature: float, length: float) -> float:
-    return asin(min(max(curvature * length / 2, -SHARPEST), SHARPEST))
+    return asin(min(max(curvature * length / 2, -SLIP), SLIP))
 
 
 class Velocity(NamedTuple):
@@ -84,7 +84,7 @@ def keep_grip(
         turn = acos(min(max((speed**2 + before.speed**2 - most**2) / product, -1.0), 1.0))
     straight = before.course - now.course
     left, right = (max(min(straight + side * turn, WIDEST), -WIDEST) for side in (-1, 1))
-    sharpest = min(grip / max(speed, 1e-3) ** 2, 2 * SHARPEST / length)
+    sharpest = min(grip / max(speed, 1e-3) ** 2, 2 * SLIP / length)
     curvature = min(max(curvature, 2 * sin(left) / length), 2 * sin(right) / length)
     curvature = min(max(curvature, -sharpest), sharpest)
     most_along = sqrt(max(grip**2 - (speed**2 * curvature) ** 2, 0.0))

@@ -51,7 +51,6 @@ class Way(NamedTuple):
         car: the vehicle, or an obstacle.
         owner: number of it, nearest first.
         chain: lanes.
-        place: on the first of them [m].
         path: along them.
         state: of the vehicle on the path.
     """
@@ -59,7 +58,6 @@ class Way(NamedTuple):
     car: RoadObject
     owner: int
     chain: Chain
-    place: float
     path: Path
     state: Car
 
@@ -137,7 +135,7 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap) -> list[Way]:
         curve = chain.curve(place // BLOCK)
         s, d, heading = curve.project(car.position, car.heading, place)
         path = curve.path(s, TRAFFIC_KNOTS)
-        ways.append(Way(car, owner, chain, place, path, np.array([0.0, d, heading, car.speed])))
+        ways.append(Way(car, owner, chain, path, np.array([0.0, d, heading, car.speed])))
     return ways
 
 

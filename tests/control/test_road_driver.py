@@ -48,6 +48,7 @@ def test_obstacles_are_predicted_by_the_cheapest_model():
 
 def test_models_are_chosen_by_gains_and_costs():
     eager, thrifty = (driver(PricedRungs(price)).step(SCENE) for price in (0.0, 1e9))
+    np.testing.assert_array_equal(eager.gains, thrifty.gains)
     assert set(eager.models[:3]) == {"tom"}
     assert set(thrifty.models[:3]) == {"naive"}
     hurried = driver(BudgetedRungs(0.0)).step(SCENE)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
-from roads import PLANNING, scene_of
+from roads import PLANNING, execute, scene_of
 
-from ms_highway.planning.road.motion import bodies, execute, within_tyres
+from ms_highway.planning.road.motion import bodies, within_tyres
 from ms_highway.vehicle.road_robot import steering_of
 
 GRIP, LENGTH = float(PLANNING.grip), Vehicle.LENGTH

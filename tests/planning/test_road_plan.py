@@ -6,12 +6,13 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import PLANNING, WEIGHTS, crossing, scene_of
+from roads import PLANNING, WEIGHTS, crossing, execute, scene_of
 
 from ms_highway.control.road import answered_by, proposed_for
+from ms_highway.control.road import plan_of as planned
 from ms_highway.game.road import BEHIND, SPACING, TRAFFIC
 from ms_highway.planning.human_models import PACKAGE_MODELS
-from ms_highway.planning.road.motion import bodies, execute
+from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.plan import LastPlan, no_plan, propose
 from ms_highway.planning.road.proposals import LAST_PLAN
 from ms_highway.planning.road.traffic import situation_of
@@ -35,8 +36,7 @@ def everybody(name):
 
 
 def plan_of(scene, name="naive", memory=MEMORY):
-    rungs = everybody(name)
-    return answered_by(proposed_for(scene, PLANNING, WEIGHTS, rungs, memory), rungs)
+    return planned(scene, PLANNING, WEIGHTS, everybody(name), memory)
 
 
 def busy(seed):

@@ -9,10 +9,9 @@ from highway_env.road.lane import CircularLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from jax import numpy as jnp
-from roads import NOBODY, PLANNING, WEIGHTS, judged, scene_of, winding
+from roads import NOBODY, PLANNING, WEIGHTS, execute, judged, scene_of, winding
 
 from ms_highway.game.road import KNOTS, SPACING, TRAFFIC, interpolate
-from ms_highway.planning.road.motion import execute
 from ms_highway.planning.road.proposals import FULL_BRAKING, PROPOSALS, Manners, profiles, simulate_plans
 from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly

@@ -6,10 +6,11 @@ from jax import numpy as jnp
 from ms_highway.game.road import SPACING, Knots, Pose, RoadScene, interpolate, place
 from ms_highway.planning.road.arrays import States, Steps, World
 from ms_highway.planning.road.settings import CORNERING, RoadPlanning
-from ms_highway.runtime.arrays import Car, Control, ManyControls, Numbers, Scalar
+from ms_highway.runtime.arrays import Car, Control, Numbers, Scalar
 
 SLOWEST = 1.0  # m/s, below which curvature is limited as at this speed
 SLOWING = 2.5  # m/s^2, before bends
+SLIP = 0.9  # sine of the slip angle at most
 RESERVED = 0.6  # share of the grip that the braking of plans may take before their steering
 
 
@@ -42,17 +43,6 @@ def advance(scene: RoadScene, planning: RoadPlanning, state: Car, control: Contr
     onward = rear * jnp.cos(heading) / jnp.maximum(1 - d * bend, 0.2)
     changes = [onward, rear * jnp.sin(heading), speed * control[0] - bend * onward, control[1]]
     return state + jnp.stack(changes) * planning.time_step
-
-
-def execute(scene: RoadScene, planning: RoadPlanning, controls: ManyControls) -> tuple[States, ManyControls]:
-    """Return the robot's states after each control, and the controls within limits that it executed."""
-
-    def go(state: Car, control: Control) -> tuple[Car, tuple[Car, Control]]:
-        held = within_tyres(planning, state[3], control)
-        moved = advance(scene, planning, state, held)
-        return moved, (moved, held)
-
-    return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
 
 
 def cruise(scene: RoadScene, planning: RoadPlanning) -> World:

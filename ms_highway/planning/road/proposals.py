@@ -9,7 +9,7 @@ from jax import numpy as jnp
 from ms_highway.game.road import LANES, Flags, Pose, RoadScene, Traffic, bend, interpolate, place
 from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration
 from ms_highway.planning.road.arrays import EachStep, Lane, PlanFlags, Plans, States, World
-from ms_highway.planning.road.motion import RESERVED, advance, within_tyres
+from ms_highway.planning.road.motion import RESERVED, SLIP, advance, within_tyres
 from ms_highway.planning.road.settings import STOPPING
 from ms_highway.planning.road.traffic import (
     ROOM,
@@ -46,7 +46,6 @@ LAST_PLAN = PROPOSALS - 1
 FULL_BRAKING = tuple(number for number, profile in enumerate(ALL) if profile[2] == min(STEADY))
 """Numbers of those that brake hardest."""
 
-SIDELONG = 0.9  # sine of the angle between a car and its path at most
 FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
 SIDEWAYS = 3.0  # m/s^2, of lateral acceleration for it at most
 EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
@@ -178,7 +177,7 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
 def _slip(scene: RoadScene, along: EachStep) -> EachStep:
     """Return the angles from the headings of others to their paths: centres that turn move aside of where cars head."""
     bends = jnp.where(scene.moving[:, None], jax.vmap(bend, (0, -2), -2)(scene.paths, along), 0.0)
-    return jnp.arcsin(jnp.clip(bends * scene.sizes[:, :1] / 2, -SIDELONG, SIDELONG))
+    return jnp.arcsin(jnp.clip(bends * scene.sizes[:, :1] / 2, -SLIP, SLIP))
 
 
 def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pose, speeds: Traffic) -> Control:
