@@ -15,6 +15,7 @@ from ms_highway.vehicle.road_map import LIMIT, Chain, Goal, Lane, kept
 
 AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
 BEYOND = 3.0  # m, up to which a lane is taken to go straight on
+DRIVEN = 6.0  # m, over which a route is smoothed: it cuts the corners of joints by up to 0.6 m
 NEARBY = 2.0  # widths of a lane, up to which a lane that leads elsewhere can be changed to
 
 
@@ -43,7 +44,7 @@ class Corridor:
 @kept
 def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return what is around the route along a chain of lanes near a block of it."""
-    curve = chain.curve(block)
+    curve = chain.curve(block, DRIVEN)
     ways = curve.samples[4]
     rows, is_open, low = np.zeros((LANES + 3, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
     lanes, edges, limit = rows[:LANES], rows[LANES:-1], rows[-1]

@@ -95,7 +95,9 @@ def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, R
     return s, points, np.array([lane.heading_at(place) for place in s])
 
 
-def join_lanes(lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float) -> Curve:
+def join_lanes(
+    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float, smoothing: float = 0.0
+) -> Curve:
     """Return the curve along lanes, between two ways; it goes straight on beyond the last one.
 
     A Hermite spline through positions and headings on the lanes bridges the joints. Averages along it, weighted as by a
@@ -106,6 +108,7 @@ def join_lanes(lanes: Sequence[AbstractLane], starts: Sequence[float], low: floa
         starts: ways at which each of them begins, and at which the last one ends [m].
         low: way from which on the curve is needed [m].
         high: way until which it is needed [m].
+        smoothing: width of the Gaussian at least [m].
     """
     low, high, end = low - MARGIN, high + MARGIN, starts[-1]
     parts = []
@@ -119,7 +122,7 @@ def join_lanes(lanes: Sequence[AbstractLane], starts: Sequence[float], low: floa
         straight = beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
         parts.append((end + beyond, lane.position(lane.length, 0.0) + straight, np.full(beyond.shape, heading)))
     raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
-    for width in SMOOTHING:
+    for width in (width for width in SMOOTHING if width >= smoothing):
         curve = _smooth(raw, width)
         if np.abs(curve[3]).max() <= SHARPEST:
             break

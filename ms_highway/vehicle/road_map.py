@@ -172,10 +172,10 @@ class Chain:
         return shape.position(place, 0), shape.heading_at(place)
 
     @kept
-    def curve(self, block: float) -> Curve:
-        """Return the curve along the lanes near a block, a number of `BLOCK` lengths."""
+    def curve(self, block: float, smoothing: float = 0.0) -> Curve:
+        """Return the curve along the lanes near a block, a number of `BLOCK` lengths, smoothed by a width at least."""
         low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
-        return join_lanes([lane.shape for lane in self.lanes], self.starts, low, high)
+        return join_lanes([lane.shape for lane in self.lanes], self.starts, low, high, smoothing)
 
 
 class Goal:

@@ -72,7 +72,7 @@ def observe_road(
 
 def _continued(vehicle: Vehicle, rear: Point, ride: Ride) -> Ride | None:
     """Return where a robot is on its ride now; None if it has changed lanes or left them."""
-    chain, goal, curve = ride.chain, ride.goal, ride.chain.curve(ride.way // BLOCK)
+    chain, goal, curve = ride.chain, ride.goal, corridor(ride.chain, ride.goal, ride.way // BLOCK).curve
     s, _, _ = curve.project(rear, vehicle.heading, ride.way)
     way = curve.way(s)
     _, d, heading = curve.project(vehicle.position, vehicle.heading, way)

@@ -16,9 +16,10 @@ from ms_highway.runtime.arrays import Car
 from ms_highway.vehicle.lane_paths import Row, from_heading
 from ms_highway.vehicle.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
 
-AHEAD, BEHIND_SIGHT = 120.0, 60.0  # m, in which others are seen
+AHEAD, ONCOMING, BEHIND_SIGHT = 120.0, 250.0, 60.0  # m, in which others are seen ahead, coming, and behind
 MOST_VEHICLES, MOST_WAYS = 16, 3
 BRANCHES = 60.0  # m ahead, up to which all ways are told apart
+AGAINST = -0.7  # cosine of the angle between headings of those who come
 LENGTH = 140.0  # m, of ways
 TENS = 10.0  # m, in steps of which the rest of a lane is counted
 CROOKED = 0.8  # widths of a lane: others take joints, such as exits from inner lanes, that the robot does not
@@ -101,7 +102,9 @@ def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
     others += [item for item in vehicle.road.objects if not isinstance(item, Landmark)]
     delta = np.array([car.position for car in others]).reshape(-1, 2) - vehicle.position
     distances = np.hypot(delta[:, 0], delta[:, 1])
-    seen = distances < np.where(delta @ vehicle.direction > 0, AHEAD, BEHIND_SIGHT)
+    comes = [isinstance(car, Vehicle) and car.direction @ vehicle.direction < AGAINST for car in others]
+    ahead = np.where(comes, ONCOMING, AHEAD)
+    seen = distances < np.where(delta @ vehicle.direction > 0, ahead, BEHIND_SIGHT)
     nearest = [number for number in np.argsort(distances, kind="stable") if seen[number]]
     return [others[number] for number in nearest[:MOST_VEHICLES]]
 

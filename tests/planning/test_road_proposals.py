@@ -12,7 +12,7 @@ from jax import numpy as jnp
 from roads import NOBODY, PLANNING, WEIGHTS, execute, judged, scene_of, winding
 
 from ms_highway.game.road import KNOTS, SPACING, TRAFFIC, interpolate
-from ms_highway.planning.road.proposals import FULL_BRAKING, PROPOSALS, Manners, profiles, simulate_plans
+from ms_highway.planning.road.proposals import ALL, FULL_BRAKING, PROPOSALS, Manners, profiles, simulate_plans
 from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
@@ -152,6 +152,39 @@ def test_a_car_that_turns_is_expected_at_the_angle_to_its_path_that_highway_envs
     _, rollouts = proposed(scene_of(bend=1 / radius, cars=[(20.0, 0, speed)]))
     s, heading = np.asarray(rollouts.s)[0, 0], np.asarray(rollouts.world)[0, 0, 2]
     np.testing.assert_allclose(heading - s / radius, highway_envs, atol=0.03)
+
+
+def test_a_car_that_has_crashed_lies_across_its_lane_as_it_does_now():
+    scene = scene_of(cars=[(30.0, 0, 1.0)])
+    scene.states[0, 2], scene.moving[0] = 0.7, False
+    _, rollouts = proposed(scene)
+    np.testing.assert_allclose(np.asarray(rollouts.world)[:, 0, 2], 0.7, atol=1e-6)
+
+
+@pytest.mark.parametrize("ahead", [2.0, -2.0])
+def test_a_plan_changes_lanes_behind_a_car_beside_or_before_it_but_not_into_it(ahead):
+    """It drops behind a car beside that is ahead, and leaves one behind that is slower."""
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(2.5 + ahead, 1, 18.0 + ahead)])
+    plans, rollouts = proposed(scene)
+    full_speed = np.flatnonzero(plans.follows & (plans.lane == 2) & (plans.share == 1.0) & ~plans.closes)[0]
+    s, d, _, _ = np.moveaxis(np.asarray(rollouts.states)[full_speed], -1, 0)
+    gap, beside = np.asarray(rollouts.s)[full_speed, 0] - s - 2.5, d > 2.0
+    assert beside[-1]
+    assert (np.sign(ahead) * gap[beside] > 5.0).all()
+
+
+def test_where_others_come_a_plan_that_keeps_its_speed_overtakes_before_it_returns():
+    """On the left lane of a road of two ways; on a lane where nobody comes it would change at once."""
+    slower, comes = (25.0, 1, 18.0), (95.0, 0, 20.0)
+    paths = [scene_of(robot=(0.0, 0.0, 0.0, 30.0), cars=[slower, comes][:count]) for count in (1, 2)]
+    for field in (paths[1].paths.x, paths[1].paths.y):
+        field[1] = field[1, ::-1]
+    paths[1].paths.heading[1] += np.pi
+    keeping = next(number for number, plan in enumerate(ALL) if plan[:4] == (2, 1.0, 0.0, False))
+    alone, met = (np.asarray(proposed(scene)[1].states)[keeping, :, 1] for scene in paths)
+    assert alone[7] > 2.0
+    assert met[7] < 0.1
+    assert met[-1] > 2.0
 
 
 def test_in_a_bend_at_the_grip_of_tyres_a_plan_brakes_before_it_steers():

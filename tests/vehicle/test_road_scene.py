@@ -98,16 +98,20 @@ def test_straight_lanes_stay_straight_and_circles_round():
     for seen, *_ in drive("highway-v0"):
         route = seen.route
         assert max(np.abs(route.curvature).max(), np.ptp(route.heading), np.ptp(route.y) / 100) < 1e-6
-    bend = seen_from("u-turn-v0", ("b", "c", 0), 25.0, "d").route.curvature[6:20]
+    bend = seen_from("u-turn-v0", ("b", "c", 0), 28.0, "d").route.curvature[7:20]
     assert bend == pytest.approx(-1 / 20, rel=0.01)
 
 
 def test_the_way_into_a_roundabout_and_out_of_it_is_one_smooth_curve():
     ego = with_ego("roundabout-v0")
     route = observe_road(ego, "nxs").route
-    assert np.hypot(route.x, route.y).min() == pytest.approx(24.0, abs=0.1)
+    assert np.hypot(route.x, route.y).min() == pytest.approx(24.0, abs=0.5), "the ring, a corner cut"
     end = ego.road.network.get_lane(("nxs", "nxr", 0))
     assert end.distance(np.array([route.x[-1], route.y[-1]])) < 0.1
+    assert np.abs(route.curvature).max() < 0.07, "joints have 0.12 of their own"
+    lanes = ego.road.network.lanes_list()
+    points = np.stack([route.x, route.y], axis=-1)[12:70]
+    assert max(min(lane.distance(point) for lane in lanes) for point in points) < 0.7
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ CHANGES, BOUNDS = (1, 1, 4), ((0, 0), (0, 0), (2, 1))  # in a second, two steps 
 BLOCKED, CHANGE = 30.0, 0.3  # steps of speed that a second in the way of others and a change of lane count
 SECONDS_TO_CLOSE_UP, KEPT = 3.0, 5.0  # s, m, of who limits the speed
 ROOM_BEHIND, ROOM_AHEAD, GENTLE = 3.0, 1.0, 2.5  # m, m, m/s^2: to others after a plan
+SECONDS_AWAY = 1.0  # s, before which the robot has left the lane of who comes
 REACTION, LEAST_GAP = 0.2, 0.2  # s
 DISTURBED = 25.0  # m, to a car that joins, up to which others may change lanes for it
 SLOWING_DOWN = 2.0  # m/s^2, with which a car ahead may brake
@@ -84,11 +85,11 @@ def prospects(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[Plans, 
 
 
 def _others(scene: RoadScene, driven: DrivenPlans, centres: Plans) -> tuple[EachCar, EachCar, EachFlag]:
-    """Return where others are after each plan [m], how fast they go on along the route [m/s], and in which lanes."""
+    """Return where others are after each plan [m], how fast they go along the route [m/s], and in which lanes."""
     there, across, speeds, cosine = (field[..., -1] for field in driven[4:])
     along = (jnp.abs(cosine) > CROSSING) | (speeds < STANDING)
     inside = jnp.abs(across[:, None] - centres[..., None]) < LANE / 2 + 0.5
-    return there, jnp.maximum(speeds * cosine, 0.0), inside & (along & scene.present)[:, None]
+    return there, speeds * cosine, inside & (along & scene.present)[:, None]
 
 
 def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
@@ -107,8 +108,10 @@ def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
     reach, seconds = scene.reach[:, 0], jnp.arange(SECONDS_AFTER + 1)
     ahead = (s + onward * seconds[:, None])[:, None, None] - places[:, None]  # [seconds, 1, places, traffic]
     ahead = jnp.where((inside > 0.5)[:, None] & (ahead > -reach - ROOM_BEHIND), ahead - reach, FAR)
-    closing = jnp.maximum(speeds - onward[jnp.argmin(ahead, axis=-1)][..., None], 0.0)
-    needed = ROOM_AHEAD + REACTION * speeds + closing**2 / (2 * GENTLE)  # [seconds, lanes, places, speeds]
+    onward = onward[jnp.argmin(ahead, axis=-1)][..., None]
+    closing = jnp.maximum(speeds - jnp.maximum(onward, 0.0), 0.0)
+    coming = SECONDS_AWAY * jnp.maximum(-onward, 0.0)
+    needed = ROOM_AHEAD + REACTION * speeds + coming + closing**2 / (2 * GENTLE)  # [seconds, lanes, places, speeds]
     loss = jnp.maximum(jnp.minimum(interpolate(now.caps, places), fastest)[:, None] / step - jnp.arange(SPEEDS), 0.0)
     hindered = jnp.where((ahead.min(axis=-1)[..., None] > needed) & there[..., None], 0.0, BLOCKED)
 

@@ -10,8 +10,9 @@ from ms_highway.planning.road.arrays import EachCar, EachFlag, EachStep, Lane, P
 from ms_highway.planning.road.motion import bodies, earlier
 from ms_highway.planning.road.proposals import DrivenPlans
 from ms_highway.planning.road.prospects import lane_of, missing_room, prospects, urgency
-from ms_highway.planning.road.settings import STOPPING
+from ms_highway.planning.road.settings import LANE, STOPPING
 from ms_highway.planning.road.traffic import (
+    CORRIDOR,
     CROSSING,
     SAME_WAY,
     STANDING,
@@ -90,15 +91,16 @@ def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
     per_second = per_second - _discomfort(now, driven)
     closed = (lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
     leaves = _leaves(now, driven)
+    reached = jnp.where(jnp.abs(d[:, -1] - goal[:, -1]) < LANE / 2, lanes, 1)
     per_plan = (
-        weights.right * (lanes - 1.0)
+        weights.right * (reached - 1.0)
         - weights.change * (lanes != 1)
-        - weights.goal * urgency(scene, lanes)
+        - weights.goal * urgency(scene, reached)
         - weights.off_road * (leaves.astype(float) + closed)
     )
     others, intrusion, impact = _meetings(now, driven, lanes)
     missing = missing_room(now, driven, goal[:, -1])
-    slower, charged = prospects(now, driven, lanes)
+    slower, charged = prospects(now, driven, reached)
     lost = weights.prospect * slower / desired
     return Scores(
         own=planning.time_step * per_second.sum(axis=1) + per_plan - jnp.where(charged.any(axis=-1), 0.0, lost),
@@ -212,12 +214,14 @@ def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
 def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
     """Return whether the robot, after a plan, is still where a car crosses its route when that car comes.
 
-    The robot goes on as fast as it is then, and faster; the car at its speed.
+    The robot goes on as fast as it is then, and faster; the car at its speed. Who comes towards it counts in
+    `ms_highway.planning.road.prospects.prospects`.
     """
     scene, ways, across = now.scene, now.ways, now.crossings.across
-    s, _, _, speed = driven.robot[..., -1]
+    s, d, _, speed = driven.robot[..., -1]
     rear, front = s[..., None] - CLEARANCE, s[..., None] + scene.size[0] + CLEARANCE
-    here, knots = across & (ways.s > rear) & (ways.s < front), way_knots(ways)
+    meets = across & (ways.cosine > -CROSSING) & (jnp.abs(ways.d - d[..., None]) < CORRIDOR)
+    here, knots = meets & (ways.s > rear) & (ways.s < front), way_knots(ways)
     leaving = (-lowest(-ways.s, across) + CLEARANCE - s) / (speed + 1.0)
     along = driven.along[..., -1]
     coming = (lowest(knots, here) - scene.sizes[:, 0] - along) / jnp.maximum(driven.speeds[..., -1], 1.0)

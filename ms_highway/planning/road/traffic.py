@@ -37,6 +37,7 @@ SHARING, SAME_WAY, FOLLOWED, CROSSING = 0.85, 0.8, 0.7, 0.5
 follows the robot if it is behind, and does not cross its way."""
 
 CORRIDOR = 3.0  # m, of the robot's way to each side
+PASSED = 1.0  # m, behind the robot's rear axle, where nobody crosses its way any more
 SETTLING = 1.0  # s, in which cars move to the middle of their path
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
 
@@ -109,11 +110,13 @@ def ways_of(scene: RoadScene) -> Ways:
 def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     """Find where paths of traffic cross the robot's route.
 
-    Who is in the robot's lane does not cross it where their ways part: one of them follows the other.
+    Who is in the robot's lane does not cross it where their ways part: one of them follows the other. Who joins the
+    route behind the robot follows it.
     """
     now, inside = int(BEHIND / SPACING), jnp.abs(ways.d) < CORRIDOR
     shares = inside[:, now] & (ways.cosine[:, now] > SHARING)
-    across = inside & (ways.cosine < SHARING) & ~shares[:, None]
+    ahead = ways.s > scene.robot[0] - PASSED
+    across = inside & ahead & (ways.cosine < SHARING) & ~shares[:, None]
     knots, line = way_knots(ways), lowest(ways.s, across) - scene.sizes[:, 1] / 2 - WAITING
     return Crossings(across, line, lowest(knots, across), -lowest(-knots, across))
 
