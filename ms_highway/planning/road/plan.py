@@ -30,7 +30,7 @@ from ms_highway.planning.road.traffic import Situation, assumed_traits, leads, s
 from ms_highway.planning.road.traits import followed, jointly
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, Vector, for_each
 
-ANSWERED = 6  # best proposals that others answer
+ANSWERED = 4  # best proposals that others answer
 HARD = 3.0  # m/s^2, from which who brakes ahead is expected to go on so
 BESIDE = 1.5  # lanes aside, up to which that matters
 
