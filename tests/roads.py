@@ -75,7 +75,7 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         gaps=np.full(TRAFFIC, np.inf, np.float32),
         owners=np.where(present, np.arange(TRAFFIC), -1),
         names=np.where(present, np.arange(TRAFFIC), -1),
-        moving=present,
+        moving=present.copy(),
     )
 
 

@@ -74,7 +74,7 @@ class RoadScene:
     """What the robot sees of a road.
 
     Attributes:
-        route: centre of the lane that the robot follows.
+        route: smooth way along the lanes that the robot follows.
         lanes: lateral positions of the centres of `LANES` lanes at the knots of the route: left, own, right [m].
         open: where each of them may be driven on.
         edges: lateral positions of the left and the right edge of the road at the knots [m].
@@ -123,8 +123,13 @@ class RoadScene:
 
     @property
     def reach(self) -> Sizes:
-        """Distance of centres at which the robot and each other car touch, along and across [m]."""
-        return (self.size + self.sizes) / 2
+        """Distance of centres at which the robot and each other car touch, along and across [m].
+
+        Who cannot move keeps its heading; others head along their paths.
+        """
+        heading = jnp.where(self.moving, 0.0, self.states[:, 2])[:, None]
+        turned = jnp.abs(jnp.sin(heading)) * self.sizes[:, ::-1]
+        return (self.size + jnp.abs(jnp.cos(heading)) * self.sizes + turned) / 2
 
 
 def wrapped(angle: Any) -> Any:

@@ -94,7 +94,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def keep_compilations(directory: Path | None = None) -> Path:
+def keep_compilations(directory: Path | str | None = None) -> Path:
     """Keep compiled functions in a directory for later runs, in JAX's persistent cache; return the directory.
 
     They are machine code and run unverified, so that nobody else may write to it. Nothing limits its size; JAX's option
@@ -109,7 +109,7 @@ def keep_compilations(directory: Path | None = None) -> Path:
     """
     home = Path(os.environ.get("XDG_CACHE_HOME", ""))  # by the standard, ignored if it is relative
     usual = (home if home.is_absolute() else Path.home() / ".cache") / "ms_highway" / "compiled"
-    directory = directory or Path(os.environ.get("JAX_COMPILATION_CACHE_DIR") or usual)
+    directory = Path(directory or os.environ.get("JAX_COMPILATION_CACHE_DIR") or usual)
     jax.config.update("jax_compilation_cache_dir", None)
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     status = directory.stat()

@@ -15,7 +15,7 @@ from ms_highway.vehicle.road_map import LIMIT, Chain, Goal, Lane, kept
 
 AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
 BEYOND = 3.0  # m, up to which a lane is taken to go straight on
-DRIVEN = 6.0  # m, over which a route is smoothed: it cuts the corners of joints by up to 0.6 m
+DRIVEN = (6.0,)  # m, over which a route is smoothed: it cuts the corners of joints by up to 0.6 m
 NEARBY = 2.0  # widths of a lane, up to which a lane that leads elsewhere can be changed to
 
 

@@ -26,7 +26,7 @@ FINE = 0.5
 COARSE = 2.0  # m, between samples of lanes
 TRIM = 2.0  # m, left out of lanes on both sides of a joint
 MARGIN = 20.0  # m, beyond a curve's ends, for smoothing
-SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m, tried in order until no curve is too sharp
+SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m
 SHARPEST = 0.19  # 1/m
 NEAR = 20.0  # m, along a curve, in which a car is looked for
 TIGHTEST = 0.2  # of the radius of a bend, that a car is away from its centre at least
@@ -96,7 +96,7 @@ def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, R
 
 
 def join_lanes(
-    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float, smoothing: float = 0.0
+    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float, widths: Sequence[float] = SMOOTHING
 ) -> Curve:
     """Return the curve along lanes, between two ways; it goes straight on beyond the last one.
 
@@ -108,7 +108,7 @@ def join_lanes(
         starts: ways at which each of them begins, and at which the last one ends [m].
         low: way from which on the curve is needed [m].
         high: way until which it is needed [m].
-        smoothing: width of the Gaussian at least [m].
+        widths: of the Gaussian, tried in order until no curve is too sharp [m].
     """
     low, high, end = low - MARGIN, high + MARGIN, starts[-1]
     parts = []
@@ -122,7 +122,7 @@ def join_lanes(
         straight = beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
         parts.append((end + beyond, lane.position(lane.length, 0.0) + straight, np.full(beyond.shape, heading)))
     raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
-    for width in (width for width in SMOOTHING if width >= smoothing):
+    for width in widths:
         curve = _smooth(raw, width)
         if np.abs(curve[3]).max() <= SHARPEST:
             break

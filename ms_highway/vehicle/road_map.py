@@ -13,7 +13,7 @@ from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.game.road import wrapped
-from ms_highway.vehicle.lane_paths import Curve, Point, join_lanes
+from ms_highway.vehicle.lane_paths import SMOOTHING, Curve, Point, join_lanes
 
 Destination: TypeAlias = str | tuple[tuple[str, str], ...] | None
 """A node to reach, or roads to follow where they begin, or none."""
@@ -172,10 +172,10 @@ class Chain:
         return shape.position(place, 0), shape.heading_at(place)
 
     @kept
-    def curve(self, block: float, smoothing: float = 0.0) -> Curve:
-        """Return the curve along the lanes near a block, a number of `BLOCK` lengths, smoothed by a width at least."""
+    def curve(self, block: float, widths: tuple[float, ...] = SMOOTHING) -> Curve:
+        """Return the curve along the lanes near a block, a number of `BLOCK` lengths, smoothed as in `join_lanes`."""
         low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
-        return join_lanes([lane.shape for lane in self.lanes], self.starts, low, high, smoothing)
+        return join_lanes([lane.shape for lane in self.lanes], self.starts, low, high, widths)
 
 
 class Goal:

@@ -17,7 +17,7 @@ from ms_highway.runtime.jax_settings import keep_compilations
 @pytest.fixture
 def kept(tmp_path):
     """A directory that keeps everything."""
-    directory = keep_compilations(tmp_path / "kept")
+    directory = keep_compilations(str(tmp_path / "kept"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     return directory
 

@@ -12,7 +12,6 @@ from ms_highway.planning.road.arrays import EachStep, Lane, PlanFlags, Plans, St
 from ms_highway.planning.road.motion import RESERVED, SLIP, advance, within_tyres
 from ms_highway.planning.road.settings import STOPPING
 from ms_highway.planning.road.traffic import (
-    CROSSING,
     ROOM,
     WAITING,
     Situation,
@@ -22,7 +21,7 @@ from ms_highway.planning.road.traffic import (
     lowest,
     on_route,
 )
-from ms_highway.runtime.arrays import Car, Control, Controls, ManyControls, Scalar
+from ms_highway.runtime.arrays import Car, Control, Controls, Flag, ManyControls, Scalar
 
 FOLLOWING = 1.0, 0.75, 0.5, 0.25  # shares of the desired speed, in profiles that follow by IDM
 STEADY = -5.0, -3.0, -1.5, 0.0, 1.5, 3.0  # m/s^2, of profiles of constant acceleration
@@ -60,7 +59,7 @@ COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
 CREEPING = 3.0  # m/s, at which cars come that stand
 BACKWARDS = 0.3  # m/s, above which a car rolls backwards
 FADES = 1.0  # s, in which others who do not do what their model says come back to it
-BESIDE, OVERTAKING = 0.5, 3.0  # m around others and s before it passes them, in which a plan changes no lane
+CLEAR, OVERTAKING = 0.5, 3.0  # m around others and s before it passes them, in which a plan changes no lane
 HELD = 3.0  # s, for which who brakes hard ahead goes on so
 
 
@@ -172,7 +171,7 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
     states, controls, *others = jax.vmap(one)(plans, manners.accelerations)
     along, speeds, s, d, cosine = (jnp.swapaxes(field, 1, 2) for field in others)
     x, y, heading = jax.vmap(place, (0, -2, 0), -2)(scene.paths, along, across)
-    aslant = jnp.where(scene.moving, 0.0, scene.states[:, 2])[:, None]  # who has crashed stands as it lies
+    aslant = jnp.where(scene.moving, 0.0, scene.states[:, 2])[:, None]  # who has crashed keeps its heading
     world = jnp.stack([x, y, heading + aslant - _slip(scene, along), speeds], axis=-2)
     return DrivenPlans(states, controls, world, along, s, d, speeds, cosine)
 
@@ -188,7 +187,9 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     scene, planning = now.scene, now.planning
     s, d, heading, speed = car
     onward = speeds * where[2]
-    goal, gap = _change(now, plan, car, where, onward)
+    front, apart = s + scene.size[0] / 2, scene.reach[:, 1] + ROOM
+    lane = interpolate(scene.lanes[plan.lane], s)
+    goal = jnp.where(_waits(now, plan, car, lane, where, onward), interpolate(scene.lanes[1], s), lane)
 
     # towards the centre of the lane
     turn = interpolate(scene.route.curvature, s + 0.5 * speed * planning.time_step)
@@ -206,7 +207,9 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
         interpolate(now.caps, s + PREVIEW * speed), jnp.sqrt(2 * STOPPING * planning.grip * jnp.maximum(left, 0.0))
     )
 
-    # behind whoever is ahead
+    # behind whoever is ahead, here or in the lane that the robot goes to
+    beside = (where[1] > jnp.minimum(d, lane) - apart) & (where[1] < jnp.maximum(d, lane) + apart)
+    gap = jnp.where((where[0] > front) & beside & scene.present, where[0] - front - scene.reach[:, 0], FAR)
     safe = onward + jnp.sqrt(2 * LATE * jnp.maximum(gap - CLOSEST - REACTION * speed, 0.0))
     kept = EAGERNESS * idm_acceleration(speed, FAR, gap, onward, *CLOSE).min()
     kept = jnp.where(plan.closes, (safe.min() - speed) / PREVIEW, kept)
@@ -218,21 +221,16 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     return jnp.stack([curvature, jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))])
 
 
-def _change(now: Situation, plan: Profiles, car: Car, where: Pose, onward: Traffic) -> tuple[Scalar, Traffic]:
-    """Return where across the road a plan steers to now, and the gaps to whoever is ahead of it there or here.
+def _waits(now: Situation, plan: Profiles, car: Car, lane: Scalar, where: Pose, onward: Traffic) -> Flag:
+    """Return whether a plan waits to change lanes, where others come towards the robot in its own.
 
-    It stays in its lane while somebody is beside it in the lane that it goes to: it goes there once they have passed,
-    or once it has dropped behind them. Where others come towards it, plans that do not follow overtake first.
+    Plans that follow wait until they have dropped behind whoever is beside them, the others until they have overtaken;
+    who is halfway there goes on.
     """
     scene, (s, d, _, speed) = now.scene, car
-    goal = interpolate(scene.lanes[plan.lane], s)
     ahead, apart = where[0] - s - scene.size[0] / 2, scene.reach[:, 1] + ROOM
-    between = (where[1] > jnp.minimum(d, goal) - apart) & (where[1] < jnp.maximum(d, goal) + apart)
-    gap = jnp.where((ahead > 0) & between & scene.present, ahead - scene.reach[:, 0], FAR)
-
     overtakes = ~plan.follows & (ahead > 0)
-    closing = jnp.where(overtakes, OVERTAKING * jnp.maximum(speed - onward, 0.0), 0.0)
-    beside = (jnp.abs(where[1] - goal) < apart) & (jnp.abs(ahead) < scene.reach[:, 0] + BESIDE + closing)
-    come = now.crossings.exist & (where[2] < -CROSSING) & scene.present
-    waits = (beside & scene.present).any() & (plan.follows | come.any())
-    return jnp.where(waits, interpolate(scene.lanes[1], s), goal), gap
+    passing = jnp.where(overtakes, OVERTAKING * jnp.maximum(speed - onward, 0.0), 0.0)
+    inside = (jnp.abs(where[1] - lane) < apart) & (jnp.abs(d - lane) > apart) & scene.present
+    beside = inside & (jnp.abs(ahead) < scene.reach[:, 0] + CLEAR + passing)
+    return beside.any() & (now.crossings.come & (where[0] > s)).any()

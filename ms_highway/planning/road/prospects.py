@@ -19,7 +19,7 @@ CHANGES, BOUNDS = (1, 1, 4), ((0, 0), (0, 0), (2, 1))  # in a second, two steps 
 BLOCKED, CHANGE = 30.0, 0.3  # steps of speed that a second in the way of others and a change of lane count
 SECONDS_TO_CLOSE_UP, KEPT = 3.0, 5.0  # s, m, of who limits the speed
 ROOM_BEHIND, ROOM_AHEAD, GENTLE = 3.0, 1.0, 2.5  # m, m, m/s^2: to others after a plan
-SECONDS_AWAY = 1.0  # s, before which the robot has left the lane of who comes
+SECONDS_AWAY = 1.0  # s, by which the robot has left the lane of who comes before they are there
 REACTION, LEAST_GAP = 0.2, 0.2  # s
 DISTURBED = 25.0  # m, to a car that joins, up to which others may change lanes for it
 SLOWING_DOWN = 2.0  # m/s^2, with which a car ahead may brake
@@ -69,8 +69,8 @@ def missing_room(now: Situation, driven: DrivenPlans, goal: Plans) -> EachCar:
 def prospects(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[Plans, EachFlag]:
     """Return the mean loss of speed in the seconds after each plan [m/s], and who of the others limits it first.
 
-    All go on as points in their lanes, the others at the speed that they have then in the median of all plans. The
-    robot drives as well as it can: dynamic programming over lanes, places and speeds.
+    Plans end in lanes 0 to 2. All go on as points in their lanes, the others at the speed that they have then in the
+    median of all plans. The robot drives as well as it can: dynamic programming over lanes, places and speeds.
     """
     scene, fastest = now.scene, jnp.asarray(now.planning.desired_speed, float)
     s, speed, step = driven.states[:, -1, 0] + scene.size[0] / 2, driven.states[:, -1, 3], fastest / (SPEEDS - 1)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from jax import numpy as jnp
 
-from ms_highway.game.road import Pose, Sizes, interpolate, rotated
+from ms_highway.game.road import LANES, Pose, Sizes, interpolate, rotated
 from ms_highway.planning.car_following import FAR
 from ms_highway.planning.road.arrays import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans
 from ms_highway.planning.road.motion import bodies, earlier
@@ -28,6 +28,7 @@ FADING = 0.95  # of what is expected later, per step
 TOLERATED = 1.5  # m/s^2, of braking of others that costs nothing
 SOON = 1.6  # s, until when all counts that others may do
 EARLY = 0.08  # s, that cars which cross may come earlier or later
+ASIDE = 0.5  # m, from where a robot that changes lanes is, up to which it has not begun
 CLEARANCE = 1.0  # m, around where others cross the robot's way
 UNSURE = 6.0  # m/s^2, of the accelerations that others may have
 DECIDED = 1  # step after which stopping has to be possible
@@ -91,16 +92,17 @@ def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
     per_second = per_second - _discomfort(now, driven)
     closed = (lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
     leaves = _leaves(now, driven)
-    reached = jnp.where(jnp.abs(d[:, -1] - goal[:, -1]) < LANE / 2, lanes, 1)
+    share = jnp.where(lanes == 1, 1.0, jnp.clip(1 - jnp.abs(goal - d)[:, -1] / LANE, 0.0, 1.0))  # of its change of lane
+    urgent = urgency(scene, jnp.arange(LANES))
     per_plan = (
-        weights.right * (reached - 1.0)
+        weights.right * share * (lanes - 1.0)
         - weights.change * (lanes != 1)
-        - weights.goal * urgency(scene, reached)
+        - weights.goal * (urgent[1] + share * (urgent[lanes] - urgent[1]))
         - weights.off_road * (leaves.astype(float) + closed)
     )
     others, intrusion, impact = _meetings(now, driven, lanes)
     missing = missing_room(now, driven, goal[:, -1])
-    slower, charged = prospects(now, driven, reached)
+    slower, charged = prospects(now, driven, jnp.where(share > 0.5, lanes, 1))
     lost = weights.prospect * slower / desired
     return Scores(
         own=planning.time_step * per_second.sum(axis=1) + per_plan - jnp.where(charged.any(axis=-1), 0.0, lost),
@@ -146,10 +148,11 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
     dt, (s, d, _, speed) = planning.time_step, driven.robot
     x, y, heading = jnp.moveaxis(driven.world[:, :, :3], 2, 0)
     own, others = bodies(scene, driven.states[:, None]), (x, y, heading)
-    # A follower in the robot's own lane that runs into it, or through it, while it keeps its lane does not count.
+    # A follower in the robot's own lane that runs into it, or through it, while it is in its lane does not count.
     behind = driven.s[..., :1] < s[..., :1] - 1.0
     followed = jnp.cumprod(jnp.abs(driven.d - d) < scene.size[1], axis=-1) > 0
-    pushes = behind & followed & (driven.cosine > CROSSING) & jnp.equal(lanes, 1)[:, None, None]
+    stays = jnp.equal(lanes, 1)[:, None, None] | (jnp.cumprod(jnp.abs(d - scene.robot[1]) < ASIDE, axis=-1) > 0)
+    pushes = behind & followed & (driven.cosine > CROSSING) & stays
     counts = scene.present[:, None] & ~pushes
     clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, driven)), FAR)
     touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)
@@ -214,14 +217,14 @@ def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
 def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
     """Return whether the robot, after a plan, is still where a car crosses its route when that car comes.
 
-    The robot goes on as fast as it is then, and faster; the car at its speed. Who comes towards it counts in
-    `ms_highway.planning.road.prospects.prospects`.
+    The robot goes on as fast as it is then, and faster; the car at its speed. Who comes towards it in its lane counts
+    in `ms_highway.planning.road.prospects.prospects`.
     """
-    scene, ways, across = now.scene, now.ways, now.crossings.across
+    scene, ways, crossings = now.scene, now.ways, now.crossings
     s, d, _, speed = driven.robot[..., -1]
     rear, front = s[..., None] - CLEARANCE, s[..., None] + scene.size[0] + CLEARANCE
-    meets = across & (ways.cosine > -CROSSING) & (jnp.abs(ways.d - d[..., None]) < CORRIDOR)
-    here, knots = meets & (ways.s > rear) & (ways.s < front), way_knots(ways)
+    across = crossings.aslant & ~crossings.come[:, None] & (jnp.abs(ways.d - d[..., None]) < CORRIDOR)
+    here, knots = across & (ways.s > rear) & (ways.s < front), way_knots(ways)
     leaving = (-lowest(-ways.s, across) + CLEARANCE - s) / (speed + 1.0)
     along = driven.along[..., -1]
     coming = (lowest(knots, here) - scene.sizes[:, 0] - along) / jnp.maximum(driven.speeds[..., -1], 1.0)

@@ -59,12 +59,16 @@ class Crossings(NamedTuple):
     """Where paths of traffic cross the robot's route.
 
     Attributes:
-        across: at which knots they do.
+        aslant: at which knots they go at an angle to the route, from the robot on.
+        across: at which of these they cross it.
+        come: who comes towards the robot in its lane.
         line: position on the route where the front of the robot waits for those who cross it [m].
         begin, last: positions on the path where they begin and end to [m]; far away where they never do.
     """
 
+    aslant: EachFlag
     across: EachFlag
+    come: Flags
     line: Traffic
     begin: Traffic
     last: Traffic
@@ -110,15 +114,16 @@ def ways_of(scene: RoadScene) -> Ways:
 def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     """Find where paths of traffic cross the robot's route.
 
-    Who is in the robot's lane does not cross it where their ways part: one of them follows the other. Who joins the
-    route behind the robot follows it.
+    Who is in the robot's lane does not cross it where their ways part: one of them follows the other. Nobody crosses it
+    behind the robot.
     """
     now, inside = int(BEHIND / SPACING), jnp.abs(ways.d) < CORRIDOR
     shares = inside[:, now] & (ways.cosine[:, now] > SHARING)
-    ahead = ways.s > scene.robot[0] - PASSED
-    across = inside & ahead & (ways.cosine < SHARING) & ~shares[:, None]
+    come = inside[:, now] & (ways.cosine[:, now] < -SHARING) & (ways.s[:, now] > scene.robot[0]) & scene.moving
+    aslant = (ways.s > scene.robot[0] - PASSED) & (ways.cosine < SHARING) & ~shares[:, None]
+    across = inside & aslant
     knots, line = way_knots(ways), lowest(ways.s, across) - scene.sizes[:, 1] / 2 - WAITING
-    return Crossings(across, line, lowest(knots, across), -lowest(-knots, across))
+    return Crossings(aslant, across, come & scene.present, line, lowest(knots, across), -lowest(-knots, across))
 
 
 def leads(scene: RoadScene, ways: Ways, reach: Scalar) -> Flags:
