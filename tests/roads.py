@@ -88,6 +88,24 @@ def crossing(robot_s, come_from, speed=10.0):
     return scene
 
 
+def coming(scene, car):
+    """The scene with a car, on a straight road, that comes the other way."""
+    scene.paths.x[car] = 2 * scene.paths.x[car, round(BEHIND / SPACING)] - scene.paths.x[car]
+    scene.paths.heading[car] += np.pi
+    return scene
+
+
+def turning_off(robot_s):
+    """A standing robot, and a car from ahead, on the left lane, that turns left across its route at s = 44 to 50."""
+    scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, 10.0)])
+    along = SPACING * np.arange(TRAFFIC_KNOTS) - BEHIND
+    path = winding(np.where((along > 60) & (along < 80), -1 / 13, 0.0))
+    fields = {"x": 115.0 - path.x, "y": -LANE - path.y, "heading": path.heading + np.pi, "curvature": path.curvature}
+    for field, values in fields.items():
+        getattr(scene.paths, field)[0] = values
+    return scene
+
+
 def execute(scene, planning, controls):
     """Return the robot's states after each control, and the controls within limits that it executed."""
 

@@ -9,7 +9,7 @@ from highway_env.road.lane import CircularLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from jax import numpy as jnp
-from roads import NOBODY, PLANNING, WEIGHTS, execute, judged, scene_of, winding
+from roads import NOBODY, PLANNING, WEIGHTS, coming, execute, judged, scene_of, winding
 
 from ms_highway.game.road import KNOTS, SPACING, TRAFFIC, interpolate
 from ms_highway.planning.road.proposals import ALL, FULL_BRAKING, PROPOSALS, Manners, profiles, simulate_plans
@@ -161,30 +161,29 @@ def test_a_car_that_has_crashed_lies_across_its_lane_as_it_does_now():
     np.testing.assert_allclose(np.asarray(rollouts.world)[:, 0, 2], 0.7, atol=1e-6)
 
 
-@pytest.mark.parametrize("ahead", [2.0, -2.0])
-def test_a_plan_changes_lanes_behind_a_car_beside_or_before_it_but_not_into_it(ahead):
-    """It drops behind a car beside that is ahead, and leaves one behind that is slower."""
-    scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(2.5 + ahead, 1, 18.0 + ahead)])
-    plans, rollouts = proposed(scene)
-    full_speed = np.flatnonzero(plans.follows & (plans.lane == 2) & (plans.share == 1.0) & ~plans.closes)[0]
-    s, d, _, _ = np.moveaxis(np.asarray(rollouts.states)[full_speed], -1, 0)
-    gap, beside = np.asarray(rollouts.s)[full_speed, 0] - s - 2.5, d > 2.0
-    assert beside[-1]
-    assert (np.sign(ahead) * gap[beside] > 5.0).all()
+def gaps(number, *cars):
+    """Gaps to the first car [m], negative behind the robot, once a proposal is in the right lane; the last car comes."""
+    scene = coming(scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[*cars, (250.0, 0, 20.0)]), len(cars))
+    rollouts = proposed(scene)[1]
+    s, d, _, _ = np.moveaxis(np.asarray(rollouts.states)[number], -1, 0)
+    assert d[-1] > 2.0
+    return (np.asarray(rollouts.s)[number, 0] - s - 2.5)[d > 2.0]
 
 
-def test_where_others_come_a_plan_that_keeps_its_speed_overtakes_before_it_returns():
-    """On the left lane of a road of two ways; on a lane where nobody comes it would change at once."""
-    slower, comes = (25.0, 1, 18.0), (95.0, 0, 20.0)
-    paths = [scene_of(robot=(0.0, 0.0, 0.0, 30.0), cars=[slower, comes][:count]) for count in (1, 2)]
-    for field in (paths[1].paths.x, paths[1].paths.y):
-        field[1] = field[1, ::-1]
-    paths[1].paths.heading[1] += np.pi
+def test_where_others_come_plans_drop_behind_the_car_beside_or_overtake_it_before_they_change_lanes():
+    following = next(number for number, plan in enumerate(ALL) if plan[:4] == (2, 1.0, 0.0, True))
+    assert gaps(following, (3.0, 1, 20.0)).min() > 7.0
+    assert gaps(following, (1.5, 1, 14.0)).max() < -7.0
     keeping = next(number for number, plan in enumerate(ALL) if plan[:4] == (2, 1.0, 0.0, False))
-    alone, met = (np.asarray(proposed(scene)[1].states)[keeping, :, 1] for scene in paths)
-    assert alone[7] > 2.0
-    assert met[7] < 0.1
-    assert met[-1] > 2.0
+    assert gaps(keeping, (12.0, 1, 12.0)).max() < -5.0
+
+
+def test_a_plan_that_has_changed_lanes_does_not_come_back_for_the_next_car():
+    """The second car is ahead, and slower, as the robot is halfway there."""
+    keeping = next(number for number, plan in enumerate(ALL) if plan[:4] == (2, 1.0, 0.0, False))
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 25.0), cars=[(12.0, 1, 12.0), (75.0, 1, 15.0), (250.0, 0, 20.0)])
+    d = np.asarray(proposed(coming(scene, 2))[1].states)[keeping, :, 1]
+    assert (np.diff(d) > -0.01).all()
 
 
 def test_in_a_bend_at_the_grip_of_tyres_a_plan_brakes_before_it_steers():

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from roads import PLANNING, WEIGHTS, scene_of
+from roads import PLANNING, WEIGHTS, coming, scene_of
 
-from ms_highway.game.road import TRAFFIC
+from ms_highway.game.road import KNOTS, TRAFFIC
 from ms_highway.planning.road.plan import no_plan, propose
 from ms_highway.planning.road.proposals import IN_EACH_LANE, profiles
 from ms_highway.planning.road.prospects import missing_room, prospects
@@ -60,6 +60,13 @@ def test_a_gap_beside_that_opens_later_is_foreseen():
     beside = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(75.0, 0, 18.0), (40.0, 1, 18.0), (75.0, -1, 18.0)])
     wall = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(75.0, 0, 18.0), (75.0, 1, 18.0), (75.0, -1, 18.0)])
     assert lost(beside)[CLOSING_UP] < lost(wall)[CLOSING_UP] - 1.0
+
+
+def test_who_comes_costs_more_after_a_plan_than_who_stands_where_it_is_then():
+    narrow = np.repeat(np.float32([[-2.0], [2.0]]), KNOTS, axis=1)
+    stands = replace(scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(204.0, 0, 0.0)]), edges=narrow)
+    comes = coming(replace(scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(300.0, 0, 24.0)]), edges=narrow), 0)
+    assert lost(comes)[KEEPING_SPEED] > lost(stands)[KEEPING_SPEED] + 1.0
 
 
 def test_closing_up_keeps_its_speed_longer_than_following_and_still_leaves_room_to_stop():

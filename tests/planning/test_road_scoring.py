@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
-from roads import NOBODY, PLANNING, WEIGHTS, crossing, judged, scene_of
+from roads import NOBODY, PLANNING, WEIGHTS, coming, crossing, judged, scene_of, turning_off
 
 from ms_highway.game.road import LANES, TRAFFIC
 from ms_highway.planning.road.prospects import missing_room, urgency
@@ -166,6 +166,39 @@ def test_a_robot_that_stands_where_a_car_comes_is_in_its_way_and_no_other(s, com
     scene = crossing(s, come_from, speed)
     rollouts, scores = scores_of(scene, KEEPING, KEEPING)
     assert bool(in_the_way(scene, rollouts)[0, 0]) == expected
+    assert not np.asarray(scores.collides).any()
+
+
+def test_a_car_from_ahead_comes_into_the_robots_way_where_it_turns_off_and_not_where_it_goes_straight_on():
+    for scene, expected in ((turning_off(40.0), True), (turning_off(20.0), False), (coming(crossed(), 0), False)):
+        assert bool(in_the_way(scene, scores_of(scene, KEEPING, KEEPING)[0])[0, 0]) == expected
+
+
+def crossed():
+    return scene_of(robot=(40.0, 0.0, 0.0, 0.0), cars=[(120.0, 0, 10.0)])
+
+
+@pytest.mark.parametrize("come_from", np.arange(55.0, 57.0, 0.25))
+def test_in_another_lane_too_a_robot_is_in_the_way_of_who_crosses(come_from):
+    scene = replace(crossing(0.0, come_from), robot=np.array([36.0, 4.2, 0.0, 0.0], np.float32))
+    assert bool(in_the_way(scene, scores_of(scene, KEEPING, KEEPING)[0])[0, 0])
+
+
+@pytest.mark.parametrize(("robot_s", "crosses"), [(20.0, True), (50.0, False)])
+def test_nobody_crosses_the_way_of_a_robot_that_has_passed(robot_s, crosses):
+    assert situation_of(crossing(robot_s, 30.0), PLANNING, WEIGHTS).crossings.exist[0] == crosses
+
+
+def test_a_plan_that_has_not_reached_a_better_lane_earns_nothing_for_it():
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0))
+    own = np.asarray(scores_of(scene, KEEPING, KEEPING, lanes=(OWN, RIGHT))[1].own)
+    seconds = STEPS * PLANNING.time_step
+    assert own[0] - own[1] == pytest.approx(WEIGHTS.change + WEIGHTS.centre * 4.0**2 * seconds, abs=1e-3)
+
+
+def test_a_follower_that_runs_into_a_robot_that_waits_to_change_lanes_does_not_count():
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 10.0), cars=[(-8.0, 0, 20.0)])
+    _, scores = scores_of(scene, KEEPING, KEEPING, lanes=(OWN, RIGHT))
     assert not np.asarray(scores.collides).any()
 
 
