@@ -162,7 +162,7 @@ def test_a_car_that_has_crashed_lies_across_its_lane_as_it_does_now():
 
 
 def gaps(number, *cars):
-    """Gaps to the first car [m], negative behind the robot, once a proposal is in the right lane; the last car comes."""
+    """Gaps to the first car [m], negative behind the robot, once a proposal is in the right lane; the last comes."""
     scene = coming(scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[*cars, (250.0, 0, 20.0)]), len(cars))
     rollouts = proposed(scene)[1]
     s, d, _, _ = np.moveaxis(np.asarray(rollouts.states)[number], -1, 0)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from roads import PLANNING, WEIGHTS, coming, scene_of
+from roads import NOBODY, PLANNING, WEIGHTS, coming, scene_of
 
 from ms_highway.game.road import KNOTS, TRAFFIC
 from ms_highway.planning.road.plan import no_plan, propose
@@ -62,11 +62,11 @@ def test_a_gap_beside_that_opens_later_is_foreseen():
     assert lost(beside)[CLOSING_UP] < lost(wall)[CLOSING_UP] - 1.0
 
 
-def test_who_comes_costs_more_after_a_plan_than_who_stands_where_it_is_then():
+def test_who_comes_after_a_plan_is_in_the_way_and_then_has_passed_unlike_who_stands_there():
     narrow = np.repeat(np.float32([[-2.0], [2.0]]), KNOTS, axis=1)
-    stands = replace(scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(204.0, 0, 0.0)]), edges=narrow)
+    stands = replace(scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(204.0, 0, 0.0)]), edges=narrow, moving=NOBODY)
     comes = coming(replace(scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(300.0, 0, 24.0)]), edges=narrow), 0)
-    assert lost(comes)[KEEPING_SPEED] > lost(stands)[KEEPING_SPEED] + 1.0
+    assert 5.0 < lost(comes)[KEEPING_SPEED] < lost(stands)[KEEPING_SPEED] - 1.0
 
 
 def test_closing_up_keeps_its_speed_longer_than_following_and_still_leaves_room_to_stop():
