@@ -83,7 +83,12 @@ def crossing(robot_s, come_from, speed=10.0):
     """A standing robot, and a car that crosses its route at s = 40 from the left, so far away now [m]."""
     scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, speed)])
     along = np.arange(TRAFFIC_KNOTS) * SPACING - BEHIND - come_from
-    for field, values in (("x", 40.0), ("y", along), ("heading", np.pi / 2), ("curvature", 0.0)):
+    return on_path(scene, 40.0, along, np.pi / 2, 0.0)
+
+
+def on_path(scene, *path):
+    """The scene with the first car on a path of these x, y, heading and curvature."""
+    for field, values in zip(("x", "y", "heading", "curvature"), path, strict=True):
         getattr(scene.paths, field)[0] = values
     return scene
 
@@ -100,10 +105,7 @@ def turning_off(robot_s):
     scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, 10.0)])
     along = SPACING * np.arange(TRAFFIC_KNOTS) - BEHIND
     path = winding(np.where((along > 60) & (along < 80), -1 / 13, 0.0))
-    fields = {"x": 115.0 - path.x, "y": -LANE - path.y, "heading": path.heading + np.pi, "curvature": path.curvature}
-    for field, values in fields.items():
-        getattr(scene.paths, field)[0] = values
-    return scene
+    return on_path(scene, 115.0 - path.x, -LANE - path.y, path.heading + np.pi, path.curvature)
 
 
 def execute(scene, planning, controls):

@@ -122,14 +122,15 @@ class RoadScene:
     accelerations: Traffic | None = None
 
     @property
-    def reach(self) -> Sizes:
-        """Distance of centres at which the robot and each other car touch, along and across [m].
+    def askew(self) -> Sizes:
+        """Angle of each of the others to its path that it keeps: its own if it cannot move, none if it drives."""
+        return jnp.where(self.moving, 0.0, self.states[:, 2])[:, None]
 
-        Who cannot move keeps its heading; others head along their paths.
-        """
-        heading = jnp.where(self.moving, 0.0, self.states[:, 2])[:, None]
-        turned = jnp.abs(jnp.sin(heading)) * self.sizes[:, ::-1]
-        return (self.size + jnp.abs(jnp.cos(heading)) * self.sizes + turned) / 2
+    @property
+    def reach(self) -> Sizes:
+        """Distance of centres at which the robot and each other car touch, along and across [m]."""
+        turned = jnp.abs(jnp.sin(self.askew)) * self.sizes[:, ::-1]
+        return (self.size + jnp.abs(jnp.cos(self.askew)) * self.sizes + turned) / 2
 
 
 def wrapped(angle: Any) -> Any:

@@ -21,6 +21,7 @@ FOLLOWING = np.ones(TRAFFIC, bool)
 NOTHING = np.zeros((TRAFFIC, STEPS), np.float32)
 AS_MODELLED = np.zeros(TRAFFIC, np.float32)
 STRAIGHT_ON = np.zeros((STEPS, 2), np.float32)
+FOLLOWING_RIGHT, KEEPING_RIGHT = ([plan[:4] for plan in ALL].index((2, 1.0, 0.0, follows)) for follows in (True, False))
 LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
 
 
@@ -171,18 +172,15 @@ def gaps(number, *cars):
 
 
 def test_where_others_come_plans_drop_behind_the_car_beside_or_overtake_it_before_they_change_lanes():
-    following = next(number for number, plan in enumerate(ALL) if plan[:4] == (2, 1.0, 0.0, True))
-    assert gaps(following, (3.0, 1, 20.0)).min() > 7.0
-    assert gaps(following, (1.5, 1, 14.0)).max() < -7.0
-    keeping = next(number for number, plan in enumerate(ALL) if plan[:4] == (2, 1.0, 0.0, False))
-    assert gaps(keeping, (12.0, 1, 12.0)).max() < -5.0
+    assert gaps(FOLLOWING_RIGHT, (3.0, 1, 20.0)).min() > 7.0
+    assert gaps(FOLLOWING_RIGHT, (1.5, 1, 14.0)).max() < -7.0
+    assert gaps(KEEPING_RIGHT, (12.0, 1, 12.0)).max() < -5.0
 
 
 def test_a_plan_that_has_changed_lanes_does_not_come_back_for_the_next_car():
     """The second car is ahead, and slower, as the robot is halfway there."""
-    keeping = next(number for number, plan in enumerate(ALL) if plan[:4] == (2, 1.0, 0.0, False))
     scene = scene_of(robot=(0.0, 0.0, 0.0, 25.0), cars=[(12.0, 1, 12.0), (75.0, 1, 15.0), (250.0, 0, 20.0)])
-    d = np.asarray(proposed(coming(scene, 2))[1].states)[keeping, :, 1]
+    d = np.asarray(proposed(coming(scene, 2))[1].states)[KEEPING_RIGHT, :, 1]
     assert (np.diff(d) > -0.01).all()
 
 

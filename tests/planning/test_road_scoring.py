@@ -170,12 +170,9 @@ def test_a_robot_that_stands_where_a_car_comes_is_in_its_way_and_no_other(s, com
 
 
 def test_a_car_from_ahead_comes_into_the_robots_way_where_it_turns_off_and_not_where_it_goes_straight_on():
-    for scene, expected in ((turning_off(40.0), True), (turning_off(20.0), False), (coming(crossed(), 0), False)):
+    straight_on = coming(scene_of(robot=(40.0, 0.0, 0.0, 0.0), cars=[(120.0, 0, 10.0)]), 0)
+    for scene, expected in ((turning_off(40.0), True), (turning_off(20.0), False), (straight_on, False)):
         assert bool(in_the_way(scene, scores_of(scene, KEEPING, KEEPING)[0])[0, 0]) == expected
-
-
-def crossed():
-    return scene_of(robot=(40.0, 0.0, 0.0, 0.0), cars=[(120.0, 0, 10.0)])
 
 
 @pytest.mark.parametrize("come_from", np.arange(55.0, 57.0, 0.25))

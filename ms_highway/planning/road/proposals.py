@@ -171,8 +171,7 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
     states, controls, *others = jax.vmap(one)(plans, manners.accelerations)
     along, speeds, s, d, cosine = (jnp.swapaxes(field, 1, 2) for field in others)
     x, y, heading = jax.vmap(place, (0, -2, 0), -2)(scene.paths, along, across)
-    aslant = jnp.where(scene.moving, 0.0, scene.states[:, 2])[:, None]  # who has crashed keeps its heading
-    world = jnp.stack([x, y, heading + aslant - _slip(scene, along), speeds], axis=-2)
+    world = jnp.stack([x, y, heading + scene.askew - _slip(scene, along), speeds], axis=-2)
     return DrivenPlans(states, controls, world, along, s, d, speeds, cosine)
 
 

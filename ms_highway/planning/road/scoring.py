@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from jax import numpy as jnp
 
-from ms_highway.game.road import LANES, Pose, Sizes, interpolate, rotated
+from ms_highway.game.road import Pose, Sizes, interpolate, rotated
 from ms_highway.planning.car_following import FAR
 from ms_highway.planning.road.arrays import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans
 from ms_highway.planning.road.motion import bodies, earlier
@@ -93,11 +93,11 @@ def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
     closed = (lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
     leaves = _leaves(now, driven)
     share = jnp.where(lanes == 1, 1.0, jnp.clip(1 - jnp.abs(goal - d)[:, -1] / LANE, 0.0, 1.0))  # of its change of lane
-    urgent = urgency(scene, jnp.arange(LANES))
+    urgent = urgency(scene, 1)
     per_plan = (
         weights.right * share * (lanes - 1.0)
         - weights.change * (lanes != 1)
-        - weights.goal * (urgent[1] + share * (urgent[lanes] - urgent[1]))
+        - weights.goal * (urgent + share * (urgency(scene, lanes) - urgent))
         - weights.off_road * (leaves.astype(float) + closed)
     )
     others, intrusion, impact = _meetings(now, driven, lanes)
@@ -220,10 +220,10 @@ def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
     The robot goes on as fast as it is then, and faster; the car at its speed. Who comes towards it in its lane counts
     in `ms_highway.planning.road.prospects.prospects`.
     """
-    scene, ways, crossings = now.scene, now.ways, now.crossings
+    scene, ways = now.scene, now.ways
     s, d, _, speed = driven.robot[..., -1]
     rear, front = s[..., None] - CLEARANCE, s[..., None] + scene.size[0] + CLEARANCE
-    across = crossings.aslant & ~crossings.come[:, None] & (jnp.abs(ways.d - d[..., None]) < CORRIDOR)
+    across = now.crossings.aslant & (jnp.abs(ways.d - d[..., None]) < CORRIDOR)
     here, knots = across & (ways.s > rear) & (ways.s < front), way_knots(ways)
     leaving = (-lowest(-ways.s, across) + CLEARANCE - s) / (speed + 1.0)
     along = driven.along[..., -1]

@@ -59,15 +59,13 @@ class Crossings(NamedTuple):
     """Where paths of traffic cross the robot's route.
 
     Attributes:
-        aslant: at which knots they go at an angle to the route, from the robot on.
-        across: at which of these they cross it.
+        aslant: at which knots they go at an angle to the route, from the robot on, but for who comes towards it.
         come: who comes towards the robot in its lane.
         line: position on the route where the front of the robot waits for those who cross it [m].
         begin, last: positions on the path where they begin and end to [m]; far away where they never do.
     """
 
     aslant: EachFlag
-    across: EachFlag
     come: Flags
     line: Traffic
     begin: Traffic
@@ -119,11 +117,12 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     """
     now, inside = int(BEHIND / SPACING), jnp.abs(ways.d) < CORRIDOR
     shares = inside[:, now] & (ways.cosine[:, now] > SHARING)
-    come = inside[:, now] & (ways.cosine[:, now] < -SHARING) & (ways.s[:, now] > scene.robot[0]) & scene.moving
+    come = inside[:, now] & (ways.cosine[:, now] < -SHARING) & (ways.s[:, now] > scene.robot[0])
+    come = come & scene.moving & scene.present
     aslant = (ways.s > scene.robot[0] - PASSED) & (ways.cosine < SHARING) & ~shares[:, None]
     across = inside & aslant
     knots, line = way_knots(ways), lowest(ways.s, across) - scene.sizes[:, 1] / 2 - WAITING
-    return Crossings(aslant, across, come & scene.present, line, lowest(knots, across), -lowest(-knots, across))
+    return Crossings(aslant & ~come[:, None], come, line, lowest(knots, across), -lowest(-knots, across))
 
 
 def leads(scene: RoadScene, ways: Ways, reach: Scalar) -> Flags:
