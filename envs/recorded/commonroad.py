@@ -1,0 +1,190 @@
+"""Read CommonRoad scenarios, such as those of the US-101 highway."""
+
+import gzip
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ms_highway.envs.recorded.scenario import Goal, Lanelet, Obstacle, Problem, Scenario, Track
+from ms_highway.game.scenario import TIME_STEP
+from ms_highway.runtime.extras import needing
+from ms_highway.runtime.files import reading, temporary_directory
+
+COMPRESSED = ".xml.gz"
+
+MOST_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
+MOST_METRES = 100_000.0  # from one end of a scenario to the other
+MOST_SIZE = 100.0  # m, of a vehicle
+MOST_RADIANS = 1000.0  # of an orientation
+MOST_STATES = 10_000_000  # of all cars at all times
+MOST_SAMPLED = 1e12, 1e8, 1e8, MOST_RADIANS, 200.0  # time step, m, m, rad and m/s, of a vehicle
+
+MEND = "mend the file or leave it out"
+
+
+def scenario_files(directory: Path) -> list[Path]:
+    """Return the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
+
+    Raises:
+        ValueError: if there is no such directory, or no such file in it.
+    """
+    if not directory.is_dir():
+        raise ValueError(f"{directory} is not a directory; give the one that holds the CommonRoad scenarios")
+    paths = sorted(path for path in directory.iterdir() if path.name.endswith((".xml", COMPRESSED)))
+    if not paths:
+        raise ValueError(f"{directory} holds no CommonRoad scenarios, files *.xml or *.xml.gz")
+    return paths
+
+
+def read_scenario(path: Path) -> Scenario:
+    """Read a CommonRoad scenario whose vehicles were recorded every 0.1 s.
+
+    Raises:
+        ValueError: naming the file, if it is damaged, or holds something else.
+        ImportError: without the packages of the extra ``commonroad``.
+    """
+    scenario, problems = open_commonroad(path)
+    try:
+        return _converted(scenario, problems, path.name)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def open_commonroad(path: Path) -> tuple[Any, Any]:
+    """Return the scenario and the planning problems of a file, objects of commonroad-io.
+
+    Raises:
+        ValueError: naming the file, if it is damaged, or holds something else.
+        ImportError: without the packages of the extra ``commonroad``.
+    """
+    with temporary_directory() as directory, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about irrelevant things, such as unknown locations
+        with needing("commonroad"):
+            from commonroad.common.reader.file_reader_xml import XMLFileReader  # by itself, without protobuf
+        with reading(path, "fetch it again", " as a CommonRoad scenario"):
+            readable = path
+            if path.name.endswith(COMPRESSED):
+                readable = directory / path.name.removesuffix(".gz")
+                with gzip.open(path) as packed:
+                    readable.write_bytes(packed.read(MOST_BYTES + 1))
+            if readable.stat().st_size > MOST_BYTES:
+                raise ValueError(f"more than {MOST_BYTES} bytes of XML")
+            # commonroad-io subtracts one turn after the other from an orientation, which might never end.
+            for orientation in ElementTree.parse(readable).iter("orientation"):
+                for text in orientation.itertext():
+                    if text.strip() and not abs(float(text)) <= MOST_RADIANS:
+                        raise ValueError(f"an orientation of {text} rad")
+            try:
+                return XMLFileReader(readable).open()
+            except (AssertionError, AttributeError, TypeError) as error:  # of elements that lack
+                raise ValueError(str(error)) from error
+
+
+def _converted(scenario: Any, problems: Any, source: str) -> Scenario:
+    if not np.isclose(scenario.dt, TIME_STEP):
+        raise ValueError(f"the time step is {scenario.dt} s; it must be {TIME_STEP} s")
+    tracks = tuple(map(_track, scenario.dynamic_obstacles))
+    if not any(len(track.samples) > 1 for track in tracks):
+        raise ValueError("there is no dynamic obstacle with two samples, and so no driving")
+    times = 1 + max(int(track.samples[-1, 0]) for track in tracks)
+    if times * len(tracks) > MOST_STATES:
+        raise ValueError(f"there are {len(tracks)} obstacles in {times} time steps; {MOST_STATES} states can be read")
+    lanelets = tuple(map(_lanelet, scenario.lanelet_network.lanelets))
+    if lanelets:
+        lines = np.concatenate([lanelet.centre for lanelet in lanelets])
+        if not np.ptp(lines, axis=0).max() <= MOST_METRES:
+            raise ValueError(f"lanelets are not finite, or more than {MOST_METRES:g} m apart; {MEND}")
+    return Scenario(
+        name=str(scenario.scenario_id),
+        group=f"{scenario.scenario_id.map_name}-{scenario.scenario_id.map_id}",
+        source=source,
+        lanelets=lanelets,
+        tracks=tracks,
+        obstacles=tuple(map(_obstacle, scenario.static_obstacles)),
+        problems=tuple(map(_problem, problems.planning_problem_dict.values())),
+    )
+
+
+def _lanelet(lanelet: Any) -> Lanelet:
+    return Lanelet(
+        lanelet.lanelet_id,
+        np.array(lanelet.left_vertices, dtype=float),
+        np.array(lanelet.right_vertices, dtype=float),
+        tuple(lanelet.predecessor),
+        tuple(lanelet.successor),
+        (lanelet.adj_left, lanelet.adj_right),
+        (lanelet.adj_left_same_direction, lanelet.adj_right_same_direction),
+    )
+
+
+def _track(obstacle: Any) -> Track:
+    """Return a vehicle with its time step, position x and y, orientation and speed, as in the file."""
+    states = [obstacle.initial_state]
+    states += getattr(getattr(obstacle.prediction, "trajectory", None), "state_list", [])
+    name = f"obstacle {obstacle.obstacle_id}"
+    try:
+        rows = [(state.time_step, *state.position, state.orientation, state.velocity) for state in states]
+        samples = np.array(rows, dtype=float).reshape(-1, 5)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name} lacks an exact time, position, orientation or velocity; only recorded driving can be read"
+        ) from error
+    usable = (np.abs(samples) <= MOST_SAMPLED).all(axis=1)
+    if not usable.all():
+        time, *rest = samples[~usable][0]
+        raise ValueError(f"{name} is nowhere on Earth, or faster than any car, at step {time:g}: {np.array(rest)}")
+    size = _size(obstacle)
+    if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():
+        raise ValueError(f"the times of {name} do not follow each other from 0 on; {MEND}")
+    return Track(obstacle.obstacle_id, size, samples)
+
+
+def _size(obstacle: Any) -> tuple[float, float]:
+    """Return length and width of an obstacle's shape."""
+    shape = obstacle.obstacle_shape
+    if hasattr(shape, "length"):
+        size = float(shape.length), float(shape.width)
+    else:
+        left, low, right, high = shape.shapely_object.bounds
+        size = float(right - left), float(high - low)
+    if not max(size) <= MOST_SIZE:
+        raise ValueError(f"obstacle {obstacle.obstacle_id} is longer than {MOST_SIZE:g} m; {MEND}")
+    return size
+
+
+def _obstacle(obstacle: Any) -> Obstacle:
+    state = obstacle.initial_state
+    return Obstacle(obstacle.obstacle_id, _size(obstacle), (*map(float, state.position), float(state.orientation)))
+
+
+def _problem(problem: Any) -> Problem:
+    state = problem.initial_state
+    try:
+        start = *map(float, state.position), float(state.orientation), float(state.velocity)
+    except (AttributeError, TypeError, ValueError) as error:
+        name = f"planning problem {problem.planning_problem_id}"
+        raise ValueError(f"{name} lacks an exact position, orientation or velocity of its start; {MEND}") from error
+    goals = tuple(goal for state in problem.goal.state_list for goal in _goals(state))
+    return Problem(problem.planning_problem_id, start, int(state.time_step), goals)
+
+
+def _goals(state: Any) -> Iterator[Goal]:
+    """Yield a goal for each of the polygons that a goal's position is made of."""
+
+    def between(name: str) -> tuple[float, float] | None:
+        value = getattr(state, name, None)
+        if value is None:
+            return None
+        return float(getattr(value, "start", value)), float(getattr(value, "end", value))
+
+    times, speeds, headings = map(between, ("time_step", "velocity", "orientation"))
+    if times is None:
+        raise ValueError("a goal has no time; mend the file or leave it out")
+    position = getattr(state, "position", None)
+    for shape in getattr(position, "shapes", [position]):
+        area = None if shape is None else np.array(shape.shapely_object.exterior.coords)[:-1]
+        yield Goal((round(times[0]), round(times[1])), area, speeds, headings)

@@ -1,0 +1,202 @@
+"""Turn lanelets into a road network of highway-env: smooth lanes of their own widths that merge, branch and end."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from highway_env.road.lane import AbstractLane, LineType
+from highway_env.road.road import RoadNetwork
+
+from ms_highway.envs.recorded.lane_coordinates import Values, fit_lane_coordinates
+from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Lanelet, Points, Scenario
+from ms_highway.game.road import wrapped
+
+STEP = 1.0  # m, between samples of a lane
+BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
+FROM_CENTRE = 0.2  # of the radius of a bend, that a point is away from its centre at least
+
+
+class Axes(NamedTuple):
+    """highway-env's axes, with y to the right of x, in those of a map, with y to the left.
+
+    Attributes:
+        origin: of highway-env's axes in those of the map [m]; near the road, as single precision resolves little far
+            away.
+    """
+
+    origin: Points
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "Axes":
+        """Return axes with their origin in the middle of a scenario's road, at whole metres."""
+        return cls(np.round(np.concatenate([lanelet.centre for lanelet in scenario.lanelets]).mean(axis=0)))
+
+    def positions(self, points: Any) -> Points:
+        """Return points of the map in highway-env's axes."""
+        return (np.asarray(points, dtype=float) - self.origin) * [1.0, -1.0]
+
+    def points(self, positions: Any) -> Points:
+        """Return positions of highway-env in the map."""
+        return np.asarray(positions, dtype=float) * [1.0, -1.0] + self.origin
+
+
+class SampledLane(AbstractLane):
+    """A lane along a smooth curve, straight on beyond its ends.
+
+    Attributes:
+        length: [m].
+        speed_limit: [m/s].
+    """
+
+    def __init__(self, centres: Points, widths: Values, line_types: Sequence[int], speed_limit: float) -> None:
+        """Make a lane.
+
+        Args:
+            centres: positions, about `STEP` apart [points, 2].
+            widths: at these [m].
+            line_types: of its left and its right edge, highway-env's.
+            speed_limit: [m/s].
+        """
+        self.centres, self.widths = centres, widths
+        self.places = np.r_[0.0, np.cumsum(np.hypot(*np.diff(centres, axis=0).T))]
+        tangents = np.gradient(centres, self.places, axis=0)
+        self.headings = np.unwrap(np.arctan2(tangents[:, 1], tangents[:, 0]))
+        self.bends = np.gradient(self.headings, self.places)
+        self.length, self.speed_limit = float(self.places[-1]), speed_limit
+        self.line_types, self.forbidden, self.priority = list(line_types), False, 0
+
+    def position(self, longitudinal: float, lateral: float) -> np.ndarray:
+        """Return the position at lane coordinates [m]."""
+        inside = min(max(longitudinal, 0.0), self.length)
+        heading, beyond = self.heading_at(inside), longitudinal - inside
+        x, y = (np.interp(inside, self.places, part) for part in self.centres.T)
+        cosine, sine = np.cos(heading), np.sin(heading)
+        return np.array([x + beyond * cosine - lateral * sine, y + beyond * sine + lateral * cosine])
+
+    def heading_at(self, longitudinal: float) -> float:
+        """Return the heading at a place [rad]."""
+        return float(np.interp(longitudinal, self.places, self.headings))
+
+    def width_at(self, longitudinal: float) -> float:
+        """Return the width at a place [m]."""
+        return float(np.interp(longitudinal, self.places, self.widths))
+
+    def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
+        """Return the place along the lane and the distance to the right of its middle [m]."""
+        dx, dy = (position - self.centres).T
+        nearest = int(np.argmin(dx * dx + dy * dy))
+        heading = self.headings[nearest]
+        cosine, sine = np.cos(heading), np.sin(heading)
+        ahead, aside = dx[nearest] * cosine + dy[nearest] * sine, dy[nearest] * cosine - dx[nearest] * sine
+        last = len(self.places) - 1
+        bend = 0.0 if (nearest == 0 and ahead < 0) or (nearest == last and ahead > 0) else self.bends[nearest]
+        step = ahead / max(1 - bend * aside, FROM_CENTRE)
+        return float(self.places[nearest] + step), float(aside - bend * ahead * step / 2)
+
+    @classmethod
+    def from_config(cls, config: dict) -> "SampledLane":
+        """Return the lane that `to_config` describes."""
+        arrays = {name: np.array(config[name], dtype=float) for name in ("centres", "widths")}
+        return cls(**{**config, **arrays})
+
+    def to_config(self) -> dict:
+        """Return what describes the lane, for JSON."""
+        return {
+            "centres": self.centres.tolist(),
+            "widths": self.widths.tolist(),
+            "line_types": self.line_types,
+            "speed_limit": self.speed_limit,
+        }
+
+
+def network_of(scenario: Scenario, axes: Axes) -> RoadNetwork:
+    """Build the road network of a scenario: lanelets side by side are the lanes of a road, from the left.
+
+    Raises:
+        ValueError: for lanes of two directions, or a lanelet that is beside itself.
+    """
+    known = {lanelet.number: lanelet for lanelet in scenario.lanelets}
+    network, roads = RoadNetwork(), _side_by_side(known)
+    nodes = _nodes(roads, known)
+    for number, road in enumerate(roads):
+        for place, lanelet in enumerate(road):
+            striped, solid, none = LineType.STRIPED, LineType.CONTINUOUS_LINE, LineType.NONE
+            lines = [striped if place else solid, none if place + 1 < len(road) else solid]
+            lane = _lane(lanelet, known, axes, lines)
+            network.add_lane(nodes[number, False], nodes[number, True], lane)
+    return network
+
+
+def _side_by_side(known: dict[int, Lanelet]) -> list[list[Lanelet]]:
+    """Return the roads, each with its lanelets from the left.
+
+    Raises:
+        ValueError: for lanes of two directions, or a lanelet that is beside itself.
+    """
+    for lanelet in known.values():
+        if False in lanelet.same_way:
+            raise ValueError(
+                f"lanelet {lanelet.number} is beside one of the other direction; only roads of one direction can be "
+                "driven here"
+            )
+    roads, placed = [], set[int]()
+    for lanelet in known.values():
+        if lanelet.number in placed:
+            continue
+        road = [lanelet]
+        for side, place in ((0, 0), (1, None)):
+            while (beside := road[0 if side == 0 else -1].beside[side]) in known:
+                if beside in (other.number for other in road):
+                    raise ValueError(f"lanelet {beside} is beside itself; mend the file or leave it out")
+                road.insert(0 if place == 0 else len(road), known[beside])
+        roads.append(road)
+        placed |= {other.number for other in road}
+    return roads
+
+
+def _nodes(roads: list[list[Lanelet]], known: dict[int, Lanelet]) -> dict[tuple[int, bool], str]:
+    """Return the names of the nodes at which roads begin (False) and end (True): one where lanelets meet."""
+    of_lanelet = {lanelet.number: number for number, road in enumerate(roads) for lanelet in road}
+    same = {(number, end): (number, end) for number in range(len(roads)) for end in (False, True)}
+
+    def first(node: tuple[int, bool]) -> tuple[int, bool]:
+        while same[node] != node:
+            node = same[node]
+        return node
+
+    for lanelet in known.values():
+        for after in lanelet.after:
+            if after in known:
+                same[first((of_lanelet[after], False))] = first((of_lanelet[lanelet.number], True))
+    names: dict[tuple[int, bool], str] = {}
+    for node in same:
+        names.setdefault(first(node), str(len(names)))
+    return {node: names[first(node)] for node in same}
+
+
+def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequence[int]) -> SampledLane:
+    """Return the lane of a lanelet: its centre, smoothed together with the lanes before and after it."""
+    centre = lanelet.centre
+    before = [known[number].centre for number in lanelet.before[:1] if number in known]
+    after = [known[number].centre for number in lanelet.after[:1] if number in known]
+    parts = [_last(line, BRIDGED) for line in before] + [centre] + [_last(line[::-1], BRIDGED)[::-1] for line in after]
+    smooth = fit_lane_coordinates(np.concatenate(parts))
+    first, last = np.clip(smooth.locate(centre[[0, -1]]).x, 0.0, smooth.length)
+    places = np.linspace(first, last, max(round((last - first) / STEP), 2) + 1)
+    widths = np.linalg.norm(lanelet.left - lanelet.right, axis=-1)
+    known_places = smooth.locate(centre).x
+    order = np.argsort(known_places, kind="stable")
+    widths = np.interp(places, known_places[order], widths[order])
+    return SampledLane(axes.positions(smooth.curve(places)), widths, lines, lanelet.limit or SPEED_LIMIT)
+
+
+def _last(line: Points, length: float) -> Points:
+    """Return the points of a line that are less than a length before its end [m]."""
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    left = np.r_[np.cumsum(steps[::-1])[::-1], 0.0]
+    return line[left <= length] if (left <= length).sum() > 1 else line[-2:]
+
+
+def heading_of(orientation: Any) -> Any:
+    """Return a heading in highway-env's axes from an orientation in a map's, and the other way round [rad]."""
+    return wrapped(-np.asarray(orientation, dtype=float))

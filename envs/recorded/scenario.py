@@ -1,0 +1,182 @@
+"""What a recording holds: lanelets, the tracks of vehicles, obstacles, and planning problems, as in CommonRoad.
+
+Everything here is in the map's own axes, y to the left of x, metres, radians and steps of time; see
+`ms_highway.envs.recorded.place` for highway-env's.
+"""
+
+import gzip
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.runtime.files import reading
+
+Points = Float[np.ndarray, "points 2"]
+
+SPEED_LIMIT = 29.06  # m/s, 65 mph: on US-101, whose scenarios have no traffic signs
+
+SHIPPED = "us101"
+"""Name of the recording that comes with the package."""
+
+
+class Lanelet(msgspec.Struct, frozen=True):
+    """A piece of a lane.
+
+    Attributes:
+        number: its identifier.
+        left: its left edge, in the direction of driving.
+        right: its right edge, with as many points.
+        before: lanelets that lead to it.
+        after: lanelets that it leads to.
+        beside: the lanelets to its left and right, None without one.
+        same_way: whether traffic goes the same way on these, None without one.
+        limit: of speed [m/s], None without one.
+    """
+
+    number: int
+    left: np.ndarray
+    right: np.ndarray
+    before: tuple[int, ...] = ()
+    after: tuple[int, ...] = ()
+    beside: tuple[int | None, int | None] = (None, None)
+    same_way: tuple[bool | None, bool | None] = (None, None)
+    limit: float | None = None
+
+    @property
+    def centre(self) -> Points:
+        """The line in its middle."""
+        return (self.left + self.right) / 2
+
+
+class Track(msgspec.Struct, frozen=True):
+    """A vehicle, as it was recorded.
+
+    Attributes:
+        number: its identifier.
+        size: length and width [m].
+        samples: step of time, x, y, orientation and speed [times, 5].
+    """
+
+    number: int
+    size: tuple[float, float]
+    samples: np.ndarray
+
+
+class Obstacle(msgspec.Struct, frozen=True):
+    """Something that stands.
+
+    Attributes:
+        number: its identifier.
+        size: length and width [m].
+        pose: x, y and orientation.
+    """
+
+    number: int
+    size: tuple[float, float]
+    pose: tuple[float, float, float]
+
+
+class Goal(msgspec.Struct, frozen=True):
+    """A region to be in at one of some steps of time; None stands for any.
+
+    Attributes:
+        times: first and last step.
+        area: corners of the polygon that the middle of the ego has to be in [corners, 2].
+        speeds: lowest and highest.
+        headings: from one orientation, to the left, to another.
+    """
+
+    times: tuple[int, int]
+    area: np.ndarray | None = None
+    speeds: tuple[float, float] | None = None
+    headings: tuple[float, float] | None = None
+
+
+class Problem(msgspec.Struct, frozen=True):
+    """A planning problem: from a start, reach one of some goals.
+
+    Attributes:
+        number: its identifier.
+        start: x, y, orientation and speed.
+        time: step of the start.
+        goals: of which one is enough.
+    """
+
+    number: int
+    start: tuple[float, float, float, float]
+    time: int
+    goals: tuple[Goal, ...]
+
+
+class Scenario(msgspec.Struct, frozen=True):
+    """A recording of traffic.
+
+    Attributes:
+        name: of the scenario.
+        group: of the recording that it is cut from; others of the group may share tracks.
+        source: the file that it was read from.
+        lanelets: the road.
+        tracks: the vehicles.
+        obstacles: what stands.
+        problems: of planning.
+    """
+
+    name: str
+    group: str
+    source: str
+    lanelets: tuple[Lanelet, ...]
+    tracks: tuple[Track, ...]
+    obstacles: tuple[Obstacle, ...] = ()
+    problems: tuple[Problem, ...] = ()
+
+    @property
+    def steps(self) -> int:
+        """Number of the last step at which a vehicle was seen."""
+        return max(int(track.samples[-1, 0]) for track in self.tracks)
+
+
+def pack(scenario: Scenario, path: Path) -> None:
+    """Write a scenario to a file of this package's own, JSON of millimetres packed by gzip, the same bytes each time."""
+    content = msgspec.json.encode(scenario, enc_hook=lambda array: np.round(array, 3).tolist())
+    path.write_bytes(gzip.compress(content, mtime=0))
+
+
+@cache
+def shipped() -> Scenario:
+    """Return the recording that comes with the package, which needs no other package to be read."""
+    file = resources.files("ms_highway") / "data" / f"{SHIPPED}.json.gz"
+    return _unpacked(file.read_bytes())
+
+
+def _unpacked(packed: bytes) -> Scenario:
+    return msgspec.json.decode(gzip.decompress(packed), type=Scenario, dec_hook=_array)
+
+
+def _array(kind: type, content: Any) -> np.ndarray:
+    return np.array(content, dtype=float)
+
+
+@cache
+def open_recording(recording: str) -> Scenario:
+    """Return a recording: that of a CommonRoad file, or the one that comes with the package, by its name.
+
+    Raises:
+        ValueError: naming the file and what is wrong with it.
+        ImportError: for a file, without the packages of the extra ``commonroad``.
+    """
+    if recording == SHIPPED:
+        return shipped()
+    from ms_highway.envs.recorded.commonroad import read_scenario
+
+    path = Path(recording)
+    if not path.is_file():
+        raise ValueError(
+            f"config['recording'] is {recording!r}, which is no file; give that of a CommonRoad scenario, *.xml or "
+            f"*.xml.gz, or {SHIPPED!r}, which comes with the package"
+        )
+    return read_scenario(path)

@@ -1,0 +1,151 @@
+"""Straighten a recorded road: lanes become parallel lines of one width, on which learned drivers drive."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ms_highway.envs.recorded.lane_coordinates import LaneCoordinates, Values, measure_road
+from ms_highway.envs.recorded.scenario import Lanelet, Points
+from ms_highway.game.road import wrapped
+
+STEP = 2.0  # m, between the places at which lanes are measured
+CLOSEST = 1.5  # m between the middles of two lanes, where they join or part
+NEARBY = 1.0  # m, along the road, to each side of a place, by which the slope of a lane is measured
+
+States = Float[np.ndarray, "cars 4"]
+
+
+@dataclass(frozen=True)
+class StraightRoad:
+    """A road with n lanes, numbered from the left, whose middles are at 0, 1, ..., n - 1 widths.
+
+    A position is x, along the road, and y, to the right of the leftmost lane's middle; between the middles of two
+    lanes, y is stretched.
+
+    Attributes:
+        coordinates: along the road and across it, in the map.
+        centres: lateral position of each lane in these coordinates, every `STEP` metres [lanes, places].
+        there: where each lane exists.
+        lane_width: [m].
+    """
+
+    coordinates: LaneCoordinates
+    centres: Float[np.ndarray, "lanes places"]
+    there: Bool[np.ndarray, "lanes places"]
+    lane_width: float
+
+    @classmethod
+    def of(cls, lanelets: tuple[Lanelet, ...]) -> "StraightRoad":
+        """Measure the road that lanelets make.
+
+        Raises:
+            ValueError: if it is none, or goes in two directions.
+        """
+        road, numbers = measure_road(lanelets), _lane_numbers(lanelets)
+        places = STEP * np.arange(int(road.coordinates.length / STEP) + 2)
+        count = 1 + max(numbers.values())
+        centres, there = np.full((count, len(places)), np.nan), np.zeros((count, len(places)), dtype=bool)
+        for lanelet in lanelets:
+            located, lane = road.coordinates.locate(lanelet.centre), numbers[lanelet.number]
+            if located.x[-1] < located.x[0]:
+                raise ValueError(
+                    f"lanelet {lanelet.number} goes against the others; only roads of one direction can be driven here"
+                )
+            inside = (places >= located.x.min() - STEP) & (places <= located.x.max() + STEP)
+            order = np.argsort(located.x, kind="stable")
+            centres[lane, inside] = np.interp(places[inside], located.x[order], located.y[order])
+            there[lane, inside] = True
+        return cls(road.coordinates, _spread(centres, road.lane_width), there, road.lane_width)
+
+    @property
+    def lanes(self) -> Values:
+        """Lateral position of the middle of each lane [m]."""
+        return self.lane_width * np.arange(len(self.centres))
+
+    def lane_ends(self, lane: int, x: float) -> float:
+        """Return how far ahead of a place a lane ends [m]; infinite if it goes on to the end of the road."""
+        ahead = self.there[lane, self._place(np.array([x]))[0] :]
+        return np.inf if ahead.all() else STEP * float(np.argmin(ahead))
+
+    def straighten(self, points: Points, orientations: Values, speeds: Values) -> States:
+        """Return states x, y, heading and speed on the straight road of poses in the map."""
+        x, across, along = self.coordinates.locate(points)
+        y = self._straight(x, across)
+        return np.stack([x, y, wrapped(along - orientations - self._slope(x, y)), speeds], axis=-1)
+
+    def bend(self, states: States) -> tuple[Points, Values]:
+        """Return points and orientations in the map of states on the straight road."""
+        x, y, heading, _ = states.T
+        points, along = self.coordinates.place(x, self._bent(x, y))
+        return points, wrapped(along - heading - self._slope(x, y))
+
+    def _place(self, x: Values) -> np.ndarray:
+        return np.clip(np.rint(x / STEP).astype(int), 0, self.centres.shape[1] - 1)
+
+    def _middles(self, x: Values) -> np.ndarray:
+        """Return the lateral positions of all lanes at some places [lanes, places]."""
+        place = np.clip(x / STEP, 0.0, self.centres.shape[1] - 1.001)
+        low = place.astype(int)
+        share = place - low
+        return self.centres[:, low] * (1 - share) + self.centres[:, low + 1] * share
+
+    def _straight(self, x: Values, across: Values) -> Values:
+        return _mapped(across, self._middles(x), np.repeat(self.lanes[:, None], len(x), axis=1))
+
+    def _bent(self, x: Values, y: Values) -> Values:
+        return _mapped(y, np.repeat(self.lanes[:, None], len(x), axis=1), self._middles(x))
+
+    def _slope(self, x: Values, y: Values) -> Values:
+        """Return the angle to the road's direction, to the right, of a line along the lanes."""
+        return np.arctan2(self._bent(x + NEARBY, y) - self._bent(x - NEARBY, y), 2 * NEARBY)
+
+
+def _mapped(values: Values, known: np.ndarray, images: np.ndarray) -> Values:
+    """Map each value linearly between known values, ascending in the first axis; beyond the outermost, shift it."""
+    if len(known) == 1:
+        return values - known[0] + images[0]
+    columns = np.arange(len(values))
+    low = np.clip((values >= known).sum(axis=0) - 1, 0, len(known) - 2)
+    step, image_step = (part[low + 1, columns] - part[low, columns] for part in (known, images))
+    inside = images[low, columns] + (values - known[low, columns]) / step * image_step
+    before, after = values - known[0] + images[0], values - known[-1] + images[-1]
+    return np.where(values < known[0], before, np.where(values > known[-1], after, inside))
+
+
+def _spread(centres: np.ndarray, width: float) -> np.ndarray:
+    """Fill in lanes where they do not exist, beside their neighbours, and keep lanes apart from the left to the right."""
+    known = np.isfinite(centres)
+    if len(centres) > 1:
+        for lane in range(1, len(centres)):
+            centres[lane] = np.where(known[lane], centres[lane], centres[lane - 1] + width)
+        for lane in range(len(centres) - 2, -1, -1):
+            centres[lane] = np.where(np.isfinite(centres[lane]), centres[lane], centres[lane + 1] - width)
+            later = np.isnan(centres[lane + 1])
+            centres[lane + 1, later] = centres[lane, later] + width
+    places = np.arange(centres.shape[1])
+    for lane in range(len(centres)):
+        finite = np.isfinite(centres[lane])
+        centres[lane] = np.interp(places, places[finite], centres[lane][finite])
+        if lane:
+            centres[lane] = np.maximum(centres[lane], centres[lane - 1] + CLOSEST)
+    return centres
+
+
+def _lane_numbers(lanelets: tuple[Lanelet, ...]) -> dict[int, int]:
+    """Return the number of each lanelet's lane, from 0 at the left; a lanelet that follows another keeps its number."""
+    known = {lanelet.number: lanelet for lanelet in lanelets}
+    numbers: dict[int, int] = {}
+    for first in lanelets:
+        queue = [] if first.number in numbers else [(first.number, 0)]
+        for lanelet, number in queue:
+            if lanelet in numbers or lanelet not in known:
+                continue
+            numbers[lanelet] = number
+            here = known[lanelet]
+            left, right = here.beside
+            queue += [(other, number - 1) for other in (left,) if other is not None]
+            queue += [(other, number + 1) for other in (right,) if other is not None]
+            queue += [(other, number) for other in (*here.after, *here.before)]
+    least = min(numbers.values())
+    return {lanelet: number - least for lanelet, number in numbers.items()}
