@@ -11,6 +11,7 @@ from gymnasium.envs.registration import EnvCreator, register, registry
 
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.demonstration import DemonstrationEnv
+from ms_highway.envs.recorded.environment import RecordedEnv
 from ms_highway.envs.scenes import CrossingCrowdEnv, DenseMergeEnv, GiveWayEnv, MergerEnv, StayBackEnv
 from ms_highway.game.scenario import Scenario
 
@@ -25,6 +26,7 @@ __all__ = [
     "GiveWayEnv",
     "InteractionEnv",
     "MergerEnv",
+    "RecordedEnv",
     "StayBackEnv",
     "add_scenario",
     "environment_id",

@@ -38,7 +38,8 @@ RANGES = {"acceleration_range", "steering_range", "longitudinal", "lateral", "cl
 STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
 
 
-def _keys(kind: type[Any]) -> set[str]:
+def keys_of(kind: type[Any]) -> set[str]:
+    """Return the keys that a type of actions or observations has."""
     return {*signature(kind).parameters} - {"env", "kwargs"}
 
 
@@ -51,10 +52,10 @@ TYPES: Types = {
     },
     "observation": {
         "CarStates": set(),
-        "Kinematics": _keys(KinematicObservation),
-        "OccupancyGrid": _keys(OccupancyGridObservation),
-        "LidarObservation": _keys(LidarObservation),
-        "GrayscaleObservation": _keys(GrayscaleObservation),
+        "Kinematics": keys_of(KinematicObservation),
+        "OccupancyGrid": keys_of(OccupancyGridObservation),
+        "LidarObservation": keys_of(LidarObservation),
+        "GrayscaleObservation": keys_of(GrayscaleObservation),
     },
 }
 """Types of actions and observations, and the keys that they have."""

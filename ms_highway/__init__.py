@@ -46,6 +46,7 @@ _ENVIRONMENTS = {
     "dense-merge": "DenseMergeEnv",
     "crossing-crowd": "CrossingCrowdEnv",
     "demonstration": "DemonstrationEnv",
+    "recorded": "RecordedEnv",
 }
 
 for _name, _environment in _ENVIRONMENTS.items():  # by string, also for workers that are spawned

@@ -1,7 +1,7 @@
 """Find a road's lanes among lanelets, and measure along and across them."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float

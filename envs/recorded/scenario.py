@@ -14,8 +14,6 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.runtime.files import reading
-
 Points = Float[np.ndarray, "points 2"]
 
 SPEED_LIMIT = 29.06  # m/s, 65 mph: on US-101, whose scenarios have no traffic signs

@@ -11,19 +11,27 @@ from highway_env.vehicle import behavior
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
+from ms_highway.envs.recorded.environment import RecordedEnv
+from ms_highway.vehicle.appointment import Appointment
+
 DESTINATIONS = {RoundaboutEnv: "nxs", ExitEnv: "exit", UTurnEnv: "d"}
 USUAL_SPEED = 30.0  # m/s
+SLOWEST = 5.0  # m/s, that is desired in recorded traffic without an appointment
 MERGED = 370.0  # m, where merge-v0 ends
 
 
-def destination_of(env: Any, number: int = 0) -> str | None:
-    """Return the node of the road network that a controlled vehicle has to reach; None without one.
+def destination_of(env: Any, number: int = 0) -> str | Appointment | None:
+    """Return the node of the road network that a controlled vehicle has to reach, or where it has to be in time.
+
+    None if it has to be nowhere.
 
     Args:
         env: a highway-env environment, or a wrapper of one, after a reset.
         number: of the controlled vehicle.
     """
     env = env.unwrapped
+    if isinstance(env, RecordedEnv):
+        return env.appointment
     if isinstance(env, IntersectionEnv):
         route = getattr(env.controlled_vehicles[number], "route", None) or []
         return route[-1][1] if len(route) > 1 else env.config["destination"] if number == 0 else None
@@ -31,9 +39,14 @@ def destination_of(env: Any, number: int = 0) -> str | None:
 
 
 def desired_speed_of(env: Any) -> float:
-    """Return the speed that a highway-env environment rewards most; in an intersection, the speed limit [m/s]."""
+    """Return the speed that an environment rewards most [m/s].
+
+    In an intersection it is the speed limit. In recorded traffic no speed is rewarded, so it is that at the start.
+    """
     config = env.unwrapped.config
     action = config["action"].get("action_config", config["action"])
+    if isinstance(env.unwrapped, RecordedEnv):
+        return max(float(env.unwrapped.vehicle.speed), SLOWEST)
     if isinstance(env.unwrapped, IntersectionEnv):  # which rewards no more than 9 m/s, but grants 13 s only
         return float(env.unwrapped.vehicle.lane.speed_limit)
     speeds = config.get("reward_speed_range") or action.get("target_speeds")
@@ -46,11 +59,13 @@ def success(env: Any) -> bool | None:
 
     exit: on the exit or its lane; intersection: every controlled car has arrived; roundabout: it has left the ring to
     the north; merge: it has passed the ramp. A car that has crashed has no success. A u-turn has no goal that counts:
-    the road back is 191 m away, more than its 10 s allow.
+    the road back is 191 m away, more than its 10 s allow. In recorded traffic, see `RecordedEnv`.
     """
     env = env.unwrapped
     vehicles, road = env.controlled_vehicles, env.vehicle.lane_index[:2]
-    if isinstance(env, ExitEnv):
+    if isinstance(env, RecordedEnv):
+        there = env.success
+    elif isinstance(env, ExitEnv):
         there = env._is_success()
     elif isinstance(env, IntersectionEnv):
         there = all(env.has_arrived(vehicle) for vehicle in vehicles)

@@ -8,9 +8,10 @@ from jaxtyping import Float
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward, shipped
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.irl.moments import PAST, STEPS, Moments
+from ms_highway.irl.moments import STEPS, Moments
 from ms_highway.irl.outlook import expected_path
 from ms_highway.irl.predictors import check_drivers, prediction
+from ms_highway.planning.learned_driving import PAST
 
 ROOM = 16  # cars: arrays grow by so many, so that few numbers of cars compile anew
 WITHIN = 0.5  # probability of the region by which covariances are chosen

@@ -11,12 +11,10 @@ from jaxtyping import Float
 from ms_highway.irl.arrays import CarFlags, CarNumbers, Cars, CarStates, Flags, Numbers, Paths, Values
 from ms_highway.irl.recordings.recording import Recording, number_groups
 from ms_highway.irl.windows import padded_lanes
+from ms_highway.planning.learned_driving import PAST
 
 STEPS = 50
 """Steps of 0.1 s for which drivers are predicted."""
-
-PAST = 30
-"""Steps of 0.1 s before a moment that predictions may look at."""
 
 HORIZONS = (1, 2, 3, 5)
 """Seconds after which predictions are judged."""

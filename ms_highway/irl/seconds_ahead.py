@@ -16,11 +16,12 @@ from scipy import optimize, special
 
 from ms_highway.game.learned_drivers import CHANGING, LEARNED, Drivers, Intention, LearnedDrivers, TraitPrior
 from ms_highway.irl.arrays import CarFlags, CarNumbers, Cars, Flags, Parameters, Scalar
-from ms_highway.irl.driving import drive_on, lane_advantages, predict, shown_traits
+from ms_highway.irl.driving import drive_on, lane_advantages, predict
 from ms_highway.irl.moments import AT, SCALES, Moments, lanes_of
 from ms_highway.irl.outlook import SIDES, Modes, fit_spread
 from ms_highway.irl.predictors import learn_peers
 from ms_highway.optimization.estimation import grouped_covariance, minimum, slope_differences
+from ms_highway.planning.learned_driving import shown_traits
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.runtime.structures import plain
 
@@ -148,7 +149,7 @@ def _off(logarithms: Parameters, moments: Moments, known: _Known) -> tuple[Cars,
 
     def one(pair: tuple[Moments, _Known]) -> tuple[Cars, Cars]:
         moment, known = pair
-        path = drive_on(drivers, moment, shown_traits(drivers, moment), known.side)[AT, :, :2]
+        path = drive_on(drivers, moment, shown_traits(drivers, moment, moment.past), known.side)[AT, :, :2]
         recorded = moment.future[AT, :, :2]
         counts = jnp.isfinite(recorded).all(axis=-1) & known.counts
         error = jnp.where(counts[..., None], path - jnp.nan_to_num(recorded), 0.0) / SCALES[:, None]

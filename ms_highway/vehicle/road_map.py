@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import cached_property, wraps
 from itertools import accumulate, islice
 from math import cos, hypot, inf, sin
@@ -15,8 +16,23 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.game.road import wrapped
 from ms_highway.vehicle.lane_paths import SMOOTHING, Curve, Point, join_lanes
 
-Destination: TypeAlias = str | tuple[tuple[str, str], ...] | None
-"""A node to reach, or roads to follow where they begin, or none."""
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A place on a lane.
+
+    Attributes:
+        lane: index of it.
+        place: along it [m].
+    """
+
+    lane: LaneIndex
+    place: float
+
+
+Destination: TypeAlias = str | Spot | tuple[tuple[str, str], ...] | None
+"""A node to reach, or a spot in its lane, or roads to follow where they begin, or none."""
 
 LIMIT = 20.0
 """Speed limit where a lane has none [m/s]."""
@@ -184,11 +200,14 @@ class Goal:
     Attributes:
         towards: the node to go to from each node from which the destination can be reached.
         leading: lanes from whose end a node of destination can be reached.
+        spot: the destination, if that is one.
     """
 
     def __init__(self, roads: "RoadMap", destination: Destination) -> None:
         self.roads = roads
+        self.spot = destination if isinstance(destination, Spot) else None
         self.towards = dict(destination) if isinstance(destination, tuple) else {}
+        destination = self.spot.lane[1] if self.spot else destination
         queue = [destination] if isinstance(destination, str) else []
         for node in queue:
             for start, ends in roads.graph.items():
@@ -225,10 +244,13 @@ class Goal:
         """Return changes of lane to the right that are needed and the distance from the lane's beginning for them.
 
         They are needed before the end of the first road from whose lane, followed from here, the next road towards
-        the goal, or without one any road, is out of reach while other lanes lead there.
+        the goal, or without one any road, is out of reach while other lanes lead there. A spot has to be reached in
+        its lane.
         """
         passed = 0.0
         for own in islice(self.onward(lane), MOST_ROADS):
+            if self.spot and own.index[:2] == self.spot.lane[:2]:
+                return self.spot.lane[2] - own.number, passed + self.spot.place
             passed, wanted = passed + own.length, self.towards.get(own.end)
             leading = [
                 other for other in own.siblings if any(wanted in (None, onward.end) for onward in other.following())

@@ -1,6 +1,7 @@
 """A robot with highway-env's own kinematics that drives itself on any road, within what tyres hold in every frame."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import acos, asin, atan, cos, hypot, sin, sqrt, tan
 from typing import Any, NamedTuple, Self
 
@@ -13,6 +14,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.control.road import RoadDriver, RoadStep
 from ms_highway.game.road import RoadScene
 from ms_highway.planning.road.motion import SLIP
+from ms_highway.vehicle.appointment import Appointment
 from ms_highway.vehicle.lane_paths import Point
 from ms_highway.vehicle.road_scene import observe_road
 from ms_highway.vehicle.road_view import at_constant_speed
@@ -121,12 +123,13 @@ class RoadRobot(OfferedSpeeds, Vehicle):
 
     Attributes:
         driver: plans; without one, the car keeps its velocity.
-        goal: node of the road network that it drives to, None without one.
+        goal: node of the road network that it drives to, a spot to be at in time, or None without any.
         grip: total acceleration at most [m/s^2].
         route: roads to follow, None without a route.
         last_step: of the driver, None before the first.
         applied: curvature and acceleration in the last frame [1/m, m/s^2].
         frame: duration of the last one [s].
+        time: since `drive_with` [s].
         steps: of the driver since `forget`.
         actions: highway-env's ``acceleration`` [m/s^2] and ``steering`` [rad] in each frame since `forget`.
         accelerations: largest total acceleration in each frame since `forget` [m/s^2]: of the control, and of the
@@ -154,9 +157,9 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         car.route = getattr(vehicle, "route", None)
         return car
 
-    def drive_with(self, driver: RoadDriver | None, goal: str | None = None, grip: float = GRIP) -> None:
-        """Let a driver drive, to a node of the road network where there is a goal."""
-        self.driver, self.goal, self.grip = driver, goal, grip
+    def drive_with(self, driver: RoadDriver | None, goal: str | Appointment | None = None, grip: float = GRIP) -> None:
+        """Let a driver drive, to a node of the road network or a spot where there is a goal."""
+        self.driver, self.goal, self.grip, self.time = driver, goal, grip, 0.0
 
     def forget(self) -> None:
         """Forget the record of steps and frames."""
@@ -168,18 +171,23 @@ class RoadRobot(OfferedSpeeds, Vehicle):
     def look(self) -> RoadScene:
         """Observe the road."""
         curvature, acceleration = self.applied.tolist()
-        return observe_road(self, self.goal, (curvature, acceleration))
+        goal = self.goal.spot if isinstance(self.goal, Appointment) else self.goal
+        return observe_road(self, goal, (curvature, acceleration))
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan if it is time for it; ignore actions."""
         due = self._elapsed + self.frame / 2 >= PERIOD
         if action is None and self.driver is not None and due and not self.crashed:
+            if isinstance(self.goal, Appointment):
+                speed = self.goal.desired_speed(self, self.time)
+                self.driver.planning = replace(self.driver.planning, desired_speed=speed)
             self.last_step = self.driver.step(self.look())
             self.steps.append(self.last_step)
             self._wanted, self._elapsed = np.asarray(self.last_step.control, dtype=float), 0.0
 
     def step(self, dt: float) -> None:
         """Move for ``dt`` seconds within the grip; crashed, as highway-env's vehicles do."""
+        self.time += dt
         if self.crashed:
             self.color = VehicleGraphics.RED
             super().step(dt)

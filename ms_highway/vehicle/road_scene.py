@@ -10,7 +10,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.game.road import BEHIND, KNOTS, SPACING, RoadScene
 from ms_highway.vehicle.corridor import corridor
 from ms_highway.vehicle.lane_paths import Point
-from ms_highway.vehicle.road_map import BLOCK, Chain, Goal, Lane, road_map
+from ms_highway.vehicle.road_map import BLOCK, Chain, Goal, Lane, Spot, road_map
 from ms_highway.vehicle.traffic_paths import traffic_of
 
 KEPT_BEHIND = 60.0  # m of lanes behind the robot
@@ -32,7 +32,7 @@ _rides: WeakKeyDictionary[Vehicle, Ride] = WeakKeyDictionary()
 
 
 def observe_road(
-    vehicle: Vehicle, destination: str | None = None, applied: tuple[float, float] = (0.0, 0.0)
+    vehicle: Vehicle, destination: str | Spot | None = None, applied: tuple[float, float] = (0.0, 0.0)
 ) -> RoadScene:
     """See the road from a vehicle.
 
@@ -41,7 +41,7 @@ def observe_road(
 
     Args:
         vehicle: the robot.
-        destination: node of the network to drive to.
+        destination: node of the network to drive to, or a spot.
         applied: curvature and acceleration that the robot has applied last [1/m, m/s^2].
     """
     roads = road_map(vehicle.road.network)

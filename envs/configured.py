@@ -1,0 +1,117 @@
+"""What all environments of the package share with those of highway-env: a configuration that is checked, and spaces."""
+
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import spaces
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import action_factory
+from highway_env.envs.common.observation import observation_factory
+
+from ms_highway.envs.configuration import TYPES, Changes, Config, Types, merged, read_own, refuse_unknown
+from ms_highway.envs.spaces import Autopilot, CarStates, CarTracks, HumanModelAction, finite
+
+OWN_TYPES = {kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks)}
+
+
+class ConfiguredEnv(AbstractEnv):
+    """An environment of highway-env whose configuration is checked, all of it, before anything changes.
+
+    Attributes:
+        settings: of the configuration, of the class's ``settings_type``.
+    """
+
+    settings_type: ClassVar[Any]
+    types: ClassVar[Types] = TYPES
+    reset_options: ClassVar[tuple[str, ...]] = ("config",)
+    config: Config
+    metadata: Config
+    time: float
+    steps: int
+    action_space: spaces.Space | None
+    _running, _coming = False, None  # whether there is an episode; the configuration of the next one
+
+    @classmethod
+    def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
+        """Return the whole configuration, by default the default one, after changes.
+
+        Raises:
+            ValueError: for an unknown key or an impossible value.
+        """
+        return merged(cls.settings_type, cls.types, cls.default_config() if config is None else config, changes)
+
+    def configure(self, config: Config | None) -> None:
+        """Change the configuration, all of it or nothing; during an episode, from the next reset on.
+
+        Raises:
+            ValueError: for an unknown key or an impossible value.
+        """
+        config = self.checked_config(config, self._coming or self.config)
+        if self._running:
+            self._coming = config
+            return
+        self.config, self._coming = config, None
+        self._read()
+        super().configure(None)
+
+    def _read(self) -> None:
+        """Read the checked configuration."""
+        self.settings = read_own(self.settings_type, self.config)
+
+    def update_metadata(self, video_real_time_ratio: int = 1) -> None:
+        """Set the frames per second of a video that plays at true speed."""
+        self.metadata = dict(self.metadata)  # or else highway-env would write them into the class's own
+        super().update_metadata(video_real_time_ratio)
+
+    def define_spaces(self) -> None:
+        """Set observation and action type; an action space that did not change keeps its random generator."""
+        before = self.action_space
+        self.action_type = self._type(action_factory, self.config["action"])
+        self.action_space = self.action_type.space()
+        if before == self.action_space:
+            self.action_space = before
+        self.observation_type = self._type(observation_factory, self.config["observation"])
+        self.observation_space = finite(self.observation_type.space())
+
+    def _type(self, factory: Any, config: Config) -> Any:
+        kind = OWN_TYPES.get(config["type"])
+        return kind(self, **config) if kind else factory(self, config)
+
+    def reset(self, *, seed: int | None = None, options: Config | None = None) -> tuple[np.ndarray, Config]:
+        """Start an episode.
+
+        Args:
+            seed: seeds all that is drawn.
+            options: ``"config"``: changes of the configuration, of which all are made or none; others see the class.
+
+        Raises:
+            ValueError: for unknown options or an impossible configuration.
+        """
+        self.options = options or {}
+        refuse_unknown("the reset options", self.options, self.reset_options)
+        before, self._running = (self.config, self._coming, self._running, self.time, self.steps), False
+        try:
+            if self._coming or "config" in self.options:
+                self.configure(self.options.get("config"))
+            start = super().reset(seed=seed)
+        except ValueError:
+            self.config, self._coming, self._running, self.time, self.steps = before
+            self._read()
+            self.define_spaces()
+            raise
+        self._running = True
+        if self.config["manual_control"]:
+            self.action_type.act(self.action_type.last_action)  # keys that nobody touches also mean something
+        return start
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, Config]:
+        """Let all cars act and move for a time step.
+
+        Raises:
+            ValueError: for an action that is impossible; nothing has moved then.
+        """
+        if isinstance(self.action_type, Autopilot) and action is not None:
+            self.action_type.check(action)
+        elif action is not None and not np.isfinite(action).all():
+            raise ValueError(f"action {action!r} is not finite; give numbers of the space {self.action_space}")
+        return super().step(action)

@@ -1,0 +1,174 @@
+"""Recorded: drive on a recorded road, among those who were recorded there."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from highway_env.envs.common.action import DiscreteMetaAction
+from highway_env.vehicle.objects import Obstacle as RoadObstacle
+from msgspec import Meta, Struct
+
+from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
+from ms_highway.envs.configured import ConfiguredEnv
+from ms_highway.envs.recorded.network import Axes, heading_of, network_of
+from ms_highway.envs.recorded.problem import Surface, Task
+from ms_highway.envs.recorded.scenario import SHIPPED, SPEED_LIMIT, open_recording
+from ms_highway.envs.recorded.straight_road import StraightRoad
+from ms_highway.envs.recorded.traffic import TRAFFIC, RecordedRoad, sized
+from ms_highway.game.scenario import TIME_STEP
+
+NOBODY = "say 'problem' for the planning problem, or give the number of a recorded vehicle"
+OFF_LANE = 1.0  # widths of a lane, from which a start is not on the road
+
+
+class RecordedSettings(Struct, frozen=True):
+    """The keys of a `RecordedEnv` that highway-env does not have."""
+
+    recording: Annotated[str, Meta(description=f"give the file of a CommonRoad scenario, or say {SHIPPED!r}")]
+    traffic: Literal["learned", "replay", "idm"]
+    ego: Annotated[Literal["problem"] | int, Meta(description=NOBODY)]
+    goal_reward: Number
+    collision_reward: Number
+    off_road_reward: Number
+    progress_reward: Number
+
+
+class RecordedEnv(ConfiguredEnv):
+    """A car in recorded traffic, with a goal: CommonRoad scenarios and their planning problems.
+
+    Configuration, beside highway-env's own, of which changes act from the next reset on:
+
+    * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz`` (extra ``commonroad``), or ``"us101"``, which comes
+      with the package.
+    * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with the traits that it shows in its
+      first second, who react to the ego; ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
+    * ``ego``: ``"problem"``, the planning problem; or the number of a recorded vehicle, to start in its place and go to
+      its own last position, within 2 s after it was there.
+    * ``goal_reward``, ``collision_reward``, ``off_road_reward``: once, at the end; ``progress_reward``: of each metre
+      along the road.
+
+    An episode is a success if a goal's region is reached in its interval of time, at its speed and heading, without a
+    collision and without leaving the road before, by any corner. It ends then, or with the last goal's time. The road
+    moves at 10 Hz, as it was recorded. highway-env's axes are those of the map, with y to the right and another origin.
+
+    ``info["recorded"]`` says ``step``, of the recording; ``success``, ``collision``, ``off_road``; ``waiting``, numbers
+    of the vehicles that could not enter yet, as somebody is in their place.
+
+    Attributes:
+        scenario: the recording.
+        task: of the ego.
+        axes: of the road in the map.
+        appointment: where and when the ego has to be, None if its goal is only a time.
+        success, off_road: whether the goal has been reached, and the road left.
+    """
+
+    settings_type = RecordedSettings
+    types = {  # noqa: RUF012
+        "action": {
+            "DiscreteMetaAction": keys_of(DiscreteMetaAction),
+            "ContinuousAction": RANGES,
+            "DiscreteAction": RANGES | {"actions_per_axis"},
+        },
+        "observation": {name: keys for name, keys in TYPES["observation"].items() if name != "CarStates"},
+    }
+
+    @classmethod
+    def default_config(cls) -> Config:
+        """highway-env's configuration with this environment's own."""
+        return super().default_config() | {
+            "observation": {"type": "Kinematics", "vehicles_count": 8, "absolute": False},
+            "action": {"type": "DiscreteMetaAction", "target_speeds": [0, 4, 8, 12, 16, 20, 24, 28]},
+            "recording": SHIPPED,
+            "traffic": "learned",
+            "ego": "problem",
+            "goal_reward": 1.0,
+            "collision_reward": -1.0,
+            "off_road_reward": -1.0,
+            "progress_reward": 0.002,
+            "screen_width": 960,
+            "screen_height": 320,
+            "scaling": 5.0,
+            "centering_position": [0.4, 0.5],
+        }
+
+    def _reset(self) -> None:
+        """Build the road, and put the ego and the others on it."""
+        settings = self.settings
+        self.scenario = open_recording(settings.recording)
+        try:
+            self._build(None if settings.ego == "problem" else settings.ego)
+        except ValueError as error:
+            raise ValueError(f"{self.scenario.source}: {error}") from error
+
+    def _build(self, ego: int | None) -> None:
+        scenario = self.scenario
+        self.task = Task.of(scenario, ego)
+        straight, self.axes = StraightRoad.of(scenario.lanelets), Axes.of(scenario)
+        self.road = RecordedRoad(network_of(scenario, self.axes), np_random=self.np_random)
+        self.surface = Surface(scenario.lanelets, self.axes)
+        self.appointment = self.task.appointment(self.road.network, self.axes)
+        x, y, orientation, speed = self.task.problem.start
+        position, heading = self.axes.positions([x, y]), float(heading_of(orientation))
+        lane = self.road.network.get_lane(self.road.network.get_closest_lane_index(position, heading))
+        if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
+            raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
+        for item in scenario.obstacles:
+            stands = RoadObstacle(self.road, self.axes.positions(item.pose[:2]), float(heading_of(item.pose[2])))
+            sized(stands, item.size)
+            self.road.objects.append(stands)
+        vehicle = self.action_type.vehicle_class(self.road, position, heading=heading, speed=speed)
+        vehicle.check_collisions = False
+        sized(vehicle, self.task.size)
+        self.controlled_vehicles, self.road.vehicles = [vehicle], [vehicle]
+        self.road.traffic = TRAFFIC[self.settings.traffic](scenario, straight, self.axes, self.road, self.task.track)
+        self.road.traffic.begin(self.task.problem.time)
+        self.success = self.off_road = False
+        self.progress = 0.0
+        self._straight = straight
+        self._along = self._place_along()
+
+    def _place_along(self) -> float:
+        return float(self._straight.coordinates.locate(self.axes.points(self.vehicle.position)[None]).x[0])
+
+    @property
+    def step_of_recording(self) -> int:
+        """The step of the recording that the road is at."""
+        return self.task.problem.time + self.steps
+
+    def _simulate(self, action: Any = None) -> None:
+        """Let everybody act and move for a step, and judge where that has led the ego."""
+        super()._simulate(action)
+        along = self._place_along()
+        self.progress, self._along = along - self._along, along
+        ego = self.vehicle
+        self.off_road |= not self.surface.holds(ego)
+        orientation, point = float(heading_of(ego.heading)), self.axes.points(ego.position)
+        reached = self.task.is_reached(self.step_of_recording, point, orientation, ego.speed)
+        self.success |= reached and not ego.crashed and not self.off_road
+
+    def _rewards(self, action: Any) -> dict[str, float]:
+        return {
+            "goal_reward": float(self.success),
+            "collision_reward": float(self.vehicle.crashed),
+            "off_road_reward": float(self.off_road),
+            "progress_reward": self.progress,
+        }
+
+    def _reward(self, action: Any) -> float:
+        return sum(self.config[name] * value for name, value in self._rewards(action).items())
+
+    def _is_terminated(self) -> bool:
+        return bool(self.success or self.vehicle.crashed or self.off_road)
+
+    def _is_truncated(self) -> bool:
+        return self.step_of_recording >= self.task.last
+
+    def _info(self, obs: Any, action: Any = None) -> Config:
+        return super()._info(obs, action) | {
+            "recorded": {
+                "step": self.step_of_recording,
+                "success": self.success,
+                "collision": bool(self.vehicle.crashed),
+                "off_road": self.off_road,
+                "waiting": self.road.traffic.waiting,
+            }
+        }

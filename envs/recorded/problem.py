@@ -1,0 +1,161 @@
+"""What the ego has to do: from a start, be in a goal's region in time."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from highway_env.road.road import RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+
+from ms_highway.envs.recorded.network import Axes, heading_of
+from ms_highway.envs.recorded.scenario import Goal, Lanelet, Points, Problem, Scenario, Track
+from ms_highway.game.scenario import TIME_STEP
+from ms_highway.vehicle.appointment import Appointment
+from ms_highway.vehicle.road_map import Spot
+
+CAR_SIZE = 4.508, 1.610
+"""Length and width of the car of planning problems, CommonRoad's second vehicle, a BMW 320i [m]."""
+
+EARLY, LATE = 0, 20  # steps after the start, and after the last position of a recorded vehicle, between which it counts
+LENGTH_OF_GOAL = 4.0  # m, along the road, of the region around that position
+SAME_LANE = 3.0  # m, its width
+FULL_TURN = 2 * np.pi
+
+
+@dataclass(frozen=True)
+class Task:
+    """What the ego has to do.
+
+    Attributes:
+        problem: from where, and to which goals.
+        size: length and width of the ego [m].
+        track: number of the recorded vehicle whose place it takes, None if it is nobody's.
+    """
+
+    problem: Problem
+    size: tuple[float, float]
+    track: int | None = None
+
+    @classmethod
+    def of(cls, scenario: Scenario, ego: int | None) -> "Task":
+        """Return the planning problem of a scenario, or the task to go where a recorded vehicle went.
+
+        Args:
+            scenario: the recording.
+            ego: number of the vehicle's track; None for the planning problem.
+
+        Raises:
+            ValueError: if there is no planning problem, or no such vehicle, or it was seen once only.
+        """
+        if ego is None:
+            if not scenario.problems:
+                raise ValueError(
+                    f"{scenario.source} has no planning problem; drive in the place of one of its vehicles, "
+                    f"config['ego'], such as {scenario.tracks[0].number}"
+                )
+            return cls(scenario.problems[0], CAR_SIZE)
+        track = next((track for track in scenario.tracks if track.number == ego), None)
+        if track is None:
+            known = ", ".join(str(track.number) for track in scenario.tracks)
+            raise ValueError(f"config['ego'] is {ego}, which {scenario.source} does not have; choose one of {known}")
+        if len(track.samples) < 2:
+            raise ValueError(f"config['ego'] is {ego}, which was seen only once; choose another")
+        return cls(Problem(ego, *_start(track), (_last_position(track),)), track.size, ego)
+
+    @property
+    def last(self) -> int:
+        """The last step of all goals."""
+        return max(goal.times[1] for goal in self.problem.goals)
+
+    def is_reached(self, step: int, point: Points, orientation: float, speed: float) -> bool:
+        """Return whether one of the goals is reached, by the middle of the ego, in the map's axes."""
+        return any(_is_in(goal, step, point, orientation, speed) for goal in self.problem.goals)
+
+    def appointment(self, network: RoadNetwork, axes: Axes) -> Appointment | None:
+        """Return where and when to be; None if the goals have no place. Times count from the start."""
+        for goal in self.problem.goals:
+            if goal.area is None:
+                continue
+            position = axes.positions(goal.area.mean(axis=0))
+            heading = None if goal.headings is None else float(heading_of(np.mean(np.unwrap(goal.headings))))
+            index = network.get_closest_lane_index(position, heading)
+            place, _ = network.get_lane(index).local_coordinates(position)
+            times = [max(TIME_STEP * (time - self.problem.time), 0.0) for time in goal.times]
+            return Appointment(Spot(index, place), position, (times[0], times[1]), goal.speeds or (0.0, np.inf))
+        return None
+
+
+def _start(track: Track) -> tuple[tuple[float, float, float, float], int]:
+    time, *state = track.samples[0].tolist()
+    return tuple(state), int(time)  # type: ignore[return-value]
+
+
+def _last_position(track: Track) -> Goal:
+    first, (last, x, y, orientation, _) = track.samples[0, 0], track.samples[-1]
+    ahead = np.array([np.cos(orientation), np.sin(orientation)]) * LENGTH_OF_GOAL / 2
+    aside = np.array([-np.sin(orientation), np.cos(orientation)]) * SAME_LANE / 2
+    middle = np.array([x, y])
+    corners = [middle + ahead + aside, middle - ahead + aside, middle - ahead - aside, middle + ahead - aside]
+    return Goal((int(first) + EARLY, int(last) + LATE), np.array(corners))
+
+
+def _is_in(goal: Goal, step: int, point: Points, orientation: float, speed: float) -> bool:
+    if not goal.times[0] <= step <= goal.times[1]:
+        return False
+    if goal.area is not None and not inside(goal.area, np.asarray(point)[None])[0]:
+        return False
+    if goal.headings is not None and (orientation - goal.headings[0]) % FULL_TURN > (
+        goal.headings[1] - goal.headings[0]
+    ) % FULL_TURN:
+        return False
+    return goal.speeds is None or goal.speeds[0] <= speed <= goal.speeds[1]
+
+
+def inside(polygon: Points, points: Points) -> np.ndarray:
+    """Return which points are inside a polygon: to whose right its edges pass an odd number of times."""
+    x, y = points.T[..., None]
+    (x0, y0), (x1, y1) = polygon.T, np.roll(polygon, -1, axis=0).T
+    crosses = (y0 > y) != (y1 > y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = x0 + (y - y0) / (y1 - y0) * (x1 - x0)
+    return (crosses & (x < at)).sum(axis=-1) % 2 == 1
+
+
+class Surface:
+    """The surface that lanelets cover, and straight on beyond its ends.
+
+    Args:
+        lanelets: of the road.
+        axes: of highway-env.
+    """
+
+    def __init__(self, lanelets: Iterable[Lanelet], axes: Axes) -> None:
+        known = {lanelet.number for lanelet in lanelets}
+        self._polygons = []
+        for lanelet in lanelets:
+            left, right = axes.positions(lanelet.left), axes.positions(lanelet.right)
+            if not known & set(lanelet.before):
+                left, right = (_extended(line[::-1])[::-1] for line in (left, right))
+            if not known & set(lanelet.after):
+                left, right = _extended(left), _extended(right)
+            self._polygons.append(_widened(left, right))
+
+    def holds(self, vehicle: Vehicle) -> bool:
+        """Return whether all corners of a vehicle are on the surface."""
+        corners = vehicle.polygon()[:-1]
+        return bool(np.any([inside(polygon, corners) for polygon in self._polygons], axis=0).all())
+
+
+ONWARD = 50.0  # m, by which the surface goes on beyond the ends of the road
+SEAM = 0.1  # m, by which lanelets are widened to each side, as their edges hardly touch
+
+
+def _extended(line: Points) -> Points:
+    direction = line[-1] - line[-2]
+    return np.vstack([line, line[-1] + direction / np.linalg.norm(direction) * ONWARD])
+
+
+def _widened(left: Points, right: Points) -> Points:
+    across = right - left
+    across = across / np.linalg.norm(across, axis=-1, keepdims=True) * SEAM
+    return np.vstack([left - across, (right + across)[::-1]])

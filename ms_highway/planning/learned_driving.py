@@ -1,0 +1,139 @@
+"""Drive like recorded drivers, all cars of a moment together, on a straight road: by the traits that each has shown."""
+
+from functools import partial
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.game.learned_drivers import Drivers, RewardTraits
+from ms_highway.game.neighbours import Leader, leaders
+from ms_highway.game.scenario import TIME_STEP
+from ms_highway.optimization.kalman import Gaussian, updated
+from ms_highway.planning.held_control import held_acceleration, held_curvature
+
+PAST = 30
+"""Steps of 0.1 s before a moment that drivers are known by."""
+
+SECOND = 10
+"""Steps of a second."""
+
+NOBODY = 60.0
+"""Distance to a leader that is not seen [m]."""
+
+EVERY = 2  # steps between the moments of the past at which plans are compared with what drivers did
+CLIPPED = 3.0  # standard deviations, of surprises by which traits are updated
+FARTHEST = 1.5  # of the logarithm of a trait from the median's
+FAR = 1e4  # m behind, where cars are that are not seen
+
+Cars = Float[Any, "cars"]
+States = Float[Any, "cars 4"]
+TraitLogarithms = Float[Any, "cars 3"]
+
+
+class Surroundings(Protocol):
+    """What drivers drive in.
+
+    Attributes:
+        sizes: length and width of every car [cars, 2].
+        lane_width: of a lane [m].
+        speed_limit: of the road [m/s].
+    """
+
+    @property
+    def sizes(self) -> Any: ...  # noqa: D102
+    @property
+    def lane_width(self) -> Any: ...  # noqa: D102
+    @property
+    def speed_limit(self) -> Any: ...  # noqa: D102
+
+
+def seen_states(states: Float[Any, "*times cars 4"]) -> Float[Any, "*times cars 4"]:
+    """Return states in which cars that are not seen stand far behind."""
+    return jnp.where(jnp.isfinite(states).all(axis=-1, keepdims=True), states, jnp.array([-FAR, -FAR, 0.0, 0.0]))
+
+
+def leader_of(around: Surroundings, states: States, others: States, lane: Cars) -> Leader:
+    """Return the nearest of the others ahead of each car in the lane with this lateral position."""
+    not_itself, lengths = ~jnp.eye(len(states), dtype=bool), around.sizes[:, 0]
+    place, there = leaders(states[:, 0], lane, others, not_itself, around.lane_width / 2)
+    gap = others[place, 0] - states[:, 0] - (lengths + lengths[place]) / 2
+    return Leader(jnp.where(there, gap, NOBODY), others[place, 3], there)
+
+
+def moved(
+    drivers: Drivers,
+    around: Surroundings,
+    logarithms: TraitLogarithms,
+    side: Int[Any, "cars"],
+    wanted: Cars,
+    now: States,
+    others: States | None = None,
+) -> tuple[States, Bool[Any, "cars"]]:
+    """Let all cars drive for a step of 0.1 s.
+
+    Args:
+        drivers: what was learned.
+        around: what they drive in.
+        logarithms: of their traits, see `shown_traits`.
+        side: lanes to the right by which each changes lanes, -1, 0 or 1; who changes follows the leader there.
+        wanted: lateral position of the middle of the lane that each wants [m].
+        now: states of all.
+        others: whom each meets; by default, all as they are.
+
+    Returns:
+        States after the step, and who has a leader.
+    """
+
+    def factor(name: str) -> Cars:
+        return jnp.where(side != 0, drivers.changing.get(name, 1.0), 1.0)
+
+    weights = {name: weight * factor(name) for name, weight in drivers.weights.items()}
+    usual = drivers.prior.traits(logarithms, around.speed_limit)
+    speeds, headways = usual.desired_speed * factor("desired speed"), usual.headway * factor("typical headway")
+    traits = RewardTraits(speeds, headways, usual.patience)
+    x, y, heading, speed = now.T
+    leader = leader_of(around, now, now if others is None else others, jnp.where(side != 0, wanted, y))
+    acceleration = held_acceleration(weights, traits, speed, leader)
+    curvature = held_curvature(weights, y - wanted, heading, speed)
+    faster = jnp.maximum(speed + acceleration * TIME_STEP, 0.0)
+    distance = (speed + faster) / 2 * TIME_STEP
+    ahead, aside = x + distance * jnp.cos(heading), y + distance * jnp.sin(heading)
+    return jnp.stack([ahead, aside, heading + curvature * distance, faster], axis=-1), leader.there
+
+
+def shown_traits(drivers: Drivers, around: Surroundings, past: Float[Any, "times cars 4"]) -> TraitLogarithms:
+    """Return the means of the logarithms of traits, as deviations from the medians', given the past 3 s.
+
+    For each full second of a car's past, an extended Kalman update with its mean acceleration, which the plan of the
+    traits predicts at the recorded states with the prior's noise. Surprises are clipped to 3 standard deviations.
+
+    Args:
+        drivers: what was learned.
+        around: what they drive in.
+        past: states of all cars 3 s before, and at each step until now; NaN where they were not seen.
+    """
+    prior, seen, past = drivers.prior, jnp.isfinite(past).all(axis=-1), seen_states(past)
+    speeds = past[..., 3]
+    leader = jax.vmap(lambda states: leader_of(around, states, states, states[:, 1]))(past)
+    cars = past.shape[1]
+    traits = Gaussian(jnp.zeros((cars, 3)), jnp.tile(jnp.diag(jnp.asarray(prior.deviations) ** 2), (cars, 1, 1)))
+
+    def expected(logarithms: TraitLogarithms, speed: Cars, leader: Leader) -> Float[Any, ""]:
+        usual = prior.traits(logarithms, around.speed_limit)
+        return held_acceleration(drivers.weights, usual, speed, leader).mean()
+
+    def update(traits: Gaussian, speed: Cars, leader: Leader, gained: Cars, seen: jax.Array) -> Gaussian:
+        predicted, slope = jax.value_and_grad(expected)(traits.mean, speed, leader)
+        after, _ = updated(traits, slope, gained - predicted, prior.noise**2, CLIPPED)
+        after = after._replace(mean=jnp.clip(after.mean, -FARTHEST, FARTHEST))
+        return jax.tree.map(partial(jnp.where, seen), after, traits)
+
+    for first in range(0, PAST, SECOND):
+        then, last = slice(first, first + SECOND, EVERY), first + SECOND
+        gained = (speeds[last] - speeds[first]) / (SECOND * TIME_STEP)
+        led = Leader(*(part[then].T for part in leader))
+        traits = jax.vmap(update)(traits, speeds[then].T, led, gained, seen[first : last + 1].all(axis=0))
+    return traits.mean

@@ -1,0 +1,79 @@
+"""Be at a place in time: a spot on a lane, when to be there, how fast, and how fast to go until then."""
+
+from dataclasses import dataclass
+from itertools import islice
+from math import sqrt
+
+import numpy as np
+from highway_env.vehicle.kinematics import Vehicle
+
+from ms_highway.vehicle.lane_paths import Point
+from ms_highway.vehicle.road_map import MOST_ROADS, Spot, road_map
+
+SPARE = 2.0  # s, from the ends of the time to be there, at most
+LOOK_AHEAD = 1.0  # s, after which the speed on the way there is desired
+SLOWEST = 0.3  # m/s, that is desired
+SOON = 0.1  # s
+CLOSE, CLOSEST = 1.0, 2.0  # s and m, gap of who follows closely
+GENTLE = 1.5  # m/s^2, of braking before the spot
+
+
+@dataclass(frozen=True)
+class Appointment:
+    """A spot to be at within an interval of time.
+
+    Attributes:
+        spot: on a lane.
+        position: of it [m].
+        times: interval in which to be there [s].
+        speeds: interval of the speed there [m/s].
+    """
+
+    spot: Spot
+    position: Point
+    times: tuple[float, float]
+    speeds: tuple[float, float] = (0.0, np.inf)
+
+    def distance(self, vehicle: Vehicle) -> float:
+        """Return how far the spot is ahead of a vehicle along its lanes [m]; negative behind it."""
+        roads = road_map(vehicle.road.network)
+        own, passed = roads.lanes[vehicle.lane_index], 0.0
+        for lane in islice(roads.goal(self.spot).onward(own), MOST_ROADS):
+            if lane.index[:2] == self.spot.lane[:2]:
+                passed += float(lane.shape.local_coordinates(self.position)[0])
+                break
+            passed += lane.length
+        return passed - float(own.shape.local_coordinates(vehicle.position)[0])
+
+    def desired_speed(self, vehicle: Vehicle, now: float) -> float:
+        """Return the speed at which to go now so as to keep the appointment [m/s].
+
+        Of the constant accelerations that lead there in time, ``s = v t + a t^2 / 2``, and to an allowed speed there,
+        ``v + a t = 2 s / t - v``, it takes the least, and returns the speed a second later. Who follows closely is not
+        held up as long as the speed can still be reduced before the spot.
+
+        Args:
+            vehicle: which keeps it.
+            now: the time [s].
+        """
+        left, speed = self.distance(vehicle), float(vehicle.speed)
+        if left <= 0 and now > self.times[0]:
+            return max(speed, SLOWEST)
+        spare = min((self.times[1] - self.times[0]) / 2, SPARE)
+        first, last = self.times[0] + spare - now, self.times[1] - spare - now
+        # What is left of the interval counts once its middle has passed.
+        last = max(last, min(self.times[1] - now, SOON), SOON)
+        slow, fast = (2 * max(left, 0.0) / max(speed + end, SLOWEST) for end in self.speeds[::-1])
+        time = min(max(left / max(speed, SLOWEST), first, slow), max(min(last, fast), SOON))
+        acceleration = 2 * (left - speed * time) / time**2
+        wanted = speed + acceleration * min(LOOK_AHEAD, time)
+        return max(wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE * max(left, 0.0))), SLOWEST)
+
+
+def _follower_speed(vehicle: Vehicle) -> float:
+    """Return the speed of who follows a vehicle closely in its lane [m/s], 0 without one."""
+    _, rear = vehicle.road.neighbour_vehicles(vehicle)
+    if rear is None:
+        return 0.0
+    gap = float(np.linalg.norm(rear.position - vehicle.position)) - (rear.LENGTH + vehicle.LENGTH) / 2
+    return float(rear.speed) if gap < CLOSE * rear.speed + CLOSEST else 0.0
