@@ -78,7 +78,10 @@ def success(env: Any) -> bool | None:
     return bool(there) and not any(vehicle.crashed for vehicle in vehicles)
 
 
-KEPT = ("color", "route", "target_speeds", "check_collisions", "collidable", "solid", "MIN_SPEED", "MAX_SPEED")
+KEPT = (
+    *("color", "route", "target_speeds", "check_collisions", "collidable", "solid", "MIN_SPEED", "MAX_SPEED"),
+    *("LENGTH", "WIDTH", "diagonal"),
+)
 """Attributes of a vehicle, beside its state, that its replacement keeps where the vehicle itself has them."""
 
 

@@ -12,10 +12,10 @@ from ms_highway.vehicle.road_map import MOST_ROADS, Spot, road_map
 
 SPARE = 2.0  # s, from the ends of the time to be there, at most
 LOOK_AHEAD = 1.0  # s, after which the speed on the way there is desired
-SLOWEST = 0.3  # m/s, that is desired
+SLOWEST = 0.1  # m/s, that is desired
 SOON = 0.1  # s
 CLOSE, CLOSEST = 1.0, 2.0  # s and m, gap of who follows closely
-GENTLE = 1.5  # m/s^2, of braking before the spot
+GENTLE, BEFORE = 1.5, 1.0  # m/s^2 and m, of braking before the spot
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Appointment:
         time = min(max(left / max(speed, SLOWEST), first, slow), max(min(last, fast), SOON))
         acceleration = 2 * (left - speed * time) / time**2
         wanted = speed + acceleration * min(LOOK_AHEAD, time)
-        return max(wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE * max(left, 0.0))), SLOWEST)
+        return max(wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE * max(left - BEFORE, 0.0))), SLOWEST)
 
 
 def _follower_speed(vehicle: Vehicle) -> float:

@@ -19,6 +19,7 @@ CHANGES, BOUNDS = (1, 1, 4), ((0, 0), (0, 0), (2, 1))  # in a second, two steps 
 BLOCKED, CHANGE = 30.0, 0.3  # steps of speed that a second in the way of others and a change of lane count
 SECONDS_TO_CLOSE_UP, KEPT = 3.0, 5.0  # s, m, of who limits the speed
 ROOM_BEHIND, ROOM_AHEAD, GENTLE = 3.0, 1.0, 2.5  # m, m, m/s^2: to others after a plan
+ROOM_BEHIND_SECONDS = 0.3  # s, at the desired speed: in jams, others follow more closely
 SECONDS_AWAY = 1.0  # s, by which the robot has left the lane of who comes before they are there
 REACTION, LEAST_GAP = 0.2, 0.2  # s
 DISTURBED = 25.0  # m, to a car that joins, up to which others may change lanes for it
@@ -107,7 +108,8 @@ def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
     s, onward, inside = (jnp.median(field, axis=0) for field in traffic)
     reach, seconds = scene.reach[:, 0], jnp.arange(SECONDS_AFTER + 1)
     ahead = (s + onward * seconds[:, None])[:, None, None] - places[:, None]  # [seconds, 1, places, traffic]
-    ahead = jnp.where((inside > 0.5)[:, None] & (ahead > -reach - ROOM_BEHIND), ahead - reach, FAR)
+    room_behind = jnp.minimum(ROOM_BEHIND, ROOM_BEHIND_SECONDS * fastest)
+    ahead = jnp.where((inside > 0.5)[:, None] & (ahead > -reach - room_behind), ahead - reach, FAR)
     onward = onward[jnp.argmin(ahead, axis=-1)][..., None]
     closing = jnp.maximum(speeds - jnp.maximum(onward, 0.0), 0.0)
     coming = SECONDS_AWAY * jnp.maximum(-onward, 0.0)
