@@ -27,11 +27,7 @@ from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace
 from ms_highway.envs.stage import StageEnv
 from ms_highway.planning.road.settings import RoadWeights
 from ms_highway.runtime.arrays import Control
-from ms_highway.vehicle.appointment import Appointment
 from ms_highway.vehicle.road_robot import RoadRobot
-
-APPOINTED = RoadWeights(goal=20.0)
-"""What counts for who has to be in a lane in time: more than that others there are slow."""
 
 WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
 UNTIL_FIRST = {
@@ -197,8 +193,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             if number == len(self._drivers):
                 self._drivers.append(self.settings.build(planning))
             driver, goal = self._drivers[number], destination_of(base, number)
-            driver.planning = planning
-            driver.weights = APPOINTED if isinstance(goal, Appointment) else RoadWeights()
+            driver.planning, driver.weights = planning, RoadWeights()
             driver.reset()
             robot = replace_ego(base, RoadRobot.create_from, number)
             robot.drive_with(driver, goal, self.settings.acceleration)

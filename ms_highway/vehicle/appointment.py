@@ -1,17 +1,22 @@
 """Be at a place in time: a spot on a lane, when to be there, how fast, and how fast to go until then."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from math import sqrt
 
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 
+from ms_highway.planning.road.prospects import SECONDS_AFTER
+from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
 from ms_highway.vehicle.lane_paths import Point
 from ms_highway.vehicle.road_map import MOST_ROADS, Spot, road_map
 
 SPARE = 2.0  # s, from the ends of the time to be there, at most
 LOOK_AHEAD = 1.0  # s, after which the speed on the way there is desired
+HASTE = 3.0  # m/s, by which it is more than the present one at most
+WITHIN = 0.5  # m/s, inside the interval of speeds
+GOAL = 20.0  # weight of being in the lane in time: more than that others there are slow
 SLOWEST = 0.1  # m/s, that is desired
 SOON = 0.1  # s
 CLOSE, CLOSEST = 1.0, 2.0  # s and m, gap of who follows closely
@@ -63,11 +68,29 @@ class Appointment:
         first, last = self.times[0] + spare - now, self.times[1] - spare - now
         # What is left of the interval counts once its middle has passed.
         last = max(last, min(self.times[1] - now, SOON), SOON)
-        slow, fast = (2 * max(left, 0.0) / max(speed + end, SLOWEST) for end in self.speeds[::-1])
+        within = min(WITHIN, (self.speeds[1] - self.speeds[0]) / 2)
+        ends = self.speeds[1] - within, self.speeds[0] + (within if self.speeds[0] > 0 else 0.0)
+        slow, fast = (2 * max(left, 0.0) / max(speed + end, SLOWEST) for end in ends)
         time = min(max(left / max(speed, SLOWEST), first, slow), max(min(last, fast), SOON))
         acceleration = 2 * (left - speed * time) / time**2
-        wanted = speed + acceleration * min(LOOK_AHEAD, time)
+        wanted = speed + min(acceleration * min(LOOK_AHEAD, time), HASTE)
         return max(wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE * max(left - BEFORE, 0.0))), SLOWEST)
+
+    def wishes(
+        self, vehicle: Vehicle, now: float, planning: RoadPlanning, weights: RoadWeights
+    ) -> tuple[RoadPlanning, RoadWeights]:
+        """Return limits and weights of a plan that keeps the appointment; what follows it counts for nothing.
+
+        Args:
+            vehicle: which keeps it.
+            now: the time [s].
+            planning: limits and wishes without an appointment.
+            weights: those without one.
+        """
+        rest = (self.times[1] - now - planning.steps * float(planning.time_step)) / SECONDS_AFTER
+        prospect = float(weights.prospect) * min(max(rest, 0.0), 1.0)
+        planning = replace(planning, desired_speed=self.desired_speed(vehicle, now))
+        return planning, replace(weights, goal=GOAL, prospect=prospect)
 
 
 def _follower_speed(vehicle: Vehicle) -> float:

@@ -1,7 +1,6 @@
 """A robot with highway-env's own kinematics that drives itself on any road, within what tyres hold in every frame."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import acos, asin, atan, cos, hypot, sin, sqrt, tan
 from typing import Any, NamedTuple, Self
 
@@ -14,6 +13,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.control.road import RoadDriver, RoadStep
 from ms_highway.game.road import RoadScene
 from ms_highway.planning.road.motion import SLIP
+from ms_highway.planning.road.settings import RoadWeights
 from ms_highway.vehicle.appointment import Appointment
 from ms_highway.vehicle.lane_paths import Point
 from ms_highway.vehicle.road_scene import observe_road
@@ -179,8 +179,8 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         due = self._elapsed + self.frame / 2 >= PERIOD
         if action is None and self.driver is not None and due and not self.crashed:
             if isinstance(self.goal, Appointment):
-                speed = self.goal.desired_speed(self, self.time)
-                self.driver.planning = replace(self.driver.planning, desired_speed=speed)
+                wishes = self.goal.wishes(self, self.time, self.driver.planning, RoadWeights())
+                self.driver.planning, self.driver.weights = wishes
             self.last_step = self.driver.step(self.look())
             self.steps.append(self.last_step)
             self._wanted, self._elapsed = np.asarray(self.last_step.control, dtype=float), 0.0
