@@ -93,7 +93,8 @@ def _converted(scenario: Any, problems: Any, source: str) -> Scenario:
     times = 1 + max(int(track.samples[-1, 0]) for track in tracks)
     if times * len(tracks) > MOST_STATES:
         raise ValueError(f"there are {len(tracks)} obstacles in {times} time steps; {MOST_STATES} states can be read")
-    lanelets = tuple(map(_lanelet, scenario.lanelet_network.lanelets))
+    network = scenario.lanelet_network
+    lanelets = tuple(_lanelet(lanelet, network) for lanelet in network.lanelets)
     if lanelets:
         lines = np.concatenate([lanelet.centre for lanelet in lanelets])
         if not np.ptp(lines, axis=0).max() <= MOST_METRES:
@@ -109,7 +110,10 @@ def _converted(scenario: Any, problems: Any, source: str) -> Scenario:
     )
 
 
-def _lanelet(lanelet: Any) -> Lanelet:
+def _lanelet(lanelet: Any, network: Any) -> Lanelet:
+    signs = [network.find_traffic_sign_by_id(number) for number in lanelet.traffic_signs]
+    elements = [element for sign in signs if sign for element in sign.traffic_sign_elements]
+    limits = [float(one.additional_values[0]) for one in elements if one.traffic_sign_element_id.name == "MAX_SPEED"]
     return Lanelet(
         lanelet.lanelet_id,
         np.array(lanelet.left_vertices, dtype=float),
@@ -118,6 +122,7 @@ def _lanelet(lanelet: Any) -> Lanelet:
         tuple(lanelet.successor),
         (lanelet.adj_left, lanelet.adj_right),
         (lanelet.adj_left_same_direction, lanelet.adj_right_same_direction),
+        min(limits, default=None),
     )
 
 

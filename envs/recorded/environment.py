@@ -2,19 +2,17 @@
 
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.vehicle.objects import Obstacle as RoadObstacle
 from msgspec import Meta, Struct
 
 from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
-from ms_highway.envs.recorded.network import Axes, heading_of, network_of
+from ms_highway.envs.recorded.network import Axes, network_of
 from ms_highway.envs.recorded.problem import Surface, Task
-from ms_highway.envs.recorded.scenario import SHIPPED, SPEED_LIMIT, open_recording
+from ms_highway.envs.recorded.scenario import SHIPPED, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import TRAFFIC, RecordedRoad, sized
-from ms_highway.game.scenario import TIME_STEP
 
 NOBODY = "say 'problem' for the planning problem, or give the number of a recorded vehicle"
 OFF_LANE = 1.0  # widths of a lane, from which a start is not on the road
@@ -37,8 +35,8 @@ class RecordedEnv(ConfiguredEnv):
 
     Configuration, beside highway-env's own, of which changes act from the next reset on:
 
-    * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz`` (extra ``commonroad``), or ``"us101"``, which comes
-      with the package.
+    * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz`` (extra ``commonroad``), or ``"us101"``, which
+      comes with the package.
     * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with the traits that it shows in its
       first second, who react to the ego; ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
     * ``ego``: ``"problem"``, the planning problem; or the number of a recorded vehicle, to start in its place and go to
@@ -48,7 +46,7 @@ class RecordedEnv(ConfiguredEnv):
 
     An episode is a success if a goal's region is reached in its interval of time, at its speed and heading, without a
     collision and without leaving the road before, by any corner. It ends then, or with the last goal's time. The road
-    moves at 10 Hz, as it was recorded. highway-env's axes are those of the map, with y to the right and another origin.
+    moves at 10 Hz, as it was recorded. Here, x goes along the road and y to its right; ``axes`` leads to the map.
 
     ``info["recorded"]`` says ``step``, of the recording; ``success``, ``collision``, ``off_road``; ``waiting``, numbers
     of the vehicles that could not enter yet, as somebody is in their place.
@@ -85,8 +83,8 @@ class RecordedEnv(ConfiguredEnv):
             "off_road_reward": -1.0,
             "progress_reward": 0.002,
             "screen_width": 960,
-            "screen_height": 320,
-            "scaling": 5.0,
+            "screen_height": 200,
+            "scaling": 6.0,
             "centering_position": [0.4, 0.5],
         }
 
@@ -102,17 +100,19 @@ class RecordedEnv(ConfiguredEnv):
     def _build(self, ego: int | None) -> None:
         scenario = self.scenario
         self.task = Task.of(scenario, ego)
-        straight, self.axes = StraightRoad.of(scenario.lanelets), Axes.of(scenario)
-        self.road = RecordedRoad(network_of(scenario, self.axes), np_random=self.np_random)
+        straight, self.axes = StraightRoad.of(scenario.lanelets), Axes.of(scenario.lanelets)
+        self.road = RecordedRoad(network_of(scenario.lanelets, self.axes), np_random=self.np_random)
         self.surface = Surface(scenario.lanelets, self.axes)
         self.appointment = self.task.appointment(self.road.network, self.axes)
         x, y, orientation, speed = self.task.problem.start
-        position, heading = self.axes.positions([x, y]), float(heading_of(orientation))
+        position, heading = self.axes.positions([x, y]), float(self.axes.headings(orientation))
         lane = self.road.network.get_lane(self.road.network.get_closest_lane_index(position, heading))
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
             raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
         for item in scenario.obstacles:
-            stands = RoadObstacle(self.road, self.axes.positions(item.pose[:2]), float(heading_of(item.pose[2])))
+            stands = RoadObstacle(
+                self.road, self.axes.positions(item.pose[:2]), float(self.axes.headings(item.pose[2]))
+            )
             sized(stands, item.size)
             self.road.objects.append(stands)
         vehicle = self.action_type.vehicle_class(self.road, position, heading=heading, speed=speed)
@@ -141,7 +141,7 @@ class RecordedEnv(ConfiguredEnv):
         self.progress, self._along = along - self._along, along
         ego = self.vehicle
         self.off_road |= not self.surface.holds(ego)
-        orientation, point = float(heading_of(ego.heading)), self.axes.points(ego.position)
+        orientation, point = float(self.axes.orientations(ego.heading)), self.axes.points(ego.position)
         reached = self.task.is_reached(self.step_of_recording, point, orientation, ego.speed)
         self.success |= reached and not ego.crashed and not self.off_road
 

@@ -8,7 +8,7 @@ from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import RoadNetwork
 
 from ms_highway.envs.recorded.lane_coordinates import Values, fit_lane_coordinates
-from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Lanelet, Points, Scenario
+from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Lanelet, Points
 from ms_highway.game.road import wrapped
 
 STEP = 1.0  # m, between samples of a lane
@@ -17,27 +17,43 @@ FROM_CENTRE = 0.2  # of the radius of a bend, that a point is away from its cent
 
 
 class Axes(NamedTuple):
-    """highway-env's axes, with y to the right of x, in those of a map, with y to the left.
+    """highway-env's axes, x along the road and y to its right, in those of a map, with y to the left of x.
 
     Attributes:
         origin: of highway-env's axes in those of the map [m]; near the road, as single precision resolves little far
             away.
+        turn: direction of highway-env's x in the map [rad].
     """
 
     origin: Points
+    turn: float
 
     @classmethod
-    def of(cls, scenario: Scenario) -> "Axes":
-        """Return axes with their origin in the middle of a scenario's road, at whole metres."""
-        return cls(np.round(np.concatenate([lanelet.centre for lanelet in scenario.lanelets]).mean(axis=0)))
+    def of(cls, lanelets: Sequence[Lanelet]) -> "Axes":
+        """Return axes with their origin in the middle of a road, at whole metres, that go along it in the mean."""
+        lines = [lanelet.centre for lanelet in lanelets]
+        along = np.sum([line[-1] - line[0] for line in lines], axis=0)
+        return cls(np.round(np.concatenate(lines).mean(axis=0)), float(np.arctan2(along[1], along[0])))
 
     def positions(self, points: Any) -> Points:
         """Return points of the map in highway-env's axes."""
-        return (np.asarray(points, dtype=float) - self.origin) * [1.0, -1.0]
+        return (np.asarray(points, dtype=float) - self.origin) @ self._mirror
 
     def points(self, positions: Any) -> Points:
         """Return positions of highway-env in the map."""
-        return np.asarray(positions, dtype=float) * [1.0, -1.0] + self.origin
+        return np.asarray(positions, dtype=float) @ self._mirror.T + self.origin
+
+    def headings(self, orientations: Any) -> Any:
+        """Return headings in highway-env's axes, of orientations in the map [rad]."""
+        return wrapped(self.turn - np.asarray(orientations, dtype=float))
+
+    orientations = headings
+    """The other way round, which is the same."""
+
+    @property
+    def _mirror(self) -> np.ndarray:
+        cosine, sine = np.cos(self.turn), np.sin(self.turn)
+        return np.array([[cosine, sine], [sine, -cosine]])
 
 
 class SampledLane(AbstractLane):
@@ -109,13 +125,13 @@ class SampledLane(AbstractLane):
         }
 
 
-def network_of(scenario: Scenario, axes: Axes) -> RoadNetwork:
-    """Build the road network of a scenario: lanelets side by side are the lanes of a road, from the left.
+def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
+    """Build the road network of a recording: lanelets side by side are the lanes of a road, from the left.
 
     Raises:
         ValueError: for lanes of two directions, or a lanelet that is beside itself.
     """
-    known = {lanelet.number: lanelet for lanelet in scenario.lanelets}
+    known = {lanelet.number: lanelet for lanelet in lanelets}
     network, roads = RoadNetwork(), _side_by_side(known)
     nodes = _nodes(roads, known)
     for number, road in enumerate(roads):
@@ -195,8 +211,3 @@ def _last(line: Points, length: float) -> Points:
     steps = np.hypot(*np.diff(line, axis=0).T)
     left = np.r_[np.cumsum(steps[::-1])[::-1], 0.0]
     return line[left <= length] if (left <= length).sum() > 1 else line[-2:]
-
-
-def heading_of(orientation: Any) -> Any:
-    """Return a heading in highway-env's axes from an orientation in a map's, and the other way round [rad]."""
-    return wrapped(-np.asarray(orientation, dtype=float))

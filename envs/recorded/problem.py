@@ -7,7 +7,7 @@ import numpy as np
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.envs.recorded.network import Axes, heading_of
+from ms_highway.envs.recorded.network import Axes
 from ms_highway.envs.recorded.scenario import Goal, Lanelet, Points, Problem, Scenario, Track
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.vehicle.appointment import Appointment
@@ -77,7 +77,7 @@ class Task:
             if goal.area is None:
                 continue
             position = axes.positions(goal.area.mean(axis=0))
-            heading = None if goal.headings is None else float(heading_of(np.mean(np.unwrap(goal.headings))))
+            heading = None if goal.headings is None else float(axes.headings(np.mean(np.unwrap(goal.headings))))
             index = network.get_closest_lane_index(position, heading)
             place, _ = network.get_lane(index).local_coordinates(position)
             times = [max(TIME_STEP * (time - self.problem.time), 0.0) for time in goal.times]
@@ -104,9 +104,10 @@ def _is_in(goal: Goal, step: int, point: Points, orientation: float, speed: floa
         return False
     if goal.area is not None and not inside(goal.area, np.asarray(point)[None])[0]:
         return False
-    if goal.headings is not None and (orientation - goal.headings[0]) % FULL_TURN > (
-        goal.headings[1] - goal.headings[0]
-    ) % FULL_TURN:
+    if (
+        goal.headings is not None
+        and (orientation - goal.headings[0]) % FULL_TURN > (goal.headings[1] - goal.headings[0]) % FULL_TURN
+    ):
         return False
     return goal.speeds is None or goal.speeds[0] <= speed <= goal.speeds[1]
 

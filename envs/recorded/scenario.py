@@ -1,7 +1,7 @@
 """What a recording holds: lanelets, the tracks of vehicles, obstacles, and planning problems, as in CommonRoad.
 
 Everything here is in the map's own axes, y to the left of x, metres, radians and steps of time; see
-`ms_highway.envs.recorded.place` for highway-env's.
+`ms_highway.envs.recorded.network.Axes` for highway-env's.
 """
 
 import gzip
@@ -139,7 +139,7 @@ class Scenario(msgspec.Struct, frozen=True):
 
 
 def pack(scenario: Scenario, path: Path) -> None:
-    """Write a scenario to a file of this package's own, JSON of millimetres packed by gzip, the same bytes each time."""
+    """Write a scenario to a file of this package's own, packed JSON in millimetres, the same bytes each time."""
     content = msgspec.json.encode(scenario, enc_hook=lambda array: np.round(array, 3).tolist())
     path.write_bytes(gzip.compress(content, mtime=0))
 
@@ -147,7 +147,7 @@ def pack(scenario: Scenario, path: Path) -> None:
 @cache
 def shipped() -> Scenario:
     """Return the recording that comes with the package, which needs no other package to be read."""
-    file = resources.files("ms_highway") / "data" / f"{SHIPPED}.json.gz"
+    file = resources.files("ms_highway") / "data" / f"{SHIPPED}_traffic.json.gz"
     return _unpacked(file.read_bytes())
 
 

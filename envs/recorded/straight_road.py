@@ -114,7 +114,7 @@ def _mapped(values: Values, known: np.ndarray, images: np.ndarray) -> Values:
 
 
 def _spread(centres: np.ndarray, width: float) -> np.ndarray:
-    """Fill in lanes where they do not exist, beside their neighbours, and keep lanes apart from the left to the right."""
+    """Fill in lanes where they do not exist, beside their neighbours, and keep lanes apart."""
     known = np.isfinite(centres)
     if len(centres) > 1:
         for lane in range(1, len(centres)):

@@ -11,11 +11,11 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.envs.recorded.network import Axes, heading_of
+from ms_highway.envs.recorded.network import Axes
 from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Scenario, Track
 from ms_highway.envs.recorded.straight_road import States, StraightRoad
 from ms_highway.game.learned_reward import shipped
-from ms_highway.planning.learned_driving import NOBODY, PAST, SECOND, moved, seen_states, shown_traits
+from ms_highway.planning.learned_driving import PAST, SECOND, moved, seen_states, shown_traits
 from ms_highway.runtime.compilation import jit_quickly
 
 ROOM = 16  # cars: arrays grow by so many, so that few numbers of cars compile anew
@@ -62,7 +62,9 @@ class Traffic(ABC):
 
     vehicle_type: ClassVar[type[Vehicle]] = RecordedVehicle
 
-    def __init__(self, scenario: Scenario, straight: StraightRoad, axes: Axes, road: Road, left_out: int | None) -> None:
+    def __init__(
+        self, scenario: Scenario, straight: StraightRoad, axes: Axes, road: Road, left_out: int | None
+    ) -> None:
         """Prepare traffic.
 
         Args:
@@ -108,7 +110,9 @@ class Traffic(ABC):
     def _is_free(self, track: Track) -> bool:
         """Return whether nobody is in the place where a track begins."""
         position = self.axes.positions(track.samples[0, 1:3])
-        apart = [np.linalg.norm(other.position - position) - (other.LENGTH + track.size[0]) / 2 for other in self._all()]
+        apart = [
+            np.linalg.norm(other.position - position) - (other.LENGTH + track.size[0]) / 2 for other in self._all()
+        ]
         return all(gap > CLEAR for gap in apart)
 
     def _all(self) -> list[Vehicle]:
@@ -118,7 +122,9 @@ class Traffic(ABC):
         track = self.tracks[place]
         step = min(max(self.step, int(track.samples[0, 0])), int(track.samples[-1, 0]))
         x, y, orientation, speed = sampled(track, step if place not in self._entered else track.samples[0, 0])
-        vehicle = self.vehicle_type(self.road, self.axes.positions([x, y]), float(heading_of(orientation)), speed)
+        vehicle = self.vehicle_type(
+            self.road, self.axes.positions([x, y]), float(self.axes.headings(orientation)), speed
+        )
         vehicle.number, vehicle.check_collisions = track.number, False
         sized(vehicle, track.size)
         self.road.vehicles.append(vehicle)
@@ -146,7 +152,7 @@ class Replay(Traffic):
         self._move_on(lambda place: self.tracks[place].samples[-1, 0] <= self.step - 1)
         for place, vehicle in self.vehicles.items():
             x, y, orientation, speed = sampled(self.tracks[place], self.step)
-            vehicle.put(self.axes.positions([x, y]), heading_of(orientation), speed)
+            vehicle.put(self.axes.positions([x, y]), self.axes.headings(orientation), speed)
 
     def _is_free(self, track: Track) -> bool:
         return True
@@ -236,7 +242,9 @@ class Learned(Traffic):
                 after[place, 0] += shorter * 0.05
         places = list(self.vehicles)
         points, orientations = self.straight.bend(after[places].astype(float))
-        for place, point, orientation in zip(places, self.axes.positions(points), heading_of(orientations), strict=True):
+        for place, point, orientation in zip(
+            places, self.axes.positions(points), self.axes.headings(orientations), strict=True
+        ):
             self.vehicles[place].put(point, orientation, after[place, 3])
         end = self.straight.coordinates.length + BEYOND
         self._move_on(lambda place: after[place, 0] > end)
@@ -249,7 +257,7 @@ class Learned(Traffic):
         everyone = [*self.vehicles.values(), *egos]
         states[places] = self.straight.straighten(
             self.axes.points([vehicle.position for vehicle in everyone]),
-            heading_of([vehicle.heading for vehicle in everyone]),
+            self.axes.orientations([vehicle.heading for vehicle in everyone]),
             np.array([vehicle.speed for vehicle in everyone]),
         )
         for place, ego in zip(places[len(self.vehicles) :], egos, strict=True):
@@ -290,9 +298,11 @@ class _Lanes(NamedTuple):
     speed_limit: float
 
 
-_moved = jit_quickly(lambda drivers, around, traits, side, wanted, states: moved(
-    drivers, around, traits, side, wanted, seen_states(states)
-))
+_moved = jit_quickly(
+    lambda drivers, around, traits, side, wanted, states: moved(
+        drivers, around, traits, side, wanted, seen_states(states)
+    )
+)
 _shown = jit_quickly(shown_traits)
 
 

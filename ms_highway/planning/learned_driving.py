@@ -4,7 +4,6 @@ from functools import partial
 from typing import Any, Protocol
 
 import jax
-import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 

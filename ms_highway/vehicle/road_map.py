@@ -17,7 +17,6 @@ from ms_highway.game.road import wrapped
 from ms_highway.vehicle.lane_paths import SMOOTHING, Curve, Point, join_lanes
 
 
-
 @dataclass(frozen=True)
 class Spot:
     """A place on a lane.

@@ -56,6 +56,4 @@ def _convert(scenario: Scenario, counted: set[tuple]) -> Recording:
             drivers.append(car)
             counted.add(identity)
     sizes, numbers = np.array([track.size for track in tracks]), np.array(drivers, dtype=int)
-    return Recording(
-        scenario.name, scenario.group, states, numbers, sizes, road.lanes, road.lane_width, SPEED_LIMIT
-    )
+    return Recording(scenario.name, scenario.group, states, numbers, sizes, road.lanes, road.lane_width, SPEED_LIMIT)
