@@ -231,7 +231,13 @@ class Learned(Traffic):
         """Move those on the road for a step, let those leave who have reached its end, and others enter."""
         states = self._states()
         side, wanted = self._wishes(states)
-        after, led = map(np.array, _moved(self.drivers, self.surroundings, self.traits, side, wanted, states))
+        given = self.drivers, self.surroundings, self.traits
+        after, led = map(np.array, _moved(*given, side, wanted, states))
+        if side.any():  # who changes lanes minds who is ahead in its own, too
+            kept, behind = map(np.array, _moved(*given, np.zeros_like(side), wanted, states))
+            slower = behind & (kept[:, 3] < after[:, 3])
+            after[slower, 0], after[slower, 3] = kept[slower, 0], kept[slower, 3]
+            led |= slower
         for place in self.vehicles:
             if not led[place]:
                 own = self.recorded[place]

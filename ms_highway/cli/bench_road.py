@@ -5,7 +5,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ms_highway.benchmarks.road import DRIVERS, SCENES, SEARCH, TRAFFIC, is_agent, known_scenes
+from ms_highway.benchmarks.road import (
+    DRIVERS,
+    EGOS,
+    REACTIVE,
+    RECORDED,
+    RECORDED_TRAFFIC,
+    SCENES,
+    SEARCH,
+    TRAFFIC,
+    is_agent,
+    known_scenes,
+)
 from ms_highway.cli.console import add_command, count_episodes, draw_unseen, print_tables
 from ms_highway.cli.options import MOST_PROCESSES, MOST_SEEDS, add_number
 
@@ -30,7 +41,17 @@ notebooks/examples/train_peers.py writes: open only files that you trust, as the
 m/s^2 are labelled unphysical. With a search, or its log as --bound, the table says how others fare from the same
 starts: solved, the share of those that the search solves which they solve, too; regret, what they earn less per step,
 to be read beside crashes, which cut episodes short (the search need not find the best); waited, the time that they
-stood longer, in seconds, where both solve the start."""
+stood longer, in seconds, where both solve the start.
+
+The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default that of the package), or,
+with --egos changing, a start in the place of every vehicle that was recorded to change lanes, which has to be where it was
+last. Its --traffic: learned drivers who react (default), replay, or idm. Success is CommonRoad's: the goal's region
+reached in its interval of time, without a collision and on the road; "s" is the mean time to it. There, --seed and
+--seeds are the number of the first start and how many. Further drivers there: reactive, commonroad-reactive-planner, to
+which the recorded future of all others is known: privileged; reactive-default, the same with its own settings.
+--export DIR writes every drive as a CommonRoad scenario and solution; with --judge,
+commonroad-drivability-checker judges these: agree counts the drives of which both say the same of success, collision
+and road, feasible those that CommonRoad's vehicle could have driven."""
 
 EXAMPLES = """\
 examples:
@@ -39,7 +60,9 @@ examples:
   ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films
   ms-highway bench road intersection-v0 --drivers search --seeds 20 --log search.csv
   ms-highway bench road merge-v0 --drivers priced agents/dqn-merge-v0-0.zip
-  ms-highway bench road intersection-v0 --drivers priced idm --seeds 20 --bound search.csv"""
+  ms-highway bench road intersection-v0 --drivers priced idm --seeds 20 --bound search.csv
+  ms-highway bench road recorded
+  ms-highway bench road recorded --data us101 --traffic replay --drivers priced idm reactive --export drives --judge"""
 
 
 COLUMNS = {
@@ -57,6 +80,12 @@ COLUMNS = {
     "late": "{late:.0%}",
 }
 """What tables show of a driver's figures, by heading."""
+
+IN_RECORDINGS = {"s": ("goal_seconds", ".1f")}
+"""What they show besides in recordings."""
+
+JUDGED = {"judged": ("judged", "d"), "agree": ("agrees", "d"), "feasible": ("feasible", "d")}
+"""What they show besides where drives are judged."""
 
 AGAINST_SEARCH = {
     "starts": ("bounded", "d"),
@@ -79,14 +108,20 @@ def add_bench_road(commands: Any) -> None:
     parser.add_argument(
         "--drivers", nargs="+", metavar="DRIVER", default=DRIVERS, help=f"what drives (default: {' '.join(DRIVERS)})"
     )
-    add_number(parser, "--seeds", 20, "episodes of each")
+    add_number(parser, "--seeds", None, "episodes of each (default: 20; in recordings, all)")
     add_number(parser, "--seed", 0, "of the first episode", least=0, most=MOST_SEEDS)
     traffic = (
-        "highway-env's IDM (default), its aggressive drivers, learned commuters, or IDM that never yields to the ego"
+        "highway-env's IDM (default), its aggressive drivers, learned commuters, or IDM that never yields to the ego; "
+        "in recordings: learned (default), replay or idm"
     )
-    parser.add_argument("--traffic", choices=list(TRAFFIC), default="idm", help=traffic)
+    kinds = list(dict.fromkeys([*TRAFFIC, *RECORDED_TRAFFIC]))
+    parser.add_argument("--traffic", choices=kinds, default=None, help=traffic)
+    parser.add_argument("--data", type=Path, metavar="DIR", help="CommonRoad scenarios, for the scene recorded")
+    parser.add_argument("--egos", choices=EGOS, default="problem", help="whose place the ego takes in recordings")
+    parser.add_argument("--judge", action="store_true", help="let an outside judge check exported drives")
     add_number(parser, "--jobs", None, "processes at once (default: number of cores)", most=MOST_PROCESSES)
     for name, metavar, text in (
+        ("--export", "DIR", "write drives in recordings as CommonRoad scenarios and solutions"),
         ("--films", "DIR", "film the first success and failure of each driver"),
         ("--bound", "FILE", "compare with the search in a log that --log has written"),
         ("--json", "FILE", "write all figures to a JSON file"),
@@ -111,12 +146,17 @@ def _bench_road(options: argparse.Namespace) -> None:
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
     for driver in drivers:
         check_driver(driver)
-    blocks = [Block(scene, driver, options.traffic) for scene in scenes for driver in drivers]
+    starts = _starts(options, scenes, drivers)
+    traffic = options.traffic or (RECORDED_TRAFFIC[0] if starts else "idm")
+    given = tuple(starts), options.export, options.judge
+    blocks = [Block(scene, driver, traffic, *given) for scene in scenes for driver in drivers]
     for block in blocks:
         if block.driver == SEARCH or is_agent(block.driver):
             make_driver(block).close()  # or refuse scenes that are not for it
-    seeds = range(options.seed, options.seed + options.seeds)
-    bounds = read_bounds(options.bound, options.traffic) if options.bound else {}
+    seeds = range(options.seed, options.seed + (options.seeds or 20))
+    if starts:
+        seeds = range(len(starts))[options.seed :][: options.seeds]
+    bounds = read_bounds(options.bound, traffic) if options.bound else {}
     if options.bound and not any(seed in bounds.get(scene, {}) for scene in scenes for seed in seeds):
         raise ValueError(f"--bound: {options.bound} has no start of these scenes and seeds")
     if options.bound and options.log and options.bound.resolve() == options.log.resolve():
@@ -142,7 +182,7 @@ def _bench_road(options: argparse.Namespace) -> None:
 
     count_episodes(driven(), 0, len(blocks) * len(seeds))
     if SEARCH in drivers:
-        bounds |= {scene: bound_of(episodes[Block(scene, SEARCH, options.traffic)]) for scene in scenes}
+        bounds |= {scene: bound_of(episodes[Block(scene, SEARCH, traffic)]) for scene in scenes}
     for block in blocks:
         results[block.scene][block.driver] |= behind(episodes[block], bounds.get(block.scene, {}))
     if bounds and options.json:
@@ -152,15 +192,51 @@ def _bench_road(options: argparse.Namespace) -> None:
     for scene, figures in results.items():
         rows = [
             {heading: form.format(driver=driver, **figures[driver]) for heading, form in COLUMNS.items()}
-            | (_against_search(figures[driver]) if bounds.get(scene) else {})
+            | (_cells(IN_RECORDINGS, figures[driver]) if starts else {})
+            | (_cells(JUDGED, figures[driver]) if options.judge else {})
+            | (_cells(AGAINST_SEARCH, figures[driver]) if bounds.get(scene) else {})
             for driver in drivers
         ]
         print_tables(grid(f"{scene}: {len(seeds)} episodes; choices count {counted} ms a car", rows, left=2))
 
 
-def _against_search(figures: dict[str, Any]) -> dict[str, str]:
+def _starts(options: argparse.Namespace, scenes: list[str], drivers: list[str]) -> list[Any]:
+    """Return the starts in recordings; none in other scenes.
+
+    Raises:
+        ValueError: for options that do not go together.
+    """
+    if RECORDED not in scenes:
+        given = {"--data": options.data, "--export": options.export, "--judge": options.judge}
+        given |= {driver: driver in drivers for driver in REACTIVE}
+        for name in [name for name, value in given.items() if value]:
+            raise ValueError(f"{name} is for the scene {RECORDED!r} only: ms-highway bench road {RECORDED} ...")
+        if options.traffic is not None and options.traffic not in TRAFFIC:
+            known = ", ".join(TRAFFIC)
+            raise ValueError(f"--traffic {options.traffic} is for the scene {RECORDED!r}; choose one of {known}")
+        return []
+    if scenes != [RECORDED]:
+        raise ValueError(f"the scene {RECORDED!r} has traffic and starts of its own; measure it in a command by itself")
+    if options.traffic is not None and options.traffic not in RECORDED_TRAFFIC:
+        known = ", ".join(RECORDED_TRAFFIC)
+        raise ValueError(f"--traffic {options.traffic} is not for the scene {RECORDED!r}; choose one of {known}")
+    if SEARCH in drivers:
+        raise ValueError(f"the driver {SEARCH} does not drive in recordings; leave it out")
+    if options.export and (options.data is None or options.egos != "problem"):
+        raise ValueError("--export writes solutions of planning problems of --data; give that, and no other --egos")
+    if options.judge and not options.export:
+        raise ValueError("--judge judges exported drives; say where they go: --export DIR")
+    from ms_highway.benchmarks.road.recorded import starts_of
+
+    starts = starts_of(options.data, options.egos)
+    if options.seed >= len(starts):
+        raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
+    return starts
+
+
+def _cells(columns: dict[str, tuple[str, str]], figures: dict[str, Any]) -> dict[str, str]:
     """Return the cells of a driver, empty where there is no figure."""
     return {
         heading: format(figures[name], form) if figures.get(name) is not None else ""
-        for heading, (name, form) in AGAINST_SEARCH.items()
+        for heading, (name, form) in columns.items()
     }

@@ -16,6 +16,16 @@ SCENES = (
 
 OTHER_SCENES = ("highway-v0", "racetrack-oval-v1", "racetrack-oval-v0")
 
+RECORDED = "recorded"
+"""The scene of recorded traffic, with kinds of traffic and drivers of its own."""
+
+RECORDED_ID = "ms_highway:ms-highway/recorded-v0"
+RECORDED_TRAFFIC = ("learned", "replay", "idm")
+EGOS = ("problem", "changing")
+
+REACTIVE = ("reactive", "reactive-default")
+"""Peers that drive only in recordings, from their planning problems: privileged, as they know how others went."""
+
 PEERS = ("idm", "idle", "random")
 """Drivers that are not this package's."""
 
@@ -42,9 +52,12 @@ def known_scenes(names: Iterable[str]) -> list[str]:
     """
     scenes = []
     for name in names:
+        if name == RECORDED:
+            scenes.append(name)
+            continue
         known = [scene for scene in SCENES + OTHER_SCENES if name in (scene, re.sub(r"-v\d+$", "", scene))]
         if not known:
-            raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(SCENES + OTHER_SCENES)}")
+            raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join((*SCENES, *OTHER_SCENES, RECORDED))}")
         scenes += known
     return list(dict.fromkeys(scenes))
 

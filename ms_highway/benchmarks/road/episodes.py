@@ -1,5 +1,6 @@
 """Drive episodes of a stock scene, measure them, film them and summarise them."""
 
+import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -13,9 +14,13 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from ms_highway.benchmarks.road import SEARCH, TRAFFIC, driver_config, is_agent
+from ms_highway.benchmarks.road import REACTIVE, RECORDED, RECORDED_ID, SEARCH, TRAFFIC, driver_config, is_agent
+from ms_highway.benchmarks.road.export import Drive
+from ms_highway.benchmarks.road.judge import Verdict, judge_drive
 from ms_highway.benchmarks.road.measures import Watch, has_ended
 from ms_highway.benchmarks.road.peers import PEERS, Agent, Peer, policy_of
+from ms_highway.benchmarks.road.reactive import Reactive, ReactiveDefault
+from ms_highway.benchmarks.road.recorded import Start
 from ms_highway.benchmarks.road.search import Search
 from ms_highway.envs.road import drive
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
@@ -26,7 +31,11 @@ UNPHYSICAL = 10.0
 
 FRAMES_PER_SECOND = 15  # of films, at most
 
-OTHERS: dict[str, type[Peer]] = {**PEERS, SEARCH: Search}
+OTHERS: dict[str, type[Peer]] = {
+    **PEERS,
+    SEARCH: Search,
+    **dict(zip(REACTIVE, (Reactive, ReactiveDefault), strict=True)),
+}
 """Wrappers of the drivers that are not this package's own, by name."""
 
 
@@ -34,14 +43,28 @@ class Block(NamedTuple):
     """Episodes that belong together.
 
     Attributes:
-        scene: identifier of a stock environment.
+        scene: identifier of a stock environment, or `ms_highway.benchmarks.road.RECORDED`.
         driver: name of what drives the ego.
-        traffic: a name of `ms_highway.benchmarks.road.TRAFFIC`.
+        traffic: a name of `ms_highway.benchmarks.road.TRAFFIC`, or of ``RECORDED_TRAFFIC``.
+        starts: in recordings, of which the seeds are numbers.
+        exports: directory for drives in recordings, None to write none.
+        judged: whether exported drives are judged.
     """
 
     scene: str
     driver: str
     traffic: str = "idm"
+    starts: tuple[Start, ...] = ()
+    exports: Path | None = None
+    judged: bool = False
+
+    def name(self, seed: int) -> str:
+        """Return the name of a start, for logs."""
+        return self.starts[seed].name if self.starts else str(seed)
+
+    def options(self, seed: int) -> dict[str, Any] | None:
+        """Return the options of the reset that leads to a start."""
+        return {"config": self.starts[seed].config} if self.starts else None
 
 
 @dataclass(frozen=True)
@@ -68,6 +91,7 @@ class Episode:
         late: number of plans that were not ready within their budget.
         sources: number of decisions by what drove then, where the driver says so.
         rungs: number of cars that each rung predicted, summed over decisions.
+        verdict: of an outside judge, None without one.
     """
 
     seed: int
@@ -88,6 +112,16 @@ class Episode:
     late: int
     sources: Counter[str]
     rungs: Counter[str]
+    verdict: Verdict | None = None
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether the judge says of success, collision and road what the environment does; None without a judge."""
+        if self.verdict is None:
+            return None
+        told = self.verdict.reached and not self.verdict.collision and not self.verdict.off_road
+        own = self.success, self.crashed, self.off_road
+        return own == (told, self.verdict.collision, self.verdict.off_road)
 
 
 def check_driver(name: str) -> None:
@@ -114,10 +148,12 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
         block: says what drives where.
         options: of ``gym.make``.
     """
-    config = {"other_vehicles_type": TRAFFIC[block.traffic]}
+    scene, config = block.scene, {"other_vehicles_type": TRAFFIC.get(block.traffic)}
+    if scene == RECORDED:
+        scene, config = RECORDED_ID, {"traffic": block.traffic, **block.starts[0].config}
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
-        env = gym.make(block.scene, config=config, disable_env_checker=True, **options)
+        env = gym.make(scene, config=config, disable_env_checker=True, **options)
     if is_agent(block.driver):
         return Agent(env, block.driver)
     return OTHERS[block.driver](env) if block.driver in OTHERS else drive(env, driver_config(block.driver))
@@ -139,9 +175,10 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         then: is called after every frame.
     """
     env = env or _kept_driver(block)
-    env.reset(seed=seed)
+    env.reset(seed=seed, options=block.options(seed))
     inner: Any = env.unwrapped
-    watch, done = Watch(inner, then), False
+    drive = Drive(inner) if block.exports else None
+    watch, done = Watch(inner, *filter(None, (then, drive and drive.see))), False
     rewards, roads = [], []
     while not done:
         _, reward, terminated, truncated, info = env.step(None)
@@ -149,8 +186,11 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         roads.append(info["road"])
         done = has_ended(inner, terminated, truncated)
     off_road = bool(watch.off_road or (terminated and not watch.crashed and not inner.vehicle.on_road))
+    if block.scene == RECORDED:
+        off_road = inner.off_road
     reached = success(inner)
     return Episode(
+        verdict=_exported(drive, block, seed) if drive else None,
         seed=seed,
         success=not watch.crashed and bool(not off_road if reached is None else reached),
         crashed=watch.crashed,
@@ -164,6 +204,15 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         sources=Counter(source for road in roads for source in road.get("sources", ())),
         rungs=sum((road.get("model_counts", Counter()) for road in roads), Counter[str]()),
     )
+
+
+def _exported(drive: Drive, block: Block, seed: int) -> Verdict | None:
+    """Write a drive, and return what the judge says of it, if it is to be judged."""
+    assert block.exports
+    place = block.exports / block.traffic / re.sub(r"[:/\\]", "_", block.driver) / block.name(seed)
+    scenario, solution = (place.with_name(f"{place.name}.{kind}") for kind in ("xml", "solution.xml"))
+    drive.write(scenario, solution)
+    return judge_drive(scenario, solution) if block.judged else None
 
 
 def film(block: Block, seed: int, path: Path) -> None:
@@ -198,7 +247,10 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
     * ``jerk``: root mean square over all frames [m/s^3];
     * ``p50_ms``, ``p99_ms``: quantiles over all decisions of all episodes [ms];
     * ``late``: share of the plans that were not ready within their budget;
-    * ``steps``: mean number per episode;
+    * ``steps``: mean number per episode; ``goal_seconds``: mean duration of those that reached the goal, None without
+      any [s];
+    * ``judged``, ``agrees``, ``feasible``: numbers of drives that were judged, of which the judge says what the
+      environment does, and that it could have driven with CommonRoad's vehicle;
     * ``sources``: shares of the decisions by what drove, where the driver says so;
     * ``rungs``: shares of the cars that each rung predicted;
     * ``episodes``, ``seeds``, ``traffic``, ``label``: their number, the first seed and how many, the type of the other
@@ -206,6 +258,8 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
     """
     of = SimpleNamespace(**{name: [getattr(each, name) for each in episodes] for name in vars(episodes[0])})
     p50, p99 = np.quantile(1e3 * np.concatenate(of.decisions), [0.5, 0.99])
+    reached = [one.seconds for one in episodes if one.success]
+    judged = [one for one in episodes if one.verdict]
     figures = {
         "success": np.mean(of.success),
         "collisions": sum(of.crashed),
@@ -222,6 +276,10 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
         "p99_ms": p99,
         "late": sum(of.late) / sum(map(len, of.decisions)),
         "steps": np.mean(of.steps),
+        "goal_seconds": float(np.mean(reached)) if reached else None,
+        "judged": len(judged),
+        "agrees": sum(bool(one.agrees) for one in judged),
+        "feasible": sum(one.verdict.feasible for one in judged if one.verdict),
         "sources": _shares(of.sources),
         "rungs": _shares(of.rungs),
         "episodes": len(episodes),
@@ -233,7 +291,7 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
 
 
 def _label(block: Block, acceleration: float) -> str:
-    labels = {"privileged": block.driver == SEARCH, "unphysical": acceleration > UNPHYSICAL}
+    labels = {"privileged": block.driver in (SEARCH, *REACTIVE), "unphysical": acceleration > UNPHYSICAL}
     return ", ".join(label for label, holds in labels.items() if holds)
 
 
@@ -245,6 +303,10 @@ def _shares(counters: Sequence[Counter[str]]) -> dict[str, float]:
 def row(block: Block, episode: Episode) -> dict[str, Any]:
     """Return an episode as a row of a table."""
     milliseconds = 1e3 * np.array(episode.decisions)
-    numbers = {name: value for name, value in vars(episode).items() if name not in ("decisions", "sources", "rungs")}
+    left_out = ("decisions", "sources", "rungs", "verdict")
+    numbers = {name: value for name, value in vars(episode).items() if name not in left_out}
+    verdict = {f"judge_{name}": value for name, value in vars(episode.verdict).items()} if episode.verdict else {}
     times = {"p50_ms": float(np.median(milliseconds)), "max_ms": float(np.max(milliseconds))}
-    return block._asdict() | numbers | times
+    own = {"scene": block.scene, "driver": block.driver, "traffic": block.traffic}
+    start = {"start": block.name(episode.seed)} if block.starts else {}
+    return own | start | numbers | times | verdict

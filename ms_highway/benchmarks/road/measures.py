@@ -77,7 +77,7 @@ class Watch:
 
     Args:
         env: the environment, unwrapped, just reset.
-        then: is called after every frame.
+        *then: are called after every frame.
 
     Attributes:
         crashed: whether the ego has crashed.
@@ -85,7 +85,7 @@ class Watch:
         off_road: whether it has left the road in any frame before.
     """
 
-    def __init__(self, env: Any, then: Callable[[], None] | None = None) -> None:
+    def __init__(self, env: Any, *then: Callable[[], None]) -> None:
         self.crashed = self.at_fault = self.off_road = False
         self._env, self._time_step = env, 1 / env.config["simulation_frequency"]
         self._states: list[Any] = []
@@ -98,8 +98,8 @@ class Watch:
             step(dt)
             if not self.crashed:
                 self._see()
-            if then is not None:
-                then()
+            for each in then:
+                each()
 
         env.road.step = watched  # of this road only: a reset makes another
 

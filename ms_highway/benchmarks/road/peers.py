@@ -14,8 +14,10 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+from ms_highway.envs.recorded.environment import RecordedEnv
 from ms_highway.envs.road.driven import unheeded
 from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego
+from ms_highway.vehicle.appointment import Appointment
 from ms_highway.vehicle.road_robot import OfferedSpeeds
 
 
@@ -68,7 +70,9 @@ class Idle(Peer):
 
     def begin(self, seed: int | None) -> None:
         """Put an `MDPVehicle` in the place of a vehicle that does not keep its lane by itself."""
-        if not isinstance(self.inner.vehicle, MDPVehicle):
+        if isinstance(self.inner, RecordedEnv):  # whose speeds need not be among those of meta-actions
+            replace_ego(self.env, lambda old: ControlledVehicle(old.road, old.position, old.heading, old.speed))
+        elif not isinstance(self.inner.vehicle, MDPVehicle):
             speeds = self.target_speeds
             replace_ego(
                 self.env,
@@ -175,7 +179,7 @@ class Idm(Peer):
     """Let highway-env's IDM and MOBIL drive the ego, as they drive the others: on a route to the goal, if there is one.
 
     They decide in every frame. The desired speed is that of `ms_highway.envs.road.stock.desired_speed_of`, as for this
-    package's drivers; IDM keeps the speed limits of lanes by itself.
+    package's drivers; IDM keeps the speed limits of lanes by itself. An appointment is kept by its own desired speed.
     """
 
     counted = slice(1, None)  # the first one is not the ego's
@@ -188,6 +192,13 @@ class Idm(Peer):
         )
         ego.target_speeds, ego.route, ego.decisions = self.target_speeds, route_to_goal(self.inner), self.decisions
 
+    def choose(self) -> Any:
+        """Let the ego decide; tell it the speed that keeps an appointment."""
+        appointment = destination_of(self.inner)
+        if isinstance(appointment, Appointment):
+            self.inner.vehicle.target_speed = appointment.desired_speed(self.inner.vehicle, self.inner.time)
+        return super().choose()
+
 
 def route_to_goal(env: Any) -> list[tuple[str, str, int | None]] | None:
     """Return the roads of the ego's way to the goal, without a lane where each will do; None without a destination.
@@ -199,7 +210,7 @@ def route_to_goal(env: Any) -> list[tuple[str, str, int | None]] | None:
         last = env.config["lanes_count"]
         return [("0", "1", last - 1), ("1", "2", last), ("2", "exit", 0)]
     destination = destination_of(env)
-    if destination is None:
+    if not isinstance(destination, str):
         return None
     start, onward, _ = env.vehicle.lane_index
     nodes = [start, *env.road.network.shortest_path(onward, destination)]

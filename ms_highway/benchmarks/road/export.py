@@ -1,0 +1,122 @@
+"""Write drives in recordings as CommonRoad scenarios, with everybody as they drove, and solutions."""
+
+import gzip
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ms_highway.envs.recorded.commonroad import COMPRESSED, open_commonroad
+from ms_highway.game.scenario import TIME_STEP
+from ms_highway.runtime.extras import needing
+from ms_highway.runtime.files import replacing
+
+WHEELBASE = 2.578999  # m, of CommonRoad's vehicle 2, a BMW 320i, whose size the ego has
+SLOWEST = 0.5  # m/s, below which the steering of a motion is not told
+
+
+class Drive:
+    """An episode of a recorded environment as it goes on.
+
+    Args:
+        env: the environment, unwrapped, just reset; its recording is a file.
+    """
+
+    def __init__(self, env: Any) -> None:
+        self._env = env
+        self._ego: list[tuple[float, ...]] = []
+        self._others: dict[int, list[tuple[float, ...]]] = {}
+        self.see()
+
+    def see(self) -> None:
+        """Note where everybody is."""
+        env = self._env
+        step = env.step_of_recording + (1 if self._ego else 0)  # the road has moved, its counter has not
+        everyone = [env.vehicle, *env.road.traffic.vehicles.values()]
+        points = env.axes.points([vehicle.position for vehicle in everyone])
+        orientations = env.axes.orientations([vehicle.heading for vehicle in everyone])
+        for vehicle, (x, y), orientation in zip(everyone, points.tolist(), orientations.tolist(), strict=True):
+            own = self._ego if vehicle is env.vehicle else self._others.setdefault(vehicle.number, [])
+            own.append((step, x, y, orientation, float(vehicle.speed)))
+
+    def write(self, scenario: Path, solution: Path) -> None:
+        """Write the scenario as it was driven, and the ego's solution, both for CommonRoad.
+
+        Raises:
+            ImportError: without the packages of the extra ``commonroad``.
+            OSError: if a file cannot be written.
+        """
+        with needing("commonroad"):
+            from commonroad.common.solution import (
+                CommonRoadSolutionWriter,
+                CostFunction,
+                PlanningProblemSolution,
+                Solution,
+                VehicleModel,
+                VehicleType,
+            )
+            from commonroad.scenario.state import KSState
+            from commonroad.scenario.trajectory import Trajectory
+        recording = Path(self._env.config["recording"])
+        identity = open_commonroad(recording)[0].scenario_id
+        with replacing(scenario) as path:
+            self._driven(recording).write(path, encoding="utf-8", xml_declaration=True)
+        states = [
+            KSState(
+                time_step=int(step),
+                position=np.array([x, y]),
+                orientation=orientation,
+                velocity=speed,
+                steering_angle=angle,
+            )
+            for (step, x, y, orientation, speed), angle in zip(self._ego, self._steering(), strict=True)
+        ]
+        own = PlanningProblemSolution(
+            planning_problem_id=self._env.task.problem.number,
+            vehicle_model=VehicleModel.KS,
+            vehicle_type=VehicleType.BMW_320i,
+            cost_function=CostFunction.JB1,
+            trajectory=Trajectory(states[0].time_step, states),
+        )
+        with replacing(solution) as path:
+            whole = CommonRoadSolutionWriter(Solution(identity, [own]))
+            whole.write_to_file(str(path.parent.resolve()), path.name, overwrite=True)
+
+    def _steering(self) -> list[float]:
+        """Return the steering angle of CommonRoad's vehicle at each state, from how the ego turned after it [rad]."""
+        _, _, _, orientations, speeds = np.array(self._ego).T
+        turned = np.diff(np.unwrap(orientations)) / (TIME_STEP * np.maximum(speeds[:-1], SLOWEST))
+        angles = np.arctan(WHEELBASE * turned).tolist()
+        return [*angles, *(angles[-1:] or [0.0])]
+
+    def _driven(self, recording: Path) -> ElementTree.ElementTree:
+        """Return the XML of a recording in which the others go as they drove, in place of what was recorded."""
+        opened = gzip.open if recording.name.endswith(COMPRESSED) else open
+        with opened(recording) as file:
+            tree = ElementTree.parse(file)
+        root = tree.getroot()
+        for obstacle in root.findall("dynamicObstacle"):
+            rows = self._others.get(int(obstacle.get("id", -1)))
+            if rows is None:
+                root.remove(obstacle)
+                continue
+            for part in ("initialState", "trajectory"):
+                for old in obstacle.findall(part):
+                    obstacle.remove(old)
+            obstacle.append(_state("initialState", rows[0]))
+            trajectory = ElementTree.SubElement(obstacle, "trajectory")
+            trajectory.extend(_state("state", row) for row in rows[1:])
+        return tree
+
+
+def _state(name: str, row: tuple[float, ...]) -> ElementTree.Element:
+    """Return an element of CommonRoad's XML: step of time, x, y, orientation and speed."""
+    step, x, y, orientation, speed = row
+    state = ElementTree.Element(name)
+    point = ElementTree.SubElement(ElementTree.SubElement(state, "position"), "point")
+    for axis, value in (("x", x), ("y", y)):
+        ElementTree.SubElement(point, axis).text = repr(value)
+    for kind, value in (("orientation", orientation), ("time", int(step)), ("velocity", speed)):
+        ElementTree.SubElement(ElementTree.SubElement(state, kind), "exact").text = repr(value)
+    return state

@@ -1,0 +1,75 @@
+"""Choose what to drive in recordings: their planning problems, or the places of those who changed lanes."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ms_highway.envs.recorded.commonroad import scenario_files
+from ms_highway.envs.recorded.scenario import SHIPPED, Scenario, open_recording
+from ms_highway.envs.recorded.straight_road import StraightRoad
+
+LONG_ENOUGH = 3.0  # s, that a vehicle has to be seen
+CENTRED = 0.4  # widths of a lane from its middle, within which a vehicle is in it
+
+
+class Start(NamedTuple):
+    """Where an episode begins.
+
+    Attributes:
+        name: for logs and files.
+        recording: a file, or the name of a recording of the package.
+        ego: number of a recorded vehicle, None for the planning problem.
+    """
+
+    name: str
+    recording: str
+    ego: int | None = None
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """What the environment's configuration says of it."""
+        return {"recording": self.recording, "ego": "problem" if self.ego is None else self.ego}
+
+
+def starts_of(data: Path | None, egos: str) -> list[Start]:
+    """Return the starts in a directory of recordings, by default in that of the package.
+
+    Args:
+        data: the directory.
+        egos: ``problem``, the planning problem of each; ``changing``, all vehicles that end in another lane than they
+            began in.
+
+    Raises:
+        ValueError: if there is no recording, or no start in any.
+        ImportError: without the packages of the extra ``commonroad``.
+    """
+    recordings = [SHIPPED] if data is None else [str(path) for path in scenario_files(data)]
+    starts, seen = [], set[tuple]()
+    for recording in recordings:
+        scenario = open_recording(recording)
+        if egos == "problem":
+            starts += [Start(scenario.name, recording)] if scenario.problems else []
+            continue
+        for number, first in _changing(scenario):
+            if (scenario.group, number, first) not in seen:  # files of a group may share tracks
+                seen.add((scenario.group, number, first))
+                starts.append(Start(f"{scenario.name}_{number}", recording, number))
+    if not starts:
+        what = "planning problem" if egos == "problem" else "vehicle that changes lanes"
+        raise ValueError(f"--data: there is no {what} in {data or 'the recording of the package'}; give another place")
+    return starts
+
+
+def _changing(scenario: Scenario) -> list[tuple[int, tuple[float, ...]]]:
+    """Return number and first position of each vehicle that ends in another lane than it began in."""
+    straight, found = StraightRoad.of(scenario.lanelets), []
+    for track in scenario.tracks:
+        samples = track.samples
+        if samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
+            continue
+        places = straight.straighten(samples[[0, -1], 1:3], *samples[[0, -1], 3:].T)[:, 1] / straight.lane_width
+        lanes = np.rint(places)
+        if lanes[0] != lanes[1] and abs(places[1] - lanes[1]) < CENTRED:
+            found.append((track.number, tuple(samples[0, 1:3].round(2).tolist())))
+    return found
