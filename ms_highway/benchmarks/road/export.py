@@ -1,6 +1,7 @@
 """Write drives in recordings as CommonRoad scenarios, with everybody as they drove, and solutions."""
 
 import gzip
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,6 +14,7 @@ from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import replacing
 
 WHEELBASE = 2.578999  # m, of CommonRoad's vehicle 2, a BMW 320i, whose size the ego has
+EPOCH = "2000-01-01"  # date of solutions of recordings without one
 SLOWEST = 0.5  # m/s, below which the steering of a motion is not told
 
 
@@ -60,8 +62,9 @@ class Drive:
             from commonroad.scenario.trajectory import Trajectory
         recording = Path(self._env.config["recording"])
         identity = open_commonroad(recording)[0].scenario_id
+        driven = self._driven(recording)
         with replacing(scenario) as path:
-            self._driven(recording).write(path, encoding="utf-8", xml_declaration=True)
+            driven.write(path, encoding="utf-8", xml_declaration=True)
         states = [
             KSState(
                 time_step=int(step),
@@ -80,7 +83,8 @@ class Drive:
             trajectory=Trajectory(states[0].time_step, states),
         )
         with replacing(solution) as path:
-            whole = CommonRoadSolutionWriter(Solution(identity, [own]))
+            date = datetime.fromisoformat(driven.getroot().get("date", EPOCH))  # of the recording: the same each time
+            whole = CommonRoadSolutionWriter(Solution(identity, [own], date=date))
             whole.write_to_file(str(path.parent.resolve()), path.name, overwrite=True)
 
     def _steering(self) -> list[float]:

@@ -9,8 +9,8 @@ from ms_highway.envs.recorded.commonroad import scenario_files
 from ms_highway.envs.recorded.scenario import SHIPPED, Scenario, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 
-LONG_ENOUGH = 3.0  # s, that a vehicle has to be seen
-CENTRED = 0.4  # widths of a lane from its middle, within which a vehicle is in it
+LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
+CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: from its middle, within which a vehicle is in it; and moved aside
 
 
 class Start(NamedTuple):
@@ -70,6 +70,6 @@ def _changing(scenario: Scenario) -> list[tuple[int, tuple[float, ...]]]:
             continue
         places = straight.straighten(samples[[0, -1], 1:3], *samples[[0, -1], 3:].T)[:, 1] / straight.lane_width
         lanes = np.rint(places)
-        if lanes[0] != lanes[1] and abs(places[1] - lanes[1]) < CENTRED:
+        if lanes[0] != lanes[1] and abs(places[1] - lanes[1]) < CENTRED and abs(places[1] - places[0]) > CHANGED:
             found.append((track.number, tuple(samples[0, 1:3].round(2).tolist())))
     return found
