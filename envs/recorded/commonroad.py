@@ -163,13 +163,15 @@ def _size(obstacle: Any) -> tuple[float, float]:
 
 def _obstacle(obstacle: Any) -> Obstacle:
     state = obstacle.initial_state
-    return Obstacle(obstacle.obstacle_id, _size(obstacle), (*map(float, state.position), float(state.orientation)))
+    x, y = map(float, state.position)
+    return Obstacle(obstacle.obstacle_id, _size(obstacle), (x, y, float(state.orientation)))
 
 
 def _problem(problem: Any) -> Problem:
     state = problem.initial_state
     try:
-        start = *map(float, state.position), float(state.orientation), float(state.velocity)
+        x, y = map(float, state.position)
+        start = x, y, float(state.orientation), float(state.velocity)
     except (AttributeError, TypeError, ValueError) as error:
         name = f"planning problem {problem.planning_problem_id}"
         raise ValueError(f"{name} lacks an exact position, orientation or velocity of its start; {MEND}") from error

@@ -10,7 +10,7 @@ from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
 from ms_highway.envs.recorded.network import Axes, network_of
 from ms_highway.envs.recorded.problem import Surface, Task
-from ms_highway.envs.recorded.scenario import SHIPPED, open_recording
+from ms_highway.envs.recorded.scenario import SHIPPED, Points, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import TRAFFIC, RecordedRoad, sized
 
@@ -125,6 +125,11 @@ class RecordedEnv(ConfiguredEnv):
         self.progress = 0.0
         self._straight = straight
         self._along = self._place_along()
+
+    @property
+    def goal_areas(self) -> list[Points]:
+        """Corners of the areas of all goals that have a place."""
+        return [self.axes.positions(goal.area) for goal in self.task.problem.goals if goal.area is not None]
 
     def _place_along(self) -> float:
         return float(self._straight.coordinates.locate(self.axes.points(self.vehicle.position)[None]).x[0])

@@ -47,8 +47,9 @@ class Axes(NamedTuple):
         """Return headings in highway-env's axes, of orientations in the map [rad]."""
         return wrapped(self.turn - np.asarray(orientations, dtype=float))
 
-    orientations = headings
-    """The other way round, which is the same."""
+    def orientations(self, headings: Any) -> Any:
+        """Return orientations in the map, of headings in highway-env's axes [rad]."""
+        return self.headings(headings)  # a mirror is its own inverse
 
     @property
     def _mirror(self) -> np.ndarray:

@@ -86,8 +86,8 @@ class Task:
 
 
 def _start(track: Track) -> tuple[tuple[float, float, float, float], int]:
-    time, *state = track.samples[0].tolist()
-    return tuple(state), int(time)  # type: ignore[return-value]
+    time, x, y, orientation, speed = track.samples[0].tolist()
+    return (x, y, orientation, speed), int(time)
 
 
 def _last_position(track: Track) -> Goal:

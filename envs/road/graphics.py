@@ -44,6 +44,8 @@ class RoadViewer(Viewer):
         super().display()
         self.offscreen = offscreen
         step = getattr(self.env.vehicle, "last_step", None)
+        for area in getattr(self.env, "goal_areas", ()):
+            pygame.draw.polygon(self.sim_surface, PAPER, [self.sim_surface.vec2pix(corner) for corner in area], 2)
         if step is not None and not self.env.vehicle.crashed:
             self._draw_thoughts(step)
         self.picture.blit(self.sim_surface, (0, 0))

@@ -13,7 +13,9 @@ from ms_highway.control.road import RoadStep
 from ms_highway.envs.road.driven import check_drivable, normalised
 from ms_highway.envs.road.settings import RoadSettings
 from ms_highway.envs.road.stock import desired_speed_of, destination_of
+from ms_highway.planning.road.settings import RoadWeights
 from ms_highway.runtime.arrays import Control
+from ms_highway.vehicle.appointment import destination_for, keep
 from ms_highway.vehicle.road_robot import MARGIN, PERIOD, Velocity, keep_grip, steering_of
 from ms_highway.vehicle.road_scene import observe_road
 
@@ -89,12 +91,17 @@ class _Pilot:
         vehicle, frame = base.vehicle, 1 / base.config["simulation_frequency"]
         if start or vehicle is not self.vehicle:
             _check_actions(self.env)
-            self.driver.planning = self.settings.planning(desired_speed_of(self.env))
+            self.driver.planning, self.driver.weights = (
+                self.settings.planning(desired_speed_of(self.env)),
+                RoadWeights(),
+            )
             self.driver.reset()
             self.vehicle, self.last_step = vehicle, None
         applied, before = _last_frame(vehicle, frame)
         if self.last_step is None or base.time - self._planned_at > PERIOD - 0.5 / base.config["policy_frequency"]:
-            self.last_step = self.driver.step(observe_road(vehicle, destination_of(base), applied))
+            goal = destination_of(base)
+            keep(goal, self.driver, vehicle, base.time)
+            self.last_step = self.driver.step(observe_road(vehicle, destination_for(goal), applied))
             self._planned_at = base.time
         now, grip = Velocity(vehicle.speed, vehicle.heading), MARGIN * self.settings.acceleration
         curvature, along = keep_grip(self.last_step.control, now, before, vehicle.LENGTH, frame, grip)

@@ -8,6 +8,7 @@ from typing import Any
 from ms_highway.benchmarks.road import (
     DRIVERS,
     EGOS,
+    HUMAN,
     REACTIVE,
     RECORDED,
     RECORDED_TRAFFIC,
@@ -44,14 +45,14 @@ to be read beside crashes, which cut episodes short (the search need not find th
 stood longer, in seconds, where both solve the start.
 
 The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default that of the package), or,
-with --egos changing, a start in the place of every vehicle that was recorded to change lanes, which has to be where it was
-last. Its --traffic: learned drivers who react (default), replay, or idm. Success is CommonRoad's: the goal's region
+with --egos changing, a start in the place of every vehicle that was recorded to change lanes: it has to be where that
+was last. Its --traffic: learned drivers who react (default), replay, or idm. Success is CommonRoad's: the goal's region
 reached in its interval of time, without a collision and on the road; "s" is the mean time to it. There, --seed and
---seeds are the number of the first start and how many. Further drivers there: reactive, commonroad-reactive-planner, to
-which the recorded future of all others is known: privileged; reactive-default, the same with its own settings.
---export DIR writes every drive as a CommonRoad scenario and solution; with --judge,
-commonroad-drivability-checker judges these: agree counts the drives of which both say the same of success, collision
-and road, feasible those that CommonRoad's vehicle could have driven."""
+--seeds are the number of the first start and how many. Further drivers there: human, who goes as the vehicle was
+recorded to whose place it takes; reactive, commonroad-reactive-planner, to which the recorded future of all others is
+known: privileged; reactive-default, the same with its own settings. --export DIR writes every drive as a CommonRoad
+scenario and solution; with --judge, commonroad-drivability-checker judges these: agree counts the drives of which both
+say the same of success, collision and road, feasible those that CommonRoad's vehicle could have driven."""
 
 EXAMPLES = """\
 examples:
@@ -208,7 +209,7 @@ def _starts(options: argparse.Namespace, scenes: list[str], drivers: list[str]) 
     """
     if RECORDED not in scenes:
         given = {"--data": options.data, "--export": options.export, "--judge": options.judge}
-        given |= {driver: driver in drivers for driver in REACTIVE}
+        given |= {driver: driver in drivers for driver in (HUMAN, *REACTIVE)}
         for name in [name for name, value in given.items() if value]:
             raise ValueError(f"{name} is for the scene {RECORDED!r} only: ms-highway bench road {RECORDED} ...")
         if options.traffic is not None and options.traffic not in TRAFFIC:
@@ -220,8 +221,9 @@ def _starts(options: argparse.Namespace, scenes: list[str], drivers: list[str]) 
     if options.traffic is not None and options.traffic not in RECORDED_TRAFFIC:
         known = ", ".join(RECORDED_TRAFFIC)
         raise ValueError(f"--traffic {options.traffic} is not for the scene {RECORDED!r}; choose one of {known}")
-    if SEARCH in drivers:
-        raise ValueError(f"the driver {SEARCH} does not drive in recordings; leave it out")
+    wrong = {SEARCH} | ({HUMAN} if options.egos == "problem" else set(REACTIVE))
+    for driver in [driver for driver in drivers if driver in wrong]:
+        raise ValueError(f"the driver {driver} does not drive in recordings with --egos {options.egos}; leave it out")
     if options.export and (options.data is None or options.egos != "problem"):
         raise ValueError("--export writes solutions of planning problems of --data; give that, and no other --egos")
     if options.judge and not options.export:

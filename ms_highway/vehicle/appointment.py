@@ -3,10 +3,12 @@
 from dataclasses import dataclass, replace
 from itertools import islice
 from math import sqrt
+from typing import TypeAlias
 
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 
+from ms_highway.control.road import RoadDriver
 from ms_highway.planning.road.prospects import SECONDS_AFTER
 from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
 from ms_highway.vehicle.lane_paths import Point
@@ -91,6 +93,28 @@ class Appointment:
         prospect = float(weights.prospect) * min(max(rest, 0.0), 1.0)
         planning = replace(planning, desired_speed=self.desired_speed(vehicle, now))
         return planning, replace(weights, goal=GOAL, prospect=prospect)
+
+
+Goal: TypeAlias = str | Appointment | None
+"""A node of the road network to drive to, or an appointment, or nothing."""
+
+
+def destination_for(goal: Goal) -> str | Spot | None:
+    """Return where a goal lies, for `ms_highway.vehicle.road_scene.observe_road`."""
+    return goal.spot if isinstance(goal, Appointment) else goal
+
+
+def keep(goal: Goal, driver: RoadDriver, vehicle: Vehicle, now: float) -> None:
+    """Let a driver's next plan keep a goal, if that is an appointment.
+
+    Args:
+        goal: of the driver.
+        driver: of the vehicle.
+        vehicle: which keeps it.
+        now: the time [s].
+    """
+    if isinstance(goal, Appointment):
+        driver.planning, driver.weights = goal.wishes(vehicle, now, driver.planning, RoadWeights())
 
 
 def _follower_speed(vehicle: Vehicle) -> float:

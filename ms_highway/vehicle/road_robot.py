@@ -13,8 +13,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.control.road import RoadDriver, RoadStep
 from ms_highway.game.road import RoadScene
 from ms_highway.planning.road.motion import SLIP
-from ms_highway.planning.road.settings import RoadWeights
-from ms_highway.vehicle.appointment import Appointment
+from ms_highway.vehicle.appointment import Goal, destination_for, keep
 from ms_highway.vehicle.lane_paths import Point
 from ms_highway.vehicle.road_scene import observe_road
 from ms_highway.vehicle.road_view import at_constant_speed
@@ -157,7 +156,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         car.route = getattr(vehicle, "route", None)
         return car
 
-    def drive_with(self, driver: RoadDriver | None, goal: str | Appointment | None = None, grip: float = GRIP) -> None:
+    def drive_with(self, driver: RoadDriver | None, goal: Goal = None, grip: float = GRIP) -> None:
         """Let a driver drive, to a node of the road network or a spot where there is a goal."""
         self.driver, self.goal, self.grip, self.time = driver, goal, grip, 0.0
 
@@ -171,16 +170,13 @@ class RoadRobot(OfferedSpeeds, Vehicle):
     def look(self) -> RoadScene:
         """Observe the road."""
         curvature, acceleration = self.applied.tolist()
-        goal = self.goal.spot if isinstance(self.goal, Appointment) else self.goal
-        return observe_road(self, goal, (curvature, acceleration))
+        return observe_road(self, destination_for(self.goal), (curvature, acceleration))
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan if it is time for it; ignore actions."""
         due = self._elapsed + self.frame / 2 >= PERIOD
         if action is None and self.driver is not None and due and not self.crashed:
-            if isinstance(self.goal, Appointment):
-                wishes = self.goal.wishes(self, self.time, self.driver.planning, RoadWeights())
-                self.driver.planning, self.driver.weights = wishes
+            keep(self.goal, self.driver, self, self.time)
             self.last_step = self.driver.step(self.look())
             self.steps.append(self.last_step)
             self._wanted, self._elapsed = np.asarray(self.last_step.control, dtype=float), 0.0

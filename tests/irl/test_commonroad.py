@@ -8,70 +8,9 @@ from itertools import count
 
 import numpy as np
 import pytest
+from recordings import SPEED, STEPS, TURN, car, lanelet, scenario, straight, two_lanes
 
 from ms_highway.irl.recordings.commonroad import read_directory
-
-SPEED = 12.0  # m/s, of the cars in the scenarios below
-STEPS = 20
-TURN = 0.6  # rad, of the scenarios' road against their x axis
-
-
-def lanelet(number, left, line, links=""):
-    """A lanelet 3.5 m wide whose centre lies that far to the left of a line."""
-    direction = np.gradient(line, axis=0)
-    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1) / np.linalg.norm(direction, axis=-1, keepdims=True)
-    bounds = {
-        side: "".join(f"<point><x>{x}</x><y>{y}</y></point>" for x, y in line + (left + half) * normal)
-        for side, half in (("leftBound", 1.75), ("rightBound", -1.75))
-    }
-    sides = "".join(f"<{side}>{points}</{side}>" for side, points in bounds.items())
-    return f'<lanelet id="{number}">{sides}{links}<laneletType>highway</laneletType></lanelet>'
-
-
-def straight(start, end):
-    return np.linspace(start, end, 30)[:, None] * [np.cos(TURN), np.sin(TURN)]
-
-
-def two_lanes():
-    """Two lanes; the left one, lanelets 1 and 2, is listed last, and none knows who is beside it."""
-    return (
-        lanelet(3, -3.5, straight(0, 200))
-        + lanelet(2, 0.0, straight(100, 200), '<predecessor ref="1"/>')
-        + lanelet(1, 0.0, straight(0, 100), '<successor ref="2"/>')
-    )
-
-
-def state(name, time, x, y, orientation):
-    return (
-        f"<{name}><position><point><x>{x}</x><y>{y}</y></point></position>"
-        f"<orientation><exact>{orientation}</exact></orientation><time><exact>{time}</exact></time>"
-        f"<velocity><exact>{SPEED}</exact></velocity></{name}>"
-    )
-
-
-def car(number, start, right, samples=STEPS):
-    """A car that keeps its velocity along the road, that far to the right of the left lane's centre."""
-    cosine, sine = np.cos(TURN), np.sin(TURN)
-    along = start + SPEED * 0.1 * np.arange(samples)
-    points = [(x * cosine + right * sine, x * sine - right * cosine) for x in along]
-    states = [state("state", time, *point, TURN) for time, point in enumerate(points)]
-    trajectory = f"<trajectory>{''.join(states[1:])}</trajectory>" if samples > 1 else ""
-    return (
-        f'<dynamicObstacle id="{number}"><type>car</type><shape><rectangle><length>4.5</length><width>1.8</width>'
-        f"</rectangle></shape>{state('initialState', 0, *points[0], TURN)}{trajectory}</dynamicObstacle>"
-    )
-
-
-def scenario(*, lanelets=None, cars=None, time_step=0.1, number=1):
-    return (
-        f'<?xml version="1.0"?><commonRoad commonRoadVersion="2020a" benchmarkID="USA_Test-1_{number}_T-1" '
-        f'timeStepSize="{time_step}" author="a" affiliation="b" source="c" date="2020-01-01">'
-        "<location><geoNameId>1</geoNameId><gpsLatitude>1</gpsLatitude><gpsLongitude>1</gpsLongitude></location>"
-        "<scenarioTags><highway/></scenarioTags>"
-        f"{two_lanes() if lanelets is None else lanelets}"
-        f"{car(100, 20, 0) + car(101, 40, 3.0) if cars is None else cars}</commonRoad>"
-    )
-
 
 ALONE = car(100, 20, 0)
 

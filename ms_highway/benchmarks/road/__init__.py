@@ -24,7 +24,10 @@ RECORDED_TRAFFIC = ("learned", "replay", "idm")
 EGOS = ("problem", "changing")
 
 REACTIVE = ("reactive", "reactive-default")
-"""Peers that drive only in recordings, from their planning problems: privileged, as they know how others went."""
+"""Peers that solve planning problems of recordings: privileged, as they know how others went."""
+
+HUMAN = "human"
+"""The driver that goes as the vehicle was recorded to whose place the ego takes."""
 
 PEERS = ("idm", "idle", "random")
 """Drivers that are not this package's."""

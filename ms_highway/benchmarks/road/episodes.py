@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from ms_highway.benchmarks.road import REACTIVE, RECORDED, RECORDED_ID, SEARCH, TRAFFIC, driver_config, is_agent
+from ms_highway.benchmarks.road import HUMAN, REACTIVE, RECORDED, RECORDED_ID, SEARCH, TRAFFIC, driver_config, is_agent
 from ms_highway.benchmarks.road.export import Drive
 from ms_highway.benchmarks.road.judge import Verdict, judge_drive
 from ms_highway.benchmarks.road.measures import Watch, has_ended
 from ms_highway.benchmarks.road.peers import PEERS, Agent, Peer, policy_of
 from ms_highway.benchmarks.road.reactive import Reactive, ReactiveDefault
-from ms_highway.benchmarks.road.recorded import Start
+from ms_highway.benchmarks.road.recorded import Human, Start
 from ms_highway.benchmarks.road.search import Search
 from ms_highway.envs.road import drive
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
@@ -34,6 +34,7 @@ FRAMES_PER_SECOND = 15  # of films, at most
 OTHERS: dict[str, type[Peer]] = {
     **PEERS,
     SEARCH: Search,
+    HUMAN: Human,
     **dict(zip(REACTIVE, (Reactive, ReactiveDefault), strict=True)),
 }
 """Wrappers of the drivers that are not this package's own, by name."""
@@ -178,7 +179,8 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
     env.reset(seed=seed, options=block.options(seed))
     inner: Any = env.unwrapped
     drive = Drive(inner) if block.exports else None
-    watch, done = Watch(inner, *filter(None, (then, drive and drive.see))), False
+    every_frame = [*([then] if then else []), *([drive.see] if drive else [])]
+    watch, done = Watch(inner, *every_frame), False
     rewards, roads = [], []
     while not done:
         _, reward, terminated, truncated, info = env.step(None)

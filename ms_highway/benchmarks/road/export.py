@@ -64,7 +64,7 @@ class Drive:
         identity = open_commonroad(recording)[0].scenario_id
         driven = self._driven(recording)
         with replacing(scenario) as path:
-            driven.write(path, encoding="utf-8", xml_declaration=True)
+            ElementTree.ElementTree(driven).write(path, encoding="utf-8", xml_declaration=True)
         states = [
             KSState(
                 time_step=int(step),
@@ -83,7 +83,7 @@ class Drive:
             trajectory=Trajectory(states[0].time_step, states),
         )
         with replacing(solution) as path:
-            date = datetime.fromisoformat(driven.getroot().get("date", EPOCH))  # of the recording: the same each time
+            date = datetime.fromisoformat(driven.get("date", EPOCH))  # of the recording: the same each time
             whole = CommonRoadSolutionWriter(Solution(identity, [own], date=date))
             whole.write_to_file(str(path.parent.resolve()), path.name, overwrite=True)
 
@@ -94,12 +94,11 @@ class Drive:
         angles = np.arctan(WHEELBASE * turned).tolist()
         return [*angles, *(angles[-1:] or [0.0])]
 
-    def _driven(self, recording: Path) -> ElementTree.ElementTree:
+    def _driven(self, recording: Path) -> ElementTree.Element:
         """Return the XML of a recording in which the others go as they drove, in place of what was recorded."""
         opened = gzip.open if recording.name.endswith(COMPRESSED) else open
         with opened(recording) as file:
-            tree = ElementTree.parse(file)
-        root = tree.getroot()
+            root = ElementTree.fromstring(file.read())
         for obstacle in root.findall("dynamicObstacle"):
             rows = self._others.get(int(obstacle.get("id", -1)))
             if rows is None:
@@ -111,7 +110,7 @@ class Drive:
             obstacle.append(_state("initialState", rows[0]))
             trajectory = ElementTree.SubElement(obstacle, "trajectory")
             trajectory.extend(_state("state", row) for row in rows[1:])
-        return tree
+        return root
 
 
 def _state(name: str, row: tuple[float, ...]) -> ElementTree.Element:

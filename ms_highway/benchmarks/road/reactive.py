@@ -13,10 +13,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ms_highway.benchmarks.road.peers import Peer
+from ms_highway.benchmarks.road.recorded import GuidedVehicle
 from ms_highway.envs.recorded.commonroad import open_commonroad
 from ms_highway.envs.recorded.environment import RecordedEnv
 from ms_highway.envs.recorded.scenario import SHIPPED
-from ms_highway.envs.recorded.traffic import RecordedVehicle
 from ms_highway.envs.road.stock import replace_ego
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.runtime.extras import needing
@@ -27,20 +27,6 @@ SOONEST = 5  # steps, until the ego wants to be at its goal
 FASTEST = 35.0  # m/s, that is desired
 SOON = 2.0  # s before the goal, from which the desired speed is one that it allows
 WITHIN = 0.3  # m/s, inside the interval of speeds there
-
-
-class PlannedVehicle(RecordedVehicle):
-    """An ego that goes where it is told.
-
-    Attributes:
-        coming: position, heading and speed at the end of the step.
-    """
-
-    coming: tuple[np.ndarray, float, float]
-
-    def step(self, dt: float) -> None:
-        """Be where it is told."""
-        self.put(*self.coming)
 
 
 class Reactive(Peer):
@@ -76,7 +62,7 @@ class Reactive(Peer):
         problem = problems.planning_problem_dict[inner.task.problem.number]
         start = problem.initial_state
         start.acceleration = start.acceleration or 0.0
-        self._ego = replace_ego(self.env, lambda old: PlannedVehicle(old.road, old.position, old.heading, old.speed))
+        self._ego = replace_ego(self.env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
         self._configuration = _configured(scenario, problem, self.tuned)
         car = self._configuration.vehicle
         self._state = ReactivePlannerState.create_from_initial_state(copy(start), car.wheelbase, car.wb_rear_axle)

@@ -1,13 +1,18 @@
-"""Choose what to drive in recordings: their planning problems, or the places of those who changed lanes."""
+"""Choose what to drive in recordings, their planning problems or lane changes, and drive as those went who changed."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ms_highway.benchmarks.road.peers import Peer
 from ms_highway.envs.recorded.commonroad import scenario_files
+from ms_highway.envs.recorded.environment import RecordedEnv
 from ms_highway.envs.recorded.scenario import SHIPPED, Scenario, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
+from ms_highway.envs.recorded.traffic import RecordedVehicle, sampled
+from ms_highway.envs.road.stock import replace_ego
+from ms_highway.game.scenario import TIME_STEP
 
 LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
 CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: from its middle, within which a vehicle is in it; and moved aside
@@ -73,3 +78,43 @@ def _changing(scenario: Scenario) -> list[tuple[int, tuple[float, ...]]]:
         if lanes[0] != lanes[1] and abs(places[1] - lanes[1]) < CENTRED and abs(places[1] - places[0]) > CHANGED:
             found.append((track.number, tuple(samples[0, 1:3].round(2).tolist())))
     return found
+
+
+class GuidedVehicle(RecordedVehicle):
+    """An ego that goes where it is told.
+
+    Attributes:
+        coming: position, heading and speed at the end of the step.
+    """
+
+    coming: tuple[np.ndarray, float, float]
+
+    def step(self, dt: float) -> None:
+        """Be where it is told."""
+        self.put(*self.coming)
+
+
+class Human(Peer):
+    """Go as the vehicle was recorded to whose place the ego takes, and then straight on.
+
+    Raises:
+        ValueError: from a reset, for a planning problem, which nobody was recorded to solve.
+    """
+
+    def begin(self, seed: int | None) -> None:
+        """Put a car that goes where it is told in the place of the ego."""
+        env = self.inner
+        if not isinstance(env, RecordedEnv) or env.task.track is None:
+            raise ValueError("the driver human goes as a recorded vehicle did; say --egos changing")
+        self._track = next(track for track in env.scenario.tracks if track.number == env.task.track)
+        self._ego = replace_ego(self.env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
+
+    def choose(self) -> Any:
+        """Tell the ego where it was recorded to go."""
+        env, last = self.inner, int(self._track.samples[-1, 0])
+        step = env.step_of_recording + 1
+        x, y, orientation, speed = sampled(self._track, step)
+        beyond = TIME_STEP * max(step - last, 0) * speed
+        point = [x + beyond * np.cos(orientation), y + beyond * np.sin(orientation)]
+        self._ego.coming = env.axes.positions(point), float(env.axes.headings(orientation)), float(speed)
+        return super().choose()

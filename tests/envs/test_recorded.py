@@ -1,0 +1,716 @@
+"""Recorded traffic: of US-101, and of small scenarios written by hand, as an environment."""
+
+import json
+import warnings
+from functools import partial
+from itertools import combinations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from highway_env.road.lane import StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+from recordings import SPEED, TURN, car, lanelet, linked_lanes, place, problem, scenario, straight
+
+import ms_highway
+from ms_highway.envs.recorded.commonroad import open_commonroad
+from ms_highway.envs.recorded.network import SampledLane
+from ms_highway.envs.recorded.problem import Task, inside
+from ms_highway.envs.recorded.scenario import Goal, Problem, open_recording
+from ms_highway.envs.recorded.straight_road import StraightRoad
+from ms_highway.envs.recorded.traffic import overlap
+from ms_highway.vehicle.appointment import Appointment
+from ms_highway.vehicle.road_map import Spot, road_map
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+
+CARS = car(100, 60, 0) + car(101, 40, 3.5)
+WIDTH = 3.5  # m, of the lanes written by hand
+SEAM = 0.1  # m, beyond the edges of the road that still counts as road
+
+
+def written(directory, cars=CARS, problems=None, lanelets=None, **more):
+    """The file of a small scenario; by default, with two lanes, two cars and a problem."""
+    path = directory / "small.xml"
+    problems = problem() if problems is None else problems
+    lanelets = linked_lanes() if lanelets is None else lanelets
+    path.write_text(scenario(lanelets=lanelets, cars=cars, problems=problems, **more))
+    return str(path)
+
+
+def idle(*_):
+    """A continuous action, a new one each time, as `info` holds it."""
+    return np.zeros(2)
+
+
+def starting(env):
+    """Stand for 12 steps, and drive off."""
+    return np.array([0.0 if env.steps < 12 else 1.0, 0.0])
+
+
+def make(file, traffic="replay", action="ContinuousAction", **config):
+    """The environment of a file."""
+    config = {"recording": str(file), "traffic": traffic, "action": {"type": action}, **config}
+    return gym.make("ms-highway/recorded-v0", config=config)
+
+
+def steps(env, act=idle, most=1000):
+    """Drive an episode; yields what each step returns."""
+    for _ in range(most):
+        outcome = env.step(act(env.unwrapped))
+        yield outcome
+        if outcome[2] or outcome[3]:
+            break
+
+
+def braking(env, deceleration=3.0):
+    """Brake until the ego stands, along its lane."""
+    ego = env.vehicle
+    along, right = ego.lane.local_coordinates(ego.position)
+    turned = (ego.heading - ego.lane.heading_at(along) + np.pi) % (2 * np.pi) - np.pi
+    return np.array([-min(deceleration, ego.speed / 0.1) / 5, np.clip(-0.2 * right - 4 * turned, -1, 1)])
+
+
+def others(env):
+    """The vehicles that traffic moves, by their number."""
+    return {vehicle.number: vehicle for vehicle in env.unwrapped.road.vehicles if hasattr(vehicle, "number")}
+
+
+def overlapping(env):
+    """Pairs of the others whose bodies overlap."""
+    pairs = combinations(others(env).items(), 2)
+    return {frozenset((number, second)) for (number, one), (second, other) in pairs if overlap(one, other)}
+
+
+def poses(env, vehicle):
+    """Position in the map, orientation there, and speed of a vehicle."""
+    axes = env.unwrapped.axes
+    return *axes.points(vehicle.position), float(axes.orientations(vehicle.heading)), vehicle.speed
+
+
+@pytest.fixture(scope="module")
+def us(us101_directory):
+    """A function from the short name of a US-101 scenario to its file."""
+    return lambda name: us101_directory / f"USA_US101-{name}_T-1.xml.gz"
+
+
+@pytest.fixture(scope="module")
+def stood(us):
+    """Two episodes on US-101 whose ego brakes until it stands: the last info, the others each step, who overlapped."""
+    found = {}
+    for traffic in ("replay", "learned"):
+        env, seen, pairs = make(us("17_1"), traffic), [], set()
+        env.reset(seed=0)
+        for *_, info in steps(env, braking):
+            told = info["recorded"]
+            pairs |= overlapping(env)
+            seen.append({number: vehicle.speed for number, vehicle in others(env).items()})
+        hit = {number for number, vehicle in others(env).items() if vehicle.crashed}
+        found[traffic] = told, seen, pairs, hit
+    return found
+
+
+@pytest.mark.parametrize("action", [None, "ContinuousAction", "DiscreteAction"])
+def test_gymnasiums_checker_passes_without_a_warning(action, tmp_path):
+    config = {"recording": written(tmp_path), **({"action": {"type": action}} if action else {})}
+    env = gym.make("ms-highway/recorded-v0", render_mode="rgb_array", config=config)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+
+
+def test_the_same_seed_and_file_give_the_same_observations_byte_for_byte(us):
+    seen = []
+    for _ in range(2):
+        env = make(us("17_1"), "learned", "DiscreteMetaAction")
+        env.action_space.seed(3)
+        first, _ = env.reset(seed=5)
+        later = [env.step(env.action_space.sample())[0] for _ in range(20)]
+        seen.append([observation.tobytes() for observation in (first, *later)])
+    assert seen[0] == seen[1]
+    assert len(set(seen[0])) == 21
+
+
+def test_a_robot_in_learned_traffic_drives_the_same_trajectory_twice(us):
+    driven = []
+    for _ in range(2):
+        env = ms_highway.drive(make(us("17_1"), "learned"))
+        env.reset(seed=0)
+        states = [
+            np.array([[*vehicle.position, vehicle.heading, vehicle.speed] for vehicle in env.unwrapped.road.vehicles])
+            for _ in steps(env, lambda _: None, 20)
+        ]
+        driven.append([moment.tobytes() for moment in states])
+    assert driven[0] == driven[1]
+    assert len(set(driven[0])) == 20
+
+
+def test_in_replay_everybody_is_where_it_was_recorded_at_each_step(us):
+    env = make(us("17_1"))
+    _, info = env.reset(seed=0)
+    tracks = {track.number: track for track in env.unwrapped.scenario.tracks}
+    for step in range(env.unwrapped.task.last + 1):
+        there = {n: t.samples[t.samples[:, 0] == step] for n, t in tracks.items()}
+        there = {number: rows[0] for number, rows in there.items() if len(rows)}
+        assert info["recorded"]["step"] == step
+        assert others(env).keys() == there.keys()
+        for number, vehicle in others(env).items():
+            x, y, orientation, speed = poses(env, vehicle)
+            np.testing.assert_allclose([x, y, speed], there[number][[1, 2, 4]], rtol=0, atol=1e-6)
+            assert abs(np.exp(1j * orientation) - np.exp(1j * there[number][3])) < 1e-9
+            assert tracks[number].size == (vehicle.LENGTH, vehicle.WIDTH)
+        *_, info = env.step(idle())
+    assert len(there) < len(tracks) > 30
+
+
+def test_in_replay_vehicles_enter_and_leave_when_they_were_recorded_to(tmp_path):
+    cars = CARS + car(102, 0, 3.5, samples=10, first=7)
+    env = make(written(tmp_path, cars, problem(times=(35, 40), goal=190)))
+    env.reset(seed=0)
+    seen = [set(others(env))]
+    seen += [set(others(env)) for _ in steps(env)]
+    assert [102 in numbers for numbers in seen] == [7 <= step <= 16 for step in range(41)]
+    assert [100 in numbers for numbers in seen] == [step <= 19 for step in range(41)]
+
+
+def test_who_is_behind_an_ego_that_stands_is_hit_in_replay_and_brakes_in_learned_traffic(stood):
+    (replayed, went, _, hit), (learned, drove, _, unhurt) = stood["replay"], stood["learned"]
+    assert (replayed["collision"], learned["collision"]) == (True, False)
+    assert not unhurt
+    (follower,) = hit
+    assert went[len(went) - 1][follower] > 10.0
+    assert drove[len(went) - 1][follower] < 0.7 * went[-1][follower]
+    assert drove[-1][follower] < 3.0
+    assert learned["step"] == 80
+
+
+def test_learned_drivers_do_not_drive_through_each_other(stood):
+    assert not stood["learned"][2] - stood["replay"][2]
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason="learned drivers drive through each other")
+@pytest.mark.parametrize("name", ["11_4", pytest.param("10_4", marks=pytest.mark.slow)])
+def test_learned_drivers_do_not_drive_through_each_other_on_other_roads(name, us):
+    pairs = {}
+    for traffic in ("replay", "learned"):
+        env = make(us(name), traffic)
+        env.reset(seed=0)
+        pairs[traffic] = overlapping(env)
+        for _ in range(env.unwrapped.task.last):
+            env.step(idle())
+            pairs[traffic] |= overlapping(env)
+    assert not pairs["learned"] - pairs["replay"]
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason="followers creep into an ego that stands")
+@pytest.mark.parametrize("name", ["13_4", pytest.param("26_2", marks=pytest.mark.slow)])
+def test_learned_drivers_do_not_hit_an_ego_that_brakes_gently(name, us):
+    env = make(us(name), "learned")
+    env.reset(seed=0)
+    *_, (*_, info) = steps(env, partial(braking, deceleration=2.0))
+    assert not info["recorded"]["collision"]
+
+
+@pytest.mark.parametrize("traffic", ["learned", "idm"])
+def test_who_finds_somebody_in_its_place_waits_and_info_says_so(traffic, tmp_path):
+    late = car(102, 20, 0, samples=60, first=5)
+    env = make(written(tmp_path, CARS + late, problem(speed=0.0, goal=190, times=(0, 60))), traffic)
+    _, info = env.reset(seed=0)
+    assert info["recorded"]["waiting"] == ()
+    for *_, info in steps(env, starting):
+        gap = env.unwrapped.vehicle.position[0] - env.unwrapped.axes.positions(place(20, 0))[0]
+        if info["recorded"]["step"] < 5:
+            assert info["recorded"]["waiting"] == ()
+        elif info["recorded"]["step"] <= 12 or gap < 4.5:
+            assert info["recorded"]["waiting"] == (102,)
+            assert 102 not in others(env)
+        elif 102 in others(env):
+            break
+    assert gap > 4.5
+    assert info["recorded"]["waiting"] == ()
+
+
+def test_in_replay_nobody_waits(tmp_path):
+    cars = CARS + car(102, 20, 0, first=5)
+    env = make(written(tmp_path, cars, problem(speed=0.0, goal=190, times=(0, 60))))
+    env.reset(seed=0)
+    *_, (_, _, terminated, _, info) = steps(env)
+    assert (info["recorded"]["step"], info["recorded"]["waiting"], terminated) == (5, (), True)
+    assert info["recorded"]["collision"]
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason="it enters where it would be by now")
+@pytest.mark.parametrize("traffic", ["learned", "idm"])
+def test_who_waited_enters_where_it_was_to_enter(traffic, tmp_path):
+    late = car(102, 20, 0, samples=60, first=5)
+    env = make(written(tmp_path, CARS + late, problem(speed=0.0, goal=190, times=(0, 60))), traffic)
+    env.reset(seed=0)
+    for _ in steps(env, starting):
+        if 102 in others(env):
+            break
+    entered = env.unwrapped.axes.points(others(env)[102].position)
+    np.testing.assert_allclose(entered, place(20, 0), atol=1.5)
+
+
+SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 4.0], [0.0, 4.0]])
+
+
+def reached(step=15, point=(5.0, 2.0), orientation=0.0, speed=10.0, **goal):
+    """Whether a goal is reached; by default, anywhere within steps 10 to 20."""
+    goal = Goal(**({"times": (10, 20)} | goal))
+    return Task(Problem(1, (0.0, 0.0, 0.0, 0.0), 0, (goal,)), (4.5, 1.8)).is_reached(step, point, orientation, speed)
+
+
+def test_a_goal_counts_from_its_first_to_its_last_step():
+    assert [step for step in range(30) if reached(step)] == list(range(10, 21))
+
+
+def test_a_goal_counts_from_its_lowest_to_its_highest_speed():
+    speeds = [4.99, 5.0, 6.5, 8.0, 8.01]
+    assert [reached(speed=speed, speeds=(5.0, 8.0)) for speed in speeds] == [False, True, True, True, False]
+
+
+@pytest.mark.parametrize("turns", [-2, 0, 1])
+@pytest.mark.parametrize("low", [-0.8, 0.0, 3.0, -np.pi, 2 * np.pi - 0.1])
+def test_a_goal_counts_from_its_first_heading_to_the_left_to_its_last_whatever_the_number_of_turns(low, turns):
+    for last in (low + 0.3, low + 0.3 - 2 * np.pi):
+        given = [low + turns * 2 * np.pi + more for more in (-0.001, 0.001, 0.15, 0.299, 0.301, np.pi)]
+        assert [reached(orientation=orientation, headings=(low, last)) for orientation in given] == [
+            *(False, True, True, True, False, False)
+        ]
+
+
+def test_a_goal_counts_inside_its_area():
+    eps = 1e-9
+    points = [(eps, eps), (10 - eps, 4 - eps), (-eps, 2.0), (10 + eps, 2.0), (5.0, 4 + eps), (5.0, -eps)]
+    assert [reached(point=point, area=SQUARE) for point in points] == [True, True, False, False, False, False]
+
+
+def test_one_of_several_goals_is_enough_and_the_last_step_is_that_of_all():
+    goals = Goal((0, 5), SQUARE), Goal((10, 20), SQUARE + 100), Goal((8, 9))
+    task = Task(Problem(1, (0.0, 0.0, 0.0, 0.0), 0, goals), (4.5, 1.8))
+    asked = [(3, (5.0, 2.0)), (12, (5.0, 2.0)), (12, (105.0, 102.0)), (9, (50.0, 50.0))]
+    assert [task.is_reached(step, point, 0.0, 1.0) for step, point in asked] == [True, False, True, True]
+    assert task.last == 20
+
+
+def test_points_are_inside_a_polygon_with_a_notch_whichever_way_its_corners_go_round():
+    notched = np.array([[0, 0], [4, 0], [4, 4], [2, 1], [0, 4]], dtype=float)
+    points = np.array([[0.5, 1], [3.5, 1], [2, 0.5], [2, 2], [2, 3.9], [5, 1], [-1, 1], [2, -1]])
+    for polygon in (notched, notched[::-1], np.roll(notched, 2, axis=0)):
+        assert inside(polygon, points).tolist() == [True] * 3 + [False] * 5
+
+
+def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
+    from commonroad.scenario.state import CustomState
+
+    (theirs,) = open_commonroad(us("29_1"))[1].planning_problem_dict.values()
+    task = Task.of(open_recording(str(us("29_1"))), None)
+    (goal,) = task.problem.goals
+    rng = np.random.default_rng(0)
+    drawn = rng.uniform(-1.1, 1.1, (400, 4)) * [2.0, 2.0, np.ptp(goal.headings) / 2, np.ptp(goal.speeds) / 2]
+    drawn += [*goal.area.mean(axis=0), np.mean(goal.headings), np.mean(goal.speeds)]
+    found = []
+    for (x, y, orientation, speed), step in zip(drawn, rng.integers(37, 50, len(drawn)).tolist(), strict=True):
+        state = CustomState(position=np.array([x, y]), orientation=orientation, velocity=speed, time_step=step)
+        found.append(bool(theirs.goal.is_reached(state)))
+        assert task.is_reached(step, (x, y), orientation, speed) == found[-1]
+    assert 30 < sum(found) < 370
+
+
+@pytest.mark.parametrize(
+    ("changes", "step"),
+    [
+        ({}, 17),  # at 20 m + 17 1.2 m = 40.4 m, the first step in the region from 40 m to 60 m
+        ({"times": (25, 40)}, 25),
+        ({"times": (5, 16)}, None),
+        ({"speeds": (11.0, 13.0), "headings": (TURN - 0.1, TURN + 0.1)}, 17),
+        ({"speeds": (12.5, 13.0)}, None),
+        ({"headings": (TURN + 0.1, TURN + 0.3)}, None),
+        ({"goal_right": WIDTH}, None),
+    ],
+)
+def test_success_ends_the_episode_and_comes_only_within_all_of_the_goals_intervals(changes, step, tmp_path):
+    env = make(written(tmp_path, problems=problem(**changes)))
+    env.reset(seed=0)
+    outcomes = list(steps(env))
+    *_, (_, reward, terminated, truncated, info) = outcomes
+    last = changes.get("times", (10, 40))[1]
+    assert (terminated, truncated) == (step is not None, len(outcomes) == last)
+    assert info["recorded"]["step"] == len(outcomes) == (step or last)
+    assert info["recorded"]["success"] == (step is not None)
+    assert reward == pytest.approx((step is not None) + 0.002 * SPEED * 0.1, abs=1e-6)
+
+
+def test_an_episode_that_starts_later_ends_with_the_last_goals_step_of_the_recording(tmp_path):
+    env = make(written(tmp_path, problems=problem(time=12, times=(15, 30), goal=190)))
+    _, info = env.reset(seed=0)
+    assert info["recorded"]["step"] == 12
+    np.testing.assert_allclose(poses(env, others(env)[100])[:2], place(60 + 12 * SPEED * 0.1, 0), atol=1e-6)
+    outcomes = list(steps(env))
+    assert (len(outcomes), *outcomes[-1][2:4]) == (18, False, True)
+
+
+@pytest.mark.parametrize("traffic", ["replay", "learned", "idm"])
+def test_a_collision_ends_the_episode_without_success(traffic, tmp_path):
+    cars = car(100, 27, 0, samples=60)
+    env = make(written(tmp_path, cars, problem(speed=25.0, goal=32.0, times=(2, 40))), traffic)
+    env.reset(seed=0)
+    *_, (_, reward, terminated, truncated, info) = steps(env)
+    told = info["recorded"]
+    assert (terminated, truncated, told["collision"], told["success"]) == (True, False, True, False)
+    ego, other = env.unwrapped.vehicle, others(env)[100]
+    assert overlap(ego, other)
+    assert told["step"] == 2
+    assert -1.0 < reward < -0.9
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_leaving_the_road_by_a_corner_ends_the_episode(side, tmp_path):
+    right = 0.0 if side < 0 else WIDTH
+    env = make(written(tmp_path, car(100, 150, 0, samples=60), problem(right=right, goal=190)))
+    env.reset(seed=0)
+    axes, ego, outcomes, rights = env.unwrapped.axes, env.unwrapped.vehicle, [], []
+    for outcome in steps(env, lambda _: np.array([0.0, 0.5 * side])):
+        outcomes.append(outcome)
+        rights.append(axes.points(ego.polygon()[:-1]) @ [np.sin(TURN), -np.cos(TURN)])
+    out = [(corners < -WIDTH / 2 - SEAM) | (corners > WIDTH * 1.5 + SEAM) for corners in rights]
+    *_, (_, reward, terminated, _, info) = outcomes
+    assert (terminated, info["recorded"]["off_road"], info["recorded"]["success"]) == (True, True, False)
+    assert not np.any(out[:-1])
+    assert 0 < out[-1].sum() < 4
+    assert -1.0 < reward < -0.9
+
+
+def test_the_ego_in_the_place_of_a_recorded_vehicle_goes_to_its_last_position(us):
+    env = make(us("17_1"), ego=278)
+    _, info = env.reset(seed=0)
+    base = env.unwrapped
+    (track,) = [track for track in base.scenario.tracks if track.number == 278]
+    first, last = track.samples[[0, -1]]
+    np.testing.assert_allclose(poses(env, base.vehicle), first[1:], atol=1e-6)
+    assert track.size == (base.vehicle.LENGTH, base.vehicle.WIDTH)
+    assert info["recorded"]["step"] == first[0]
+    assert 278 not in others(env)
+    assert len(others(env)) == len([t for t in base.scenario.tracks if t.samples[0, 0] == first[0]]) - 1
+    for step, right in ((last[0], True), (last[0] + 20, True), (last[0] + 21, False)):
+        assert base.task.is_reached(int(step), last[1:3], last[3], last[4]) == right
+    assert not base.task.is_reached(int(last[0]), first[1:3], first[3], first[4])
+    assert base.appointment.spot.lane == base.road.network.get_closest_lane_index(base.axes.positions(last[1:3]))
+    for _ in range(5):
+        env.step(idle())
+        assert 278 not in others(env)
+
+
+def test_who_drives_as_the_recorded_vehicle_did_has_success(tmp_path):
+    env = make(written(tmp_path, problems=""), ego=100)
+    env.reset(seed=0)
+    *_, (_, _, terminated, _, info) = steps(env)
+    assert (terminated, info["recorded"]["success"]) == (True, True)
+    assert info["recorded"]["step"] == 18  # 1.2 m before its last position, of a region 4 m long
+
+
+def test_a_driven_robot_keeps_the_size_of_the_recorded_vehicle(tmp_path):
+    env = ms_highway.drive(make(written(tmp_path, problems=""), ego=100))
+    env.reset(seed=0)
+    assert (env.unwrapped.vehicle.LENGTH, env.unwrapped.vehicle.WIDTH) == (4.5, 1.8)
+
+
+def on_one_line(error):
+    return str(error.value).count("\n") == 0
+
+
+@pytest.mark.parametrize(
+    ("file", "config", "message"),
+    [
+        ({"problems": ""}, {}, r"small.xml has no planning problem; drive .* config\['ego'\], such as 100"),
+        ({"problems": problem(right=40.0)}, {}, r"small.xml: there is no lanelet under the start, \(39.1, -21.7\)"),
+        ({"time_step": 0.2}, {}, r"small.xml: the time step is 0.2 s; it must be 0.1 s"),
+        ({"lanelets": linked_lanes("opposite")}, {}, r"small.xml: lanelet 1 .* only roads of one direction can be dr"),
+        ({"lanelets": ""}, {}, r"small.xml: there are no lanelets"),
+        ({"lanelets": linked_lanes() + lanelet(9, 8, straight(200, 0))}, {}, "lanelet 9 goes against the others; only"),
+        ({"lanelets": linked_lanes().replace('ref="4" driv', 'ref="2" driv')}, {}, "lanelet 2 is beside itself"),
+        ({"cars": ""}, {}, r"small.xml: there is no dynamic obstacle with two samples"),
+        ({}, {"ego": 7}, r"config\['ego'\] is 7, which small.xml does not have; choose one of 100, 101"),
+        ({"cars": CARS + car(103, 5, 0, 1)}, {"ego": 103}, r"config\['ego'\] is 103, which was seen only once"),
+        ({}, {"ego": "nobody"}, r"config\['ego'\] is 'nobody'; say 'problem'"),
+        ({}, {"recording": "us102"}, r"config\['recording'\] is 'us102', which is no file; give .* or 'us101'"),
+        ({}, {"recording": 101}, r"config\['recording'\] is 101; give the file of a CommonRoad scenario"),
+        ({}, {"traffic": "real"}, r"config\['traffic'\] is 'real'; choose one of 'learned', 'replay', 'idm'"),
+        ({}, {"trafic": "idm"}, r"unknown key 'trafic' in config; did you mean 'traffic'"),
+        ({}, {"goal_reward": float("nan")}, r"config\['goal_reward'\] is nan; it must be a number"),
+        ({}, {"policy_frequency": 5}, r"config\['policy_frequency'\] is 5; .* it must be 10"),
+        ({}, {"observation": {"type": "CarStates"}}, r"config\['observation'\] is .*; its 'type' must be one of"),
+        ({}, {"action": {"type": "Autopilot"}}, r"config\['action'\] is .*; its 'type' must be one of"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused_by_name_with_what_to_do(file, config, message, tmp_path):
+    path = written(tmp_path, **file)
+    with pytest.raises(ValueError, match=message) as error:
+        make(path, **config).reset(seed=0)
+    assert on_one_line(error)
+
+
+@pytest.mark.parametrize("kept", [0, 2500])
+def test_a_damaged_file_is_refused_by_name(kept, tmp_path):
+    path = written(tmp_path)
+    with open(path, "r+") as file:
+        file.truncate(kept)
+    with pytest.raises(
+        ValueError, match=r"small.xml cannot be read as a CommonRoad scenario .*fetch it again"
+    ) as error:
+        make(path).reset(seed=0)
+    assert on_one_line(error)
+
+
+@pytest.mark.xfail(
+    strict=True, reason="problems of a start that is no number, or without goals, are not refused by name"
+)
+@pytest.mark.parametrize(
+    "problems", [problem(speed=float("nan")), problem().split("<goalState>")[0] + "</planningProblem>"]
+)
+def test_a_damaged_planning_problem_is_refused_by_name(problems, tmp_path):
+    env = make(written(tmp_path, problems=problems))
+    with pytest.raises(ValueError, match=r"small\.xml"):
+        env.reset(seed=0)
+
+
+BAD = {
+    "ego": lambda directory: {"ego": 7},
+    "key": lambda directory: {"trafic": "idm"},
+    "file": lambda directory: {"recording": str(directory / "missing.xml")},
+    "start": lambda directory: {"recording": written(directory, problems=problem(right=40.0))},
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_after_a_failed_reset_the_configuration_is_that_of_before(kind, tmp_path):
+    directory = tmp_path / "bad"
+    directory.mkdir()
+    env = make(written(tmp_path))
+    env.reset(seed=0)
+    env.step(idle())
+    before = dict(env.unwrapped.config)
+    with pytest.raises(ValueError, match=r"small\.xml|missing\.xml|trafic"):
+        env.reset(options={"config": {"traffic": "idm", **BAD[kind](directory)}})
+    assert env.unwrapped.config == before
+    assert (env.unwrapped.settings.traffic, env.unwrapped.steps) == ("replay", 1)
+    _, info = env.reset(seed=0)
+    assert (info["recorded"]["step"], set(others(env))) == (0, {100, 101})
+    assert [type(vehicle).__name__ for vehicle in others(env).values()] == ["RecordedVehicle"] * 2
+
+
+@pytest.mark.xfail(strict=True, raises=AttributeError, reason="the road of the old episode is gone, with its traffic")
+def test_after_a_failed_reset_the_old_episode_goes_on(tmp_path):
+    directory = tmp_path / "bad"
+    directory.mkdir()
+    env = make(written(tmp_path))
+    env.reset(seed=0)
+    env.step(idle())
+    with pytest.raises(ValueError, match="no lanelet under the start"):
+        env.reset(options={"config": BAD["start"](directory)})
+    assert env.step(idle())[4]["recorded"]["step"] == 2
+
+
+def network_of_file(us, name):
+    """The road network of a recording, and the environment."""
+    env = make(us(name))
+    env.reset(seed=0)
+    return env.unwrapped.road.network, env.unwrapped
+
+
+@pytest.fixture(scope="module")
+def merge(us):
+    return network_of_file(us, "17_1")
+
+
+@pytest.fixture(scope="module")
+def exits(us):
+    return network_of_file(us, "14_1")
+
+
+def lanes_by_road(network):
+    return {(start, end): len(lanes) for start, ends in network.graph.items() for end, lanes in ends.items()}
+
+
+def test_the_roads_of_a_merge_lead_into_one_node_and_its_lanes_into_each_other(merge):
+    network, _ = merge
+    roads = lanes_by_road(network)
+    (after,) = [road for road, lanes in roads.items() if lanes == 6]
+    before = {road: lanes for road, lanes in roads.items() if road != after}
+    assert sorted(before.values()) == [1, 5]
+    assert {end for _, end in before} == {after[0]}
+    lanes = road_map(network).lanes
+    leads = [lane.following()[0].number for lane in lanes.values() if lane.end == after[0] and lane.following()]
+    assert sorted(leads) == [0, 1, 2, 3, 4, 5]
+    (ramp,) = [lane for lane in lanes.values() if roads[lane.index[:2]] == 1]
+    assert ramp.following()[0].number == 5
+
+
+def test_the_roads_of_an_exit_come_from_one_node(exits):
+    network, _ = exits
+    roads = lanes_by_road(network)
+    (before,) = [road for road, lanes in roads.items() if lanes == 6]
+    after = {road: lanes for road, lanes in roads.items() if road != before}
+    assert sorted(after.values()) == [1, 5]
+    assert {start for start, _ in after} == {before[1]}
+    lanes = road_map(network).lanes
+    follow = [lanes[*before, number].following()[0] for number in range(6)]
+    assert [roads[lane.index[:2]] for lane in follow] == [5] * 5 + [1]
+    assert [lane.number for lane in follow] == [0, 1, 2, 3, 4, 0]
+
+
+def test_lanes_go_on_smoothly_over_joints_and_within_themselves(merge, exits):
+    for network, _ in (merge, exits):
+        joints = [(lane.shape, other.shape) for lane in road_map(network).lanes.values() for other in lane.following()]
+        assert len(joints) == 6
+        for one, other in joints:
+            assert np.linalg.norm(one.position(one.length, 0) - other.position(0, 0)) < 0.05
+            assert abs(one.heading_at(one.length) - other.heading_at(0)) < 0.02
+        for lane in network.lanes_list():
+            assert np.abs(np.diff(lane.headings)).max() < 0.02
+
+
+def test_lane_coordinates_lead_back_to_positions(merge, exits):
+    for network, _ in (merge, exits):
+        for lane in network.lanes_list():
+            for along in np.linspace(-20.0, lane.length + 20.0, 60):
+                for right in (-2.0, 0.0, 1.5):
+                    found = lane.local_coordinates(lane.position(along, right))
+                    np.testing.assert_allclose(found, (along, right), rtol=0, atol=0.01)
+
+
+def test_lanes_are_as_wide_and_go_where_the_file_says(merge):
+    network, env = merge
+    lanes = network.lanes_list()
+    taken = set()
+    for piece in env.scenario.lanelets:
+        middles = env.axes.positions(piece.centre)
+        offsets = [np.abs([lane.local_coordinates(point) for point in middles]) for lane in lanes]
+        places = [np.array([lane.local_coordinates(point)[0] for point in middles]) for lane in lanes]
+        beside = [
+            part[:, 1].max() + max(0, -x.min()) + max(0, x.max() - lane.length)
+            for lane, part, x in zip(lanes, offsets, places, strict=True)
+        ]
+        best = int(np.argmin(beside))
+        taken.add(best)
+        assert beside[best] < 0.25
+        widths = np.linalg.norm(piece.left - piece.right, axis=-1)
+        found = [lanes[best].width_at(along) for along in places[best]]
+        np.testing.assert_allclose(found, widths, rtol=0, atol=0.05)
+    assert len(taken) == len(lanes) == len(env.scenario.lanelets)
+
+
+def test_a_lane_is_the_same_after_json(exits):
+    network, _ = exits
+    for lane in network.lanes_list():
+        copy = SampledLane.from_config(json.loads(json.dumps(lane.to_config())))
+        assert copy.to_config() == lane.to_config()
+        np.testing.assert_array_equal(copy.position(17.3, 0.4), lane.position(17.3, 0.4))
+        assert (copy.length, copy.width_at(30.0)) == (lane.length, lane.width_at(30.0))
+
+
+@pytest.mark.xfail(strict=True, raises=KeyError, reason="to_config lacks the class_path that highway-env's lanes give")
+def test_a_network_is_the_same_after_json(exits):
+    network, _ = exits
+    again = RoadNetwork.from_config(json.loads(json.dumps(network.to_config())))
+    assert again.lanes_dict().keys() == network.lanes_dict().keys()
+    assert all(isinstance(lane, SampledLane) for lane in again.lanes_list())
+
+
+def straightened(us, name):
+    recording = open_recording(str(us(name)))
+    road = StraightRoad.of(recording.lanelets)
+    return road, [
+        (track.samples, road.straighten(track.samples[:, 1:3], *track.samples[:, 3:].T)) for track in recording.tracks
+    ]
+
+
+def test_recorded_states_are_the_same_after_the_road_was_straightened_and_bent(us):
+    road, tracks = straightened(us, "17_1")
+    assert len(tracks) > 30
+    for samples, states in tracks:
+        points, orientations = road.bend(states)
+        np.testing.assert_allclose(points, samples[:, 1:3], rtol=0, atol=1e-6)
+        assert np.abs(np.exp(1j * orientations) - np.exp(1j * samples[:, 3])).max() < 1e-6
+        np.testing.assert_array_equal(states[:, 3], samples[:, 4])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "17_1",
+        pytest.param(
+            "10_4",
+            marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="its ramp begins with a jump of 37 m"),
+        ),
+    ],
+)
+def test_on_the_straight_road_cars_move_where_they_head(name, us):
+    _, tracks = straightened(us, name)
+    for _, states in tracks:
+        moves = np.diff(states[:, :2], axis=0)
+        went = np.hypot(*moves.T) > 0.3
+        courses = np.arctan2(moves[:, 1], moves[:, 0])
+        assert np.abs(courses - states[:-1, 2])[went].max(initial=0.0) < 0.15
+
+
+MIDDLE = pytest.mark.xfail(strict=True, raises=AssertionError, reason="the middle of the times outweighs the speeds")
+STRAIGHT = RoadNetwork()
+STRAIGHT.add_lane("a", "b", StraightLane([0, 0], [400, 0], width=4.0))
+
+
+@pytest.mark.parametrize(
+    ("speed", "distance", "times", "speeds"),
+    [
+        (15.0, 120.0, (7.0, 8.0), (0.0, np.inf)),
+        (10.0, 120.0, (7.0, 8.0), (15.0, 25.0)),
+        (20.0, 100.0, (7.0, 8.0), (5.0, 12.0)),
+        (12.0, 60.0, (9.0, 10.0), (0.0, 3.0)),
+        (5.0, 30.0, (9.0, 10.0), (0.0, 3.0)),
+        (15.0, 150.0, (10.0, 10.0), (0.0, np.inf)),
+        (12.0, 100.0, (0.0, 16.0), (0.0, np.inf)),
+        (13.0, 130.0, (7.0, 8.0), (18.0, 24.0)),
+        pytest.param(15.0, 120.0, (7.0, 8.0), (9.8, 15.8), marks=MIDDLE),  # who just goes on is there after 8 s
+        pytest.param(20.0, 150.0, (9.0, 10.0), (5.0, 11.0), marks=MIDDLE),  # as is who brakes by 1 m/s^2, after 10 s
+    ],
+)
+def test_who_goes_as_fast_as_is_desired_keeps_its_appointment(speed, distance, times, speeds):
+    road = Road(STRAIGHT)
+    vehicle = Vehicle(road, [20.0, 0.0], 0.0, speed)
+    road.vehicles = [vehicle]
+    place = np.array([20.0 + distance, 0.0])
+    kept = Appointment(Spot(("a", "b", 0), place[0]), place, times, speeds)
+    for step in range(200):
+        now = step * 0.1
+        wanted = kept.desired_speed(vehicle, now)
+        vehicle.speed += 0.1 * float(np.clip(wanted - vehicle.speed, -3.0, 3.0))  # it is the speed a second later
+        vehicle.position = vehicle.position + np.array([vehicle.speed * 0.1, 0.0])
+        there = abs(kept.distance(vehicle)) <= 2.0 and speeds[0] <= vehicle.speed <= speeds[1]
+        if there and times[0] <= now + 0.1 + 1e-9 <= times[1] + 1e-9:
+            break
+    assert there
+    assert now < times[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "traffic"),
+    [
+        ("17_1", "learned"),
+        pytest.param("17_1", "replay", marks=pytest.mark.slow),
+        pytest.param("28_1", "learned", marks=pytest.mark.slow),
+        pytest.param("28_1", "replay", marks=pytest.mark.slow),
+    ],
+)
+def test_the_robot_keeps_appointments_on_us101(name, traffic, us):
+    env = ms_highway.drive(make(us(name), traffic))
+    env.reset(seed=0)
+    *_, (*_, info) = steps(env, lambda _: None)
+    told = info["recorded"]
+    (goal,) = env.unwrapped.task.problem.goals
+    assert (told["success"], told["collision"], told["off_road"]) == (True, False, False)
+    assert info["road"]["success"]
+    assert goal.times[0] <= told["step"] <= goal.times[1]
+    assert goal.speeds[0] <= env.unwrapped.vehicle.speed <= goal.speeds[1]
