@@ -83,7 +83,7 @@ class RecordedEnv(ConfiguredEnv):
             "off_road_reward": -1.0,
             "progress_reward": 0.002,
             "screen_width": 960,
-            "screen_height": 200,
+            "screen_height": 280,
             "scaling": 6.0,
             "centering_position": [0.4, 0.5],
         }
