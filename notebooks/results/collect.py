@@ -30,6 +30,9 @@ TABLES = "summary", "regrets"  # what some of them hold, and what is kept with a
 ROADS = "road", "road_commuters"
 """Directories of figures in results/, each file written by ``ms-highway bench road --json``, and what keeps them."""
 
+RECORDED = "recorded"
+"""Directory of figures in results/, files ``EGOS_TRAFFIC.json`` of ``bench road recorded --json``, and what keeps them."""
+
 SHOWN = {  # in the project's README
     "stay_back": ["naive", "turn"],
     "merger": ["naive", "tom", "switching:0.1"],
@@ -60,6 +63,11 @@ def collect(results: Path) -> None:
                 roads.setdefault(scene, {}).update(drivers)
         if roads:
             (KEPT / f"{name}.json").write_text(json.dumps(in_order(roads), indent=2) + "\n")
+    recorded = {
+        file.stem: json.loads(file.read_text())[RECORDED] for file in sorted((results / RECORDED).glob("*.json"))
+    }
+    if recorded:
+        (KEPT / f"{RECORDED}.json").write_text(json.dumps(recorded, indent=2) + "\n")
 
 
 def comparison(run: str) -> Results:
@@ -89,6 +97,7 @@ def tables() -> dict[str, str]:
         "crowd peers": overview([comparison("crowd_peers")]),
         "limits": limits.drop(columns=[name for name in limits if "collision" not in name][2:]),
         "regrets": regret_cells(kept_table("regrets", "frontier")),
+        **recorded_tables(),
         **{name: road_cells(json.loads((KEPT / f"{name}.json").read_text())) for name in ROADS},
     }
     return {name: markdown(table) for name, table in cells.items()}
@@ -148,6 +157,37 @@ def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
         for driver, one in drivers.items()
         for used in [one.get("rungs")]
     )
+
+
+def recorded_tables() -> dict[str, pd.DataFrame]:
+    """Texts, a table for planning problems and one for lane changes, a row per kind of traffic and driver."""
+    kept = json.loads((KEPT / f"{RECORDED}.json").read_text())
+    tables: dict[str, list[dict[str, str]]] = {}
+    for run, drivers in kept.items():
+        egos, _, traffic = run.partition("_")
+        for driver, one in drivers.items():
+            seconds, judged = one["goal_seconds"], one["judged"]
+            cells = {
+                "traffic": traffic,
+                "driver": driver,
+                "goal": f"{one['success'] * one['episodes']:.0f} of {one['episodes']}",
+                "collisions (at fault)": f"{one['collisions']} ({one['at_fault']})",
+                "off road": f"{one['off_road'] * one['episodes']:.0f}",
+                "s to goal": "" if seconds is None else f"{seconds:.1f}",
+                "m/s² at most": f"{one['max_acceleration']:.1f}",
+                "jerk, m/s³": f"{one['jerk']:.1f}",
+                "naive / idm / turn / tom %": " / ".join(
+                    f"{100 * one['rungs'].get(rung, 0.0):.0f}" for rung in PACKAGE_MODELS
+                )
+                if one["rungs"]
+                else "",
+                "ms p50, p99": f"{one['p50_ms']:.1f}, {one['p99_ms']:.1f}",
+                "label": one["label"],
+            }
+            if egos == "problem":
+                cells["judge agrees, feasible"] = f"{one['agrees']}, {one['feasible']} of {judged}" if judged else ""
+            tables.setdefault(f"recorded {egos}", []).append(cells)
+    return {name: pd.DataFrame(rows) for name, rows in tables.items()}
 
 
 def rewrite(page: Path, texts: dict[str, str]) -> None:

@@ -61,6 +61,8 @@ def test_robots_of_the_examples_choose_their_models_and_drive_without_a_crash_an
     largest = re.findall(r"at most ([\d.]+) m/s\^2", printed["stock_road"])
     assert largest
     assert max(map(float, largest)) <= 4.0  # that it asks for
+    assert "'success': True" in printed["recorded"]
+    assert float(re.findall(r"at most ([\d.]+) m/s\^2", printed["recorded"])[0]) <= 5.0
 
 
 def test_an_example_imports_the_package_by_one_line_beside_experiments():

@@ -3,6 +3,7 @@
 import json
 import re
 import runpy
+from dataclasses import replace
 from itertools import chain
 from types import SimpleNamespace
 
@@ -10,7 +11,9 @@ import pandas as pd
 import pytest
 from test_pages import README, RESULTS, ROOT, TEXTS
 
-from ms_highway.benchmarks.road.episodes import Block, Episode
+from ms_highway.benchmarks.road.episodes import Block, row, run_episode
+from ms_highway.benchmarks.road.judge import Verdict
+from ms_highway.benchmarks.road.recorded import Start
 from ms_highway.experiments.analysis.tradeoff import meta_rewards
 from ms_highway.experiments.frontier import INDEX, KEPT_COLUMNS
 from ms_highway.experiments.records import columns
@@ -95,7 +98,9 @@ def test_the_columns_of_all_csv_files_are_explained_and_no_others():
     glossary = TEXTS[RESULTS].partition("## Columns of CSV files")[2]
     rows = [line.split("|")[1] for line in glossary.splitlines() if line.startswith("| `")]
     kept = [pd.read_csv(KEPT / f"{name}.csv", nrows=0) for name in COLLECTED.TABLES]
-    road = {*Block._fields, *Episode.__annotations__, "p50_ms", "max_ms"} - {"decisions", "sources", "rungs"}
+    block = Block("recorded", "idle", "replay", (Start("name", "file"),))
+    episode = run_episode(Block("highway-fast-v0", "idle"), 0)
+    road = set(row(block, replace(episode, verdict=Verdict(True, False, False, True))))
     found = {*chain(*kept), *columns(PAPER_MODELS, PAPER_MODELS[1:]), *INDEX, *KEPT_COLUMNS, "meta_reward", *road}
     assert {re.sub("^(gain|share|humans)_.*", r"\1_MODEL", name) for name in found} == set(
         re.findall(r"`(\w+)`", "".join(rows))

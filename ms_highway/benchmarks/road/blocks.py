@@ -55,7 +55,7 @@ def run_blocks(
                     seen.setdefault(episode.success, seed)
                     reports.put((block, episode))
                 for success, seed in seen.items():
-                    name = f"{block.scene}_{block.driver}_{'success' if success else 'failure'}_{seed}.gif"
+                    name = f"{block.scene}_{block.driver}_{'success' if success else 'failure'}_{block.name(seed)}.gif"
                     if films:
                         process.submit(film, block, seed, films / re.sub(r"[:/\\]", "_", name)).result()
         finally:

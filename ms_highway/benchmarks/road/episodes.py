@@ -220,11 +220,24 @@ def _exported(drive: Drive, block: Block, seed: int) -> Verdict | None:
 def film(block: Block, seed: int, path: Path) -> None:
     """Drive an episode again and write it to a video file, ``.gif`` or ``.mp4``, that plays at true speed.
 
+    Where the ego takes the place of a recorded vehicle, the recording is shown above.
+
     Raises:
         OSError: if it cannot be written.
     """
     from ms_highway.visualization.video import write
 
+    frames, rate = _filmed(block, seed)
+    if block.starts and block.starts[seed].ego is not None:
+        above, _ = _filmed(block._replace(driver=HUMAN, traffic="replay"), seed)
+        longest = max(len(frames), len(above))
+        whole = [[*one, *[one[-1]] * (longest - len(one))] for one in (above, frames)]
+        frames = [np.vstack(pair) for pair in zip(*whole, strict=True)]
+    write(frames, path, rate)
+
+
+def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
+    """Return the pictures of an episode, and how many there are of a second."""
     env: Any = make_driver(block, render_mode="rgb_array")
     frequency, pictures, frames = env.unwrapped.config["simulation_frequency"], [], count()
     every = max(1, round(frequency / FRAMES_PER_SECOND))
@@ -233,9 +246,9 @@ def film(block: Block, seed: int, path: Path) -> None:
         if next(frames) % every == 0:
             pictures.append(env.render())
 
-    run_episode(block, seed, env, picture)
+    run_episode(block._replace(exports=None), seed, env, picture)
     env.close()
-    write(pictures, path, frequency / every)
+    return pictures, frequency / every
 
 
 def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
