@@ -95,14 +95,14 @@ class RoadViewer(Viewer):
         """Write how many cars each rung predicts, where the control comes from, and how long the plan took."""
         width, height = self.picture.get_size()
         pygame.draw.rect(self.picture, PAPER, (0, height - PANEL, width, PANEL))
-        text, place = "the episode starts", GAP
+        text, place = f"{self.env.vehicle.speed:.1f} m/s", GAP
         if step is not None:
             cars = dict.fromkeys(zip(step.models, np.asarray(step.owners).tolist(), strict=True))  # each of them once
             for rung, count in Counter(rung for rung, _ in cars if rung).items():
                 pygame.draw.circle(self.picture, model_color(rung), (place + 4, height - PANEL // 2), 5)
                 place = self._write(f"{rung} {count}", place + 14)
             milliseconds = 1e3 * (step.planning_seconds + step.decision_seconds)
-            text = f"{step.source}, {milliseconds:.1f} ms, {self.env.vehicle.speed:.1f} m/s"
+            text = f"{step.source}, {milliseconds:.1f} ms, {text}"
         self._write(text, place)
 
     def _write(self, text: str, place: int) -> int:

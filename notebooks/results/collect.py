@@ -31,7 +31,7 @@ ROADS = "road", "road_commuters"
 """Directories of figures in results/, each file written by ``ms-highway bench road --json``, and what keeps them."""
 
 RECORDED = "recorded"
-"""Directory of figures in results/, files ``EGOS_TRAFFIC.json`` of ``bench road recorded --json``, and what keeps them."""
+"""Directory of figures in results/, files ``EGOS_TRAFFIC.json`` of ``bench road recorded``, and what keeps them."""
 
 SHOWN = {  # in the project's README
     "stay_back": ["naive", "turn"],

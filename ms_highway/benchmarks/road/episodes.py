@@ -23,6 +23,7 @@ from ms_highway.benchmarks.road.reactive import Reactive, ReactiveDefault
 from ms_highway.benchmarks.road.recorded import Human, Start
 from ms_highway.benchmarks.road.search import Search
 from ms_highway.envs.road import drive
+from ms_highway.envs.road.graphics import show
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
 from ms_highway.envs.road.stock import success
 
@@ -246,6 +247,7 @@ def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
         if next(frames) % every == 0:
             pictures.append(env.render())
 
+    show(env)
     run_episode(block._replace(exports=None), seed, env, picture)
     env.close()
     return pictures, frequency / every
