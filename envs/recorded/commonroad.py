@@ -2,7 +2,7 @@
 
 import gzip
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -40,8 +40,12 @@ def scenario_files(directory: Path) -> list[Path]:
     return paths
 
 
-def read_scenario(path: Path) -> Scenario:
+def read_scenario(path: Path, with_problems: bool = True) -> Scenario:
     """Read a CommonRoad scenario whose vehicles were recorded every 0.1 s.
+
+    Args:
+        path: of the file.
+        with_problems: whether its planning problems are read, too.
 
     Raises:
         ValueError: naming the file, if it is damaged, or holds something else.
@@ -49,7 +53,7 @@ def read_scenario(path: Path) -> Scenario:
     """
     scenario, problems = open_commonroad(path)
     try:
-        return _converted(scenario, problems, path.name)
+        return _converted(scenario, problems.planning_problem_dict.values() if with_problems else (), path.name)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -84,7 +88,7 @@ def open_commonroad(path: Path) -> tuple[Any, Any]:
                 raise ValueError(str(error)) from error
 
 
-def _converted(scenario: Any, problems: Any, source: str) -> Scenario:
+def _converted(scenario: Any, problems: Iterable[Any], source: str) -> Scenario:
     if not np.isclose(scenario.dt, TIME_STEP):
         raise ValueError(f"the time step is {scenario.dt} s; it must be {TIME_STEP} s")
     tracks = tuple(map(_track, scenario.dynamic_obstacles))
@@ -106,7 +110,7 @@ def _converted(scenario: Any, problems: Any, source: str) -> Scenario:
         lanelets=lanelets,
         tracks=tracks,
         obstacles=tuple(map(_obstacle, scenario.static_obstacles)),
-        problems=tuple(map(_problem, problems.planning_problem_dict.values())),
+        problems=tuple(map(_problem, problems)),
     )
 
 
@@ -175,7 +179,12 @@ def _problem(problem: Any) -> Problem:
     except (AttributeError, TypeError, ValueError) as error:
         name = f"planning problem {problem.planning_problem_id}"
         raise ValueError(f"{name} lacks an exact position, orientation or velocity of its start; {MEND}") from error
+    name = f"planning problem {problem.planning_problem_id}"
+    if not (np.abs(start) <= MOST_SAMPLED[1:]).all() or start[3] < 0:
+        raise ValueError(f"{name} starts nowhere on Earth, backwards or faster than any car: {start}; {MEND}")
     goals = tuple(goal for state in problem.goal.state_list for goal in _goals(state))
+    if not goals or max(goal.times[1] for goal in goals) <= state.time_step:
+        raise ValueError(f"{name} has no goal after its start; {MEND}")
     return Problem(problem.planning_problem_id, start, int(state.time_step), goals)
 
 

@@ -10,7 +10,7 @@ from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
 from ms_highway.envs.recorded.network import Axes, network_of
 from ms_highway.envs.recorded.problem import Surface, Task
-from ms_highway.envs.recorded.scenario import SHIPPED, Points, open_recording
+from ms_highway.envs.recorded.scenario import SHIPPED, Points, Scenario, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import TRAFFIC, RecordedRoad, sized
 
@@ -89,41 +89,34 @@ class RecordedEnv(ConfiguredEnv):
         }
 
     def _reset(self) -> None:
-        """Build the road, and put the ego and the others on it."""
-        settings = self.settings
-        self.scenario = open_recording(settings.recording)
+        """Build the road, and put the ego and the others on it; all of it, or nothing changes."""
+        scenario = open_recording(self.settings.recording)
         try:
-            self._build(None if settings.ego == "problem" else settings.ego)
+            self._build(scenario, None if self.settings.ego == "problem" else self.settings.ego)
         except ValueError as error:
-            raise ValueError(f"{self.scenario.source}: {error}") from error
+            raise ValueError(f"{scenario.source}: {error}") from error
 
-    def _build(self, ego: int | None) -> None:
-        scenario = self.scenario
-        self.task = Task.of(scenario, ego)
-        straight, self.axes = StraightRoad.of(scenario.lanelets), Axes.of(scenario.lanelets)
-        self.road = RecordedRoad(network_of(scenario.lanelets, self.axes), np_random=self.np_random)
-        self.surface = Surface(scenario.lanelets, self.axes)
-        self.appointment = self.task.appointment(self.road.network, self.axes)
-        x, y, orientation, speed = self.task.problem.start
-        position, heading = self.axes.positions([x, y]), float(self.axes.headings(orientation))
-        lane = self.road.network.get_lane(self.road.network.get_closest_lane_index(position, heading))
+    def _build(self, scenario: Scenario, ego: int | None) -> None:
+        task, straight, axes = Task.of(scenario, ego), StraightRoad.of(scenario.lanelets), Axes.of(scenario.lanelets)
+        road = RecordedRoad(network_of(scenario.lanelets, axes), np_random=self.np_random)
+        x, y, orientation, speed = task.problem.start
+        position, heading = axes.positions([x, y]), float(axes.headings(orientation))
+        lane = road.network.get_lane(road.network.get_closest_lane_index(position, heading))
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
             raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
         for item in scenario.obstacles:
-            stands = RoadObstacle(
-                self.road, self.axes.positions(item.pose[:2]), float(self.axes.headings(item.pose[2]))
-            )
+            stands = RoadObstacle(road, axes.positions(item.pose[:2]), float(axes.headings(item.pose[2])))
             sized(stands, item.size)
-            self.road.objects.append(stands)
-        vehicle = self.action_type.vehicle_class(self.road, position, heading=heading, speed=speed)
+            road.objects.append(stands)
+        vehicle = self.action_type.vehicle_class(road, position, heading=heading, speed=speed)
         vehicle.check_collisions = False
-        sized(vehicle, self.task.size)
-        self.controlled_vehicles, self.road.vehicles = [vehicle], [vehicle]
-        self.road.traffic = TRAFFIC[self.settings.traffic](scenario, straight, self.axes, self.road, self.task.track)
-        self.road.traffic.begin(self.task.problem.time)
-        self.success = self.off_road = False
-        self.progress = 0.0
-        self._straight = straight
+        sized(vehicle, task.size)
+        road.vehicles = [vehicle]
+        road.traffic = TRAFFIC[self.settings.traffic](scenario, straight, axes, road, task.track)
+        road.traffic.begin(task.problem.time)
+        self.scenario, self.task, self.axes, self.road, self._straight = scenario, task, axes, road, straight
+        self.surface, self.appointment = Surface(scenario.lanelets, axes), task.appointment(road.network, axes)
+        self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
         self._along = self._place_along()
 
     @property

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import RoadNetwork
+from highway_env.utils import get_class_path
 
 from ms_highway.envs.recorded.lane_coordinates import Values, fit_lane_coordinates
 from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Lanelet, Points
@@ -112,18 +113,19 @@ class SampledLane(AbstractLane):
 
     @classmethod
     def from_config(cls, config: dict) -> "SampledLane":
-        """Return the lane that `to_config` describes."""
+        """Return the lane that ``config`` of `to_config` describes."""
         arrays = {name: np.array(config[name], dtype=float) for name in ("centres", "widths")}
         return cls(**{**config, **arrays})
 
     def to_config(self) -> dict:
         """Return what describes the lane, for JSON."""
-        return {
+        config = {
             "centres": self.centres.tolist(),
             "widths": self.widths.tolist(),
             "line_types": self.line_types,
             "speed_limit": self.speed_limit,
         }
+        return {"class_path": get_class_path(self.__class__), "config": config}
 
 
 def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:

@@ -50,14 +50,14 @@ class Task:
         if ego is None:
             if not scenario.problems:
                 raise ValueError(
-                    f"{scenario.source} has no planning problem; drive in the place of one of its vehicles, "
+                    "there is no planning problem; drive in the place of a vehicle, "
                     f"config['ego'], such as {scenario.tracks[0].number}"
                 )
             return cls(scenario.problems[0], CAR_SIZE)
         track = next((track for track in scenario.tracks if track.number == ego), None)
         if track is None:
             known = ", ".join(str(track.number) for track in scenario.tracks)
-            raise ValueError(f"config['ego'] is {ego}, which {scenario.source} does not have; choose one of {known}")
+            raise ValueError(f"config['ego'] is {ego}, which is not there; choose one of {known}")
         if len(track.samples) < 2:
             raise ValueError(f"config['ego'] is {ego}, which was seen only once; choose another")
         return cls(Problem(ego, *_start(track), (_last_position(track),)), track.size, ego)

@@ -56,7 +56,7 @@ class StraightRoad:
             order = np.argsort(located.x, kind="stable")
             centres[lane, inside] = np.interp(places[inside], located.x[order], located.y[order])
             there[lane, inside] = True
-        return cls(road.coordinates, _spread(centres, road.lane_width), there, road.lane_width)
+        return cls(road.coordinates, _spread(centres), there, road.lane_width)
 
     @property
     def lanes(self) -> Values:
@@ -113,22 +113,23 @@ def _mapped(values: Values, known: np.ndarray, images: np.ndarray) -> Values:
     return np.where(values < known[0], before, np.where(values > known[-1], after, inside))
 
 
-def _spread(centres: np.ndarray, width: float) -> np.ndarray:
-    """Fill in lanes where they do not exist, beside their neighbours, and keep lanes apart."""
-    known = np.isfinite(centres)
-    if len(centres) > 1:
-        for lane in range(1, len(centres)):
-            centres[lane] = np.where(known[lane], centres[lane], centres[lane - 1] + width)
-        for lane in range(len(centres) - 2, -1, -1):
-            centres[lane] = np.where(np.isfinite(centres[lane]), centres[lane], centres[lane + 1] - width)
-            later = np.isnan(centres[lane + 1])
-            centres[lane + 1, later] = centres[lane, later] + width
+def _spread(centres: np.ndarray) -> np.ndarray:
+    """Fill in lanes where they do not exist, as far from their neighbours as where they do, and keep lanes apart."""
     places = np.arange(centres.shape[1])
-    for lane in range(len(centres)):
-        finite = np.isfinite(centres[lane])
-        centres[lane] = np.interp(places, places[finite], centres[lane][finite])
-        if lane:
-            centres[lane] = np.maximum(centres[lane], centres[lane - 1] + CLOSEST)
+
+    def filled(values: np.ndarray) -> np.ndarray:
+        known = np.isfinite(values)
+        return np.interp(places, places[known], values[known])
+
+    order = np.argsort(-np.isfinite(centres).sum(axis=1), kind="stable")
+    done = [int(order[0])]
+    centres[done[0]] = filled(centres[done[0]])
+    for lane in sorted(order[1:].tolist(), key=lambda other: abs(other - done[0])):
+        beside = min(done, key=lambda other: abs(other - lane))
+        centres[lane] = centres[beside] + filled(centres[lane] - centres[beside])
+        done.append(lane)
+    for lane in range(1, len(centres)):
+        centres[lane] = np.maximum(centres[lane], centres[lane - 1] + CLOSEST)
     return centres
 
 

@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import numpy as np
 from highway_env.road.road import Road
 from highway_env.utils import are_polygons_intersecting
@@ -15,6 +16,7 @@ from ms_highway.envs.recorded.network import Axes
 from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Scenario, Track
 from ms_highway.envs.recorded.straight_road import States, StraightRoad
 from ms_highway.game.learned_reward import shipped
+from ms_highway.game.scenario import TIME_STEP
 from ms_highway.planning.learned_driving import PAST, SECOND, moved, seen_states, shown_traits
 from ms_highway.runtime.compilation import jit_quickly
 
@@ -25,6 +27,8 @@ CLOSING = 1.0  # s, for which a faster car behind has to fit into the gap beside
 LOOK_AHEAD = 2.0  # s, after which a car will be in the lane that it was recorded in, if it begins to change now
 FORCED = 40.0  # m before the end of a lane, from which who has to leave it cares for no one behind
 SETTLING = 1.0  # s, in which who has nobody ahead goes as fast as it was recorded there
+STOPPED = 1.0  # m, gap that is kept to who stands ahead
+CALM, HARDEST = 1.5, 8.0  # m/s^2, of braking that is left to what was learned, and of any
 BEGUN = 0.3  # m towards a lane, from which a change to it is not given up
 NO_TIME = np.zeros(2)
 
@@ -85,7 +89,7 @@ class Traffic(ABC):
         self.step = step
         for place, track in enumerate(self.tracks):
             if track.samples[0, 0] <= step <= track.samples[-1, 0]:
-                self._enter(place)
+                self._enter(place, step)
             elif track.samples[-1, 0] < step:
                 self._entered.add(place)
 
@@ -118,13 +122,12 @@ class Traffic(ABC):
     def _all(self) -> list[Vehicle]:
         return self.road.vehicles
 
-    def _enter(self, place: int) -> None:
+    def _enter(self, place: int, step: float | None = None) -> None:
+        """Put the vehicle of a track on the road where it was at a step, by default the first of the track."""
         track = self.tracks[place]
-        step = min(max(self.step, int(track.samples[0, 0])), int(track.samples[-1, 0]))
-        x, y, orientation, speed = sampled(track, step if place not in self._entered else track.samples[0, 0])
-        vehicle = self.vehicle_type(
-            self.road, self.axes.positions([x, y]), float(self.axes.headings(orientation)), speed
-        )
+        x, y, orientation, speed = sampled(track, float(track.samples[0, 0]) if step is None else step)
+        position, heading = self.axes.positions([x, y]), float(self.axes.headings(orientation))
+        vehicle = self.vehicle_type(self.road, position, heading, speed)
         vehicle.number, vehicle.check_collisions = track.number, False
         sized(vehicle, track.size)
         self.road.vehicles.append(vehicle)
@@ -167,8 +170,8 @@ class Idm(Traffic):
         """Let those leave who have reached the end of the road, and others enter; vehicles move by themselves."""
         self._move_on(lambda place: _is_beyond(self.vehicles[place], self.straight, self.axes))
 
-    def _enter(self, place: int) -> None:
-        super()._enter(place)
+    def _enter(self, place: int, step: float | None = None) -> None:
+        super()._enter(place, step)
         vehicle, fastest = self.vehicles[place], float(self.tracks[place].samples[:, 4].max())
         vehicle.target_speed = max(fastest, 1.0)
 
@@ -232,9 +235,9 @@ class Learned(Traffic):
         states = self._states()
         side, wanted = self._wishes(states)
         given = self.drivers, self.surroundings, self.traits
-        after, led = map(np.array, _moved(*given, side, wanted, states))
+        after, led = _driven(*given, side, wanted, states)
         if side.any():  # who changes lanes minds who is ahead in its own, too
-            kept, behind = map(np.array, _moved(*given, np.zeros_like(side), wanted, states))
+            kept, behind = _driven(*given, np.zeros_like(side), wanted, states)
             slower = behind & (kept[:, 3] < after[:, 3])
             after[slower, 0], after[slower, 3] = kept[slower, 0], kept[slower, 3]
             led |= slower
@@ -242,10 +245,10 @@ class Learned(Traffic):
             if not led[place]:
                 own = self.recorded[place]
                 goal = np.interp(states[place, 0], own.x, own.speed)
-                most = states[place, 3] + (goal - states[place, 3]) * 0.1 / SETTLING
-                shorter = min(after[place, 3], max(most, 0.0)) - after[place, 3]
-                after[place, 3] += shorter
-                after[place, 0] += shorter * 0.05
+                most = states[place, 3] + (goal - states[place, 3]) * TIME_STEP / SETTLING
+                less = min(after[place, 3], max(most, 0.0)) - after[place, 3]
+                after[place, 0] += less * TIME_STEP / 2
+                after[place, 3] += less
         places = list(self.vehicles)
         points, orientations = self.straight.bend(after[places].astype(float))
         for place, point, orientation in zip(
@@ -302,6 +305,23 @@ class _Lanes(NamedTuple):
     sizes: np.ndarray
     lane_width: float
     speed_limit: float
+
+
+def _driven(*given: Any) -> tuple[States, np.ndarray]:
+    """Return all states after a step, and who has a leader; who would run into it brakes as hard as it has to.
+
+    What is learned in dense traffic does not stop behind who stands.
+    """
+    states = given[-1]
+    after, leader = jax.tree.map(np.array, _moved(*given))
+    speed, gap = states[:, 3], np.maximum(leader.gap - STOPPED, 0.1)
+    needed = np.where(leader.there, (speed**2 - np.maximum(leader.speed, 0.0) ** 2) / (2 * gap), 0.0)
+    slowest = np.where(needed > CALM, speed - np.minimum(needed, HARDEST) * TIME_STEP, np.inf)
+    slowest = np.where(leader.there & (leader.gap < STOPPED), np.minimum(slowest, leader.speed), slowest)
+    less = np.minimum(np.maximum(slowest, 0.0), after[:, 3]) - after[:, 3]
+    after[:, 0] += less * TIME_STEP / 2
+    after[:, 3] += less
+    return after, leader.there
 
 
 _moved = jit_quickly(

@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ms_highway.game.learned_drivers import Drivers, RewardTraits
 from ms_highway.game.neighbours import Leader, leaders
@@ -70,7 +70,7 @@ def moved(
     wanted: Cars,
     now: States,
     others: States | None = None,
-) -> tuple[States, Bool[Any, "cars"]]:
+) -> tuple[States, Leader]:
     """Let all cars drive for a step of 0.1 s.
 
     Args:
@@ -83,7 +83,7 @@ def moved(
         others: whom each meets; by default, all as they are.
 
     Returns:
-        States after the step, and who has a leader.
+        States after the step, and the leader of each before it.
     """
 
     def factor(name: str) -> Cars:
@@ -100,7 +100,7 @@ def moved(
     faster = jnp.maximum(speed + acceleration * TIME_STEP, 0.0)
     distance = (speed + faster) / 2 * TIME_STEP
     ahead, aside = x + distance * jnp.cos(heading), y + distance * jnp.sin(heading)
-    return jnp.stack([ahead, aside, heading + curvature * distance, faster], axis=-1), leader.there
+    return jnp.stack([ahead, aside, heading + curvature * distance, faster], axis=-1), leader
 
 
 def shown_traits(drivers: Drivers, around: Surroundings, past: Float[Any, "times cars 4"]) -> TraitLogarithms:

@@ -66,14 +66,14 @@ class Appointment:
         left, speed = self.distance(vehicle), float(vehicle.speed)
         if left <= 0 and now > self.times[0]:
             return max(speed, SLOWEST)
-        spare = min((self.times[1] - self.times[0]) / 2, SPARE)
-        first, last = self.times[0] + spare - now, self.times[1] - spare - now
-        # What is left of the interval counts once its middle has passed.
-        last = max(last, min(self.times[1] - now, SOON), SOON)
         within = min(WITHIN, (self.speeds[1] - self.speeds[0]) / 2)
         ends = self.speeds[1] - within, self.speeds[0] + (within if self.speeds[0] > 0 else 0.0)
         slow, fast = (2 * max(left, 0.0) / max(speed + end, SLOWEST) for end in ends)
-        time = min(max(left / max(speed, SLOWEST), first, slow), max(min(last, fast), SOON))
+        first, last = (max(time - now, SOON) for time in self.times)
+        if max(first, slow) <= min(last, fast):  # some time allows an allowed speed
+            first, last = max(first, slow), min(last, fast)
+        spare = min((last - first) / 2, SPARE)
+        time = min(max(left / max(speed, SLOWEST), first + spare), last - spare)
         acceleration = 2 * (left - speed * time) / time**2
         wanted = speed + min(acceleration * min(LOOK_AHEAD, time), HASTE)
         return max(wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE * max(left - BEFORE, 0.0))), SLOWEST)

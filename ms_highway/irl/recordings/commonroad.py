@@ -28,7 +28,7 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
     counted: set[tuple] = set()
     recordings = []
     for path in scenario_files(directory)[:first]:
-        scenario = read_scenario(path)
+        scenario = read_scenario(path, with_problems=False)
         try:
             recordings.append(_convert(scenario, counted))
         except ValueError as error:
