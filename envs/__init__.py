@@ -1,8 +1,9 @@
-"""The environments: scenarios of a robot with one human or several, and one to record driving in.
+"""The environments: scenarios of a robot with one human or several, one to record driving in, and recorded traffic.
 
 ``import ms_highway`` registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
-``ms-highway/give-way-v0``, ``ms-highway/dense-merge-v0``, ``ms-highway/crossing-crowd-v0`` and
-``ms-highway/demonstration-v0`` with Gymnasium. Imports `ms_highway.vehicle` and what stands below it.
+``ms-highway/give-way-v0``, ``ms-highway/dense-merge-v0``, ``ms-highway/crossing-crowd-v0``,
+``ms-highway/demonstration-v0`` and ``ms-highway/recorded-v0`` with Gymnasium. Imports `ms_highway.vehicle` and what
+stands below it.
 """
 
 from typing import cast

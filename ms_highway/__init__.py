@@ -14,7 +14,8 @@ or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
 
 * Environments: ``ms-highway/stay-back-v0``, ``merger-v0`` and ``give-way-v0``, the paper's, and ``dense-merge-v0`` and
   ``crossing-crowd-v0``, with several humans, see `InteractionEnv`; and ``demonstration-v0``, traffic to record driving
-  in, see `ms_highway.envs.DemonstrationEnv`. `drive` lets the robot drive highway-env's own.
+  in, see `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``, recorded traffic with its planning problems, see
+  `ms_highway.envs.RecordedEnv`. `drive` lets the robot drive that and highway-env's own.
 * One's own: `register` adds a human model, `add_rule` a decision rule, `add_scenario` a scenario, `add_feature` a
   feature of rewards.
 * Parts: `plan`, one plan; `Driver`, what drives a car by any rule; `RobotVehicle` and `HumanVehicle`, for roads of

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ms_highway.envs.recorded.scenario import Goal, Lanelet, Obstacle, Problem, Scenario, Track
+from ms_highway.envs.recorded.scenario import GoalRegion, Lanelet, Obstacle, Problem, RecordedTrack, TrafficRecording
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import reading, temporary_directory
@@ -40,7 +40,7 @@ def scenario_files(directory: Path) -> list[Path]:
     return paths
 
 
-def read_scenario(path: Path, with_problems: bool = True) -> Scenario:
+def read_scenario(path: Path, with_problems: bool = True) -> TrafficRecording:
     """Read a CommonRoad scenario whose vehicles were recorded every 0.1 s.
 
     Args:
@@ -88,7 +88,7 @@ def open_commonroad(path: Path) -> tuple[Any, Any]:
                 raise ValueError(str(error)) from error
 
 
-def _converted(scenario: Any, problems: Iterable[Any], source: str) -> Scenario:
+def _converted(scenario: Any, problems: Iterable[Any], source: str) -> TrafficRecording:
     if not np.isclose(scenario.dt, TIME_STEP):
         raise ValueError(f"the time step is {scenario.dt} s; it must be {TIME_STEP} s")
     tracks = tuple(map(_track, scenario.dynamic_obstacles))
@@ -103,7 +103,7 @@ def _converted(scenario: Any, problems: Iterable[Any], source: str) -> Scenario:
         lines = np.concatenate([lanelet.centre for lanelet in lanelets])
         if not np.ptp(lines, axis=0).max() <= MOST_METRES:
             raise ValueError(f"lanelets are not finite, or more than {MOST_METRES:g} m apart; {MEND}")
-    return Scenario(
+    return TrafficRecording(
         name=str(scenario.scenario_id),
         group=f"{scenario.scenario_id.map_name}-{scenario.scenario_id.map_id}",
         source=source,
@@ -130,7 +130,7 @@ def _lanelet(lanelet: Any, network: Any) -> Lanelet:
     )
 
 
-def _track(obstacle: Any) -> Track:
+def _track(obstacle: Any) -> RecordedTrack:
     """Return a vehicle with its time step, position x and y, orientation and speed, as in the file."""
     states = [obstacle.initial_state]
     states += getattr(getattr(obstacle.prediction, "trajectory", None), "state_list", [])
@@ -149,7 +149,7 @@ def _track(obstacle: Any) -> Track:
     size = _size(obstacle)
     if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():
         raise ValueError(f"the times of {name} do not follow each other from 0 on; {MEND}")
-    return Track(obstacle.obstacle_id, size, samples)
+    return RecordedTrack(obstacle.obstacle_id, size, samples)
 
 
 def _size(obstacle: Any) -> tuple[float, float]:
@@ -188,7 +188,7 @@ def _problem(problem: Any) -> Problem:
     return Problem(problem.planning_problem_id, start, int(state.time_step), goals)
 
 
-def _goals(state: Any) -> Iterator[Goal]:
+def _goals(state: Any) -> Iterator[GoalRegion]:
     """Yield a goal for each of the polygons that a goal's position is made of."""
 
     def between(name: str) -> tuple[float, float] | None:
@@ -203,4 +203,4 @@ def _goals(state: Any) -> Iterator[Goal]:
     position = getattr(state, "position", None)
     for shape in getattr(position, "shapes", [position]):
         area = None if shape is None else np.array(shape.shapely_object.exterior.coords)[:-1]
-        yield Goal((round(times[0]), round(times[1])), area, speeds, headings)
+        yield GoalRegion((round(times[0]), round(times[1])), area, speeds, headings)

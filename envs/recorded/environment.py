@@ -10,7 +10,7 @@ from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
 from ms_highway.envs.recorded.network import Axes, network_of
 from ms_highway.envs.recorded.problem import Surface, Task
-from ms_highway.envs.recorded.scenario import SHIPPED, Points, Scenario, open_recording
+from ms_highway.envs.recorded.scenario import SHIPPED, Points, TrafficRecording, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import TRAFFIC, RecordedRoad, sized
 
@@ -96,7 +96,7 @@ class RecordedEnv(ConfiguredEnv):
         except ValueError as error:
             raise ValueError(f"{scenario.source}: {error}") from error
 
-    def _build(self, scenario: Scenario, ego: int | None) -> None:
+    def _build(self, scenario: TrafficRecording, ego: int | None) -> None:
         task, straight, axes = Task.of(scenario, ego), StraightRoad.of(scenario.lanelets), Axes.of(scenario.lanelets)
         road = RecordedRoad(network_of(scenario.lanelets, axes), np_random=self.np_random)
         x, y, orientation, speed = task.problem.start

@@ -8,7 +8,7 @@ from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.envs.recorded.network import Axes
-from ms_highway.envs.recorded.scenario import Goal, Lanelet, Points, Problem, Scenario, Track
+from ms_highway.envs.recorded.scenario import GoalRegion, Lanelet, Points, Problem, RecordedTrack, TrafficRecording
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.vehicle.appointment import Appointment
 from ms_highway.vehicle.road_map import Spot
@@ -37,7 +37,7 @@ class Task:
     track: int | None = None
 
     @classmethod
-    def of(cls, scenario: Scenario, ego: int | None) -> "Task":
+    def of(cls, scenario: TrafficRecording, ego: int | None) -> "Task":
         """Return the planning problem of a scenario, or the task to go where a recorded vehicle went.
 
         Args:
@@ -85,21 +85,21 @@ class Task:
         return None
 
 
-def _start(track: Track) -> tuple[tuple[float, float, float, float], int]:
+def _start(track: RecordedTrack) -> tuple[tuple[float, float, float, float], int]:
     time, x, y, orientation, speed = track.samples[0].tolist()
     return (x, y, orientation, speed), int(time)
 
 
-def _last_position(track: Track) -> Goal:
+def _last_position(track: RecordedTrack) -> GoalRegion:
     first, (last, x, y, orientation, _) = track.samples[0, 0], track.samples[-1]
     ahead = np.array([np.cos(orientation), np.sin(orientation)]) * LENGTH_OF_GOAL / 2
     aside = np.array([-np.sin(orientation), np.cos(orientation)]) * SAME_LANE / 2
     middle = np.array([x, y])
     corners = [middle + ahead + aside, middle - ahead + aside, middle - ahead - aside, middle + ahead - aside]
-    return Goal((int(first) + EARLY, int(last) + LATE), np.array(corners))
+    return GoalRegion((int(first) + EARLY, int(last) + LATE), np.array(corners))
 
 
-def _is_in(goal: Goal, step: int, point: Points, orientation: float, speed: float) -> bool:
+def _is_in(goal: GoalRegion, step: int, point: Points, orientation: float, speed: float) -> bool:
     if not goal.times[0] <= step <= goal.times[1]:
         return False
     if goal.area is not None and not inside(goal.area, np.asarray(point)[None])[0]:

@@ -51,7 +51,7 @@ class Lanelet(msgspec.Struct, frozen=True):
         return (self.left + self.right) / 2
 
 
-class Track(msgspec.Struct, frozen=True):
+class RecordedTrack(msgspec.Struct, frozen=True):
     """A vehicle, as it was recorded.
 
     Attributes:
@@ -79,7 +79,7 @@ class Obstacle(msgspec.Struct, frozen=True):
     pose: tuple[float, float, float]
 
 
-class Goal(msgspec.Struct, frozen=True):
+class GoalRegion(msgspec.Struct, frozen=True):
     """A region to be in at one of some steps of time; None stands for any.
 
     Attributes:
@@ -108,10 +108,10 @@ class Problem(msgspec.Struct, frozen=True):
     number: int
     start: tuple[float, float, float, float]
     time: int
-    goals: tuple[Goal, ...]
+    goals: tuple[GoalRegion, ...]
 
 
-class Scenario(msgspec.Struct, frozen=True):
+class TrafficRecording(msgspec.Struct, frozen=True):
     """A recording of traffic.
 
     Attributes:
@@ -128,7 +128,7 @@ class Scenario(msgspec.Struct, frozen=True):
     group: str
     source: str
     lanelets: tuple[Lanelet, ...]
-    tracks: tuple[Track, ...]
+    tracks: tuple[RecordedTrack, ...]
     obstacles: tuple[Obstacle, ...] = ()
     problems: tuple[Problem, ...] = ()
 
@@ -138,21 +138,21 @@ class Scenario(msgspec.Struct, frozen=True):
         return max(int(track.samples[-1, 0]) for track in self.tracks)
 
 
-def pack(scenario: Scenario, path: Path) -> None:
+def pack(scenario: TrafficRecording, path: Path) -> None:
     """Write a scenario to a file of this package's own, packed JSON in millimetres, the same bytes each time."""
     content = msgspec.json.encode(scenario, enc_hook=lambda array: np.round(array, 3).tolist())
     path.write_bytes(gzip.compress(content, mtime=0))
 
 
 @cache
-def shipped() -> Scenario:
+def shipped() -> TrafficRecording:
     """Return the recording that comes with the package, which needs no other package to be read."""
     file = resources.files("ms_highway") / "data" / f"{SHIPPED}_traffic.json.gz"
     return _unpacked(file.read_bytes())
 
 
-def _unpacked(packed: bytes) -> Scenario:
-    return msgspec.json.decode(gzip.decompress(packed), type=Scenario, dec_hook=_array)
+def _unpacked(packed: bytes) -> TrafficRecording:
+    return msgspec.json.decode(gzip.decompress(packed), type=TrafficRecording, dec_hook=_array)
 
 
 def _array(kind: type, content: Any) -> np.ndarray:
@@ -160,7 +160,7 @@ def _array(kind: type, content: Any) -> np.ndarray:
 
 
 @cache
-def open_recording(recording: str) -> Scenario:
+def open_recording(recording: str) -> TrafficRecording:
     """Return a recording: that of a CommonRoad file, or the one that comes with the package, by its name.
 
     Raises:

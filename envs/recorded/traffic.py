@@ -13,7 +13,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
 from ms_highway.envs.recorded.network import Axes
-from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Scenario, Track
+from ms_highway.envs.recorded.scenario import SPEED_LIMIT, RecordedTrack, TrafficRecording
 from ms_highway.envs.recorded.straight_road import States, StraightRoad
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.scenario import TIME_STEP
@@ -67,7 +67,7 @@ class Traffic(ABC):
     vehicle_type: ClassVar[type[Vehicle]] = RecordedVehicle
 
     def __init__(
-        self, scenario: Scenario, straight: StraightRoad, axes: Axes, road: Road, left_out: int | None
+        self, scenario: TrafficRecording, straight: StraightRoad, axes: Axes, road: Road, left_out: int | None
     ) -> None:
         """Prepare traffic.
 
@@ -111,7 +111,7 @@ class Traffic(ABC):
                     waiting.append(track.number)
         self.waiting = tuple(waiting)
 
-    def _is_free(self, track: Track) -> bool:
+    def _is_free(self, track: RecordedTrack) -> bool:
         """Return whether nobody is in the place where a track begins."""
         position = self.axes.positions(track.samples[0, 1:3])
         apart = [
@@ -141,7 +141,7 @@ def sized(item: RoadObject, size: tuple[float, float]) -> None:
     item.diagonal = float(np.hypot(*size))
 
 
-def sampled(track: Track, step: float) -> np.ndarray:
+def sampled(track: RecordedTrack, step: float) -> np.ndarray:
     """Return x, y, orientation and speed of a track at a step, interpolated where it was not seen."""
     times, x, y, orientation, speed = track.samples.T
     return np.array([np.interp(step, times, part) for part in (x, y, np.unwrap(orientation), speed)])
@@ -157,7 +157,7 @@ class Replay(Traffic):
             x, y, orientation, speed = sampled(self.tracks[place], self.step)
             vehicle.put(self.axes.positions([x, y]), self.axes.headings(orientation), speed)
 
-    def _is_free(self, track: Track) -> bool:
+    def _is_free(self, track: RecordedTrack) -> bool:
         return True
 
 

@@ -12,7 +12,7 @@ from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.envs.recorded.environment import RecordedEnv
-from ms_highway.vehicle.appointment import Goal
+from ms_highway.vehicle.appointment import RobotGoal
 
 DESTINATIONS = {RoundaboutEnv: "nxs", ExitEnv: "exit", UTurnEnv: "d"}
 USUAL_SPEED = 30.0  # m/s
@@ -20,7 +20,7 @@ SLOWEST = 5.0  # m/s, that is desired in recorded traffic without an appointment
 MERGED = 370.0  # m, where merge-v0 ends
 
 
-def destination_of(env: Any, number: int = 0) -> Goal:
+def destination_of(env: Any, number: int = 0) -> RobotGoal:
     """Return the node of the road network that a controlled vehicle has to reach, or where it has to be in time.
 
     None if it has to be nowhere.

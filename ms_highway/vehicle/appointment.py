@@ -95,16 +95,16 @@ class Appointment:
         return planning, replace(weights, goal=GOAL, prospect=prospect)
 
 
-Goal: TypeAlias = str | Appointment | None
+RobotGoal: TypeAlias = str | Appointment | None
 """A node of the road network to drive to, or an appointment, or nothing."""
 
 
-def destination_for(goal: Goal) -> str | Spot | None:
+def destination_for(goal: RobotGoal) -> str | Spot | None:
     """Return where a goal lies, for `ms_highway.vehicle.road_scene.observe_road`."""
     return goal.spot if isinstance(goal, Appointment) else goal
 
 
-def keep(goal: Goal, driver: RoadDriver, vehicle: Vehicle, now: float) -> None:
+def keep(goal: RobotGoal, driver: RoadDriver, vehicle: Vehicle, now: float) -> None:
     """Let a driver's next plan keep a goal, if that is an appointment.
 
     Args:

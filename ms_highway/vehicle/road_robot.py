@@ -13,7 +13,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.control.road import RoadDriver, RoadStep
 from ms_highway.game.road import RoadScene
 from ms_highway.planning.road.motion import SLIP
-from ms_highway.vehicle.appointment import Goal, destination_for, keep
+from ms_highway.vehicle.appointment import RobotGoal, destination_for, keep
 from ms_highway.vehicle.lane_paths import Point
 from ms_highway.vehicle.road_scene import observe_road
 from ms_highway.vehicle.road_view import at_constant_speed
@@ -156,7 +156,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         car.route = getattr(vehicle, "route", None)
         return car
 
-    def drive_with(self, driver: RoadDriver | None, goal: Goal = None, grip: float = GRIP) -> None:
+    def drive_with(self, driver: RoadDriver | None, goal: RobotGoal = None, grip: float = GRIP) -> None:
         """Let a driver drive, to a node of the road network or a spot where there is a goal."""
         self.driver, self.goal, self.grip, self.time = driver, goal, grip, 0.0
 

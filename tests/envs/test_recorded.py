@@ -18,7 +18,7 @@ import ms_highway
 from ms_highway.envs.recorded.commonroad import open_commonroad
 from ms_highway.envs.recorded.network import SampledLane
 from ms_highway.envs.recorded.problem import Task, inside
-from ms_highway.envs.recorded.scenario import Goal, Problem, open_recording
+from ms_highway.envs.recorded.scenario import GoalRegion, Problem, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import overlap
 from ms_highway.vehicle.appointment import Appointment
@@ -263,7 +263,7 @@ SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 4.0], [0.0, 4.0]])
 
 def reached(step=15, point=(5.0, 2.0), orientation=0.0, speed=10.0, **goal):
     """Whether a goal is reached; by default, anywhere within steps 10 to 20."""
-    goal = Goal(**({"times": (10, 20)} | goal))
+    goal = GoalRegion(**({"times": (10, 20)} | goal))
     return Task(Problem(1, (0.0, 0.0, 0.0, 0.0), 0, (goal,)), (4.5, 1.8)).is_reached(step, point, orientation, speed)
 
 
@@ -293,7 +293,7 @@ def test_a_goal_counts_inside_its_area():
 
 
 def test_one_of_several_goals_is_enough_and_the_last_step_is_that_of_all():
-    goals = Goal((0, 5), SQUARE), Goal((10, 20), SQUARE + 100), Goal((8, 9))
+    goals = GoalRegion((0, 5), SQUARE), GoalRegion((10, 20), SQUARE + 100), GoalRegion((8, 9))
     task = Task(Problem(1, (0.0, 0.0, 0.0, 0.0), 0, goals), (4.5, 1.8))
     asked = [(3, (5.0, 2.0)), (12, (5.0, 2.0)), (12, (105.0, 102.0)), (9, (50.0, 50.0))]
     assert [task.is_reached(step, point, 0.0, 1.0) for step, point in asked] == [True, False, True, True]

@@ -13,7 +13,7 @@ from test_pages import README, RESULTS, ROOT, TEXTS
 
 from ms_highway.benchmarks.road.episodes import Block, row, run_episode
 from ms_highway.benchmarks.road.judge import Verdict
-from ms_highway.benchmarks.road.recorded import Start
+from ms_highway.benchmarks.road.recorded import RecordedStart
 from ms_highway.experiments.analysis.tradeoff import meta_rewards
 from ms_highway.experiments.frontier import INDEX, KEPT_COLUMNS
 from ms_highway.experiments.records import columns
@@ -98,7 +98,7 @@ def test_the_columns_of_all_csv_files_are_explained_and_no_others():
     glossary = TEXTS[RESULTS].partition("## Columns of CSV files")[2]
     rows = [line.split("|")[1] for line in glossary.splitlines() if line.startswith("| `")]
     kept = [pd.read_csv(KEPT / f"{name}.csv", nrows=0) for name in COLLECTED.TABLES]
-    block = Block("recorded", "idle", "replay", (Start("name", "file"),))
+    block = Block("recorded", "idle", "replay", (RecordedStart("name", "file"),))
     episode = run_episode(Block("highway-fast-v0", "idle"), 0)
     road = set(row(block, replace(episode, verdict=Verdict(True, False, False, True))))
     found = {*chain(*kept), *columns(PAPER_MODELS, PAPER_MODELS[1:]), *INDEX, *KEPT_COLUMNS, "meta_reward", *road}

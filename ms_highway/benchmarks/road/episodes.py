@@ -20,7 +20,7 @@ from ms_highway.benchmarks.road.judge import Verdict, judge_drive
 from ms_highway.benchmarks.road.measures import Watch, has_ended
 from ms_highway.benchmarks.road.peers import PEERS, Agent, Peer, policy_of
 from ms_highway.benchmarks.road.reactive import Reactive, ReactiveDefault
-from ms_highway.benchmarks.road.recorded import Human, Start
+from ms_highway.benchmarks.road.recorded import Human, RecordedStart
 from ms_highway.benchmarks.road.search import Search
 from ms_highway.envs.road import drive
 from ms_highway.envs.road.graphics import show
@@ -56,7 +56,7 @@ class Block(NamedTuple):
     scene: str
     driver: str
     traffic: str = "idm"
-    starts: tuple[Start, ...] = ()
+    starts: tuple[RecordedStart, ...] = ()
     exports: Path | None = None
     judged: bool = False
 

@@ -8,7 +8,7 @@ import numpy as np
 from ms_highway.benchmarks.road.peers import Peer
 from ms_highway.envs.recorded.commonroad import scenario_files
 from ms_highway.envs.recorded.environment import RecordedEnv
-from ms_highway.envs.recorded.scenario import SHIPPED, Scenario, open_recording
+from ms_highway.envs.recorded.scenario import SHIPPED, TrafficRecording, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import RecordedVehicle, sampled
 from ms_highway.envs.road.stock import replace_ego
@@ -18,7 +18,7 @@ LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
 CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: from its middle, within which a vehicle is in it; and moved aside
 
 
-class Start(NamedTuple):
+class RecordedStart(NamedTuple):
     """Where an episode begins.
 
     Attributes:
@@ -37,7 +37,7 @@ class Start(NamedTuple):
         return {"recording": self.recording, "ego": "problem" if self.ego is None else self.ego}
 
 
-def starts_of(data: Path | None, egos: str) -> list[Start]:
+def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
     """Return the starts in a directory of recordings, by default in that of the package.
 
     Args:
@@ -54,19 +54,19 @@ def starts_of(data: Path | None, egos: str) -> list[Start]:
     for recording in recordings:
         scenario = open_recording(recording)
         if egos == "problem":
-            starts += [Start(scenario.name, recording)] if scenario.problems else []
+            starts += [RecordedStart(scenario.name, recording)] if scenario.problems else []
             continue
         for number, first in _changing(scenario):
             if (scenario.group, number, first) not in seen:  # files of a group may share tracks
                 seen.add((scenario.group, number, first))
-                starts.append(Start(f"{scenario.name}_{number}", recording, number))
+                starts.append(RecordedStart(f"{scenario.name}_{number}", recording, number))
     if not starts:
         what = "planning problem" if egos == "problem" else "vehicle that changes lanes"
         raise ValueError(f"--data: there is no {what} in {data or 'the recording of the package'}; give another place")
     return starts
 
 
-def _changing(scenario: Scenario) -> list[tuple[int, tuple[float, ...]]]:
+def _changing(scenario: TrafficRecording) -> list[tuple[int, tuple[float, ...]]]:
     """Return number and first position of each vehicle that ends in another lane than it began in."""
     straight, found = StraightRoad.of(scenario.lanelets), []
     for track in scenario.tracks:

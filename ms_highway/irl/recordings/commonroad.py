@@ -6,7 +6,7 @@ import numpy as np
 
 from ms_highway.envs.recorded.commonroad import read_scenario, scenario_files
 from ms_highway.envs.recorded.lane_coordinates import measure_road
-from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Scenario
+from ms_highway.envs.recorded.scenario import SPEED_LIMIT, TrafficRecording
 from ms_highway.irl.recordings.recording import Recording
 
 
@@ -36,7 +36,7 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
     return recordings
 
 
-def _convert(scenario: Scenario, counted: set[tuple]) -> Recording:
+def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
     """Convert a scenario to a recording; add its drivers to those already counted."""
     road, tracks = measure_road(scenario.lanelets), scenario.tracks
     states, drivers = np.full((1 + scenario.steps, len(tracks), 4), np.nan), []
