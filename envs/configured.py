@@ -94,7 +94,7 @@ class ConfiguredEnv(AbstractEnv):
             if self._coming or "config" in self.options:
                 self.configure(self.options.get("config"))
             start = super().reset(seed=seed)
-        except ValueError:
+        except Exception:
             self.config, self._coming, self._running, self.time, self.steps = before
             self._read()
             self.define_spaces()

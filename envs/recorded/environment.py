@@ -39,8 +39,8 @@ class RecordedEnv(ConfiguredEnv):
       comes with the package.
     * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with the traits that it shows in its
       first second, who react to the ego; ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
-    * ``ego``: ``"problem"``, the planning problem; or the number of a recorded vehicle, to start in its place and go to
-      its own last position, within 2 s after it was there.
+    * ``ego``: ``"problem"``, the first planning problem; or the number of a recorded vehicle, to start in its place and
+      go to its own last position, at the latest 2 s after it was there.
     * ``goal_reward``, ``collision_reward``, ``off_road_reward``: once, at the end; ``progress_reward``: of each metre
       along the road.
 

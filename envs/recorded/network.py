@@ -132,17 +132,23 @@ def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
     """Build the road network of a recording: lanelets side by side are the lanes of a road, from the left.
 
     Raises:
-        ValueError: for lanes of two directions, or a lanelet that is beside itself.
+        ValueError: for lanes of two directions, a lanelet that is beside itself, or roads that part and meet again.
     """
     known = {lanelet.number: lanelet for lanelet in lanelets}
     network, roads = RoadNetwork(), _side_by_side(known)
     nodes = _nodes(roads, known)
     for number, road in enumerate(roads):
+        start, end = nodes[number, False], nodes[number, True]
+        if end in network.graph.get(start, {}):
+            raise ValueError(
+                f"lanelet {road[0].number} leads from where another road begins to where that ends, but is not beside "
+                "it; such roads cannot be driven here"
+            )
         for place, lanelet in enumerate(road):
             striped, solid, none = LineType.STRIPED, LineType.CONTINUOUS_LINE, LineType.NONE
             lines = [striped if place else solid, none if place + 1 < len(road) else solid]
             lane = _lane(lanelet, known, axes, lines)
-            network.add_lane(nodes[number, False], nodes[number, True], lane)
+            network.add_lane(start, end, lane)
     return network
 
 

@@ -16,7 +16,7 @@ from ms_highway.vehicle.road_map import Spot
 CAR_SIZE = 4.508, 1.610
 """Length and width of the car of planning problems, CommonRoad's second vehicle, a BMW 320i [m]."""
 
-EARLY, LATE = 0, 20  # steps after the start, and after the last position of a recorded vehicle, between which it counts
+LATE = 20  # steps after a recorded vehicle was at its last position, until which that counts
 LENGTH_OF_GOAL = 4.0  # m, along the road, of the region around that position
 SAME_LANE = 3.0  # m, its width
 FULL_TURN = 2 * np.pi
@@ -72,12 +72,13 @@ class Task:
         return any(_is_in(goal, step, point, orientation, speed) for goal in self.problem.goals)
 
     def appointment(self, network: RoadNetwork, axes: Axes) -> Appointment | None:
-        """Return where and when to be; None if the goals have no place. Times count from the start."""
+        """Return where to be and when, since the start, for the first goal that has a place; None without one."""
         for goal in self.problem.goals:
             if goal.area is None:
                 continue
             position = axes.positions(goal.area.mean(axis=0))
-            heading = None if goal.headings is None else float(axes.headings(np.mean(np.unwrap(goal.headings))))
+            low, high = goal.headings or (0.0, 0.0)
+            heading = float(axes.headings(low + (high - low) % FULL_TURN / 2)) if goal.headings else None
             index = network.get_closest_lane_index(position, heading)
             place, _ = network.get_lane(index).local_coordinates(position)
             times = [max(TIME_STEP * (time - self.problem.time), 0.0) for time in goal.times]
@@ -96,7 +97,7 @@ def _last_position(track: RecordedTrack) -> GoalRegion:
     aside = np.array([-np.sin(orientation), np.cos(orientation)]) * SAME_LANE / 2
     middle = np.array([x, y])
     corners = [middle + ahead + aside, middle - ahead + aside, middle - ahead - aside, middle + ahead - aside]
-    return GoalRegion((int(first) + EARLY, int(last) + LATE), np.array(corners))
+    return GoalRegion((int(first), int(last) + LATE), np.array(corners))
 
 
 def _is_in(goal: GoalRegion, step: int, point: Points, orientation: float, speed: float) -> bool:
@@ -152,11 +153,11 @@ SEAM = 0.1  # m, by which lanelets are widened to each side, as their edges hard
 
 
 def _extended(line: Points) -> Points:
-    direction = line[-1] - line[-2]
+    direction = line[-1] - line[np.any(line != line[-1], axis=1)][-1]
     return np.vstack([line, line[-1] + direction / np.linalg.norm(direction) * ONWARD])
 
 
 def _widened(left: Points, right: Points) -> Points:
     across = right - left
-    across = across / np.linalg.norm(across, axis=-1, keepdims=True) * SEAM
+    across = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9) * SEAM
     return np.vstack([left - across, (right + across)[::-1]])

@@ -5,7 +5,7 @@ Everything here is in the map's own axes, y to the left of x, metres, radians an
 """
 
 import gzip
-from functools import cache
+from functools import cache, lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,8 @@ from jaxtyping import Float
 Points = Float[np.ndarray, "points 2"]
 
 SPEED_LIMIT = 29.06  # m/s, 65 mph: on US-101, whose scenarios have no traffic signs
+
+KEPT = 20  # recordings that are kept in memory, as long as their files do not change
 
 SHIPPED = "us101"
 """Name of the recording that comes with the package."""
@@ -148,10 +150,11 @@ def pack(scenario: TrafficRecording, path: Path) -> None:
 def shipped() -> TrafficRecording:
     """Return the recording that comes with the package, which needs no other package to be read."""
     file = resources.files("ms_highway") / "data" / f"{SHIPPED}_traffic.json.gz"
-    return _unpacked(file.read_bytes())
+    return unpacked(file.read_bytes())
 
 
-def _unpacked(packed: bytes) -> TrafficRecording:
+def unpacked(packed: bytes) -> TrafficRecording:
+    """Return what `pack` has written."""
     return msgspec.json.decode(gzip.decompress(packed), type=TrafficRecording, dec_hook=_array)
 
 
@@ -159,7 +162,6 @@ def _array(kind: type, content: Any) -> np.ndarray:
     return np.array(content, dtype=float)
 
 
-@cache
 def open_recording(recording: str) -> TrafficRecording:
     """Return a recording: that of a CommonRoad file, or the one that comes with the package, by its name.
 
@@ -169,12 +171,17 @@ def open_recording(recording: str) -> TrafficRecording:
     """
     if recording == SHIPPED:
         return shipped()
-    from ms_highway.envs.recorded.commonroad import read_scenario
-
     path = Path(recording)
     if not path.is_file():
         raise ValueError(
             f"config['recording'] is {recording!r}, which is no file; give that of a CommonRoad scenario, *.xml or "
             f"*.xml.gz, or {SHIPPED!r}, which comes with the package"
         )
+    return _read(path.resolve(), path.stat().st_mtime_ns)
+
+
+@lru_cache(KEPT)
+def _read(path: Path, _: int) -> TrafficRecording:
+    from ms_highway.envs.recorded.commonroad import read_scenario
+
     return read_scenario(path)

@@ -142,11 +142,14 @@ def _lane_numbers(lanelets: tuple[Lanelet, ...]) -> dict[int, int]:
         for lanelet, number in queue:
             if lanelet in numbers or lanelet not in known:
                 continue
+            for side, step in ((0, -1), (1, 1)):  # all of its road, before those that follow
+                beside, place = known[lanelet].beside[side], number
+                while beside in known and beside not in numbers:
+                    place += step
+                    numbers[beside] = place
+                    queue += [(other, place) for other in (*known[beside].after, *known[beside].before)]
+                    beside = known[beside].beside[side]
             numbers[lanelet] = number
-            here = known[lanelet]
-            left, right = here.beside
-            queue += [(other, number - 1) for other in (left,) if other is not None]
-            queue += [(other, number + 1) for other in (right,) if other is not None]
-            queue += [(other, number) for other in (*here.after, *here.before)]
+            queue += [(other, number) for other in (*known[lanelet].after, *known[lanelet].before)]
     least = min(numbers.values())
     return {lanelet: number - least for lanelet, number in numbers.items()}

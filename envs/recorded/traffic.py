@@ -19,6 +19,7 @@ from ms_highway.game.learned_reward import shipped
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.planning.learned_driving import PAST, SECOND, moved, seen_states, shown_traits
 from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.vehicle.lane_paths import from_heading
 
 ROOM = 16  # cars: arrays grow by so many, so that few numbers of cars compile anew
 BEYOND = 30.0  # m behind the end of the road, where cars leave it
@@ -80,6 +81,7 @@ class Traffic(ABC):
         """
         self.straight, self.axes, self.road = straight, axes, road
         self.tracks = tuple(track for track in scenario.tracks if track.number != left_out)
+        self._left_out = tuple(track for track in scenario.tracks if track.number == left_out)
         self.vehicles: dict[int, Vehicle] = {}  # by the place of their track
         self.waiting: tuple[int, ...] = ()
         self._entered: set[int] = set()
@@ -112,15 +114,14 @@ class Traffic(ABC):
         self.waiting = tuple(waiting)
 
     def _is_free(self, track: RecordedTrack) -> bool:
-        """Return whether nobody is in the place where a track begins."""
-        position = self.axes.positions(track.samples[0, 1:3])
-        apart = [
-            np.linalg.norm(other.position - position) - (other.LENGTH + track.size[0]) / 2 for other in self._all()
-        ]
-        return all(gap > CLEAR for gap in apart)
-
-    def _all(self) -> list[Vehicle]:
-        return self.road.vehicles
+        """Return whether nobody is in the place where a track begins, nor right before or behind it."""
+        _, x, y, orientation, _ = track.samples[0]
+        heading, (length, width) = float(self.axes.headings(orientation)), track.size
+        apart = np.array([other.position for other in self.road.vehicles]) - self.axes.positions([x, y])
+        ahead, aside = from_heading(heading, *apart.T)
+        lengths, widths = np.array([(other.LENGTH, other.WIDTH) for other in self.road.vehicles]).T
+        along, across = np.abs(ahead) - (lengths + length) / 2, np.abs(aside) - (widths + width) / 2
+        return not bool(((along < CLEAR) & (across < 0)).any())
 
     def _enter(self, place: int, step: float | None = None) -> None:
         """Put the vehicle of a track on the road where it was at a step, by default the first of the track."""
@@ -181,6 +182,11 @@ def _is_beyond(vehicle: Vehicle, straight: StraightRoad, axes: Axes) -> bool:
     return bool(x > straight.coordinates.length + BEYOND)
 
 
+def _path(straight: StraightRoad, track: RecordedTrack) -> States:
+    """Return the states of a track on the straight road."""
+    return straight.straighten(track.samples[:, 1:3], *track.samples[:, 3:].T)
+
+
 @dataclass(frozen=True)
 class Recorded:
     """What a driver was recorded to do, by the way along the road.
@@ -211,19 +217,28 @@ class Learned(Traffic):
         self.drivers = drivers.bare
         straight, count = self.straight, len(self.tracks) + 1
         self.count = count + -count % ROOM
-        paths = [straight.straighten(track.samples[:, 1:3], *track.samples[:, 3:].T) for track in self.tracks]
+        sizes = np.ones((self.count, 2))
+        for place, track in enumerate((*self.tracks, *self._left_out)):
+            sizes[place] = track.size
+        self.surroundings = _Lanes(sizes, straight.lane_width, SPEED_LIMIT)
+        paths = [_path(straight, track) for track in self.tracks]
         self.recorded = [self._recorded(path) for path in paths]
-        self.surroundings = _Lanes(
-            np.pad(np.array([track.size for track in self.tracks]), ((0, self.count - count + 1), (0, 0)), mode="edge"),
-            straight.lane_width,
-            SPEED_LIMIT,
-        )
-        past = np.full((PAST + 1, self.count, 4), np.nan, np.float32)
-        for place, (track, path) in enumerate(zip(self.tracks, paths, strict=True)):
-            first = path[: SECOND + 1]
-            if (np.diff(track.samples[: SECOND + 1, 0]) == 1).all() and len(first) == SECOND + 1:
-                past[-SECOND - 1 :, place] = first
-        self.traits = np.asarray(_shown(self.drivers, self.surroundings, past))
+        self.traits = self._shown_traits(paths)
+
+    def _shown_traits(self, paths: list[States]) -> np.ndarray:
+        """Return what each driver is like, by its first second among all who were recorded then."""
+        everyone, traits = [*self.tracks, *self._left_out], np.zeros((self.count, 3), np.float32)
+        for first in {int(track.samples[0, 0]) for track in self.tracks}:
+            past = np.full((PAST + 1, self.count, 4), np.nan, np.float32)
+            for place, track in enumerate(everyone):
+                path = paths[place] if place < len(paths) else _path(self.straight, track)
+                steps = track.samples[:, 0].astype(int) - first
+                then = (steps >= 0) & (steps <= SECOND)
+                past[PAST - SECOND + steps[then], place] = path[then]
+            shown = np.asarray(_shown(self.drivers, self.surroundings, past))
+            begun = [place for place, track in enumerate(self.tracks) if int(track.samples[0, 0]) == first]
+            traits[begun] = shown[begun]
+        return traits
 
     def _recorded(self, path: States) -> Recorded:
         x = np.maximum.accumulate(path[:, 0]) + 1e-6 * np.arange(len(path))
@@ -317,7 +332,8 @@ def _driven(*given: Any) -> tuple[States, np.ndarray]:
     speed, gap = states[:, 3], np.maximum(leader.gap - STOPPED, 0.1)
     needed = np.where(leader.there, (speed**2 - np.maximum(leader.speed, 0.0) ** 2) / (2 * gap), 0.0)
     slowest = np.where(needed > CALM, speed - np.minimum(needed, HARDEST) * TIME_STEP, np.inf)
-    slowest = np.where(leader.there & (leader.gap < STOPPED), np.minimum(slowest, leader.speed), slowest)
+    touching = leader.there & (leader.gap < STOPPED)
+    slowest = np.where(touching, np.maximum(leader.speed, speed - HARDEST * TIME_STEP), slowest)
     less = np.minimum(np.maximum(slowest, 0.0), after[:, 3]) - after[:, 3]
     after[:, 0] += less * TIME_STEP / 2
     after[:, 3] += less
@@ -342,9 +358,10 @@ class RecordedRoad(Road):
     traffic: Traffic
 
     def step(self, dt: float) -> None:
-        """Move everybody for ``dt`` seconds; without others if the traffic has not begun."""
+        """Move everybody for ``dt`` seconds, and let others enter and leave."""
+        before = list(self.vehicles)
         self.traffic.move()
-        for vehicle in self.vehicles:
+        for vehicle in before:
             vehicle.step(dt)
         others = set(map(id, self.traffic.vehicles.values()))
         for ego in [vehicle for vehicle in self.vehicles if id(vehicle) not in others]:

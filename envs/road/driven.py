@@ -27,6 +27,7 @@ from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace
 from ms_highway.envs.stage import StageEnv
 from ms_highway.planning.road.settings import RoadWeights
 from ms_highway.runtime.arrays import Control
+from ms_highway.vehicle.appointment import destination_for
 from ms_highway.vehicle.road_robot import RoadRobot
 
 WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
@@ -155,7 +156,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     * ``late``: how many of these plans were not ready within the budget, so that the plan before drove on;
     * ``model_counts``: how many cars each model predicted, summed over these plans;
     * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
-    * ``destination``: node of the road network, None without one;
+    * ``destination``: node of the road network, or spot in a lane, None without one;
     * ``success``: whether the goal is reached now, None without one.
 
     Attributes:
@@ -239,7 +240,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             "model_counts": Counter(name for step in robot.steps for name in step.models if name),
             "acceleration": max(robot.accelerations, default=0.0),
             "jerk": max(robot.jerks, default=0.0),
-            "destination": robot.goal,
+            "destination": destination_for(robot.goal),
             "success": success(self._base),
         }
 

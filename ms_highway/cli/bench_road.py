@@ -20,6 +20,7 @@ from ms_highway.benchmarks.road import (
 )
 from ms_highway.cli.console import add_command, count_episodes, draw_unseen, print_tables
 from ms_highway.cli.options import MOST_PROCESSES, MOST_SEEDS, add_number
+from ms_highway.runtime.extras import needing
 
 HELP = """\
 Drive stock scenes of highway-env with this package's drivers and with others, from the same starts, and compare how
@@ -118,7 +119,7 @@ def add_bench_road(commands: Any) -> None:
     kinds = list(dict.fromkeys([*TRAFFIC, *RECORDED_TRAFFIC]))
     parser.add_argument("--traffic", choices=kinds, default=None, help=traffic)
     parser.add_argument("--data", type=Path, metavar="DIR", help="CommonRoad scenarios, for the scene recorded")
-    parser.add_argument("--egos", choices=EGOS, default="problem", help="whose place the ego takes in recordings")
+    parser.add_argument("--egos", choices=EGOS, help="whose place the ego takes in recordings (default: problem)")
     parser.add_argument("--judge", action="store_true", help="let an outside judge check exported drives")
     add_number(parser, "--jobs", None, "processes at once (default: number of cores)", most=MOST_PROCESSES)
     for name, metavar, text in (
@@ -208,7 +209,7 @@ def _starts(options: argparse.Namespace, scenes: list[str], drivers: list[str]) 
         ValueError: for options that do not go together.
     """
     if RECORDED not in scenes:
-        given = {"--data": options.data, "--export": options.export, "--judge": options.judge}
+        given = {"--data": options.data, "--egos": options.egos, "--export": options.export, "--judge": options.judge}
         given |= {driver: driver in drivers for driver in (HUMAN, *REACTIVE)}
         for name in [name for name, value in given.items() if value]:
             raise ValueError(f"{name} is for the scene {RECORDED!r} only: ms-highway bench road {RECORDED} ...")
@@ -221,16 +222,23 @@ def _starts(options: argparse.Namespace, scenes: list[str], drivers: list[str]) 
     if options.traffic is not None and options.traffic not in RECORDED_TRAFFIC:
         known = ", ".join(RECORDED_TRAFFIC)
         raise ValueError(f"--traffic {options.traffic} is not for the scene {RECORDED!r}; choose one of {known}")
-    wrong = {SEARCH} | ({HUMAN} if options.egos == "problem" else set(REACTIVE))
-    for driver in [driver for driver in drivers if driver in wrong]:
-        raise ValueError(f"the driver {driver} does not drive in recordings with --egos {options.egos}; leave it out")
-    if options.export and (options.data is None or options.egos != "problem"):
+    egos = options.egos or EGOS[0]
+    if SEARCH in drivers:
+        raise ValueError(f"the driver {SEARCH} does not drive in recordings; leave it out")
+    for driver in [driver for driver in drivers if driver in ({HUMAN} if egos == EGOS[0] else REACTIVE)]:
+        raise ValueError(f"the driver {driver} does not drive with --egos {egos}; leave it out")
+    if options.data is None and set(drivers) & set(REACTIVE):
+        raise ValueError(f"the drivers {' and '.join(REACTIVE)} need files of recordings; give their directory, --data")
+    if options.judge or set(drivers) & set(REACTIVE):
+        with needing("judge"):
+            import commonroad_dc  # noqa: F401  # or refuse before anything is driven
+    if options.export and (options.data is None or egos != EGOS[0]):
         raise ValueError("--export writes solutions of planning problems of --data; give that, and no other --egos")
     if options.judge and not options.export:
         raise ValueError("--judge judges exported drives; say where they go: --export DIR")
     from ms_highway.benchmarks.road.recorded import starts_of
 
-    starts = starts_of(options.data, options.egos)
+    starts = starts_of(options.data, egos)
     if options.seed >= len(starts):
         raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
     return starts

@@ -50,6 +50,8 @@ class Appointment:
                 passed += float(lane.shape.local_coordinates(self.position)[0])
                 break
             passed += lane.length
+        else:  # it is behind
+            return self.spot.place - float(roads.lanes[self.spot.lane].shape.local_coordinates(vehicle.position)[0])
         return passed - float(own.shape.local_coordinates(vehicle.position)[0])
 
     def desired_speed(self, vehicle: Vehicle, now: float) -> float:
@@ -68,10 +70,10 @@ class Appointment:
             return max(speed, SLOWEST)
         within = min(WITHIN, (self.speeds[1] - self.speeds[0]) / 2)
         ends = self.speeds[1] - within, self.speeds[0] + (within if self.speeds[0] > 0 else 0.0)
-        slow, fast = (2 * max(left, 0.0) / max(speed + end, SLOWEST) for end in ends)
+        soonest, latest = (2 * max(left, 0.0) / max(speed + end, SLOWEST) for end in ends)
         first, last = (max(time - now, SOON) for time in self.times)
-        if max(first, slow) <= min(last, fast):  # some time allows an allowed speed
-            first, last = max(first, slow), min(last, fast)
+        if max(first, soonest) <= min(last, latest):  # some time allows an allowed speed
+            first, last = max(first, soonest), min(last, latest)
         spare = min((last - first) / 2, SPARE)
         time = min(max(left / max(speed, SLOWEST), first + spare), last - spare)
         acceleration = 2 * (left - speed * time) / time**2

@@ -271,7 +271,8 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
     * ``sources``: shares of the decisions by what drove, where the driver says so;
     * ``rungs``: shares of the cars that each rung predicted;
     * ``episodes``, ``seeds``, ``traffic``, ``label``: their number, the first seed and how many, the type of the other
-      vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL`, ``privileged`` for the search.
+      vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL`, ``privileged`` for the search
+      and for who knows how others were recorded to go.
     """
     of = SimpleNamespace(**{name: [getattr(each, name) for each in episodes] for name in vars(episodes[0])})
     p50, p99 = np.quantile(1e3 * np.concatenate(of.decisions), [0.5, 0.99])

@@ -63,6 +63,7 @@ class Drive:
         recording = Path(self._env.config["recording"])
         identity = open_commonroad(recording)[0].scenario_id
         driven = self._driven(recording)
+        date = datetime.fromisoformat(driven.get("date", EPOCH))  # of the recording: the same each time
         with replacing(scenario) as path:
             ElementTree.ElementTree(driven).write(path, encoding="utf-8", xml_declaration=True)
         states = [
@@ -83,7 +84,6 @@ class Drive:
             trajectory=Trajectory(states[0].time_step, states),
         )
         with replacing(solution) as path:
-            date = datetime.fromisoformat(driven.get("date", EPOCH))  # of the recording: the same each time
             whole = CommonRoadSolutionWriter(Solution(identity, [own], date=date))
             whole.write_to_file(str(path.parent.resolve()), path.name, overwrite=True)
 
@@ -108,8 +108,9 @@ class Drive:
                 for old in obstacle.findall(part):
                     obstacle.remove(old)
             obstacle.append(_state("initialState", rows[0]))
-            trajectory = ElementTree.SubElement(obstacle, "trajectory")
-            trajectory.extend(_state("state", row) for row in rows[1:])
+            if rows[1:]:
+                trajectory = ElementTree.SubElement(obstacle, "trajectory")
+                trajectory.extend(_state("state", row) for row in rows[1:])
         return root
 
 
