@@ -11,10 +11,10 @@ from highway_env.utils import get_class_path
 from ms_highway.envs.recorded.lane_coordinates import Values, fit_lane_coordinates
 from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Lanelet, Points
 from ms_highway.game.road import wrapped
+from ms_highway.vehicle.lane_paths import TIGHTEST, from_heading
 
 STEP = 1.0  # m, between samples of a lane
 BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
-FROM_CENTRE = 0.2  # of the radius of a bend, that a point is away from its centre at least
 
 
 class Axes(NamedTuple):
@@ -103,12 +103,10 @@ class SampledLane(AbstractLane):
         """Return the place along the lane and the distance to the right of its middle [m]."""
         dx, dy = (position - self.centres).T
         nearest = int(np.argmin(dx * dx + dy * dy))
-        heading = self.headings[nearest]
-        cosine, sine = np.cos(heading), np.sin(heading)
-        ahead, aside = dx[nearest] * cosine + dy[nearest] * sine, dy[nearest] * cosine - dx[nearest] * sine
+        ahead, aside = from_heading(self.headings[nearest], dx[nearest], dy[nearest])
         last = len(self.places) - 1
         bend = 0.0 if (nearest == 0 and ahead < 0) or (nearest == last and ahead > 0) else self.bends[nearest]
-        step = ahead / max(1 - bend * aside, FROM_CENTRE)
+        step = ahead / max(1 - bend * aside, TIGHTEST)
         return float(self.places[nearest] + step), float(aside - bend * ahead * step / 2)
 
     @classmethod

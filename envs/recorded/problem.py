@@ -20,6 +20,8 @@ LATE = 20  # steps after a recorded vehicle was at its last position, until whic
 LENGTH_OF_GOAL = 4.0  # m, along the road, of the region around that position
 SAME_LANE = 3.0  # m, its width
 FULL_TURN = 2 * np.pi
+ONWARD = 50.0  # m, by which the surface goes on beyond the ends of the road
+SEAM = 0.1  # m, by which lanelets are widened to each side, as their edges hardly touch
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Task:
                     f"config['ego'], such as {scenario.tracks[0].number}"
                 )
             return cls(scenario.problems[0], CAR_SIZE)
-        track = next((track for track in scenario.tracks if track.number == ego), None)
+        track = scenario.track(ego)
         if track is None:
             known = ", ".join(str(track.number) for track in scenario.tracks)
             raise ValueError(f"config['ego'] is {ego}, which is not there; choose one of {known}")
@@ -146,10 +148,6 @@ class Surface:
         """Return whether all corners of a vehicle are on the surface."""
         corners = vehicle.polygon()[:-1]
         return bool(np.any([inside(polygon, corners) for polygon in self._polygons], axis=0).all())
-
-
-ONWARD = 50.0  # m, by which the surface goes on beyond the ends of the road
-SEAM = 0.1  # m, by which lanelets are widened to each side, as their edges hardly touch
 
 
 def _extended(line: Points) -> Points:

@@ -134,6 +134,10 @@ class TrafficRecording(msgspec.Struct, frozen=True):
     obstacles: tuple[Obstacle, ...] = ()
     problems: tuple[Problem, ...] = ()
 
+    def track(self, number: int) -> RecordedTrack | None:
+        """Return the track with a number, None without one."""
+        return next((track for track in self.tracks if track.number == number), None)
+
     @property
     def steps(self) -> int:
         """Number of the last step at which a vehicle was seen."""

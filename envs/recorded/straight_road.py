@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ms_highway.envs.recorded.lane_coordinates import LaneCoordinates, Values, measure_road
-from ms_highway.envs.recorded.scenario import Lanelet, Points
+from ms_highway.envs.recorded.scenario import Lanelet, Points, RecordedTrack
 from ms_highway.game.road import wrapped
 
 STEP = 2.0  # m, between the places at which lanes are measured
@@ -73,6 +73,10 @@ class StraightRoad:
         x, across, along = self.coordinates.locate(points)
         y = self._straight(x, across)
         return np.stack([x, y, wrapped(along - orientations - self._slope(x, y)), speeds], axis=-1)
+
+    def path(self, track: RecordedTrack) -> States:
+        """Return the states of a track on the straight road."""
+        return self.straighten(track.samples[:, 1:3], *track.samples[:, 3:].T)
 
     def bend(self, states: States) -> tuple[Points, Values]:
         """Return points and orientations in the map of states on the straight road."""

@@ -86,6 +86,12 @@ class Traffic(ABC):
         self.waiting: tuple[int, ...] = ()
         self._entered: set[int] = set()
 
+    @property
+    def egos(self) -> list[Vehicle]:
+        """Vehicles on the road that are none of its own."""
+        own = set(map(id, self.vehicles.values()))
+        return [vehicle for vehicle in self.road.vehicles if id(vehicle) not in own]
+
     def begin(self, step: int) -> None:
         """Put those on the road who are there at a step."""
         self.step = step
@@ -182,11 +188,6 @@ def _is_beyond(vehicle: Vehicle, straight: StraightRoad, axes: Axes) -> bool:
     return bool(x > straight.coordinates.length + BEYOND)
 
 
-def _path(straight: StraightRoad, track: RecordedTrack) -> States:
-    """Return the states of a track on the straight road."""
-    return straight.straighten(track.samples[:, 1:3], *track.samples[:, 3:].T)
-
-
 @dataclass(frozen=True)
 class Recorded:
     """What a driver was recorded to do, by the way along the road.
@@ -221,7 +222,7 @@ class Learned(Traffic):
         for place, track in enumerate((*self.tracks, *self._left_out)):
             sizes[place] = track.size
         self.surroundings = _Lanes(sizes, straight.lane_width, SPEED_LIMIT)
-        paths = [_path(straight, track) for track in self.tracks]
+        paths = [straight.path(track) for track in self.tracks]
         self.recorded = [self._recorded(path) for path in paths]
         self.traits = self._shown_traits(paths)
 
@@ -231,7 +232,7 @@ class Learned(Traffic):
         for first in {int(track.samples[0, 0]) for track in self.tracks}:
             past = np.full((PAST + 1, self.count, 4), np.nan, np.float32)
             for place, track in enumerate(everyone):
-                path = paths[place] if place < len(paths) else _path(self.straight, track)
+                path = paths[place] if place < len(paths) else self.straight.path(track)
                 steps = track.samples[:, 0].astype(int) - first
                 then = (steps >= 0) & (steps <= SECOND)
                 past[PAST - SECOND + steps[then], place] = path[then]
@@ -256,14 +257,11 @@ class Learned(Traffic):
             slower = behind & (kept[:, 3] < after[:, 3])
             after[slower, 0], after[slower, 3] = kept[slower, 0], kept[slower, 3]
             led |= slower
-        for place in self.vehicles:
-            if not led[place]:
-                own = self.recorded[place]
-                goal = np.interp(states[place, 0], own.x, own.speed)
-                most = states[place, 3] + (goal - states[place, 3]) * TIME_STEP / SETTLING
-                less = min(after[place, 3], max(most, 0.0)) - after[place, 3]
-                after[place, 0] += less * TIME_STEP / 2
-                after[place, 3] += less
+        most = np.full(self.count, np.inf)
+        for place in [place for place in self.vehicles if not led[place]]:
+            own, (x, _, _, speed) = self.recorded[place], states[place]
+            most[place] = speed + (np.interp(x, own.x, own.speed) - speed) * TIME_STEP / SETTLING
+        _slow_down(after, most)
         places = list(self.vehicles)
         points, orientations = self.straight.bend(after[places].astype(float))
         for place, point, orientation in zip(
@@ -276,7 +274,7 @@ class Learned(Traffic):
     def _states(self) -> States:
         """Return the states on the straight road of all cars, the ego's after them; NaN where there is none."""
         states = np.full((self.count, 4), np.nan, np.float32)
-        egos = [vehicle for vehicle in self.road.vehicles if vehicle not in self.vehicles.values()]
+        egos = self.egos
         places = [*self.vehicles, *range(len(self.tracks), len(self.tracks) + len(egos))]
         everyone = [*self.vehicles.values(), *egos]
         states[places] = self.straight.straighten(
@@ -334,10 +332,15 @@ def _driven(*given: Any) -> tuple[States, np.ndarray]:
     slowest = np.where(needed > CALM, speed - np.minimum(needed, HARDEST) * TIME_STEP, np.inf)
     touching = leader.there & (leader.gap < STOPPED)
     slowest = np.where(touching, np.maximum(leader.speed, speed - HARDEST * TIME_STEP), slowest)
-    less = np.minimum(np.maximum(slowest, 0.0), after[:, 3]) - after[:, 3]
+    _slow_down(after, slowest)
+    return after, leader.there
+
+
+def _slow_down(after: States, most: np.ndarray) -> None:
+    """Let cars be at most so fast after a step, never backwards, and less far along the road."""
+    less = np.minimum(np.maximum(most, 0.0), after[:, 3]) - after[:, 3]
     after[:, 0] += less * TIME_STEP / 2
     after[:, 3] += less
-    return after, leader.there
 
 
 _moved = jit_quickly(
@@ -363,8 +366,7 @@ class RecordedRoad(Road):
         self.traffic.move()
         for vehicle in before:
             vehicle.step(dt)
-        others = set(map(id, self.traffic.vehicles.values()))
-        for ego in [vehicle for vehicle in self.vehicles if id(vehicle) not in others]:
+        for ego in self.traffic.egos:
             for other in (*self.vehicles, *self.objects):
                 if other is not ego and overlap(ego, other):
                     ego.crashed = other.crashed = True

@@ -73,7 +73,7 @@ def _changing(scenario: TrafficRecording) -> list[tuple[int, tuple[float, ...]]]
         samples = track.samples
         if samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
             continue
-        places = straight.straighten(samples[[0, -1], 1:3], *samples[[0, -1], 3:].T)[:, 1] / straight.lane_width
+        places = straight.path(track)[[0, -1], 1] / straight.lane_width
         lanes = np.rint(places)
         if lanes[0] != lanes[1] and abs(places[1] - lanes[1]) < CENTRED and abs(places[1] - places[0]) > CHANGED:
             found.append((track.number, tuple(samples[0, 1:3].round(2).tolist())))
@@ -106,7 +106,9 @@ class Human(Peer):
         env = self.inner
         if not isinstance(env, RecordedEnv) or env.task.track is None:
             raise ValueError("the driver human goes as a recorded vehicle did; say --egos changing")
-        self._track = next(track for track in env.scenario.tracks if track.number == env.task.track)
+        track = env.scenario.track(env.task.track)
+        assert track is not None  # the environment has found it
+        self._track = track
         self._ego = replace_ego(self.env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
 
     def choose(self) -> Any:
