@@ -1,20 +1,25 @@
 """Recorded: drive on a recorded road, among those who were recorded there."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from highway_env.envs.common.action import DiscreteMetaAction
+from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import Obstacle as RoadObstacle
 from msgspec import Meta, Struct
 
 from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
+from ms_highway.envs.recorded.learned_traffic import Learned
 from ms_highway.envs.recorded.network import Axes, network_of
 from ms_highway.envs.recorded.problem import Surface, Task
-from ms_highway.envs.recorded.scenario import SHIPPED, Points, TrafficRecording, open_recording
+from ms_highway.envs.recorded.scenario import SHIPPED, Lanelet, Points, TrafficRecording, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
-from ms_highway.envs.recorded.traffic import TRAFFIC, RecordedRoad, sized
+from ms_highway.envs.recorded.traffic import Idm, RecordedRoad, Replay, Traffic, sized
 
-NOBODY = "say 'problem' for the planning problem, or give the number of a recorded vehicle"
+NOBODY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
+TRAFFIC: dict[str, type[Traffic]] = {"learned": Learned, "replay": Replay, "idm": Idm}
+"""Kinds of traffic by name."""
+
 OFF_LANE = 1.0  # widths of a lane, from which a start is not on the road
 
 
@@ -23,11 +28,30 @@ class RecordedSettings(Struct, frozen=True):
 
     recording: Annotated[str, Meta(description=f"give the file of a CommonRoad scenario, or say {SHIPPED!r}")]
     traffic: Literal["learned", "replay", "idm"]
-    ego: Annotated[Literal["problem"] | int, Meta(description=NOBODY)]
+    ego: Annotated[Annotated[str, Meta(pattern=r"^problem(:\d+)?$")] | int, Meta(description=NOBODY)]
     goal_reward: Number
     collision_reward: Number
     off_road_reward: Number
     progress_reward: Number
+
+
+class RoadShape(NamedTuple):
+    """What the lanelets of a recording make, the same in all its episodes."""
+
+    axes: Axes
+    network: RoadNetwork
+    straight: StraightRoad
+    surface: Surface
+
+    @classmethod
+    def of(cls, lanelets: tuple[Lanelet, ...]) -> "RoadShape":
+        """Return the shape of the road of lanelets.
+
+        Raises:
+            ValueError: for lanelets that cannot be driven, with the reason.
+        """
+        straight, axes = StraightRoad.of(lanelets), Axes.of(lanelets)
+        return cls(axes, network_of(lanelets, axes), straight, Surface(lanelets, axes))
 
 
 class RecordedEnv(ConfiguredEnv):
@@ -39,8 +63,8 @@ class RecordedEnv(ConfiguredEnv):
       comes with the package.
     * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with the traits that it shows in its
       first second, who react to the ego; ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
-    * ``ego``: ``"problem"``, the first planning problem; or the number of a recorded vehicle, to start in its place and
-      go to its own last position, at the latest 2 s after it was there.
+    * ``ego``: ``"problem"``, the first planning problem, or ``"problem:NUMBER"``, any; or the number of a recorded
+      vehicle, to start in its place and go to its own last position, at the latest 2 s after it was there.
     * ``goal_reward``, ``collision_reward``, ``off_road_reward``: once, at the end; ``progress_reward``: of each metre
       along the road.
 
@@ -54,12 +78,13 @@ class RecordedEnv(ConfiguredEnv):
     Attributes:
         scenario: the recording.
         task: of the ego.
-        axes: of the road in the map.
         appointment: where and when the ego has to be, None if its goal is only a time.
         success, off_road: whether the goal has been reached, and the road left.
     """
 
     settings_type = RecordedSettings
+    scenario: TrafficRecording
+    _shape: RoadShape
     types = {  # noqa: RUF012
         "action": {
             "DiscreteMetaAction": keys_of(DiscreteMetaAction),
@@ -92,13 +117,14 @@ class RecordedEnv(ConfiguredEnv):
         """Build the road, and put the ego and the others on it; all of it, or nothing changes."""
         scenario = open_recording(self.settings.recording)
         try:
-            self._build(scenario, None if self.settings.ego == "problem" else self.settings.ego)
+            self._build(scenario)
         except ValueError as error:
             raise ValueError(f"{scenario.source}: {error}") from error
 
-    def _build(self, scenario: TrafficRecording, ego: int | None) -> None:
-        task, straight, axes = Task.of(scenario, ego), StraightRoad.of(scenario.lanelets), Axes.of(scenario.lanelets)
-        road = RecordedRoad(network_of(scenario.lanelets, axes), np_random=self.np_random)
+    def _build(self, scenario: TrafficRecording) -> None:
+        task = Task.of(scenario, self.settings.ego)
+        shape = self._shape if scenario is getattr(self, "scenario", None) else RoadShape.of(scenario.lanelets)
+        axes, road = shape.axes, RecordedRoad(shape.network, np_random=self.np_random)
         x, y, orientation, speed = task.problem.start
         position, heading = axes.positions([x, y]), float(axes.headings(orientation))
         lane = road.network.get_lane(road.network.get_closest_lane_index(position, heading))
@@ -112,12 +138,17 @@ class RecordedEnv(ConfiguredEnv):
         vehicle.check_collisions = False
         sized(vehicle, task.size)
         road.vehicles = [vehicle]
-        road.traffic = TRAFFIC[self.settings.traffic](scenario, straight, axes, road, task.track)
+        road.traffic = TRAFFIC[self.settings.traffic](scenario, shape.straight, axes, road, task.track)
         road.traffic.begin(task.problem.time)
-        self.scenario, self.task, self.axes, self.road, self._straight = scenario, task, axes, road, straight
-        self.surface, self.appointment = Surface(scenario.lanelets, axes), task.appointment(road.network, axes)
+        self.scenario, self.task, self.road, self._shape = scenario, task, road, shape
+        self.appointment = task.appointment(road.network, axes)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
         self._along = self._place_along()
+
+    @property
+    def axes(self) -> Axes:
+        """Of the road in the map."""
+        return self._shape.axes
 
     @property
     def goal_areas(self) -> list[Points]:
@@ -125,7 +156,7 @@ class RecordedEnv(ConfiguredEnv):
         return [self.axes.positions(goal.area) for goal in self.task.problem.goals if goal.area is not None]
 
     def _place_along(self) -> float:
-        return float(self._straight.coordinates.locate(self.axes.points(self.vehicle.position)[None]).x[0])
+        return float(self._shape.straight.coordinates.locate(self.axes.points(self.vehicle.position)[None]).x[0])
 
     @property
     def step_of_recording(self) -> int:
@@ -138,7 +169,7 @@ class RecordedEnv(ConfiguredEnv):
         along = self._place_along()
         self.progress, self._along = along - self._along, along
         ego = self.vehicle
-        self.off_road |= not self.surface.holds(ego)
+        self.off_road |= not self._shape.surface.holds(ego)
         orientation, point = float(self.axes.orientations(ego.heading)), self.axes.points(ego.position)
         reached = self.task.is_reached(self.step_of_recording, point, orientation, ego.speed)
         self.success |= reached and not ego.crashed and not self.off_road

@@ -7,6 +7,8 @@ import numpy as np
 from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import RoadNetwork
 from highway_env.utils import get_class_path
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ms_highway.envs.recorded.lane_coordinates import Values, fit_lane_coordinates
 from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Lanelet, Points
@@ -180,21 +182,16 @@ def _side_by_side(known: dict[int, Lanelet]) -> list[list[Lanelet]]:
 def _nodes(roads: list[list[Lanelet]], known: dict[int, Lanelet]) -> dict[tuple[int, bool], str]:
     """Return the names of the nodes at which roads begin (False) and end (True): one where lanelets meet."""
     of_lanelet = {lanelet.number: number for number, road in enumerate(roads) for lanelet in road}
-    same = {(number, end): (number, end) for number in range(len(roads)) for end in (False, True)}
-
-    def first(node: tuple[int, bool]) -> tuple[int, bool]:
-        while same[node] != node:
-            node = same[node]
-        return node
-
-    for lanelet in known.values():
-        for after in lanelet.after:
-            if after in known:
-                same[first((of_lanelet[after], False))] = first((of_lanelet[lanelet.number], True))
-    names: dict[tuple[int, bool], str] = {}
-    for node in same:
-        names.setdefault(first(node), str(len(names)))
-    return {node: names[first(node)] for node in same}
+    meet = [
+        (2 * of_lanelet[number] + 1, 2 * of_lanelet[after])
+        for number, lanelet in known.items()
+        for after in lanelet.after
+        if after in known
+    ]
+    ends, starts = np.array(meet, dtype=int).reshape(-1, 2).T
+    joined = coo_array((np.ones(len(meet)), (ends, starts)), shape=(2 * len(roads), 2 * len(roads)))
+    _, names = connected_components(joined, directed=False)
+    return {(node // 2, node % 2 == 1): str(name) for node, name in enumerate(names)}
 
 
 def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequence[int]) -> SampledLane:

@@ -39,23 +39,18 @@ class Task:
     track: int | None = None
 
     @classmethod
-    def of(cls, scenario: TrafficRecording, ego: int | None) -> "Task":
-        """Return the planning problem of a scenario, or the task to go where a recorded vehicle went.
+    def of(cls, scenario: TrafficRecording, ego: str | int) -> "Task":
+        """Return a planning problem of a scenario, or the task to go where a recorded vehicle went.
 
         Args:
             scenario: the recording.
-            ego: number of the vehicle's track; None for the planning problem.
+            ego: ``problem`` for the first planning problem, ``problem:NUMBER``, or the number of a vehicle's track.
 
         Raises:
-            ValueError: if there is no planning problem, or no such vehicle, or it was seen once only.
+            ValueError: if there is no such planning problem, or no such vehicle, or it was seen once only.
         """
-        if ego is None:
-            if not scenario.problems:
-                raise ValueError(
-                    "there is no planning problem; drive in the place of a vehicle, "
-                    f"config['ego'], such as {scenario.tracks[0].number}"
-                )
-            return cls(scenario.problems[0], CAR_SIZE)
+        if isinstance(ego, str):
+            return cls(_problem(scenario, ego.partition(":")[2]), CAR_SIZE)
         track = scenario.track(ego)
         if track is None:
             known = ", ".join(str(track.number) for track in scenario.tracks)
@@ -86,6 +81,19 @@ class Task:
             times = [max(TIME_STEP * (time - self.problem.time), 0.0) for time in goal.times]
             return Appointment(Spot(index, place), position, (times[0], times[1]), goal.speeds or (0.0, np.inf))
         return None
+
+
+def _problem(scenario: TrafficRecording, number: str) -> Problem:
+    """Return the planning problem of a number, without one the first."""
+    known = [str(problem.number) for problem in scenario.problems]
+    if not known:
+        instead = scenario.tracks[0].number
+        raise ValueError(
+            f"there is no planning problem; drive in the place of a vehicle, config['ego'], such as {instead}"
+        )
+    if number and number not in known:
+        raise ValueError(f"there is no planning problem {number}, config['ego']; choose one of {', '.join(known)}")
+    return scenario.problems[known.index(number) if number else 0]
 
 
 def _start(track: RecordedTrack) -> tuple[tuple[float, float, float, float], int]:

@@ -341,7 +341,8 @@ import ms_highway
 for name in [name for name in gym.registry if name.startswith("ms-highway/")]:
     for controller in ["learned", "switching", "horizon", "budget", "nearest"]:
         numbers = {"budget": {"milliseconds": 20}, "nearest": {"count": 1}}.get(controller, {"lambda": 1.0})
-        env = gym.make(name, config={} if "demonstration" in name else {"controller": {"type": controller} | numbers})
+        chooses = "demonstration" not in name and "recorded" not in name
+        env = gym.make(name, config={"controller": {"type": controller} | numbers} if chooses else {})
         env.reset(seed=0)
         assert not xla_bridge.backends_are_initialized(), (name, controller)
 """

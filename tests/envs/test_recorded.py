@@ -15,6 +15,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from recordings import SPEED, TURN, car, lanelet, linked_lanes, place, problem, scenario, straight
 
 import ms_highway
+from ms_highway.benchmarks.road.recorded import starts_of
 from ms_highway.envs.recorded.commonroad import open_commonroad
 from ms_highway.envs.recorded.network import SampledLane
 from ms_highway.envs.recorded.problem import Task, inside
@@ -311,7 +312,7 @@ def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
     from commonroad.scenario.state import CustomState
 
     (theirs,) = open_commonroad(us("29_1"))[1].planning_problem_dict.values()
-    task = Task.of(open_recording(str(us("29_1"))), None)
+    task = Task.of(open_recording(str(us("29_1"))), "problem")
     (goal,) = task.problem.goals
     rng = np.random.default_rng(0)
     drawn = rng.uniform(-1.1, 1.1, (400, 4)) * [2.0, 2.0, np.ptp(goal.headings) / 2, np.ptp(goal.speeds) / 2]
@@ -346,6 +347,19 @@ def test_success_ends_the_episode_and_comes_only_within_all_of_the_goals_interva
     assert info["recorded"]["step"] == len(outcomes) == (step or last)
     assert info["recorded"]["success"] == (step is not None)
     assert reward == pytest.approx((step is not None) + 0.002 * SPEED * 0.1, abs=1e-6)
+
+
+def test_each_of_several_planning_problems_can_be_driven(tmp_path):
+    second = problem(30.0).replace('planningProblem id="7"', 'planningProblem id="8"')
+    path = written(tmp_path, problems=problem(20.0) + second)
+    starts = {}
+    for ego in ("problem", "problem:7", "problem:8"):
+        env = make(path, ego=ego)
+        env.reset(seed=0)
+        starts[ego] = env.unwrapped.vehicle.position[0]
+    assert starts["problem"] == starts["problem:7"] == pytest.approx(starts["problem:8"] - 10)
+    assert [start.ego for start in starts_of(tmp_path, "problem")] == ["problem:7", "problem:8"]
+    assert len({start.name for start in starts_of(tmp_path, "problem")}) == 2
 
 
 def test_an_episode_that_starts_later_ends_with_the_last_goals_step_of_the_recording(tmp_path):
@@ -439,6 +453,7 @@ def on_one_line(error):
         ({"cars": ""}, {}, r"small.xml: there is no dynamic obstacle with two samples"),
         ({}, {"ego": 7}, r"small.xml: config\['ego'\] is 7, which is not there; choose one of 100, 101"),
         ({"cars": CARS + car(103, 5, 0, 1)}, {"ego": 103}, r"config\['ego'\] is 103, which was seen only once"),
+        ({}, {"ego": "problem:8"}, r"small.xml: there is no planning problem 8, config\['ego'\]; choose one of 7"),
         ({}, {"ego": "nobody"}, r"config\['ego'\] is 'nobody'; say 'problem'"),
         ({}, {"recording": "us102"}, r"config\['recording'\] is 'us102', which is no file; give .* or 'us101'"),
         ({}, {"recording": 101}, r"config\['recording'\] is 101; give the file of a CommonRoad scenario"),

@@ -98,7 +98,7 @@ def test_the_columns_of_all_csv_files_are_explained_and_no_others():
     glossary = TEXTS[RESULTS].partition("## Columns of CSV files")[2]
     rows = [line.split("|")[1] for line in glossary.splitlines() if line.startswith("| `")]
     kept = [pd.read_csv(KEPT / f"{name}.csv", nrows=0) for name in COLLECTED.TABLES]
-    block = Block("recorded", "idle", "replay", (RecordedStart("name", "file"),))
+    block = Block("recorded", "idle", "replay", (RecordedStart("name", "file", "problem"),))
     episode = run_episode(Block("highway-fast-v0", "idle"), 0)
     road = set(row(block, replace(episode, verdict=Verdict(True, False, False, True))))
     found = {*chain(*kept), *columns(PAPER_MODELS, PAPER_MODELS[1:]), *INDEX, *KEPT_COLUMNS, "meta_reward", *road}

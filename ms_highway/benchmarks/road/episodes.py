@@ -229,7 +229,7 @@ def film(block: Block, seed: int, path: Path) -> None:
     from ms_highway.visualization.video import write
 
     frames, rate = _filmed(block, seed)
-    if block.starts and block.starts[seed].ego is not None:
+    if block.starts and isinstance(block.starts[seed].ego, int):
         above, _ = _filmed(block._replace(driver=HUMAN, traffic="replay"), seed)
         longest = max(len(frames), len(above))
         whole = [[*one, *[one[-1]] * (longest - len(one))] for one in (above, frames)]

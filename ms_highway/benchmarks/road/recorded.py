@@ -24,17 +24,17 @@ class RecordedStart(NamedTuple):
     Attributes:
         name: for logs and files.
         recording: a file, or the name of a recording of the package.
-        ego: number of a recorded vehicle, None for the planning problem.
+        ego: as in the environment's configuration: ``problem:NUMBER``, or the number of a recorded vehicle.
     """
 
     name: str
     recording: str
-    ego: int | None = None
+    ego: str | int
 
     @property
     def config(self) -> dict[str, Any]:
         """What the environment's configuration says of it."""
-        return {"recording": self.recording, "ego": "problem" if self.ego is None else self.ego}
+        return {"recording": self.recording, "ego": self.ego}
 
 
 def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
@@ -42,7 +42,7 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
 
     Args:
         data: the directory.
-        egos: ``problem``, the planning problem of each; ``changing``, all vehicles that end in another lane than they
+        egos: ``problem``, the planning problems of each; ``changing``, all vehicles that end in another lane than they
             began in.
 
     Raises:
@@ -54,7 +54,9 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
     for recording in recordings:
         scenario = open_recording(recording)
         if egos == "problem":
-            starts += [RecordedStart(scenario.name, recording)] if scenario.problems else []
+            for problem in scenario.problems:
+                name = scenario.name if len(scenario.problems) == 1 else f"{scenario.name}_{problem.number}"
+                starts.append(RecordedStart(name, recording, f"problem:{problem.number}"))
             continue
         for number, first in _changing(scenario):
             if (scenario.group, number, first) not in seen:  # files of a group may share tracks
