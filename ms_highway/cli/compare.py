@@ -1,10 +1,18 @@
 """The command ``ms-highway compare``."""
 
 import argparse
-from typing import Any
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, count_episodes, print_tables
 from ms_highway.cli.options import SCENARIO_NAMES, add_comparison, comparison
+
+if TYPE_CHECKING:
+    from ms_highway.experiments.comparison import Comparison
+
+LEARNED = "learned:1"
+"""Compared by default beside the models of the ladder and the paper's switching."""
 
 HELP = f"""\
 Run the same seeded episodes with several controllers and compare reward and computation.
@@ -16,7 +24,7 @@ horizon:LAMBDA, by gains that are estimated over the whole plan instead of one s
 an order that is fixed beforehand, such as schedule:tom=6,naive; or period:MODEL=STEPS,..., an order that is repeated,
 such as period:tom=1,naive=3; or random:MODEL=SHARE,..., a model drawn for every step, such as random:naive=0.7,tom=0.3:
 a choice that looks at nothing, which others have to beat. Without scenarios and controllers, the paper's comparison
-runs: its three scenarios, each with its ladder and the paper's two lambdas.
+runs: its three scenarios, each with its ladder and the paper's two lambdas, and {LEARNED} beside them.
 
 In {" and ".join(SCENARIO_NAMES[3:])}, a controller chooses a model for each of several humans. A model's name stands
 for all humans; nearest:K, ttc:K, influence:K and barrier:K predict K humans by tom, the nearest, those with the
@@ -62,6 +70,8 @@ def _compare(options: argparse.Namespace) -> None:
     from ms_highway.visualization.figures import CAPTIONS, figures
 
     asked = comparison(options)
+    if not options.controllers:
+        asked = _with_learned(asked)
     with own_results(options) as record:
         counts, wanted = run(asked, options.out), len(list(asked.episodes()))
         already = next(counts)
@@ -79,3 +89,18 @@ def _compare(options: argparse.Namespace) -> None:
                 (options.out / f"{scenario}_{name}.png").unlink(missing_ok=True)
             save_figures({f"{scenario}_{name}": figure for name, figure in drawn.items()}, options.out)
     print(f"results are in {options.out}")
+
+
+def _with_learned(asked: "Comparison") -> "Comparison":
+    """Return a comparison with learned values, before switching, where they suit the ladder and the costs."""
+    controllers = {}
+    for scenario, names in asked.controllers.items():
+        try:
+            asked.environment_config(scenario, LEARNED)
+        except ValueError as error:
+            print(f"ms-highway: {scenario} is compared without {LEARNED}: {error}", file=sys.stderr)
+            controllers[scenario] = names
+            continue
+        place = next(place for place, name in enumerate(names) if name.startswith("switching"))
+        controllers[scenario] = [*names[:place], LEARNED, *names[place:]]
+    return replace(asked, controllers=controllers)

@@ -10,24 +10,32 @@ from ms_highway.cli.console import add_command, draw_unseen, telling
 if TYPE_CHECKING:
     from ms_highway.experiments.results import Results
     from ms_highway.runtime.progress import Progress
-    from ms_highway.visualization.html_page import Drawn
+    from ms_highway.visualization.section import Section
 
 HELP = """\
-Make one HTML page of a directory that `ms-highway compare` wrote: a table, sentences on what was found,
-figures, a video of two controllers side by side, and the settings, versions, machine and commands that made it. Of
-further such directories, the page has the outcomes beside those of the first. It is a single file and needs no network.
+Make one HTML page of results of any kind. It is a single file and needs no network. At its top stands what was asked,
+and the answers in sentences with their intervals; below, tables, figures, films, and the settings, versions, machine
+and commands that made the results. RESULTS are, one or several:
+
+  a directory of `ms-highway compare`: a section for each scenario, with a film of two controllers side by side; of
+                                       further ones, outcomes beside those of the first
+  a directory of `ms-highway frontier`: how much better the choice of models could be
+  a file of `ms-highway bench road --json`: how drivers fare on stock roads or in recorded traffic
+  a file of `ms-highway irl evaluate --json`: how well drivers are predicted
+  a film, .gif, as `ms-highway video` and `ms-highway bench road --films` make them
 
 With --values, a section shows what a file of learned values holds, and what the values see: what each model is worth
 along an episode that they choose for at a price of 1, and by where the human starts; in the scenarios of the page, or
 in those that they were learned in. With --drivers, a section shows how well drivers that were learned from recordings
-predict: errors, likelihood and calibration by horizon, and paths. DIR may then be left out.
+predict: errors, likelihood and calibration by horizon, and paths.
 
-With --markdown, print the table of the directories in Markdown instead."""
+With --markdown, print the table of directories of `ms-highway compare` in Markdown instead."""
 
 EXAMPLES = """\
 examples:
   ms-highway report results/compare
   ms-highway report results/compare results/released --out page.html
+  ms-highway report results/compare results/frontier road.json films/merge-v0.gif --out page.html
   ms-highway report results/merger --no-videos --out merger.html
   ms-highway report results/compare results/released --markdown
   ms-highway report --values shipped --out values.html
@@ -37,7 +45,7 @@ examples:
 def add_report(commands: Any) -> None:
     """Add the command ``report`` to a parser's subparsers."""
     parser = add_command(commands, "report", "make a page of results", HELP, EXAMPLES)
-    parser.add_argument("directories", nargs="*", type=Path, metavar="DIR", help="results of `ms-highway compare`")
+    parser.add_argument("results", nargs="*", type=Path, metavar="RESULTS", help="directories and files, see above")
     parser.add_argument("--values", metavar="FILE", help="of `ms-highway values learn`, or: shipped")
     parser.add_argument(
         "--drivers",
@@ -47,7 +55,7 @@ def add_report(commands: Any) -> None:
         "recordings, of which a few paths are drawn",
     )
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="an .html file (default: report.html in the first DIR)"
+        "--out", type=Path, metavar="FILE", help="an .html file (default: report.html in the first directory)"
     )
     parser.add_argument(
         "--videos",
@@ -67,12 +75,13 @@ def _report(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tables import markdown
     from ms_highway.visualization.video import check_format
 
-    directories = options.directories
-    if not (options.out or directories):
-        raise ValueError("there is neither DIR nor --out; name a directory of results, or a page to write")
-    out = options.out or directories[0] / "report.html"
-    if options.markdown and (options.out or options.values or options.drivers):
-        raise ValueError("--markdown prints the table of the directories; leave the other options out")
+    sections, directories = _sections(options.results)
+    kept = [path for path in options.results if path.is_dir()]
+    if not (options.out or kept):
+        raise ValueError("there is neither a directory nor --out; name a directory of results, or a page to write")
+    out = options.out or kept[0] / "report.html"
+    if options.markdown and (options.out or options.values or options.drivers or sections):
+        raise ValueError("--markdown prints the table of directories of `ms-highway compare`; leave all else out")
     if out.suffix != ".html" or out.is_dir():
         raise ValueError(f"--out is {out}; name an .html file")
     several = list(map(read_results, directories))
@@ -90,22 +99,48 @@ def _report(options: argparse.Namespace) -> None:
             raise ImportError(f"{error}, or add --no-videos") from error
     draw_unseen()
     with telling() as tell:
-        text = page(several, _further(options, several, tell), options.videos, tell)
+        further = sections + _further(options, several, tell)
+        text = page(several, further, options.videos, tell)
     with replacing(out) as path:
         path.write_text(text, encoding="utf-8")
     print(f"the page is {out}, {len(text) / 1e6:.1f} MB")
 
 
-def _further(options: argparse.Namespace, several: "list[Results]", progress: "Progress") -> "dict[str, Drawn]":
-    """Return the sections of learned values and of learned drivers that are asked for."""
-    from ms_highway.visualization.irl.tables import drawn as drawn_drivers
-    from ms_highway.visualization.values import drawn as drawn_values
+def _sections(paths: list[Path]) -> "tuple[list[Section], list[Path]]":
+    """Return the sections of results of other commands, and the directories of comparisons.
 
-    further: dict[str, Drawn] = {}
+    Raises:
+        ValueError: for a file that does not exist, cannot be read, or is of no known kind.
+    """
+    from ms_highway.irl.evaluation import is_evaluation
+    from ms_highway.visualization.films import films_section
+    from ms_highway.visualization.irl.tables import evaluation_section
+    from ms_highway.visualization.regrets import REGRETS_FILE, regrets_section
+    from ms_highway.visualization.roads import roads_section
+
+    sections, directories, films = [], [], []
+    for path in paths:
+        if (path / REGRETS_FILE).is_file():
+            sections.append(regrets_section(path))
+        elif path.suffix == ".gif":
+            films.append(path)
+        elif path.suffix == ".json":
+            sections.append((evaluation_section if is_evaluation(path) else roads_section)(path))
+        else:
+            directories.append(path)
+    return sections + ([films_section(films)] if films else []), directories
+
+
+def _further(options: argparse.Namespace, several: "list[Results]", progress: "Progress") -> "list[Section]":
+    """Return the sections of learned values and of learned drivers that are asked for."""
+    from ms_highway.visualization.irl.tables import drivers_section
+    from ms_highway.visualization.values import values_section
+
+    further = []
     if options.values:
         scenarios = dict.fromkeys(scenario for results in several for scenario in results.scenarios)
-        further["Values of computation"] = drawn_values(options.values, list(scenarios), progress)
+        further.append(values_section(options.values, list(scenarios), progress))
     if options.drivers:
         evaluation, theta, data = options.drivers
-        further["Drivers learned from recordings"] = drawn_drivers(Path(evaluation), theta, data, progress)
+        further.append(drivers_section(Path(evaluation), theta, data, progress))
     return further

@@ -217,6 +217,17 @@ def load_evaluation(path: Path) -> Evaluation:
         return read(read_json(path), Evaluation)
 
 
+def is_evaluation(path: Path) -> bool:
+    """Return whether a JSON file looks like an evaluation.
+
+    Raises:
+        ValueError: if it cannot be read.
+    """
+    with reading(path, "name a file that this package wrote", " as JSON"):
+        content = read_json(path)
+    return isinstance(content, dict) and "predictors" in content
+
+
 def driving_regimes(moments: Moments) -> dict[str, Flags]:
     """Return which predicted drivers are in each regime, by name; a driver may be in several, or in none.
 

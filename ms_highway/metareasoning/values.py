@@ -27,6 +27,7 @@ SHIPPED_VALUES = "shipped"
 SHIPPED_FILES = "values.npz", "several_values.npz"
 VERSION = 2
 REMEDY = "learn values with `ms-highway values learn`"
+ANOTHER = f"choose another controller, such as switching, or {REMEDY}"
 MOST_BYTES = 2**24  # of a file, unpacked; those of the package have a hundredth
 SIZES = 1e-9, 1e9  # of spreads and prices; other numbers are no larger, either, so that nothing overflows
 CLOSE = 1e-6  # relative difference of costs that are the same
@@ -105,9 +106,9 @@ class Values:
         names = [model.name for model in models]
         message = f"{self.place}: values were learned on the ladder {' '.join(self.ladder)}"
         if unknown := [name for name in names if name not in self.ladder]:
-            raise ValueError(f"{message}, without {unknown[0]!r}; {REMEDY} --set ladder={','.join(names)}")
+            raise ValueError(f"{message}, without {unknown[0]!r}; {ANOTHER} --set ladder={','.join(names)}")
         if self.baseline == "cheapest" and names[0] != self.ladder[0]:
-            raise ValueError(f"{message}, over {self.ladder[0]!r}; begin the ladder with it, or {REMEDY}")
+            raise ValueError(f"{message}, over {self.ladder[0]!r}; begin the ladder with it, {ANOTHER}")
         places = [self.estimated.index(name) for name in names if name in self.estimated]
         places += [len(self.estimated) + place for place in places]
         *hidden, (weights, biases) = self.network
@@ -126,8 +127,8 @@ class Values:
             now = ",".join(f"{name}={seconds:.9g}" for name, seconds in zip(names, each, strict=True))
             then = ",".join(f"{name}={known[name]:.9g}" for name in names)
             if np.isnan(each).any():
-                raise ValueError(f"{message} at costs of {then}, not those measured here; give these costs")
-            raise ValueError(f"{message} at costs of {then}, not {now}; use those costs, or {REMEDY} --set costs={now}")
+                raise ValueError(f"{message} at costs of {then}, not those measured here; give them, {ANOTHER}")
+            raise ValueError(f"{message} at costs of {then}, not {now}; use those costs, {ANOTHER} --set costs={now}")
         return Costs(costs.base, (learned - costs.base).astype(np.float32))
 
 

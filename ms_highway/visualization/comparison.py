@@ -24,6 +24,7 @@ FORMS = {
     "controller": "{controller}",
     "reward/step": "{reward:.2f}",
     "90 % interval": "{reward_low:.2f}, {reward_high:.2f}",
+    "reward less T": "{reward_less_t:.2f}",
     "counted ms": "{counted_ms}",
     "plan ms": "{planning_ms:.2f}",
     "decide ms": "{decision_ms:.2f}",
@@ -41,8 +42,9 @@ FORMS = {
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """Return the summary of one scenario as text: a row per controller, and texts under the columns' headings.
 
-    Planning has two columns: as decisions count it, at T(M), and as it was measured, if it was. Steps driven by
-    fallback have a column if there are any, and success where there are several humans.
+    Planning has two columns: as decisions count it, at T(M), and as it was measured, if it was. The reward less T(M) is
+    that at a price of 1 per second. Steps driven by fallback have a column if there are any, and success where there
+    are several humans.
     """
     rows = summaries.query("scenario == @scenario")
     models = [
@@ -52,6 +54,7 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     ]
     percent = [name for name in (*PERCENT, *map(share_column, models)) if name in rows]
     rows = rows.assign(**{name: 100 * rows[name] for name in percent})
+    rows["reward_less_t"] = rows["reward"] - 1e-3 * rows["counted_ms"]  # at a price of 1 per second
     filled = {str(name) for name in rows if rows[name].notna().any()} | {"reward_low", "reward_high"}
     filled -= set() if "success" in filled else {"late", "cycle_ms_p50"}  # of interest where plans take long
     filled -= set() if rows.get("fallbacks", rows["episodes"]).any() else {"fallbacks"}

@@ -1,19 +1,20 @@
-"""Draw one page that shows all of a comparison, in one file that needs nothing else."""
+"""Draw one page that shows results of all kinds, in one file that needs nothing else."""
 
 import base64
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 from PIL import Image
-from rich.table import Table
 
 from ms_highway.envs.graphics import model_meaning
 from ms_highway.experiments.analysis.findings import answer, in_order
 from ms_highway.experiments.analysis.selection import Selection, select_of_several
+from ms_highway.experiments.directory import ResultsDirectory, Run
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.experiments.results import Results
 from ms_highway.game.scenario import title
@@ -21,17 +22,16 @@ from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization import video
 from ms_highway.visualization.figures import CAPTIONS, figures
 from ms_highway.visualization.overview import overview
+from ms_highway.visualization.section import Section
 from ms_highway.visualization.video import side_by_side
 
 DPI = 160
+COLORS = 128  # of a figure
 POSTER = 0.4  # of the video, from which the picture is taken that stands for it
 SEMANTICS = {
     "paper": "the paper's dynamics and a damped theory of mind",
     "released": "the dynamics and the theory of mind of the paper's released code",
 }
-
-Drawn = tuple[Sequence[Table], Mapping[str, tuple[Figure, str]]]
-"""What a further section of the page shows: tables, and figures with their captions, by name."""
 
 
 class Shown(NamedTuple):
@@ -44,13 +44,13 @@ class Shown(NamedTuple):
 
 
 def page(
-    several: Sequence[Results], further: Mapping[str, Drawn], videos: bool = True, progress: Progress = silent
+    several: Sequence[Results], further: Sequence[Section], videos: bool = True, progress: Progress = silent
 ) -> str:
     """Return the page, as HTML: a section for each scenario, of the first comparison that has it, and further ones.
 
     Args:
         several: comparisons, which the tables have beside each other.
-        further: sections by their titles.
+        further: sections of other results.
         videos: whether films are made.
         progress: called with a message before everything that takes time.
 
@@ -91,13 +91,14 @@ def page(
         models={name: model_meaning(name) or "a model that was added" for name in used},
         kinds=set(summaries["kind"]),
         semantics={name: meaning for name, meaning in SEMANTICS.items() if name in semantics},
-        further=[_further(heading, *drawn) for heading, drawn in further.items()],
-        made=list(map(_made, several)),
+        further=list(map(_further, further)),
+        made=[_made(one.directory, one.settings, one.runs) for one in several]
+        + [_made(where.path, where.settings(), where.runs()) for where in _directories(further)],
         missing=sum(one.missing for one in several),
     )
 
 
-def _further(heading: str, tables: Sequence[Table], drawn: Mapping[str, tuple[Figure, str]]) -> dict[str, Any]:
+def _further(section: Section) -> dict[str, Any]:
     """Return a further section as the template takes it."""
     texts = [
         {
@@ -105,16 +106,23 @@ def _further(heading: str, tables: Sequence[Table], drawn: Mapping[str, tuple[Fi
             "headings": [column.header for column in table.columns],
             "rows": list(zip(*(column.cells for column in table.columns), strict=True)),
         }
-        for table in tables
+        for table in section.tables
     ]
-    return {"title": heading, "tables": texts, "figures": {name: _picture(*one) for name, one in drawn.items()}}
+    return section._asdict() | {
+        "tables": texts,
+        "figures": {name: _picture(*one) for name, one in section.figures.items()},
+    }
 
 
-def _made(results: Results) -> dict[str, Any]:
+def _directories(sections: Sequence[Section]) -> list[ResultsDirectory]:
+    return [ResultsDirectory(section.directory) for section in sections if section.directory]
+
+
+def _made(directory: Path, settings: Mapping[str, Any], made: Sequence[Run]) -> dict[str, Any]:
     """Return what made some results, in texts."""
-    settings = {name: _text(value) for name, value in results.settings.items() if name != "asked" and value != {}}
-    runs = [{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in results.runs]
-    return {"directory": str(results.directory), "settings": settings, "runs": runs}
+    texts = {name: _text(value) for name, value in settings.items() if name != "asked" and value != {}}
+    runs = [{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in made]
+    return {"directory": str(directory), "settings": texts, "runs": runs}
 
 
 def _film(results: Results, scenario: str, selection: Selection) -> Shown:
@@ -130,9 +138,13 @@ def _film(results: Results, scenario: str, selection: Selection) -> Shown:
     return Shown(_data("video/mp4", content), caption, _data("image/png", picture.getvalue()), (width, height))
 
 
-def _picture(figure: Figure, caption: str) -> Shown:
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=DPI)
+def _picture(figure: Figure | Path, caption: str) -> Shown:
+    if isinstance(figure, Path):
+        return Shown(_data("image/gif", figure.read_bytes()), caption)
+    drawn, content = io.BytesIO(), io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=DPI)
+    colors = Image.open(drawn).convert("RGB").quantize(COLORS, dither=Image.Dither.NONE)  # a third of the size
+    colors.save(content, "PNG", optimize=True)
     return Shown(_data("image/png", content.getvalue()), caption)
 
 

@@ -7,7 +7,6 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from rich.table import Table
 
 from ms_highway.experiments.analysis.advantages import Seen, see
 from ms_highway.game.scenario import title
@@ -15,6 +14,7 @@ from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization.colors import color_of, model_colors
 from ms_highway.visualization.decisions import draw_steps, steps_key
+from ms_highway.visualization.section import Section
 from ms_highway.visualization.tables import grid
 
 SMALLEST = 0.1  # reward: the least end of a linear scale of advantages
@@ -98,10 +98,8 @@ def around(figure: Figure | SubFigure, seen: Seen) -> None:
     figure.legend(handles=key, loc="outside lower center", ncols=len(key), frameon=False)
 
 
-def drawn(
-    which: str, scenarios: Sequence[str], progress: Progress = silent
-) -> tuple[list[Table], dict[str, tuple[Figure, str]]]:
-    """Show what a file of values holds: a table, and figures with their captions, by name.
+def values_section(which: str, scenarios: Sequence[str], progress: Progress = silent) -> Section:
+    """Return the section of a file of values.
 
     Args:
         which: ``"shipped"``, or a file of `ms_highway.metareasoning.values`.
@@ -120,7 +118,15 @@ def drawn(
     }
     facts |= {name: str(value) for name, value in values.provenance.items() if name not in facts}
     figures = {}
-    for scenario in scenarios or values.provenance.get("scenarios", []):
+    drawn = scenarios or values.provenance.get("scenarios", [])
+    for scenario in drawn:
         progress(f"{scenario}: driving an episode by the values")
         figures[scenario] = draw_values(scenario, PRICE, which), CAPTION
-    return [grid(which, [{"": name, "value": text} for name, text in facts.items()], 2)], figures
+    return Section(
+        "Values of computation",
+        "When is a more expensive model worth its computation?",
+        f"Drawn at a price of {PRICE:g} reward per second, along an episode and around its start, in "
+        f"{', '.join(map(title, drawn))}.",
+        [grid(which, [{"": name, "value": text} for name, text in facts.items()], 2)],
+        figures,
+    )

@@ -31,6 +31,16 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
     driven = records.query("scenario == @scenario").pivot_table("reward", "seed", "controller")
     gains = (driven[best] - driven[cheapest]).dropna()
     low, high = interval(gains)
+    choosing = choosing_controllers(summaries, scenario)
+    if low > 0 and choosing:
+        kept, effort = 100 * (reward - reward[cheapest]) / gains.mean(), 100 * counted / counted[best]
+        shares = [
+            f"{name} keeps {kept[name]:.0f} % of {best}'s gain over {cheapest}"
+            + (f" for {effort[name]:.0f} % of its planning" if effort[name] < float("inf") else "")
+            for name in choosing
+        ]
+        rewards = ", ".join(f"{name} {reward[name]:.2f}" for name in (cheapest, best, *choosing))
+        return f"{'; '.join(shares)}. Reward per step: {rewards}. {_collisions(rows)}"
     text = f"Planning every step with {best} earns a reward of {reward[best]:.2f} per step"
     if best == cheapest:
         text += ", and no more expensive model earns more in these episodes" if len(fixed) > 1 else ""
@@ -42,10 +52,8 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
             difference = f"difference {gains.mean():.2f}, 90 % interval {low:.2f} to {high:.2f}"
             text += f", but {len(gains)} episodes do not show that it is better ({difference})"
     sentences = [text]
-    for name in choosing_controllers(summaries, scenario):
-        kept = 100 * (reward[name] - reward[cheapest]) / gains.mean() if low > 0 else None
-        text = f"{name} earns {reward[name]:.2f}" + ("" if kept is None else f", {kept:.0f} % of that gain,")
-        share = counted[name] / counted[best]
+    for name in choosing:
+        text, share = f"{name} earns {reward[name]:.2f}", counted[name] / counted[best]
         sentences.append(text + (f" with {100 * share:.0f} % of {best}'s planning" if share < float("inf") else ""))
     return " ".join([*(f"{sentence}." for sentence in sentences), _collisions(rows)])
 

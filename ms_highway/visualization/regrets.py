@@ -1,0 +1,110 @@
+"""Show how much better choices of models could be: what `ms-highway frontier` found."""
+
+from math import log
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from ms_highway.envs.controllers import CHOOSING
+from ms_highway.experiments.analysis.regret import BEST_PER_START
+from ms_highway.game.scenario import title
+from ms_highway.runtime.files import reading
+from ms_highway.visualization.colors import choosing_shades, color_of
+from ms_highway.visualization.section import Section
+from ms_highway.visualization.tables import regret_tables
+
+REGRETS_FILE = "regrets.csv"
+REMEDY = "run the same `ms-highway frontier` again"
+TEXTS = ["controller", "kind", "scenario"]
+NUMBERS = ["price", "reward", "counted_seconds", "meta_reward", "regret", "regret_low", "regret_high"]
+TOLD_PRICE = 1.0  # reward per second: the searched price that is nearest to it is told of
+
+
+def read_regrets(directory: Path) -> pd.DataFrame:
+    """Read the regrets that a search for the best orders wrote to a directory.
+
+    Raises:
+        ValueError: if the file cannot be read or lacks a column.
+    """
+    path = directory / REGRETS_FILE
+    with reading(path, REMEDY, " as regrets"):
+        table = pd.read_csv(path, dtype=dict.fromkeys(TEXTS, str) | dict.fromkeys(NUMBERS, float))
+        if lacking := [name for name in TEXTS + NUMBERS if name not in table]:
+            raise ValueError(f"it has no column {lacking[0]!r}")
+    return table
+
+
+def regrets_section(directory: Path) -> Section:
+    """Return the section of a directory of regrets.
+
+    Raises:
+        ValueError: as `read_regrets`.
+    """
+    behind = read_regrets(directory)
+    scenarios = list(dict.fromkeys(behind["scenario"]))
+    caption = (
+        "Regret: how far the reward less price times T(M) stays behind that of the best order of models found for each "
+        "start. Of controllers that have a lambda, the best one at each price; whiskers are the 90 % intervals over "
+        "starts."
+    )
+    return Section(
+        f"Best orders: {directory}",
+        "How much better could the choice of models be?",
+        " ".join(answer(behind, scenario) for scenario in scenarios),
+        [table for scenario in scenarios for table in regret_tables(behind, scenario)],
+        {"regrets": (regret_figure(behind), caption)},
+        directory,
+    )
+
+
+def answer(behind: pd.DataFrame, scenario: str) -> str:
+    """Say how far fixed models and the best of each kind that chooses online stay behind, at the price nearest to 1."""
+    own = behind.query("scenario == @scenario")
+    price = min(set(own["price"]), key=lambda price: abs(log(max(price, 1e-9) / TOLD_PRICE)))
+    rows = own[own["price"] == price].set_index("controller")
+    parts = []
+    for name in _told(rows):
+        low, high = rows.loc[name, ["regret_low", "regret_high"]]
+        interval = f" ({low:.2f}, {high:.2f})" if np.isfinite(low) else ""
+        parts.append(f"{name} stays {rows.loc[name, 'regret']:.2f}{interval} behind")
+    earned = rows.loc[BEST_PER_START, "meta_reward"]
+    return (
+        f"{title(scenario)}: where a second of planning costs {price:g}, the best order of each start earns "
+        f"{earned:.2f} per step net of that; {', '.join(parts)}."
+    )
+
+
+def _told(rows: pd.DataFrame) -> list[str]:
+    """Return the controller of least regret of each kind that chooses, learned ones first, and of the fixed models."""
+    kinds = sorted(set(rows["kind"]) & set(CHOOSING), key=lambda kind: kind != "learned")
+    return [str(rows.loc[rows["kind"] == kind, "regret"].idxmin()) for kind in [*kinds, "fixed"]]
+
+
+def regret_figure(behind: pd.DataFrame) -> Figure:
+    """Draw regret against price, a panel for each scenario."""
+    scenarios = list(dict.fromkeys(behind["scenario"]))
+    figure = Figure(figsize=(3.4 * len(scenarios) + 0.6, 3.8), layout="constrained")
+    panels = figure.subplots(1, len(scenarios), squeeze=False)[0]
+    for axes, scenario in zip(panels, scenarios, strict=True):
+        own = behind.query("scenario == @scenario")
+        lines = {name: own[own["controller"] == name] for name in own.query("kind == 'fixed'")["controller"].unique()}
+        for kind in [kind for kind in CHOOSING if kind in set(own["kind"])]:
+            rows = own[own["kind"] == kind]
+            lines[f"{kind}, best lambda"] = rows.loc[rows.groupby("price")["regret"].idxmin()]
+        for name, rows in lines.items():
+            color = choosing_shades(name.split(",")[0])[0] if "," in name else color_of(name)
+            rows = rows.sort_values("price")
+            ends = [(rows[end] - rows["regret"]).abs().fillna(0) for end in ("regret_low", "regret_high")]
+            axes.errorbar(rows["price"], rows["regret"], ends, fmt="o-", color=color, label=name, capsize=3)
+        axes.set(xscale="log", yscale="symlog", title=title(scenario), xlabel="price of a second of planning [reward]")
+        axes.set_yscale("symlog", linthresh=0.1)
+        axes.set_ylim(bottom=0)
+        axes.grid(color="#eeeeee")
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_ylabel("regret per step")
+    handles = dict(zip(*reversed(panels[-1].get_legend_handles_labels()), strict=True))
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6, frameon=False)
+    return figure
