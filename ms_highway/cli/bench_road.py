@@ -29,9 +29,9 @@ they fare. Each driver in each scene has a process of its own, on one core.
 Success means, without a crash: merge, the ramp is passed; roundabout, the ring is left by the ego's exit within the
 episode; exit and intersection, what highway-env says (is_success, has_arrived); elsewhere, the ego has stayed on the
 road until the end. A car that stands still never crashes: read collisions beside success. The ego is not at fault where
-it was rear-ended in a lane that it had kept for a second. |a| is the largest acceleration in any frame of the
-simulation [m/s^2], jerk the root mean square [m/s^3], ms the time of a decision, without compilation, late the share of
-plans that were not ready within a budget. Choices count the time of models at what this package ships.
+it was rear-ended in a lane that it had kept for a second. Intervals of success are Wilson's; m/s² is the largest
+acceleration in any frame of the simulation, jerk the root mean square, ms the time of a decision, without compilation,
+late the share of plans that were not ready within a budget. Choices count the time of models at what the package ships.
 
 Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, turn, tom); with
 +traits, the desired speed and headway of each car are estimated, with +belief, the model that its driver follows (such
@@ -48,12 +48,12 @@ stood longer, in seconds, where both solve the start.
 The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default that of the package), or,
 with --egos changing, a start in the place of every vehicle that was recorded to change lanes: it has to be where that
 was last. Its --traffic: learned drivers who react (default), replay, or idm. Success is CommonRoad's: the goal's region
-reached in its interval of time, without a collision and on the road; "s" is the mean time to it. There, --seed and
+reached in its interval of time, without a collision and on the road; "s to goal" is the mean. There, --seed and
 --seeds are the number of the first start and how many. Further drivers there: human, who goes as the vehicle was
 recorded to whose place it takes; reactive, commonroad-reactive-planner, to which the recorded future of all others is
 known: privileged; reactive-default, the same with its own settings. --export DIR writes every drive as a CommonRoad
-scenario and solution; with --judge, commonroad-drivability-checker judges these: agree counts the drives of which both
-say the same of success, collision and road, feasible those that CommonRoad's vehicle could have driven."""
+scenario and solution; with --judge, commonroad-drivability-checker judges these: it agrees where both say the same of
+success, collision and road, and says which drives CommonRoad's vehicle could have made: feasible."""
 
 EXAMPLES = """\
 examples:
@@ -65,37 +65,6 @@ examples:
   ms-highway bench road intersection-v0 --drivers priced idm --seeds 20 --bound search.csv
   ms-highway bench road recorded
   ms-highway bench road recorded --data us101 --traffic replay --drivers priced idm reactive --export drives --judge"""
-
-
-COLUMNS = {
-    "driver": "{driver}",
-    "": "{label}",
-    "success": "{success:.0%}",
-    "crashes (at fault)": "{collisions} ({at_fault})",
-    "off road": "{off_road:.0%}",
-    "reward /step": "{reward_per_step:.3f}",
-    "return": "{return:.1f}",
-    "m/s": "{mean_speed:.1f}",
-    "|a|": "{max_acceleration:.1f}",
-    "jerk": "{jerk:.1f}",
-    "ms p50 (p99)": "{p50_ms:.2f} ({p99_ms:.2f})",
-    "late": "{late:.0%}",
-}
-"""What tables show of a driver's figures, by heading."""
-
-IN_RECORDINGS = {"s": ("goal_seconds", ".1f")}
-"""What they show besides in recordings."""
-
-JUDGED = {"judged": ("judged", "d"), "agree": ("agrees", "d"), "feasible": ("feasible", "d")}
-"""What they show besides where drives are judged."""
-
-AGAINST_SEARCH = {
-    "starts": ("bounded", "d"),
-    "solved": ("solved", ".0%"),
-    "regret": ("regret", ".3f"),
-    "waited": ("waited", ".1f"),
-}
-"""What they show besides where there is a search to compare with."""
 
 
 def add_bench_road(commands: Any) -> None:
@@ -143,6 +112,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     from ms_highway.control.road import SHIPPED_COSTS
     from ms_highway.planning.human_models import PACKAGE_MODELS
     from ms_highway.runtime.files import write_json
+    from ms_highway.visualization.roads import cells, fared
     from ms_highway.visualization.tables import grid
 
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
@@ -191,15 +161,10 @@ def _bench_road(options: argparse.Namespace) -> None:
         write_json(options.json, results)
     costs = zip(PACKAGE_MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
     counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
-    for scene, figures in results.items():
-        rows = [
-            {heading: form.format(driver=driver, **figures[driver]) for heading, form in COLUMNS.items()}
-            | (_cells(IN_RECORDINGS, figures[driver]) if starts else {})
-            | (_cells(JUDGED, figures[driver]) if options.judge else {})
-            | (_cells(AGAINST_SEARCH, figures[driver]) if bounds.get(scene) else {})
-            for driver in drivers
-        ]
-        print_tables(grid(f"{scene}: {len(seeds)} episodes; choices count {counted} ms a car", rows, left=2))
+    for scene, figures in fared(results).items():
+        heading = f"{scene}, traffic {traffic}: {len(seeds)} episodes; choices count {counted} ms a car"
+        rows = pd.DataFrame(cells(figures)).drop(columns=["traffic", "episodes"])  # as the heading and the command say
+        print_tables(grid(heading, rows.to_dict("records"), left=2))
 
 
 def _starts(options: argparse.Namespace, scenes: list[str], drivers: list[str]) -> list[Any]:
@@ -242,11 +207,3 @@ def _starts(options: argparse.Namespace, scenes: list[str], drivers: list[str]) 
     if options.seed >= len(starts):
         raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
     return starts
-
-
-def _cells(columns: dict[str, tuple[str, str]], figures: dict[str, Any]) -> dict[str, str]:
-    """Return the cells of a driver, empty where there is no figure."""
-    return {
-        heading: format(figures[name], form) if figures.get(name) is not None else ""
-        for heading, (name, form) in columns.items()
-    }

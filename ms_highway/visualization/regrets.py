@@ -8,7 +8,6 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ms_highway.envs.controllers import CHOOSING
-from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.game.scenario import title
 from ms_highway.runtime.files import reading
 from ms_highway.visualization.colors import choosing_shades, color_of
@@ -19,6 +18,7 @@ REGRETS_FILE = "regrets.csv"
 REMEDY = "run the same `ms-highway frontier` again"
 TEXTS = ["controller", "kind", "scenario"]
 NUMBERS = ["price", "reward", "counted_seconds", "meta_reward", "regret", "regret_low", "regret_high"]
+TOLD_KINDS = "learned", "switching", "fixed"
 TOLD_PRICE = 1.0  # reward per second: the searched price that is nearest to it is told of
 
 
@@ -50,36 +50,33 @@ def regrets_section(directory: Path) -> Section:
         "starts."
     )
     return Section(
-        f"Best orders: {directory}",
+        f"Best orders: {directory.name}",
         "How much better could the choice of models be?",
-        " ".join(answer(behind, scenario) for scenario in scenarios),
+        answer(behind),
         [table for scenario in scenarios for table in regret_tables(behind, scenario)],
         {"regrets": (regret_figure(behind), caption)},
         directory,
     )
 
 
-def answer(behind: pd.DataFrame, scenario: str) -> str:
-    """Say how far fixed models and the best of each kind that chooses online stay behind, at the price nearest to 1."""
-    own = behind.query("scenario == @scenario")
-    price = min(set(own["price"]), key=lambda price: abs(log(max(price, 1e-9) / TOLD_PRICE)))
-    rows = own[own["price"] == price].set_index("controller")
+def answer(behind: pd.DataFrame) -> str:
+    """Say how far learned values, Algorithm 1 and fixed models stay behind, at the searched price nearest to 1."""
+    price = min(set(behind["price"]), key=lambda price: abs(log(max(price, 1e-9) / TOLD_PRICE)))
     parts = []
-    for name in _told(rows):
-        low, high = rows.loc[name, ["regret_low", "regret_high"]]
-        interval = f" ({low:.2f}, {high:.2f})" if np.isfinite(low) else ""
-        parts.append(f"{name} stays {rows.loc[name, 'regret']:.2f}{interval} behind")
-    earned = rows.loc[BEST_PER_START, "meta_reward"]
+    for scenario, rows in behind[behind["price"] == price].groupby("scenario", sort=False):
+        own = rows.set_index("controller")
+        least = [own.loc[own["kind"] == kind, "regret"].idxmin() for kind in TOLD_KINDS if kind in set(own["kind"])]
+        regrets = [f"{name} {_with_interval(own.loc[name])}" for name in least]
+        parts.append(f"in {title(str(scenario))} {', '.join(regrets)}")
     return (
-        f"{title(scenario)}: where a second of planning costs {price:g}, the best order of each start earns "
-        f"{earned:.2f} per step net of that; {', '.join(parts)}."
+        f"Behind the best order of models found for each start, where a second of planning costs {price:g}, the least "
+        f"regret per step of each kind is {'; '.join(parts)}."
     )
 
 
-def _told(rows: pd.DataFrame) -> list[str]:
-    """Return the controller of least regret of each kind that chooses, learned ones first, and of the fixed models."""
-    kinds = sorted(set(rows["kind"]) & set(CHOOSING), key=lambda kind: kind != "learned")
-    return [str(rows.loc[rows["kind"] == kind, "regret"].idxmin()) for kind in [*kinds, "fixed"]]
+def _with_interval(row: pd.Series) -> str:
+    low, high = row["regret_low"], row["regret_high"]
+    return f"{row['regret']:.2f}" + (f" ({low:.2f}, {high:.2f})" if np.isfinite(low) else "")
 
 
 def regret_figure(behind: pd.DataFrame) -> Figure:

@@ -43,6 +43,7 @@ class Fared(msgspec.Struct, frozen=True):
     feasible: int = 0
     rungs: dict[str, float] = {}
     bounded: int = 0
+    solvable: float = 0.0
     solved: float | None = None
     regret: float | None = None
     waited: float | None = None
@@ -92,7 +93,7 @@ def cells(drivers: Mapping[str, Fared]) -> list[dict[str, str]]:
         first, count = one.seeds
         row = {
             "driver": driver,
-            "": one.label,
+            "label": one.label,
             "success (90 % interval)": one.arrives,
             "collisions (at fault)": f"{one.collisions} ({one.at_fault})",
             "off road": f"{100 * one.off_road:.0f} %" if one.off_road else "",
@@ -105,8 +106,8 @@ def cells(drivers: Mapping[str, Fared]) -> list[dict[str, str]]:
             "ms p50, p99": "" if one.p50_ms is None else f"{one.p50_ms:.1f}, {one.p99_ms:.1f}",
             "late": f"{100 * one.late:.0f} %" if one.late else "",
             "judge agrees, feasible": f"{one.agrees}, {one.feasible} of {one.judged}" if one.judged else "",
-            "search's starts solved": f"{100 * one.solved:.0f} %" if one.solved is not None else "",
-            "regret to the search": _text(one.regret, ".3f"),
+            "solved": f"{100 * one.solved:.0f} % of {one.solvable * one.bounded:.0f}" if one.solved is not None else "",
+            "regret": _text(one.regret, ".3f"),
             "waited, s": _text(one.waited, ".1f"),
             "traffic": one.traffic,
             "episodes": f"{count} from {first} on",
@@ -150,11 +151,11 @@ def answer(scenes: Scenes) -> str:
         success = sum(one.success * one.episodes for one in figures) / episodes
         together = msgspec.structs.replace(figures[0], success=success, episodes=episodes)
         hit, fault = (sum(getattr(one, name) for one in figures) for name in ("collisions", "at_fault"))
-        parts.append(f"{driver} {together.arrives} of {episodes} episodes, {hit} collisions, {fault} at fault")
-    where = f"In {own[0]}" if len(own) == 1 else f"In {len(own)} scenes together"
+        parts.append(f"{driver} in {together.arrives}, with {hit} collisions, {fault} at fault")
+    where = own[0] if len(own) == 1 else f"{len(own)} scenes"
     times = [one.p50_ms for scene in own for one in [scenes[scene][first]] if one.p50_ms is not None]
     cost = f" A decision of {first} takes {min(times):.1f} to {max(times):.1f} ms in the median." if times else ""
-    return f"{where}, success has {'; '.join(parts)}.{cost}"
+    return f"Success in {episodes} episodes of {where}: {'; '.join(parts)}.{cost}"
 
 
 def success_figure(scenes: Scenes) -> Figure:

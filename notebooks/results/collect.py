@@ -8,6 +8,7 @@ in `results/` stay as they were kept::
 
 import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import pandas as pd
@@ -16,8 +17,8 @@ from ms_highway.benchmarks.road import DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
-from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.visualization.overview import overview
+from ms_highway.visualization.roads import cells, fared
 from ms_highway.visualization.tables import markdown
 
 KEPT = Path(__file__).parent
@@ -34,9 +35,9 @@ RECORDED = "recorded"
 """Directory of figures in results/, files ``EGOS_TRAFFIC.json`` of ``bench road recorded``, and what keeps them."""
 
 SHOWN = {  # in the project's README
-    "stay_back": ["naive", "turn"],
-    "merger": ["naive", "tom", "switching:0.1"],
-    "give_way": ["naive", "tom", "switching:0.01"],
+    "merger": ["naive", "tom", "learned:1", "switching:0.1"],
+    "give_way": ["naive", "tom", "learned:1", "switching:0.01"],
+    "stay_back": ["naive", "turn", "learned:1"],
 }
 
 
@@ -87,9 +88,9 @@ def tables() -> dict[str, str]:
     """The tables of the pages in Markdown, by the name that stands in the comment above each."""
     compare = comparison("compare")
     rows, limits = overview([compare]), overview([comparison(run) for run in LIMITS])
-    shown = [name in SHOWN[scenario] for scenario, name in zip(rows["scenario"], rows["controller"], strict=True)]
-    cells = {
-        "shown": rows[shown],
+    shown = [(scenario, name) for scenario, names in SHOWN.items() for name in names]
+    shown_tables = {
+        "shown": rows.set_index(["scenario", "controller"]).loc[shown].reset_index(),
         "semantics": overview([compare, comparison("released")]),
         "human rewards": overview([compare, comparison("published")]),
         "worth": overview([comparison("worth")]),
@@ -100,7 +101,7 @@ def tables() -> dict[str, str]:
         **recorded_tables(),
         **{name: road_cells(json.loads((KEPT / f"{name}.json").read_text())) for name in ROADS},
     }
-    return {name: markdown(table) for name, table in cells.items()}
+    return {name: markdown(table) for name, table in shown_tables.items()}
 
 
 def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:
@@ -136,58 +137,21 @@ def in_order(roads: dict[str, dict[str, dict]]) -> dict[str, dict[str, dict]]:
 
 def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
     """Texts, a row per stock scene and driver."""
-    return pd.DataFrame(
-        {
-            "scene": scene,
-            "driver": driver,
-            "success": f"{100 * one['success']:.0f} %",
-            "collisions (at fault)": f"{one['collisions']} ({one['at_fault']}) of {one['episodes']}",
-            "reward per step": f"{one['reward_per_step']:.3f}",
-            "m/s": f"{one['mean_speed']:.1f}",
-            "m/s² at most": f"{one['max_acceleration']:.1f}",
-            "jerk, m/s³": f"{one['jerk']:.1f}",
-            "naive / idm / turn / tom %": " / ".join(f"{100 * used.get(rung, 0.0):.0f}" for rung in PACKAGE_MODELS)
-            if used
-            else "",
-            "ms p50, p99": "" if one["p50_ms"] is None else f"{one['p50_ms']:.1f}, {one['p99_ms']:.1f}",
-            "first seed": str(one["seeds"][0]),
-            "label": one["label"],
-        }
-        for scene, drivers in roads.items()
-        for driver, one in drivers.items()
-        for used in [one.get("rungs")]
-    )
+    return table_of({"scene": scene, **row} for scene, drivers in fared(roads).items() for row in cells(drivers))
 
 
 def recorded_tables() -> dict[str, pd.DataFrame]:
     """Texts, a table for planning problems and one for lane changes, a row per kind of traffic and driver."""
-    kept = json.loads((KEPT / f"{RECORDED}.json").read_text())
-    tables: dict[str, list[dict[str, str]]] = {}
-    for run, drivers in kept.items():
+    rows: dict[str, list[dict[str, str]]] = {}
+    for run, drivers in fared(json.loads((KEPT / f"{RECORDED}.json").read_text())).items():
         egos, _, traffic = run.partition("_")
-        for driver, one in drivers.items():
-            seconds, judged = one["goal_seconds"], one["judged"]
-            cells = {
-                "traffic": traffic,
-                "driver": driver,
-                "goal": f"{one['success'] * one['episodes']:.0f} of {one['episodes']}",
-                "collisions (at fault)": f"{one['collisions']} ({one['at_fault']})",
-                "off road": f"{one['off_road'] * one['episodes']:.0f}",
-                "s to goal": "" if seconds is None else f"{seconds:.1f}",
-                "m/s² at most": f"{one['max_acceleration']:.1f}",
-                "jerk, m/s³": f"{one['jerk']:.1f}",
-                "naive / idm / turn / tom %": " / ".join(
-                    f"{100 * one['rungs'].get(rung, 0.0):.0f}" for rung in PACKAGE_MODELS
-                )
-                if one["rungs"]
-                else "",
-                "ms p50, p99": f"{one['p50_ms']:.1f}, {one['p99_ms']:.1f}",
-                "label": one["label"],
-            }
-            if egos == "problem":
-                cells["judge agrees, feasible"] = f"{one['agrees']}, {one['feasible']} of {judged}" if judged else ""
-            tables.setdefault(f"recorded {egos}", []).append(cells)
-    return {name: pd.DataFrame(rows) for name, rows in tables.items()}
+        rows.setdefault(f"recorded {egos}", []).extend({"traffic": traffic, **row} for row in cells(drivers))
+    return {name: table_of(own) for name, own in rows.items()}
+
+
+def table_of(rows: Iterable[dict[str, str]]) -> pd.DataFrame:
+    """A table of rows of texts, which may lack some; names stand first."""
+    return pd.DataFrame(list(rows)).fillna("")
 
 
 def rewrite(page: Path, texts: dict[str, str]) -> None:

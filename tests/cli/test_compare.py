@@ -77,6 +77,20 @@ def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun, 
     assert summary["episodes"].tolist() == [2, 2, 1, 1]
 
 
+@pytest.mark.parametrize(
+    ("options", "learned", "said"),
+    [
+        ("", ["learned:1"], ""),
+        ("--set costs=naive=0.1,turn=0.2,tom=0.3", [], "stay_back is compared without learned:1: "),
+    ],
+)
+def test_learned_values_are_compared_by_default_where_they_suit_the_costs(options, learned, said, tmp_path, capsys):
+    run(f"compare stay_back --seeds 1 {options} --out {tmp_path}")
+    found = pd.read_csv(tmp_path / "summary.csv")["controller"].tolist()
+    assert found == ["naive", "turn", *learned, "switching:5", "switching:0.4"]
+    assert said in capsys.readouterr().err
+
+
 def test_a_controller_named_twice_runs_once(tmp_path):
     run(f"compare stay_back --controllers naive naive --seeds 1 --out {tmp_path}")
     assert len(pd.read_csv(tmp_path / "steps.csv")) == 35

@@ -22,7 +22,7 @@ from ms_highway.visualization.irl.prediction import (
     likelihood_figure,
     paths_figure,
 )
-from ms_highway.visualization.irl.tables import drawn, evaluation_tables, learned_tables
+from ms_highway.visualization.irl.tables import drivers_section, evaluation_tables, learned_tables
 
 
 def evaluation():
@@ -103,7 +103,8 @@ def test_a_section_has_all_tables_and_figures(us101_directory, tmp_path):
     first = min(us101_directory.glob("*.xml.gz"))
     (data / first.name).symlink_to(first)
     path.write_bytes(msgspec.json.encode(evaluation()))
-    tables, figures = drawn(path, "us101", str(data))
+    section = drivers_section(path, "us101", str(data))
+    tables, figures = section.tables, section.figures
     assert len(tables) == 6
     assert set(figures) == {"errors", "likelihood", "calibration", "paths", "counts"}
 

@@ -7,12 +7,15 @@ from typing import Any
 
 import jax
 import numpy as np
-import optax
 from jax import numpy as jnp
 
 from ms_highway.experiments.values.rollouts import Random, Rollouts, draw_prices
 from ms_highway.metareasoning.learned_value import Network, network_inputs, noise, outputs, scale
 from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.extras import needing
+
+with needing("learning"):
+    import optax
 
 NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
 HIDDEN = (32, 32)
