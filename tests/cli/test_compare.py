@@ -80,7 +80,7 @@ def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun, 
 @pytest.mark.parametrize(
     ("options", "learned", "said"),
     [
-        ("", ["learned:1"], ""),
+        ("--first-seed 1", ["learned:1"], ""),
         ("--set costs=naive=0.1,turn=0.2,tom=0.3", [], "stay_back is compared without learned:1: "),
     ],
 )

@@ -146,8 +146,7 @@ def test_the_demonstration_refuses_what_it_has_not():
 
 
 def test_nested_configurations_merge_and_a_new_type_replaces():
-    switching = {"type": "switching", "lambda": 3}
-    assert make(controller={"lambda": 3}).config["controller"] == switching
+    assert make(controller={"lambda": 3}).config["controller"] == {"type": "learned", "lambda": 3}
     assert make(controller=NAN_MODEL).config["controller"] == NAN_MODEL
     env = make(controller=NAN_MODEL, human_reward={"speed": 2.0, "off_road": -100.0})
     env.reset(options={"config": {"human_reward": {"speed": 3.0}}})

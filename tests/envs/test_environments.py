@@ -320,7 +320,7 @@ def test_workers_of_a_vector_environment_find_and_step_the_environments(scenario
     ("config", "clocked"),
     [
         ({}, False),
-        ({"costs": "measured"}, True),
+        ({"costs": "measured", "controller": {"type": "switching", "lambda": 0.1}}, True),
         ({"costs": "measured", "controller": {"type": "fixed", "model": "naive"}}, False),
         ({"controller": {"type": "budget", "milliseconds": 500, "values": "one_step"}}, True),
         ({"costs": "measured", "action": {"type": "HumanModelAction", "lambda": 1.0}}, True),

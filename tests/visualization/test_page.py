@@ -138,7 +138,7 @@ def test_the_bar_of_a_dear_model_that_decides_nothing_leaves_room_for_the_legend
     ("options", "message"),
     [
         ("--out page.pdf", "--out is page.pdf; name an .html file"),
-        ("--markdown --out page.html", "leave the other options out"),
+        ("--markdown --out page.html", "leave all else out"),
         ("elsewhere", "there is no directory elsewhere"),
     ],
 )
