@@ -12,7 +12,7 @@ import ms_highway  # noqa: F401  # registers the environments
 env = gym.make(
     "ms-highway/merger-v0",
     render_mode="rgb_array",
-    config={"controller": {"type": "learned", "lambda": 1.0}},  # or {"type": "fixed", "model": "tom"}
+    config={"controller": {"type": "learned", "lambda": 1.0}},  # the default; or {"type": "fixed", "model": "tom"}
 )
 observation, info = env.reset(seed=0)
 done = False

@@ -1,7 +1,7 @@
 """Record what the robot does in a stock scene as a data set of Minari, and clone it with a network.
 
 ``info["road"]["action"]`` is the action of the environment's own space that does what the robot did; the one that
-``step`` is given means nothing to the robot. Needs the extra ``demonstrations``; writes to ``datasets``, once. Run::
+``step`` is given means nothing to the robot. Needs the extras ``demonstrations`` and ``learning``. Run::
 
     python notebooks/examples/imitate.py
 """
@@ -18,9 +18,9 @@ import ms_highway
 os.environ.setdefault("MINARI_DATASETS_PATH", os.path.abspath("datasets"))
 import minari  # which reads it
 
-NAME, EPISODES, HELD_OUT, SEEN = "highway-fast/robot-v0", 6, 2, 25
-ROAD = {"lanes_count": 1, "vehicles_count": 4, "duration": 10}
-CONFIG = {**ROAD, "action": {"type": "ContinuousAction"}, "policy_frequency": 5}
+NAME, EPISODES, HELD_OUT, SEEN = "highway-fast/robot-v0", 6, 2, 25  # of the data set; numbers of an observation
+CONFIG = {"lanes_count": 1, "vehicles_count": 4, "duration": 10, "policy_frequency": 5}
+CONFIG["action"] = {"type": "ContinuousAction"}
 
 
 class Done(minari.StepDataCallback):
@@ -29,8 +29,7 @@ class Done(minari.StepDataCallback):
 
 
 def act(layers, seen):
-    (inner, added), (outer, biases) = layers
-    return jax.numpy.tanh(seen @ inner + added) @ outer + biases
+    return jax.numpy.tanh(seen @ layers[0][0] + layers[0][1]) @ layers[1][0] + layers[1][1]
 
 
 if __name__ == "__main__":
@@ -47,10 +46,8 @@ if __name__ == "__main__":
     new, truth = map(np.concatenate, zip(*data[-HELD_OUT:], strict=True))
     random, optimizer = np.random.default_rng(0), optax.adam(3e-3)
     layers = [(random.normal(size=(n, m)) / n**0.5, np.zeros(m)) for n, m in ((SEEN, 32), (32, 2))]
-    state, slope = (
-        optimizer.init(layers),
-        jax.jit(jax.grad(lambda layers: jax.numpy.mean((act(layers, seen) - done) ** 2))),
-    )
+    state = optimizer.init(layers)
+    slope = jax.jit(jax.grad(lambda layers: jax.numpy.mean((act(layers, seen) - done) ** 2)))
     for _ in range(300):
         change, state = optimizer.update(slope(layers), state)
         layers = optax.apply_updates(layers, change)

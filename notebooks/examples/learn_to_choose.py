@@ -1,4 +1,4 @@
-"""Learn which human model is worth its time, with DQN of stable-baselines3, and compare with Algorithm 1.
+"""Learn which human model is worth its time, with DQN of stable-baselines3, and compare with the package's choices.
 
 The agent's action is the human model that the coming step is planned with; its reward is the robot's less the price of
 the plan, ``r_R - lambda T(M)``: the paper's meta-MDP. Needs stable-baselines3::
@@ -14,80 +14,45 @@ import numpy as np
 from stable_baselines3 import DQN
 from stable_baselines3.common.monitor import Monitor
 
-from ms_highway import keep_compilations, low_latency
-from ms_highway.envs import SCENARIOS, environment_id
+import ms_highway
 from ms_highway.experiments.runner import episode, make_environment
 
-BESIDE = ("switching:0.1", "tom")  # controllers that the agent is compared with
-LEARNER = {
-    "learning_rate": 1e-3,
-    "learning_starts": 400,
-    "batch_size": 64,
-    "gamma": 0.95,
-    "target_update_interval": 250,
-    "exploration_fraction": 0.5,
-    "exploration_final_eps": 0.02,
-    "policy_kwargs": {"net_arch": [64, 64]},
-}
+BESIDE = ("learned:1", "switching:0.1", "tom")  # controllers that the agent is compared with
+SETTINGS = {"learning_rate": 1e-3, "learning_starts": 400, "batch_size": 64, "gamma": 0.95, "exploration_fraction": 0.5}
+SETTINGS |= {"target_update_interval": 250, "exploration_final_eps": 0.02, "policy_kwargs": {"net_arch": [64, 64]}}
 
 
-def choosing(scenario: str, price: float) -> gym.Env:
-    """The environment in which the agent chooses the human model of each step."""
-    return gym.make(environment_id(scenario), config={"action": {"type": "HumanModelAction", "lambda": price}})
-
-
-def learn(scenario: str, price: float, steps: int, seed: int, settings: dict) -> DQN:
-    """An agent that has learned to choose, from episodes whose starts follow from the seed."""
-    agent = DQN("MlpPolicy", Monitor(choosing(scenario, price)), seed=seed, device="cpu", **settings)
-    return agent.learn(steps)
-
-
-def drive(agent: DQN, scenario: str, price: float, seeds: range) -> list[tuple[float, float]]:
-    """The robot's reward and the seconds T(M) of every step that the agent's choices come to."""
-    env, steps = choosing(scenario, price), []
-    for seed in seeds:
-        observation, _ = env.reset(seed=seed)
-        done = False
-        while not done:
-            action, _ = agent.predict(observation, deterministic=True)
-            observation, _, terminated, truncated, info = env.step(int(action))
-            done = terminated or truncated
-            earned = sum(value for name, value in info["rewards"].items() if name != "computation")
-            steps.append((earned, info["counted_seconds"]))
+def drive(agent, env, seed):
+    """Return reward and T(M) of every step of an episode for which the agent chooses."""
+    (observation, _), steps, ends = env.reset(seed=seed), [], [False]
+    while not any(ends):
+        action, _ = agent.predict(observation, deterministic=True)
+        observation, _, *ends, info = env.step(int(action))
+        earned = sum(value for name, value in info["rewards"].items() if name != "computation")
+        steps.append((earned, info["counted_seconds"]))
     return steps
 
 
-def main() -> None:
-    """Learn, and print the table."""
+if __name__ == "__main__":
+    ms_highway.low_latency()  # before JAX computes anything
+    ms_highway.keep_compilations()
     parser = argparse.ArgumentParser(description="Learn which human model is worth its time.")
-    parser.add_argument("scenario", nargs="?", default="merger", help=f"{', '.join(SCENARIOS)} (default: merger)")
+    parser.add_argument("scenario", nargs="?", default="merger", help="of the paper (default: merger)")
     parser.add_argument("--price", type=float, default=3, help="lambda, reward per second (default: 3)")
     parser.add_argument("--steps", type=int, default=5000, help="of learning (default: 5000)")
-    parser.add_argument("--runs", type=int, default=1, help="agents that learn, seeded 0, 1, ... (default: 1)")
     parser.add_argument("--episodes", type=int, default=30, help="to judge by (default: 30)")
     parser.add_argument("--defaults", action="store_true", help="take stable-baselines3's own hyperparameters")
     options = parser.parse_args()
-    scenario, price = options.scenario, options.price
-    seeds = range(10_000, 10_000 + options.episodes)  # no agent learns from these
-
-    outcomes = {}
-    for controller in BESIDE:
-        env = make_environment(scenario, controller)
-        outcomes[controller] = [
-            (step["reward"], step["counted_seconds"]) for seed in seeds for step in episode(env, seed)
-        ]
-    for run in range(options.runs):
-        agent = learn(scenario, price, options.steps, run, {} if options.defaults else LEARNER)
-        outcomes[f"dqn, seed {run}"] = drive(agent, scenario, price, seeds)
-
-    print(f"{scenario}, {options.episodes} episodes, a second of planning costs {price:g}")
-    print(f"{'':16}{'reward/step':>12}{'counted ms':>12}{'reward - price':>16}")
+    seeds = range(10_000, 10_000 + options.episodes)  # the agent does not learn from these
+    action = {"type": "HumanModelAction", "lambda": options.price}
+    env = gym.make(f"ms-highway/{options.scenario.replace('_', '-')}-v0", config={"action": action})
+    settings = {} if options.defaults else SETTINGS
+    agent = DQN("MlpPolicy", Monitor(env), seed=0, device="cpu", **settings).learn(options.steps)
+    outcomes = {"dqn": [step for seed in seeds for step in drive(agent, env, seed)]}
+    for name in BESIDE:
+        steps = (step for seed in seeds for step in episode(make_environment(options.scenario, name), seed))
+        outcomes[name] = [(step["reward"], step["counted_seconds"]) for step in steps]
+    print(f"{'a second costs ' + format(options.price, 'g'):20}{'reward/step':>12}{'counted ms':>12}{'less price':>12}")
     for name, steps in outcomes.items():
         earned, seconds = np.mean(steps, axis=0)
-        print(f"{name:16}{earned:12.2f}{1e3 * seconds:12.0f}{earned - price * seconds:16.2f}")
-
-
-if __name__ == "__main__":
-    low_latency()  # before JAX computes anything
-    keep_compilations()
-    main()
+        print(f"{name:20}{earned:12.2f}{1e3 * seconds:12.0f}{earned - options.price * seconds:12.2f}")

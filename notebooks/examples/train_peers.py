@@ -18,21 +18,10 @@ from stable_baselines3.common.env_util import make_vec_env
 
 SCENES = ("highway-fast-v0", "merge-v0", "intersection-v0", "roundabout-v0")
 COMMON = {"learning_rate": 5e-4, "gamma": 0.8}
+BUFFER = {"buffer_size": 15_000, "learning_starts": 200, "train_freq": 1, "target_update_interval": 50}
 AGENTS = {  # class, number of environments, hyperparameters
-    "dqn": (
-        DQN,
-        1,
-        COMMON
-        | {"policy_kwargs": {"net_arch": [256, 256]}, "buffer_size": 15_000, "learning_starts": 200, "batch_size": 32}
-        | {"train_freq": 1, "gradient_steps": 1, "target_update_interval": 50},
-    ),
-    "ppo": (
-        PPO,
-        6,
-        COMMON
-        | {"policy_kwargs": {"net_arch": {"pi": [256, 256], "vf": [256, 256]}}}
-        | {"n_steps": 128, "batch_size": 64, "n_epochs": 10},
-    ),
+    "dqn": (DQN, 1, COMMON | BUFFER | {"batch_size": 32, "policy_kwargs": {"net_arch": [256, 256]}}),
+    "ppo": (PPO, 6, COMMON | {"n_steps": 128, "batch_size": 64, "policy_kwargs": {"net_arch": [256, 256]}}),
 }
 
 

@@ -37,7 +37,6 @@ RECORDED = "recorded"
 SHOWN = {  # in the project's README
     "merger": ["naive", "tom", "learned:1", "switching:0.1"],
     "give_way": ["naive", "tom", "learned:1", "switching:0.01"],
-    "stay_back": ["naive", "turn", "learned:1"],
 }
 
 

@@ -293,7 +293,7 @@ if __name__ == "__main__":
         num_envs=2,
         vectorization_mode="async",
         vector_kwargs={{"context": {context!r}}},
-        config={{"controller": {{"type": "fixed", "model": "naive"}}, "costs": "measured"}},
+        config={{"controller": {{"type": "fixed", "model": "naive"}}, "costs": {costs!r}}},
     )
     envs.reset(seed=[3, 3])
     observations, rewards, _, _, infos = envs.step(np.zeros(2, dtype=int))
@@ -306,12 +306,17 @@ if __name__ == "__main__":
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("scenario", "context"),
-    [("merger", None), ("merger", "spawn"), ("merger", "forkserver"), ("dense-merge", None)],
+    ("scenario", "context", "costs"),
+    [
+        ("merger", None, "measured"),
+        ("merger", "spawn", "published"),
+        ("merger", "forkserver", "published"),
+        ("dense-merge", None, "shipped"),
+    ],
 )
-def test_workers_of_a_vector_environment_find_and_step_the_environments(scenario, context, tmp_path):
+def test_workers_of_a_vector_environment_find_and_step_the_environments(scenario, context, costs, tmp_path):
     script = tmp_path / "vector.py"
-    script.write_text(VECTOR.format(scenario=scenario, context=context))
+    script.write_text(VECTOR.format(scenario=scenario, context=context, costs=costs))
     done = subprocess.run([sys.executable, script], timeout=600, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 

@@ -23,6 +23,7 @@ def motion(y, heading, x=0.0, speed=18.0):
     return observe(np.array([[x, y, heading, speed]], np.float32))
 
 
+@jax.jit
 def hessian(scene, reward, own, others):
     def cost(fields):
         return -jnp.sum(motion_reward(scene, reward, Motion(*fields[:, None]), others, smooth=True))

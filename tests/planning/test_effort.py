@@ -124,7 +124,8 @@ def test_a_model_from_the_last_plan_plans_as_without_where_there_is_none(played)
 
 def test_costs_are_those_given_or_proportional_to_the_steps():
     def costs(given, *names, **config):
-        config = MergerEnv.checked_config({"ladder": list(names), "costs": given, **config})
+        anything = {"controller": {"type": "switching", "lambda": 1.0}}
+        config = MergerEnv.checked_config({"ladder": list(names), "costs": given, **anything, **config})
         return read_own(Settings, config).seconds
 
     published = costs("published", "naive", "tom@8", "tom@8+warm", "tom+warm")

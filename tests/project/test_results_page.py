@@ -67,9 +67,12 @@ def test_shares_of_reward_and_planning_are_those_of_the_summary_they_come_from(s
 def test_the_sentences_on_switching_are_those_of_the_summaries_they_come_from():
     merger = summaries("compare", "merger")
     gains = merger["reward"] - merger["reward"]["naive"]
-    kept, used = 100 * gains["switching:0.1"] / gains["tom"], 100 * merger["share_tom"]["switching:0.1"]
-    text = f"{kept:.0f} % of what always-`tom` gains over `naive`, with theory of mind in {used:.0f} % of"
-    assert text in FLOWING
+    kept, effort = 100 * gains / gains["tom"], 100 * merger["counted_ms"] / merger["counted_ms"]["tom"]
+    learned, switching = (f"{kept[name]:.0f} %" for name in ("learned:1", "switching:0.1"))
+    assert (
+        f"keeps {learned} of what theory of mind gains over `naive`, for {effort['learned:1']:.0f} % of its" in FLOWING
+    )
+    assert f"`switching`, keeps {switching} for {effort['switching:0.1']:.0f} % in Merger" in FLOWING
     for scenario in ("merger", "give_way"):
         table = meta_rewards(COLLECTED.comparison("curve").summaries, scenario)
         assert (table["tom"] > table["switching"]).all()
