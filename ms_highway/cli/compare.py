@@ -6,13 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, count_episodes, print_tables
-from ms_highway.cli.options import SCENARIO_NAMES, add_comparison, comparison
+from ms_highway.cli.options import LEARNED, SCENARIO_NAMES, add_comparison, comparison
 
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
-
-LEARNED = "learned:1"
-"""Compared by default beside the models of the ladder and the paper's switching."""
 
 HELP = f"""\
 Run the same seeded episodes with several controllers and compare reward and computation.

@@ -36,6 +36,9 @@ CONTROLLERS = (
 )
 """What controllers are called on the command line, for help texts."""
 
+LEARNED = "learned:1"
+"""The controller that commands take by default: the package's best."""
+
 KEYS = f"""\
 --set changes a key of the environments' configuration, and may be repeated. help(ms_highway.InteractionEnv) lists the
 keys; these are the usual ones:

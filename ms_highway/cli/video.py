@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ms_highway.cli.console import add_command, draw_unseen
-from ms_highway.cli.options import CONTROLLERS, MOST_SEEDS, SCENARIO_NAMES, add_keys, add_number, configuration
+from ms_highway.cli.options import CONTROLLERS, LEARNED, MOST_SEEDS, SCENARIO_NAMES, add_keys, add_number, configuration
 
 HELP = """\
 Film one episode from above: the road, the robot's plan, the human path that it counts on, and a panel with the model
@@ -17,16 +17,16 @@ under its name, its mean reward per step and what it has spent on planning and d
 
 EXAMPLES = """\
 examples:
-  ms-highway video merger --controller switching:0.1 --seed 0 --out merger.mp4
-  ms-highway video merger --controller tom --against switching:0.1 --width 640 --out merger.gif"""
+  ms-highway video merger --seed 0 --out merger.mp4
+  ms-highway video merger --controller tom --against learned:1 --width 640 --out merger.gif"""
 
 
 def add_video(commands: Any) -> None:
     """Add the command ``video`` to a parser's subparsers."""
     parser = add_command(commands, "video", "film an episode", HELP, EXAMPLES)
     parser.add_argument("scenario", metavar="SCENARIO", help=", ".join(SCENARIO_NAMES))
-    usual = "(default: switching with the conservative lambda)"
-    parser.add_argument("--controller", metavar="CONTROLLER", help=f"{CONTROLLERS} {usual}")
+    usual = f"(default: {LEARNED})"
+    parser.add_argument("--controller", metavar="CONTROLLER", default=LEARNED, help=f"{CONTROLLERS} {usual}")
     parser.add_argument("--against", metavar="CONTROLLER", help="a second controller, filmed from the same start")
     add_number(parser, "--seed", 0, "of the episode", 0, MOST_SEEDS)
     add_number(parser, "--speed", 1.0, "1 is true speed, 0.5 slow motion", 0.01, 100)
@@ -38,11 +38,11 @@ def add_video(commands: Any) -> None:
 
 def _video(options: argparse.Namespace) -> None:
     from ms_highway.envs import ENVIRONMENTS
-    from ms_highway.experiments.comparison import Comparison, paper_controllers
+    from ms_highway.experiments.comparison import Comparison
     from ms_highway.visualization import video
     from ms_highway.visualization.video import side_by_side
 
-    controllers = [options.controller or paper_controllers(options.scenario)[-1]]
+    controllers = [options.controller]
     controllers += [options.against] if options.against else []
     config = configuration(options)
     Comparison({options.scenario: controllers}, config=config).check()

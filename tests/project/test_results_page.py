@@ -49,6 +49,8 @@ def test_every_run_has_its_settings_and_its_commands_and_is_kept_until_it_is_mad
 @pytest.mark.parametrize(
     ("scenario", "controller"),
     [
+        ("merger", "learned:1"),
+        ("give_way", "learned:1"),
         ("merger", "schedule:tom=7,naive"),
         ("merger", "switching:0.02"),
         ("merger", "switching:0.1"),
@@ -88,7 +90,8 @@ def test_learned_values_stay_behind_the_best_orders_by_as_little_as_the_text_say
             learned = own["regret"][f"learned:{price:g}"]
             assert learned < share * own["reward"]["tom"]
             assert learned < own.loc[own["kind"].isin(["switching", "horizon"]), "regret"].min()
-    assert "at most 1 % of always-tom's reward at prices of 0.1 and 1, and 3 % at 10" in FLOWING
+    assert "at prices of 0.1 and 1 it stays at most 1 % of always-`tom`'s reward behind" in FLOWING
+    assert "at 10 3 %" in FLOWING
 
 
 def test_collisions_in_the_text_are_those_that_were_counted():

@@ -30,7 +30,8 @@ from ms_highway.envs.road.stock import success
 UNPHYSICAL = 10.0
 """Acceleration [m/s^2] that no tyres hold."""
 
-FRAMES_PER_SECOND = 15  # of films, at most
+FRAMES_PER_SECOND = 10  # of films, at most
+HIGHEST = 480  # px, of films: pages load them
 
 OTHERS: dict[str, type[Peer]] = {
     **PEERS,
@@ -226,7 +227,7 @@ def film(block: Block, seed: int, path: Path) -> None:
     Raises:
         OSError: if it cannot be written.
     """
-    from ms_highway.visualization.video import write
+    from ms_highway.visualization.video import scaled, write
 
     frames, rate = _filmed(block, seed)
     if block.starts and isinstance(block.starts[seed].ego, int):
@@ -234,7 +235,8 @@ def film(block: Block, seed: int, path: Path) -> None:
         longest = max(len(frames), len(above))
         whole = [[*one, *[one[-1]] * (longest - len(one))] for one in (above, frames)]
         frames = [np.vstack(pair) for pair in zip(*whole, strict=True)]
-    write(frames, path, rate)
+    height, width = frames[0].shape[:2]
+    write(scaled(frames, width * min(HIGHEST, height) // height), path, rate)
 
 
 def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
