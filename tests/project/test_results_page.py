@@ -71,15 +71,17 @@ def test_the_sentences_on_switching_are_those_of_the_summaries_they_come_from():
     gains = merger["reward"] - merger["reward"]["naive"]
     kept, effort = 100 * gains / gains["tom"], 100 * merger["counted_ms"] / merger["counted_ms"]["tom"]
     learned, switching = (f"{kept[name]:.0f} %" for name in ("learned:1", "switching:0.1"))
-    assert (
-        f"keeps {learned} of what theory of mind gains over `naive`, for {effort['learned:1']:.0f} % of its" in FLOWING
-    )
+    spent = f"for {effort['learned:1']:.0f} % of its planning"
+    assert f"keeps {learned} of what theory of mind gains over `naive`, {spent}" in FLOWING
     assert f"`switching`, keeps {switching} for {effort['switching:0.1']:.0f} % in Merger" in FLOWING
     for scenario in ("merger", "give_way"):
         table = meta_rewards(COLLECTED.comparison("curve").summaries, scenario)
+        assert (table["learned"] > table["tom"])[[1.0, 3.0, 10.0, 30.0]].all()
+        table = table.dropna(subset="switching")
         assert (table["tom"] > table["switching"]).all()
         assert [table.index.min(), table.index.max()] == [0.001, 3]
     assert FLOWING.count("every lambda from 0.001 to 3") == 2
+    assert "learned values are better than always-tom at 1, 3, 10 and 30" in FLOWING
 
 
 def test_learned_values_stay_behind_the_best_orders_by_as_little_as_the_text_says():
