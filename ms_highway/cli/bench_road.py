@@ -112,7 +112,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     from ms_highway.control.road import SHIPPED_COSTS
     from ms_highway.planning.human_models import PACKAGE_MODELS
     from ms_highway.runtime.files import write_json
-    from ms_highway.visualization.roads import cells, fared
+    from ms_highway.visualization.roads import driver_rows, fared
     from ms_highway.visualization.tables import grid
 
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
@@ -163,7 +163,9 @@ def _bench_road(options: argparse.Namespace) -> None:
     counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
     for scene, figures in fared(results).items():
         heading = f"{scene}, traffic {traffic}: {len(seeds)} episodes; choices count {counted} ms a car"
-        rows = pd.DataFrame(cells(figures)).drop(columns=["traffic", "episodes"])  # as the heading and the command say
+        rows = pd.DataFrame(driver_rows(figures)).drop(
+            columns=["traffic", "episodes"]
+        )  # as the heading and the command say
         print_tables(grid(heading, rows.to_dict("records"), left=2))
 
 

@@ -91,14 +91,14 @@ def page(
         models={name: model_meaning(name) or "a model that was added" for name in used},
         kinds=set(summaries["kind"]),
         semantics={name: meaning for name, meaning in SEMANTICS.items() if name in semantics},
-        further=list(map(_further, further)),
+        further=list(map(_section, further)),
         made=[_made(one.directory, one.settings, one.runs) for one in several]
         + [_made(where.path, where.settings(), where.runs()) for where in _directories(further)],
         missing=sum(one.missing for one in several),
     )
 
 
-def _further(section: Section) -> dict[str, Any]:
+def _section(section: Section) -> dict[str, Any]:
     """Return a further section as the template takes it."""
     texts = [
         {

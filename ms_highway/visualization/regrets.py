@@ -52,14 +52,14 @@ def regrets_section(directory: Path) -> Section:
     return Section(
         f"Best orders: {directory.name}",
         "How much better could the choice of models be?",
-        answer(behind),
+        regrets_told(behind),
         [table for scenario in scenarios for table in regret_tables(behind, scenario)],
         {"regrets": (regret_figure(behind), caption)},
         directory,
     )
 
 
-def answer(behind: pd.DataFrame) -> str:
+def regrets_told(behind: pd.DataFrame) -> str:
     """Say how far learned values, Algorithm 1 and fixed models stay behind, at the searched price nearest to 1."""
     price = min(set(behind["price"]), key=lambda price: abs(log(max(price, 1e-9) / TOLD_PRICE)))
     parts = []

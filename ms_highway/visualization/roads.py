@@ -85,7 +85,7 @@ def fared(figures: object) -> Scenes:
     return msgspec.convert(figures, dict[str, dict[str, Fared]])
 
 
-def cells(drivers: Mapping[str, Fared]) -> list[dict[str, str]]:
+def driver_rows(drivers: Mapping[str, Fared]) -> list[dict[str, str]]:
     """Return a row of texts for each driver; without columns that have nothing to say."""
     rows = []
     for driver, one in drivers.items():
@@ -133,13 +133,13 @@ def roads_section(path: Path) -> Section:
     return Section(
         f"Roads: {path.stem}",
         "Who reaches its goal without a collision, and what does a decision cost?",
-        answer(scenes),
-        [grid(scene, cells(drivers), 2) for scene, drivers in scenes.items()],
+        successes_told(scenes),
+        [grid(scene, driver_rows(drivers), 2) for scene, drivers in scenes.items()],
         {"success": (success_figure(scenes), "Share of the episodes that succeed, with its 90 % interval (Wilson).")},
     )
 
 
-def answer(scenes: Scenes) -> str:
+def successes_told(scenes: Scenes) -> str:
     """Say how the first driver fares in all scenes together that it has driven, and all others that have, too."""
     first = next(driver for drivers in scenes.values() for driver in drivers)
     own = [scene for scene, drivers in scenes.items() if first in drivers]

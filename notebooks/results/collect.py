@@ -18,7 +18,7 @@ from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.visualization.overview import overview
-from ms_highway.visualization.roads import cells, fared
+from ms_highway.visualization.roads import driver_rows, fared
 from ms_highway.visualization.tables import markdown
 
 KEPT = Path(__file__).parent
@@ -136,7 +136,7 @@ def in_order(roads: dict[str, dict[str, dict]]) -> dict[str, dict[str, dict]]:
 
 def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
     """Texts, a row per stock scene and driver."""
-    return table_of({"scene": scene, **row} for scene, drivers in fared(roads).items() for row in cells(drivers))
+    return table_of({"scene": scene, **row} for scene, drivers in fared(roads).items() for row in driver_rows(drivers))
 
 
 def recorded_tables() -> dict[str, pd.DataFrame]:
@@ -144,7 +144,7 @@ def recorded_tables() -> dict[str, pd.DataFrame]:
     rows: dict[str, list[dict[str, str]]] = {}
     for run, drivers in fared(json.loads((KEPT / f"{RECORDED}.json").read_text())).items():
         egos, _, traffic = run.partition("_")
-        rows.setdefault(f"recorded {egos}", []).extend({"traffic": traffic, **row} for row in cells(drivers))
+        rows.setdefault(f"recorded {egos}", []).extend({"traffic": traffic, **row} for row in driver_rows(drivers))
     return {name: table_of(own) for name, own in rows.items()}
 
 
