@@ -1,6 +1,7 @@
 """Move the others in recorded traffic as learned drivers, who react to the ego and to each other."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -47,7 +48,7 @@ class Learned(Traffic):
     """
 
     def begin(self, step: int) -> None:
-        """Put those on the road who are there at a step, with their traits."""
+        """Put those on the road who are there at a step."""
         super().begin(step)
         drivers = shipped("us101").drivers
         assert drivers is not None  # the package's own file
@@ -58,17 +59,20 @@ class Learned(Traffic):
         for place, track in enumerate((*self.tracks, *self._left_out)):
             sizes[place] = track.size
         self.surroundings = _Lanes(sizes, straight.lane_width, SPEED_LIMIT)
-        paths = [straight.path(track) for track in self.tracks]
-        self.recorded = [self._recorded(path) for path in paths]
-        self.traits = self._shown_traits(paths)
+        self._paths = [straight.path(track) for track in self.tracks]
+        self.recorded = [self._recorded(path) for path in self._paths]
 
-    def _shown_traits(self, paths: list[States]) -> np.ndarray:
-        """Return what each driver is like, by its first second among all who were recorded then."""
+    @cached_property
+    def traits(self) -> np.ndarray:
+        """What each driver is like, by its first second among all who were recorded then [cars, 3].
+
+        Not before the first step: no environment computes before that.
+        """
         everyone, traits = [*self.tracks, *self._left_out], np.zeros((self.count, 3), np.float32)
         for first in {int(track.samples[0, 0]) for track in self.tracks}:
             past = np.full((PAST + 1, self.count, 4), np.nan, np.float32)
             for place, track in enumerate(everyone):
-                path = paths[place] if place < len(paths) else self.straight.path(track)
+                path = self._paths[place] if place < len(self._paths) else self.straight.path(track)
                 steps = track.samples[:, 0].astype(int) - first
                 then = (steps >= 0) & (steps <= SECOND)
                 past[PAST - SECOND + steps[then], place] = path[then]
