@@ -39,8 +39,9 @@ class InteractionEnv(StageEnv):
       "lambda": 0.1}``: the agent chooses the model of every human; ``{"type": "ContinuousAction"}``: the agent drives,
       by accelerations of +-5 m/s^2 and front-wheel angles of +-0.1 rad unless ``acceleration_range`` and
       ``steering_range`` say otherwise (highway-env's own +-45 degrees spin a car of 20 m/s at the first step).
-    * ``controller``: chooses a model for every human in every step. ``{"type": "learned", "lambda": 1.0}`` (default), a
-      learned value of computation does, with ``"values"``, ``"shipped"`` or a file of ``ms-highway values learn``;
+    * ``controller``: chooses a model for every human in every step. ``{"type": "learned", "lambda": 1.0}`` (default,
+      for naive, turn and tom at their default costs), a learned value of computation does, with ``"values"``,
+      ``"shipped"`` or a file of ``ms-highway values learn``;
       ``{"type": "switching", "lambda": 0.1}``, the paper's Algorithm 1 does; ``{"type": "budget", "milliseconds":
       20}``, what gains most in this time; ``{"type": "nearest", "count": 2}``, the top of the ladder for the two
       nearest humans; ``{"type": "risk", "count": 2, "threshold": 0.05}``, for two at most of those that collide with
@@ -154,7 +155,11 @@ class InteractionEnv(StageEnv):
         settings.check(cls.scenario)
         if config["action"]["type"] == "Autopilot":
             start = settings.start(settings.known_costs, 1, np.random.default_rng())
-            drivable(settings.controller.rule(start), settings.controller.belief)
+            try:
+                rule = settings.controller.rule(start)
+            except ValueError as error:
+                raise ValueError(f"config['controller'] is {config['controller']}: {error}") from error
+            drivable(rule, settings.controller.belief)
         return config | {"ladder": [model.name for model in settings.models]}
 
     def _read(self) -> None:

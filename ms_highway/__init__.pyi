@@ -39,6 +39,7 @@ from .metareasoning.rule import PUBLISHED_COSTS as PUBLISHED_COSTS
 from .metareasoning.rule import Order as Order
 from .metareasoning.rule import always as always
 from .metareasoning.rule import decide as decide
+from .metareasoning.rule import unestimated as unestimated
 from .metareasoning.switching import Switching as Switching
 from .planning.compiled_plans import Costs as Costs
 from .planning.compiled_plans import plan as plan

@@ -16,7 +16,7 @@ from ms_highway.envs.recorded.scenario import SHIPPED, Lanelet, Points, TrafficR
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import Idm, RecordedRoad, Replay, Traffic, sized
 
-NOBODY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
+EGO_REMEDY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
 TRAFFIC: dict[str, type[Traffic]] = {"learned": Learned, "replay": Replay, "idm": Idm}
 """Kinds of traffic by name."""
 
@@ -28,7 +28,7 @@ class RecordedSettings(Struct, frozen=True):
 
     recording: Annotated[str, Meta(description=f"give the file of a CommonRoad scenario, or say {SHIPPED!r}")]
     traffic: Literal["learned", "replay", "idm"]
-    ego: Annotated[Annotated[str, Meta(pattern=r"^problem(:\d+)?$")] | int, Meta(description=NOBODY)]
+    ego: Annotated[Annotated[str, Meta(pattern=r"^problem(:[0-9]+)?\Z")] | int, Meta(description=EGO_REMEDY)]
     goal_reward: Number
     collision_reward: Number
     off_road_reward: Number
@@ -156,7 +156,7 @@ class RecordedEnv(ConfiguredEnv):
         return [self.axes.positions(goal.area) for goal in self.task.problem.goals if goal.area is not None]
 
     def _place_along(self) -> float:
-        return float(self._shape.straight.coordinates.locate(self.axes.points(self.vehicle.position)[None]).x[0])
+        return self._shape.straight.along(self.axes.points(self.vehicle.position))
 
     @property
     def step_of_recording(self) -> int:

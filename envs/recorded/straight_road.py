@@ -84,6 +84,10 @@ class StraightRoad:
         points, along = self.coordinates.place(x, self._bent(x, y))
         return points, wrapped(along - heading - self._slope(x, y))
 
+    def along(self, point: Points) -> float:
+        """Return the place along the road of a point of the map [m]."""
+        return float(self.coordinates.locate(np.asarray(point)[None]).x[0])
+
     def _place(self, x: Values) -> np.ndarray:
         return np.clip(np.rint(x / STEP).astype(int), 0, self.centres.shape[1] - 1)
 

@@ -16,7 +16,7 @@ from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.vehicle.lane_paths import from_heading
 
 BEYOND = 30.0  # m behind the end of the road, where cars leave it
-CLEAR = 2.0  # m, to who is where a car enters
+CLEAR = 2.0  # m, to who is where a car enters, and at least between cars in the lane that one changes to
 NO_TIME = np.zeros(2)
 
 
@@ -166,15 +166,12 @@ class Idm(Traffic):
 
     def move(self) -> None:
         """Let those leave who have reached the end of the road, and others enter; vehicles move by themselves."""
-        self._move_on(lambda place: self._along(self.vehicles[place]) > self.end)
+        self._move_on(lambda place: self.straight.along(self.axes.points(self.vehicles[place].position)) > self.end)
 
     def _enter(self, place: int, step: float | None = None) -> None:
         super()._enter(place, step)
         vehicle, fastest = self.vehicles[place], float(self.tracks[place].samples[:, 4].max())
         vehicle.target_speed = max(fastest, 1.0)
-
-    def _along(self, vehicle: Vehicle) -> float:
-        return float(self.straight.coordinates.locate(self.axes.points(vehicle.position)[None]).x[0])
 
 
 class RecordedRoad(Road):

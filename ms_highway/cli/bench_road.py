@@ -112,8 +112,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     from ms_highway.control.road import SHIPPED_COSTS
     from ms_highway.planning.human_models import PACKAGE_MODELS
     from ms_highway.runtime.files import write_json
-    from ms_highway.visualization.roads import driver_rows, fared
-    from ms_highway.visualization.tables import grid
+    from ms_highway.visualization.roads import driver_table, fared
 
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
     for driver in drivers:
@@ -163,10 +162,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
     for scene, figures in fared(results).items():
         heading = f"{scene}, traffic {traffic}: {len(seeds)} episodes; choices count {counted} ms a car"
-        rows = pd.DataFrame(driver_rows(figures)).drop(
-            columns=["traffic", "episodes"]
-        )  # as the heading and the command say
-        print_tables(grid(heading, rows.to_dict("records"), left=2))
+        print_tables(driver_table(heading, figures, "traffic", "episodes"))  # which the heading says
 
 
 def _starts(options: argparse.Namespace, scenes: list[str], drivers: list[str]) -> list[Any]:

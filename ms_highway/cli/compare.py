@@ -53,7 +53,7 @@ examples:
 def add_compare(commands: Any) -> None:
     """Add the command ``compare`` to a parser's subparsers."""
     parser = add_command(commands, "compare", "compare controllers over many episodes", HELP, EXAMPLES)
-    add_comparison(parser, 30, "results/compare")
+    add_comparison(parser, 30, "results/compare", f"(default: all models of the ladder, {LEARNED}, and switching)")
     parser.set_defaults(run=_compare)
 
 
@@ -95,9 +95,10 @@ def _with_learned(asked: "Comparison") -> "Comparison":
         try:
             asked.environment_config(scenario, LEARNED)
         except ValueError as error:
-            print(f"ms-highway: {scenario} is compared without {LEARNED}: {error}", file=sys.stderr)
+            reason = str(error).partition("; ")[0]
+            print(f"ms-highway: {scenario} is compared without {LEARNED}: {reason}", file=sys.stderr)
             controllers[scenario] = names
             continue
-        place = next(place for place, name in enumerate(names) if name.startswith("switching"))
+        place = next((place for place, name in enumerate(names) if name.startswith("switching")), len(names))
         controllers[scenario] = [*names[:place], LEARNED, *names[place:]]
     return replace(asked, controllers=controllers)

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from ms_highway.visualization.section import Section
 
 HELP = """\
-Make one HTML page of results of any kind. It is a single file and needs no network. At its top stands what was asked,
-and the answers in sentences with their intervals; below, tables, figures, films, and the settings, versions, machine
-and commands that made the results. RESULTS are, one or several:
+Make one HTML page of results of several kinds. It is a single file and needs no network. At its top stands what was
+asked, and the answers in sentences; below, tables, figures, films, and of directories the settings, versions, machine
+and commands that made them. RESULTS are, one or several:
 
   a directory of `ms-highway compare`: a section for each scenario, with a film of two controllers side by side; of
                                        further ones, outcomes beside those of the first
@@ -30,6 +30,11 @@ in those that they were learned in. With --drivers, a section shows how well dri
 predict: errors, likelihood and calibration by horizon, and paths.
 
 With --markdown, print the table of directories of `ms-highway compare` in Markdown instead."""
+
+KINDS = (
+    "name directories of `ms-highway compare` and `frontier`, files of `bench road --json` and `irl evaluate --json`, "
+    "and films, .gif"
+)
 
 EXAMPLES = """\
 examples:
@@ -75,16 +80,23 @@ def _report(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tables import markdown
     from ms_highway.visualization.video import check_format
 
-    sections, directories = _sections(options.results)
     kept = [path for path in options.results if path.is_dir()]
-    if not (options.out or kept):
+    if options.markdown:
+        given = {"--out": options.out, "--values": options.values, "--drivers": options.drivers}
+        others = [name for name, value in given.items() if value]
+        others += [str(path) for path in options.results if path.exists() and path not in kept]
+        if others or not options.results:
+            what = f"leave out {others[0]}" if others else "name one"
+            raise ValueError(f"--markdown prints the table of directories of `ms-highway compare`; {what}")
+    elif not (options.out or kept):
         raise ValueError("there is neither a directory nor --out; name a directory of results, or a page to write")
-    out = options.out or kept[0] / "report.html"
-    if options.markdown and (options.out or options.values or options.drivers or sections):
-        raise ValueError("--markdown prints the table of directories of `ms-highway compare`; leave all else out")
+    out = options.out or kept[0] / "report.html" if not options.markdown else Path("table.html")
     if out.suffix != ".html" or out.is_dir():
         raise ValueError(f"--out is {out}; name an .html file")
+    sections, directories = _sections(options.results)
     several = list(map(read_results, directories))
+    if options.markdown and sections:
+        raise ValueError("--markdown prints the table of directories of `ms-highway compare`; leave out the others")
     for results in several:
         if results.missing:
             remedy = "start the same `ms-highway compare` again, which resumes"
@@ -112,22 +124,29 @@ def _sections(paths: list[Path]) -> "tuple[list[Section], list[Path]]":
     Raises:
         ValueError: for a file that does not exist, cannot be read, or is of no known kind.
     """
+    from ms_highway.experiments.analysis.regret import REGRETS_FILE
     from ms_highway.irl.evaluation import is_evaluation
     from ms_highway.visualization.films import films_section
     from ms_highway.visualization.irl.tables import evaluation_section
-    from ms_highway.visualization.regrets import REGRETS_FILE, regrets_section
+    from ms_highway.visualization.regrets import regrets_section
     from ms_highway.visualization.roads import roads_section
 
     sections, directories, films = [], [], []
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise ValueError("results are named twice; name each once")
     for path in paths:
-        if (path / REGRETS_FILE).is_file():
-            sections.append(regrets_section(path))
-        elif path.suffix == ".gif":
+        if path.is_dir():
+            regrets = (path / REGRETS_FILE).is_file()
+            sections += [regrets_section(path)] if regrets else []
+            directories += [] if regrets else [path]
+        elif not path.exists():
+            raise ValueError(f"there is no {path}; {KINDS}")
+        elif path.suffix.lower() == ".gif":
             films.append(path)
-        elif path.suffix == ".json":
+        elif path.suffix.lower() == ".json":
             sections.append((evaluation_section if is_evaluation(path) else roads_section)(path))
         else:
-            directories.append(path)
+            raise ValueError(f"{path} holds no results; {KINDS}")
     return sections + ([films_section(films)] if films else []), directories
 
 

@@ -27,7 +27,7 @@ SHIPPED_VALUES = "shipped"
 SHIPPED_FILES = "values.npz", "several_values.npz"
 VERSION = 2
 REMEDY = "learn values with `ms-highway values learn`"
-ANOTHER = f"choose another controller, such as switching, or {REMEDY}"
+ANOTHER = f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
 MOST_BYTES = 2**24  # of a file, unpacked; those of the package have a hundredth
 SIZES = 1e-9, 1e9  # of spreads and prices; other numbers are no larger, either, so that nothing overflows
 CLOSE = 1e-6  # relative difference of costs that are the same
@@ -127,7 +127,7 @@ class Values:
             now = ",".join(f"{name}={seconds:.9g}" for name, seconds in zip(names, each, strict=True))
             then = ",".join(f"{name}={known[name]:.9g}" for name in names)
             if np.isnan(each).any():
-                raise ValueError(f"{message} at costs of {then}, not those measured here; give them, {ANOTHER}")
+                raise ValueError(f"{message} at costs of {then}, not those measured here; give these costs, {ANOTHER}")
             raise ValueError(f"{message} at costs of {then}, not {now}; use those costs, {ANOTHER} --set costs={now}")
         return Costs(costs.base, (learned - costs.base).astype(np.float32))
 

@@ -16,10 +16,12 @@ def films_section(paths: Sequence[Path]) -> Section:
         paths: of GIFs.
 
     Raises:
-        ValueError: if one cannot be read.
+        ValueError: if one cannot be read, or does not move.
     """
     for path in paths:
-        with reading(path, "film it again", " as a GIF"), Image.open(path) as film:
-            film.verify()
-    shown = {path.stem: (path, path.stem) for path in paths}
-    return Section("Films", "How does it look?", f"See {len(paths)}, at true speed.", [], shown)
+        with reading(path, "film it again, to a .gif", " as a film"), Image.open(path, formats=["GIF"]) as film:
+            if not getattr(film, "is_animated", False):
+                raise ValueError("it has one picture only")
+            film.seek(1)
+    shown = {str(path): (path, f"{path}") for path in paths}
+    return Section("Films", "How does it look?", f"See {', '.join(path.stem for path in paths)}, below.", [], shown)

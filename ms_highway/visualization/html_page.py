@@ -14,10 +14,12 @@ from PIL import Image
 from ms_highway.envs.graphics import model_meaning
 from ms_highway.experiments.analysis.findings import answer, in_order
 from ms_highway.experiments.analysis.selection import Selection, select_of_several
-from ms_highway.experiments.directory import ResultsDirectory, Run
+from ms_highway.experiments.directory import Run
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.experiments.results import Results
 from ms_highway.game.scenario import title
+from ms_highway.metareasoning.rule import PUBLISHED_COSTS, SHIPPED_COSTS
+from ms_highway.planning.human_models import PAPER_MODELS
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization import video
 from ms_highway.visualization.figures import CAPTIONS, figures
@@ -26,7 +28,7 @@ from ms_highway.visualization.section import Section
 from ms_highway.visualization.video import side_by_side
 
 DPI = 160
-COLORS = 128  # of a figure
+COLORS = 256  # of a figure
 POSTER = 0.4  # of the video, from which the picture is taken that stands for it
 SEMANTICS = {
     "paper": "the paper's dynamics and a damped theory of mind",
@@ -93,7 +95,8 @@ def page(
         semantics={name: meaning for name, meaning in SEMANTICS.items() if name in semantics},
         further=list(map(_section, further)),
         made=[_made(one.directory, one.settings, one.runs) for one in several]
-        + [_made(where.path, where.settings(), where.runs()) for where in _directories(further)],
+        + [_made(*section.made) for section in further if section.made],
+        costs=[_milliseconds(costs) for costs in (PUBLISHED_COSTS, SHIPPED_COSTS)],
         missing=sum(one.missing for one in several),
     )
 
@@ -114,8 +117,10 @@ def _section(section: Section) -> dict[str, Any]:
     }
 
 
-def _directories(sections: Sequence[Section]) -> list[ResultsDirectory]:
-    return [ResultsDirectory(section.directory) for section in sections if section.directory]
+def _milliseconds(costs: Mapping[str, float]) -> str:
+    """Return times of the paper's models [s] as text in milliseconds."""
+    *most, last = (f"{1e3 * costs[name]:g}" for name in PAPER_MODELS)
+    return f"{', '.join(most)} and {last}"
 
 
 def _made(directory: Path, settings: Mapping[str, Any], made: Sequence[Run]) -> dict[str, Any]:

@@ -8,13 +8,14 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ms_highway.envs.controllers import CHOOSING
+from ms_highway.experiments.analysis.regret import REGRETS_FILE
+from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.game.scenario import title
 from ms_highway.runtime.files import reading
 from ms_highway.visualization.colors import choosing_shades, color_of
 from ms_highway.visualization.section import Section
 from ms_highway.visualization.tables import regret_tables
 
-REGRETS_FILE = "regrets.csv"
 REMEDY = "run the same `ms-highway frontier` again"
 TEXTS = ["controller", "kind", "scenario"]
 NUMBERS = ["price", "reward", "counted_seconds", "meta_reward", "regret", "regret_low", "regret_high"]
@@ -33,6 +34,11 @@ def read_regrets(directory: Path) -> pd.DataFrame:
         table = pd.read_csv(path, dtype=dict.fromkeys(TEXTS, str) | dict.fromkeys(NUMBERS, float))
         if lacking := [name for name in TEXTS + NUMBERS if name not in table]:
             raise ValueError(f"it has no column {lacking[0]!r}")
+        whole = np.isfinite(table[["price", "reward", "counted_seconds", "meta_reward", "regret"]]).all(axis=None)
+        if table.empty or not whole or not (table["price"] > 0).all():
+            raise ValueError("it has no rows, or prices or regrets that are no numbers")
+        if table.duplicated(["scenario", "price", "controller"]).any():
+            raise ValueError("it has a controller twice at one price")
     return table
 
 
@@ -50,12 +56,12 @@ def regrets_section(directory: Path) -> Section:
         "starts."
     )
     return Section(
-        f"Best orders: {directory.name}",
+        f"Best orders: {directory}",
         "How much better could the choice of models be?",
         regrets_told(behind),
         [table for scenario in scenarios for table in regret_tables(behind, scenario)],
         {"regrets": (regret_figure(behind), caption)},
-        directory,
+        ResultsDirectory(directory).made(),
     )
 
 
@@ -86,22 +92,24 @@ def regret_figure(behind: pd.DataFrame) -> Figure:
     panels = figure.subplots(1, len(scenarios), squeeze=False)[0]
     for axes, scenario in zip(panels, scenarios, strict=True):
         own = behind.query("scenario == @scenario")
-        lines = {name: own[own["controller"] == name] for name in own.query("kind == 'fixed'")["controller"].unique()}
+        lines = [(name, color_of(str(name)), rows) for name, rows in own.query("kind == 'fixed'").groupby("controller")]
         for kind in [kind for kind in CHOOSING if kind in set(own["kind"])]:
             rows = own[own["kind"] == kind]
-            lines[f"{kind}, best lambda"] = rows.loc[rows.groupby("price")["regret"].idxmin()]
-        for name, rows in lines.items():
-            color = choosing_shades(name.split(",")[0])[0] if "," in name else color_of(name)
+            least = rows.loc[rows.groupby("price")["regret"].idxmin()]
+            lines.append((f"{kind}, best lambda", choosing_shades(kind)[0], least))
+        for name, color, rows in lines:
             rows = rows.sort_values("price")
             ends = [(rows[end] - rows["regret"]).abs().fillna(0) for end in ("regret_low", "regret_high")]
             axes.errorbar(rows["price"], rows["regret"], ends, fmt="o-", color=color, label=name, capsize=3)
-        axes.set(xscale="log", yscale="symlog", title=title(scenario), xlabel="price of a second of planning [reward]")
+        axes.set(xscale="log", title=title(scenario), xlabel="price of a second of planning [reward]")
         axes.set_yscale("symlog", linthresh=0.1)
         axes.set_ylim(bottom=0)
         axes.grid(color="#eeeeee")
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("regret per step")
-    handles = dict(zip(*reversed(panels[-1].get_legend_handles_labels()), strict=True))
+    handles = {
+        label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6, frameon=False)
     return figure

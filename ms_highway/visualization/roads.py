@@ -1,52 +1,64 @@
 """Show how drivers fare on stock roads and in recorded traffic: what `ms-highway bench road --json` writes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
+from msgspec import Meta
+from rich.table import Table
 from scipy.stats import binomtest
 
 from ms_highway.experiments.analysis.summary import CONFIDENCE
-from ms_highway.planning.human_models import PACKAGE_MODELS
+from ms_highway.planning.human_models import PACKAGE_MODELS, cheapest_first
 from ms_highway.runtime.files import read_json, reading
+from ms_highway.runtime.structures import Finite, NotNegative
 from ms_highway.visualization.section import Section
 from ms_highway.visualization.tables import grid
 
 REMEDY = "write it again with `ms-highway bench road --json`"
-HEIGHT = 0.16  # inches, of a driver in a scene
-MARKERS = "osD^vP*Xhd"
+ROW = 0.22  # inches, of a driver in a scene
+FIRST, OTHERS = "#7d52c9", "#8a93a5"  # colours, of the first driver
+RIVALS = 4  # of which the answer tells, at most
+
+Share = Annotated[float, Meta(ge=0, le=1)]
+Count = Annotated[int, Meta(ge=0)]
 
 
 class Fared(msgspec.Struct, frozen=True):
     """How a driver fared in a scene, see `ms_highway.benchmarks.road.episodes.summary`, whose keys these are."""
 
-    success: float
-    collisions: int
-    at_fault: int
-    off_road: float
-    reward_per_step: float
-    mean_speed: float
-    max_acceleration: float
-    jerk: float
-    p50_ms: float | None
-    p99_ms: float | None
-    episodes: int
-    seeds: tuple[int, int]
+    success: Share
+    collisions: Count
+    at_fault: Count
+    off_road: Share
+    reward_per_step: Finite
+    mean_speed: Finite
+    max_acceleration: NotNegative
+    jerk: NotNegative
+    p50_ms: NotNegative | None
+    p99_ms: NotNegative | None
+    episodes: Annotated[int, Meta(ge=1)]
+    seeds: tuple[Count, Count]
     traffic: str
     label: str
-    late: float = 0.0
-    goal_seconds: float | None = None
-    judged: int = 0
-    agrees: int = 0
-    feasible: int = 0
-    rungs: dict[str, float] = {}
-    bounded: int = 0
-    solvable: float = 0.0
-    solved: float | None = None
-    regret: float | None = None
-    waited: float | None = None
+    late: Share = 0.0
+    goal_seconds: NotNegative | None = None
+    judged: Count = 0
+    agrees: Count = 0
+    feasible: Count = 0
+    rungs: dict[str, Share] = {}
+    bounded: Count = 0
+    solvable: Share = 0.0
+    solved: Share | None = None
+    regret: Finite | None = None
+    waited: NotNegative | None = None
+
+    def __post_init__(self) -> None:
+        if (self.p50_ms is None) != (self.p99_ms is None):
+            raise ValueError(f"p50_ms is {self.p50_ms}, but p99_ms {self.p99_ms}")
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -85,11 +97,17 @@ def fared(figures: object) -> Scenes:
     return msgspec.convert(figures, dict[str, dict[str, Fared]])
 
 
-def driver_rows(drivers: Mapping[str, Fared]) -> list[dict[str, str]]:
-    """Return a row of texts for each driver; without columns that have nothing to say."""
+def driver_table(title: str, drivers: Mapping[str, Fared], *without: str) -> Table:
+    """Return a table of how drivers fared in a scene, a row for each, but for the columns of some headings."""
+    rows = driver_rows(drivers, *without)
+    return grid(title, rows, left=1 + ("label" in rows[0]))
+
+
+def driver_rows(drivers: Mapping[str, Fared], *without: str) -> list[dict[str, str]]:
+    """Return a row of texts for each driver, without the columns that have nothing to say."""
+    rungs = cheapest_first([*PACKAGE_MODELS, *(rung for one in drivers.values() for rung in one.rungs)])
     rows = []
     for driver, one in drivers.items():
-        shares = " / ".join(f"{100 * one.rungs.get(rung, 0.0):.0f}" for rung in PACKAGE_MODELS)
         first, count = one.seeds
         row = {
             "driver": driver,
@@ -102,18 +120,20 @@ def driver_rows(drivers: Mapping[str, Fared]) -> list[dict[str, str]]:
             "m/s": f"{one.mean_speed:.1f}",
             "m/s² at most": f"{one.max_acceleration:.1f}",
             "jerk, m/s³": f"{one.jerk:.1f}",
-            f"{' / '.join(PACKAGE_MODELS)} %": shares if one.rungs else "",
+            f"{' / '.join(rungs)} %": " / ".join(f"{100 * one.rungs.get(rung, 0.0):.0f}" for rung in rungs)
+            if one.rungs
+            else "",
             "ms p50, p99": "" if one.p50_ms is None else f"{one.p50_ms:.1f}, {one.p99_ms:.1f}",
             "late": f"{100 * one.late:.0f} %" if one.late else "",
             "judge agrees, feasible": f"{one.agrees}, {one.feasible} of {one.judged}" if one.judged else "",
-            "solved": f"{100 * one.solved:.0f} % of {one.solvable * one.bounded:.0f}" if one.solved is not None else "",
+            "solved": "" if one.solved is None else f"{100 * one.solved:.0f} % of {one.solvable * one.bounded:.0f}",
             "regret": _text(one.regret, ".3f"),
             "waited, s": _text(one.waited, ".1f"),
             "traffic": one.traffic,
             "episodes": f"{count} from {first} on",
         }
         rows.append(row)
-    told = [heading for heading in rows[0] if any(row[heading] for row in rows)]
+    told = [heading for heading in rows[0] if heading not in without and any(row[heading] for row in rows)]
     return [{heading: row[heading] for heading in told} for row in rows]
 
 
@@ -130,56 +150,73 @@ def roads_section(path: Path) -> Section:
     scenes = {scene: drivers for scene, drivers in read_roads(path).items() if drivers}
     if not scenes:
         raise ValueError(f"{path} holds no driver yet; let `ms-highway bench road` finish one")
+    first = next(iter(next(iter(scenes.values()))))
+    caption = "Share of the episodes that succeed, with its 90 % interval (Wilson), by scene and driver."
     return Section(
-        f"Roads: {path.stem}",
+        f"Roads: {path}",
         "Who reaches its goal without a collision, and what does a decision cost?",
-        successes_told(scenes),
-        [grid(scene, driver_rows(drivers), 2) for scene, drivers in scenes.items()],
-        {"success": (success_figure(scenes), "Share of the episodes that succeed, with its 90 % interval (Wilson).")},
+        successes_told(scenes, first),
+        [driver_table(scene, drivers) for scene, drivers in scenes.items()],
+        {"success": (success_figure(scenes), caption)},
     )
 
 
-def successes_told(scenes: Scenes) -> str:
-    """Say how the first driver fares in all scenes together that it has driven, and all others that have, too."""
-    first = next(driver for drivers in scenes.values() for driver in drivers)
+def successes_told(scenes: Scenes, first: str) -> str:
+    """Say how a driver fares, and beside it those that drove most of its scenes; in means over scenes if several."""
     own = [scene for scene, drivers in scenes.items() if first in drivers]
-    names = [driver for driver in scenes[own[0]] if all(driver in scenes[scene] for scene in own)]
-    parts = []
-    for driver in names:
-        figures = [scenes[scene][driver] for scene in own]
-        episodes = sum(one.episodes for one in figures)
-        success = sum(one.success * one.episodes for one in figures) / episodes
-        together = msgspec.structs.replace(figures[0], success=success, episodes=episodes)
-        hit, fault = (sum(getattr(one, name) for one in figures) for name in ("collisions", "at_fault"))
-        parts.append(f"{driver} in {together.arrives}, with {hit} collisions, {fault} at fault")
-    where = own[0] if len(own) == 1 else f"{len(own)} scenes"
-    times = [one.p50_ms for scene in own for one in [scenes[scene][first]] if one.p50_ms is not None]
-    cost = f" A decision of {first} takes {min(times):.1f} to {max(times):.1f} ms in the median." if times else ""
-    return f"Success in {episodes} episodes of {where}: {'; '.join(parts)}.{cost}"
+    figures = [scenes[scene][first] for scene in own]
+    hit, fault = sum(one.collisions for one in figures), sum(one.at_fault for one in figures)
+    episodes = sum(one.episodes for one in figures)
+    shared = {
+        name: [scene for scene in own if name in scenes[scene]]
+        for name in dict.fromkeys(name for scene in own for name in scenes[scene])
+        if name != first
+    }
+    rivals = sorted(shared, key=lambda name: -len(shared[name]))[:RIVALS]
+    if len(own) == 1:
+        (scene,) = own
+        success = f"{first} succeeds in {scenes[scene][first].arrives} of its episodes of {scene}"
+        beside = [f"{name} in {scenes[scene][name].arrives}" for name in rivals]
+    else:
+        success = f"{first} succeeds in {_mean(scenes, own, first)} of its episodes, in the mean of {len(own)} scenes"
+        beside = [
+            f"{name} in {_mean(scenes, shared[name], name)} in {len(shared[name])} of them, where {first} does in "
+            f"{_mean(scenes, shared[name], first)}"
+            for name in rivals
+        ]
+    times = sorted({f"{one.p50_ms:.1f}" for one in figures if one.p50_ms is not None}, key=float)
+    cost = (
+        f" A decision of {first} takes {' to '.join(dict.fromkeys((times[0], times[-1])))} ms in the median."
+        if times
+        else ""
+    )
+    collisions = f"it collides in {hit} of {episodes} episodes, in {fault} at fault"
+    return f"{'; '.join([success, *beside])}. Altogether, {collisions}.{cost}"
+
+
+def _mean(scenes: Scenes, some: Sequence[str], driver: str) -> str:
+    return f"{100 * sum(scenes[scene][driver].success for scene in some) / len(some):.0f} %"
 
 
 def success_figure(scenes: Scenes) -> Figure:
-    """Draw the share of successful episodes by scene and driver, with intervals."""
-    drivers = list(dict.fromkeys(driver for own in scenes.values() for driver in own))
-    step = 1 / (len(drivers) + 1)
-    height = 1.2 + HEIGHT * len(scenes) * (len(drivers) + 1)
-    figure = Figure(figsize=(9, height), layout="constrained")
-    axes = figure.subplots()
-    for place, driver in enumerate(drivers):
-        own = [(row, one[driver]) for row, one in enumerate(scenes.values()) if driver in one]
-        heights = [row + step * (place + 1) - 0.5 for row, _ in own]
-        values = [one.success for _, one in own]
-        ends = [[abs(one.interval[end] - one.success) for _, one in own] for end in (0, 1)]
-        axes.errorbar(values, heights, xerr=ends, fmt=MARKERS[place % len(MARKERS)], capsize=2, label=driver)
-    axes.set_yticks(range(len(scenes)), list(scenes))
-    axes.set_ylim(len(scenes) - 0.5, -0.5)
-    for row in range(1, len(scenes)):
-        axes.axhline(row - 0.5, color="#dddddd", linewidth=0.8)
+    """Draw the share of successful episodes, with intervals: a row for each driver in each scene."""
+    rows = [(scene, driver, one) for scene, drivers in scenes.items() for driver, one in drivers.items()]
+    starts = [place for place, (scene, *_) in enumerate(rows) if not place or rows[place - 1][0] != scene]
+    heights = [place + sum(start <= place for start in starts) for place in range(len(rows))]  # a line for its name
+    figure = Figure(figsize=(8, 1 + ROW * (len(rows) + len(starts))), layout="constrained")
+    axes, first = figure.subplots(), rows[0][1]
+    for height, (_, driver, one) in zip(heights, rows, strict=True):
+        ends = [[abs(end - one.success)] for end in one.interval]
+        color = FIRST if driver == first else OTHERS
+        axes.errorbar([one.success], [height], xerr=ends, fmt="o", capsize=2, color=color, markersize=4)
+    for start in starts:
+        axes.text(0.0, heights[start] - 1, rows[start][0], fontweight="bold", va="center")
+    axes.set_yticks(heights, [Path(driver).stem if driver.endswith(".zip") else driver for _, driver, _ in rows])
+    axes.set_ylim(heights[-1] + 0.8, -0.8)
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_xlim(-0.02, 1.02)
     axes.set_xlabel("episodes that succeed")
     axes.grid(axis="x", color="#eeeeee")
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside lower center", ncols=5, frameon=False)
     return figure

@@ -7,6 +7,8 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 from rich.table import Table
 
+from ms_highway.experiments.directory import Made
+
 
 class Section(NamedTuple):
     """What a page shows of one result, beside comparisons.
@@ -17,7 +19,7 @@ class Section(NamedTuple):
         answer: in a sentence or a few, with intervals where something was sampled.
         tables: all figures.
         figures: with their captions, by name; or files of films, GIFs.
-        directory: of results, whose settings and commands the page tells.
+        made: settings and runs of a directory of results, None where they are not known.
     """
 
     title: str
@@ -25,4 +27,4 @@ class Section(NamedTuple):
     answer: str
     tables: Sequence[Table]
     figures: Mapping[str, tuple[Figure | Path, str]]
-    directory: Path | None = None
+    made: Made | None = None

@@ -17,7 +17,6 @@ from stable_baselines3.common.monitor import Monitor
 import ms_highway
 from ms_highway.experiments.runner import episode, make_environment
 
-BESIDE = ("learned:1", "switching:0.1", "tom")  # controllers that the agent is compared with
 SETTINGS = {"learning_rate": 1e-3, "learning_starts": 400, "batch_size": 64, "gamma": 0.95, "exploration_fraction": 0.5}
 SETTINGS |= {"target_update_interval": 250, "exploration_final_eps": 0.02, "policy_kwargs": {"net_arch": [64, 64]}}
 
@@ -37,7 +36,7 @@ if __name__ == "__main__":
     ms_highway.low_latency()  # before JAX computes anything
     ms_highway.keep_compilations()
     parser = argparse.ArgumentParser(description="Learn which human model is worth its time.")
-    parser.add_argument("scenario", nargs="?", default="merger", help="of the paper (default: merger)")
+    parser.add_argument("scenario", nargs="?", default="merger", help="merger (default), give_way, stay_back")
     parser.add_argument("--price", type=float, default=3, help="lambda, reward per second (default: 3)")
     parser.add_argument("--steps", type=int, default=5000, help="of learning (default: 5000)")
     parser.add_argument("--episodes", type=int, default=30, help="to judge by (default: 30)")
@@ -49,8 +48,9 @@ if __name__ == "__main__":
     settings = {} if options.defaults else SETTINGS
     agent = DQN("MlpPolicy", Monitor(env), seed=0, device="cpu", **settings).learn(options.steps)
     outcomes = {"dqn": [step for seed in seeds for step in drive(agent, env, seed)]}
-    for name in BESIDE:
-        steps = (step for seed in seeds for step in episode(make_environment(options.scenario, name), seed))
+    for name in (f"learned:{options.price:g}", "switching:0.1", "tom"):  # at 0.1, switching does best in Merger
+        beside = make_environment(options.scenario, name)
+        steps = (step for seed in seeds for step in episode(beside, seed))
         outcomes[name] = [(step["reward"], step["counted_seconds"]) for step in steps]
     print(f"{'a second costs ' + format(options.price, 'g'):20}{'reward/step':>12}{'counted ms':>12}{'less price':>12}")
     for name, steps in outcomes.items():

@@ -38,7 +38,7 @@ class Near:
 
     def choose(self, memory, seen):
         rungs = jnp.where(seen[:, 0] < self.distance, len(self.ladder) - 1, 0)
-        return ms_highway.metareasoning.rule.unestimated(memory, rungs)
+        return ms_highway.unestimated(memory, rungs)
 
 
 class NearSettings(ms_highway.ControllerSettings, frozen=True, tag="near"):  # in short near:6

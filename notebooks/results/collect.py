@@ -39,6 +39,10 @@ SHOWN = {  # in the project's README
     "give_way": ["naive", "tom", "learned:1", "switching:0.01"],
 }
 
+SHOWN_COLUMNS = [
+    *("reward per step (90 % interval)", "counted ms", "reward less T", "plan ms", "decide ms", "naive / turn / tom %")
+]
+
 
 def collect(results: Path) -> None:
     """Take over tables, settings and provenance of every run that lies in a directory of results."""
@@ -86,10 +90,10 @@ def kept_table(name: str, run: str) -> pd.DataFrame:
 def tables() -> dict[str, str]:
     """The tables of the pages in Markdown, by the name that stands in the comment above each."""
     compare = comparison("compare")
-    rows, limits = overview([compare]), overview([comparison(run) for run in LIMITS])
+    whole, limits = overview([compare], explained=True), overview([comparison(run) for run in LIMITS])
     shown = [(scenario, name) for scenario, names in SHOWN.items() for name in names]
     shown_tables = {
-        "shown": rows.set_index(["scenario", "controller"]).loc[shown].reset_index(),
+        "shown": whole.set_index(["scenario", "controller"]).loc[shown, SHOWN_COLUMNS].reset_index(),
         "semantics": overview([compare, comparison("released")]),
         "human rewards": overview([compare, comparison("published")]),
         "worth": overview([comparison("worth")]),

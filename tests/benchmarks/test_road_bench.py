@@ -146,7 +146,9 @@ def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path,
     assert results["merge-v0"]["idm"].keys() >= KEYS
     assert results["merge-v0"]["idm"]["seeds"] == [5, 2]
     assert len(log.read_text().splitlines()) == 1 + 2 * 2 * 2
-    assert "merge-v0, traffic idm: 2 episodes; choices count naive 0, idm 0, turn" in " ".join(capsys.readouterr().out.split())
+    assert "merge-v0, traffic idm: 2 episodes; choices count naive 0, idm 0, turn" in " ".join(
+        capsys.readouterr().out.split()
+    )
     assert (tmp_path / "merge-v0_idle_failure_5.gif").is_file()
 
 

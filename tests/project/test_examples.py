@@ -85,7 +85,7 @@ def test_an_agent_learns_to_choose_and_is_set_beside_switching_and_tom():
     pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
     command = [sys.executable, str(DIRECTORY / f"{LEARNING}.py"), "merger", "--steps", "450", "--episodes", "1"]
     run = subprocess.run(command, check=True, capture_output=True, text=True)
-    assert [line.split()[0] for line in run.stdout.splitlines()[1:]] == ["dqn", "learned:1", "switching:0.1", "tom"]
+    assert [line.split()[0] for line in run.stdout.splitlines()[1:]] == ["dqn", "learned:3", "switching:0.1", "tom"]
 
 
 @pytest.mark.slow

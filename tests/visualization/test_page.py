@@ -138,8 +138,8 @@ def test_the_bar_of_a_dear_model_that_decides_nothing_leaves_room_for_the_legend
     ("options", "message"),
     [
         ("--out page.pdf", "--out is page.pdf; name an .html file"),
-        ("--markdown --out page.html", "leave all else out"),
-        ("elsewhere", "there is no directory elsewhere"),
+        ("--markdown --out page.html", "leave out --out"),
+        ("elsewhere", "there is no elsewhere; name directories of"),
     ],
 )
 def test_a_page_that_cannot_be_is_refused_in_one_line(options, message, compared, refused):

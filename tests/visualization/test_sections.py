@@ -11,6 +11,8 @@ from comparisons import Page
 ROOT = Path(__file__).parents[2]
 KEPT = ROOT / "notebooks" / "results"
 FILM = ROOT / "notebooks" / "figures" / "merger.gif"
+PRICED = json.loads((KEPT / "road.json").read_text())["merge-v0"]["priced"]
+REGRETS = "controller,kind,scenario,price,reward,counted_seconds,meta_reward,regret,regret_low,regret_high\n"
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +46,12 @@ def test_a_page_of_any_results_begins_with_what_was_asked_and_the_answers(page, 
     interval = f"({row['regret_low']:.2f}, {row['regret_high']:.2f})"
     assert f"in Merger learned:1 {row['regret']:.2f} {interval}" in said
     priced = json.loads((found / "recorded.json").read_text())["recorded"]["priced"]
-    assert f"priced in {100 * priced['success']:.0f} % (76, 99), with {priced['collisions']} collisions" in said
+    assert f"priced succeeds in {100 * priced['success']:.0f} % (76, 99) of its episodes of recorded; " in said
+    assert f"it collides in {priced['collisions']} of {priced['episodes']} episodes, in" in said
+    roads = json.loads((found / "road.json").read_text())
+    shared = [drivers for drivers in roads.values() if "idm" in drivers]
+    means = [100 * sum(drivers[name]["success"] for drivers in shared) / len(shared) for name in ("idm", "priced")]
+    assert f"idm in {means[0]:.0f} % in {len(shared)} of them, where priced does in {means[1]:.0f} %" in said
     assert said.count("Who reaches its goal without a collision") == 2
 
 
@@ -65,7 +72,17 @@ def test_it_holds_every_table_figure_and_film_and_what_made_them(page, found):
         ("road.json", "{", "cannot be read as JSON"),
         ("road.json", '{"merge-v0": {"priced": {"success": 1}}}', "as figures of drivers"),
         ("road.json", '{"merge-v0": {}}', "holds no driver yet"),
-        ("film.gif", "GIF", "film.gif cannot be read as a GIF"),
+        (
+            "road.json",
+            json.dumps({"merge-v0": {"priced": PRICED | {"success": 2.0}}}),
+            "road.json cannot be read as fig",
+        ),
+        ("road.json", json.dumps({"merge-v0": {"priced": PRICED | {"jerk": float("nan")}}}), "as figures of drivers"),
+        ("road.json", json.dumps({"merge-v0": {"priced": PRICED | {"p99_ms": None}}}), "but p99_ms None"),
+        ("film.gif", "GIF", "film.gif cannot be read as a film"),
+        ("notes.txt", "none", "notes.txt holds no results; name directories of"),
+        ("found/regrets.csv", REGRETS, "it has no rows"),
+        ("found/regrets.csv", REGRETS + 2 * "naive,fixed,merger,1,1,1,1,1,,\n", "it has a controller twice"),
         ("found/regrets.csv", "controller,kind\nnaive,fixed\n", "it has no column 'scenario'"),
     ],
 )

@@ -40,7 +40,8 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
             for name in choosing
         ]
         rewards = ", ".join(f"{name} {reward[name]:.2f}" for name in (cheapest, best, *choosing))
-        return f"{'; '.join(shares)}. Reward per step: {rewards}. {_collisions(rows)}"
+        gain = f"The gain is {gains.mean():.2f} ({low:.2f}, {high:.2f})"
+        return f"{'; '.join(shares)}. {gain}; reward per step: {rewards}. {_collisions(rows)}"
     text = f"Planning every step with {best} earns a reward of {reward[best]:.2f} per step"
     if best == cheapest:
         text += ", and no more expensive model earns more in these episodes" if len(fixed) > 1 else ""

@@ -49,7 +49,8 @@ def select(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> Sel
     rows = summaries.query("scenario == @scenario")
     names, filmed, dearest = list(rows["controller"]), telling_pair(summaries, scenario), reference(summaries, scenario)
     paper = [name for name in names if name in paper_controllers(scenario)]
-    main = names if len(names) <= MOST_CONTROLLERS else paper or names[:MOST_CONTROLLERS]
+    told = [*paper, *filmed, *choosing_controllers(summaries, scenario)] if paper else names[:MOST_CONTROLLERS]
+    main = [name for name in names if len(names) <= MOST_CONTROLLERS or name in told]
     shown = rows[rows["kind"].isin(CHOOSING) & rows["controller"].isin(main)]
     several = shown["kind"].nunique() > 1
     deciding = choosing_controllers(shown, scenario) if several else list(shown["controller"])

@@ -99,6 +99,8 @@ def evaluation_section(path: Path) -> Section:
     """
     found = load_evaluation(path)
     errors = {name: found.predictors[name]["fde"] for name in PREDICTORS}
+    if not errors["constant_velocity"]:
+        raise ValueError(f"{path} holds no predictions; write it again with `ms-highway irl evaluate --json`")
     last = list(errors["constant_velocity"])[-1]
     off = ", ".join(f"{label} {errors[name][last]:.2f}" for name, label in PREDICTORS.items() if last in errors[name])
     return Section(

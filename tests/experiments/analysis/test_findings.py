@@ -29,8 +29,8 @@ def said(table):
 def test_a_gain_and_what_switching_keeps_of_it_are_told_in_shares():
     message = said(records(naive=[1, 1.1], tom=[5, 5.1], switching_1=[4, 4.1]))
     assert message == (
-        "switching:0.1 keeps 75 % of tom's gain over naive for 50 % of its planning. Reward per step: naive 1.05, "
-        "tom 5.05, switching:0.1 4.05. No controller collides."
+        "switching:0.1 keeps 75 % of tom's gain over naive for 50 % of its planning. The gain is 4.00 (4.00, 4.00); "
+        "reward per step: naive 1.05, tom 5.05, switching:0.1 4.05. No controller collides."
     )
 
 
