@@ -88,7 +88,7 @@ def scaled(pictures: Sequence[Picture], width: int) -> list[Picture]:
     size = 2 * round(width / 2), 2 * round(height * width / drawn / 2)
     if size == (drawn, height):
         return list(pictures)
-    return [np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS)) for picture in pictures]
+    return [np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.HAMMING)) for picture in pictures]
 
 
 def write(pictures: Sequence[Picture], path: Path, frames_per_second: float) -> None:

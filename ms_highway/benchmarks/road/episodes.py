@@ -31,7 +31,7 @@ UNPHYSICAL = 10.0
 """Acceleration [m/s^2] that no tyres hold."""
 
 FRAMES_PER_SECOND = 10  # of films, at most
-HIGHEST = 480  # px, of films: pages load them
+HIGHEST = 360  # px, of films: pages load them
 
 OTHERS: dict[str, type[Peer]] = {
     **PEERS,
@@ -227,7 +227,7 @@ def film(block: Block, seed: int, path: Path) -> None:
     Raises:
         OSError: if it cannot be written.
     """
-    from ms_highway.visualization.video import scaled, write
+    from ms_highway.visualization.video import write
 
     frames, rate = _filmed(block, seed)
     if block.starts and isinstance(block.starts[seed].ego, int):
@@ -235,12 +235,13 @@ def film(block: Block, seed: int, path: Path) -> None:
         longest = max(len(frames), len(above))
         whole = [[*one, *[one[-1]] * (longest - len(one))] for one in (above, frames)]
         frames = [np.vstack(pair) for pair in zip(*whole, strict=True)]
-    height, width = frames[0].shape[:2]
-    write(scaled(frames, width * min(HIGHEST, height) // height), path, rate)
+    write(frames, path, rate)
 
 
 def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
     """Return the pictures of an episode, and how many there are of a second."""
+    from ms_highway.visualization.video import scaled
+
     env: Any = make_driver(block, render_mode="rgb_array")
     frequency, pictures, frames = env.unwrapped.config["simulation_frequency"], [], count()
     every = max(1, round(frequency / FRAMES_PER_SECOND))
@@ -252,7 +253,8 @@ def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
     show(env)
     run_episode(block._replace(exports=None), seed, env, picture)
     env.close()
-    return pictures, frequency / every
+    height, width = pictures[0].shape[:2]
+    return scaled(pictures, width * min(HIGHEST, height) // height), frequency / every
 
 
 def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
