@@ -57,6 +57,7 @@ def test_the_search_passes_a_slow_car_that_it_would_hit_at_its_speed():
 
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 @pytest.mark.parametrize(("scene", "desired", "seed"), [("roundabout-v0", 16.0, 1), ("intersection-v0", 10.0, 2)])
+@pytest.mark.slow
 def test_what_the_search_found_is_what_the_environment_does(scene, desired, seed):
     env = told_in(scene, seed=seed)
     found, earned = best_end(env, desired, kept=2), 0.0

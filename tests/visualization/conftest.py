@@ -5,7 +5,7 @@ from commands import run
 from comparisons import COMPARE
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def compared(tmp_path_factory):
     """A comparison of which one episode was run first, and the rest later."""
     directory = tmp_path_factory.mktemp("compare")
