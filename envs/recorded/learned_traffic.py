@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ms_highway.envs.recorded.scenario import SPEED_LIMIT
+from ms_highway.envs.recorded.scenario import SPEED_LIMIT, RecordedTrack
 from ms_highway.envs.recorded.straight_road import States
 from ms_highway.envs.recorded.traffic import CLEAR, Traffic
 from ms_highway.game.learned_reward import shipped
@@ -56,11 +56,15 @@ class Learned(Traffic):
         straight, count = self.straight, len(self.tracks) + 1
         self.count = count + -count % ROOM
         sizes = np.ones((self.count, 2))
-        for place, track in enumerate((*self.tracks, *self._left_out)):
+        for place, track in enumerate(self._everyone):
             sizes[place] = track.size
         self.surroundings = _Lanes(sizes, straight.lane_width, SPEED_LIMIT)
-        self._paths = [straight.path(track) for track in self.tracks]
-        self.recorded = [self._recorded(path) for path in self._paths]
+        self._paths = [straight.path(track) for track in self._everyone]
+        self.recorded = [self._recorded(path) for path in self._paths[: len(self.tracks)]]
+
+    @property
+    def _everyone(self) -> tuple[RecordedTrack, ...]:
+        return *self.tracks, *self._left_out
 
     @cached_property
     def traits(self) -> np.ndarray:
@@ -68,11 +72,10 @@ class Learned(Traffic):
 
         Not before the first step: no environment computes before that.
         """
-        everyone, traits = [*self.tracks, *self._left_out], np.zeros((self.count, 3), np.float32)
+        traits = np.zeros((self.count, 3), np.float32)
         for first in {int(track.samples[0, 0]) for track in self.tracks}:
             past = np.full((PAST + 1, self.count, 4), np.nan, np.float32)
-            for place, track in enumerate(everyone):
-                path = self._paths[place] if place < len(self._paths) else self.straight.path(track)
+            for place, (track, path) in enumerate(zip(self._everyone, self._paths, strict=True)):
                 steps = track.samples[:, 0].astype(int) - first
                 then = (steps >= 0) & (steps <= SECOND)
                 past[PAST - SECOND + steps[then], place] = path[then]

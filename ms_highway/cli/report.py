@@ -31,6 +31,7 @@ predict: errors, likelihood and calibration by horizon, and paths.
 
 With --markdown, print the table of directories of `ms-highway compare` in Markdown instead."""
 
+ONLY_COMPARISONS = "--markdown prints the table of directories of `ms-highway compare`"
 KINDS = (
     "name directories of `ms-highway compare` and `frontier`, files of `bench road --json` and `irl evaluate --json`, "
     "and films, .gif"
@@ -80,28 +81,16 @@ def _report(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tables import markdown
     from ms_highway.visualization.video import check_format
 
-    kept = [path for path in options.results if path.is_dir()]
-    if options.markdown:
-        given = {"--out": options.out, "--values": options.values, "--drivers": options.drivers}
-        others = [name for name, value in given.items() if value]
-        others += [str(path) for path in options.results if path.exists() and path not in kept]
-        if others or not options.results:
-            what = f"leave out {others[0]}" if others else "name one"
-            raise ValueError(f"--markdown prints the table of directories of `ms-highway compare`; {what}")
-    elif not (options.out or kept):
-        raise ValueError("there is neither a directory nor --out; name a directory of results, or a page to write")
-    out = options.out or kept[0] / "report.html" if not options.markdown else Path("table.html")
-    if out.suffix != ".html" or out.is_dir():
-        raise ValueError(f"--out is {out}; name an .html file")
+    out = _checked_page(options)
     sections, directories = _sections(options.results)
     several = list(map(read_results, directories))
-    if options.markdown and sections:
-        raise ValueError("--markdown prints the table of directories of `ms-highway compare`; leave out the others")
+    if not out and sections:
+        raise ValueError(f"{ONLY_COMPARISONS}; leave out the others")
     for results in several:
         if results.missing:
             remedy = "start the same `ms-highway compare` again, which resumes"
             print(f"ms-highway: {results.directory} lacks {results.missing} episodes; {remedy}", file=sys.stderr)
-    if options.markdown:
+    if not out:
         print(markdown(overview(several)))
         return
     if several and options.videos:
@@ -116,6 +105,28 @@ def _report(options: argparse.Namespace) -> None:
     with replacing(out) as path:
         path.write_text(text, encoding="utf-8")
     print(f"the page is {out}, {len(text) / 1e6:.1f} MB")
+
+
+def _checked_page(options: argparse.Namespace) -> Path | None:
+    """Return the page that is to be written, None where a table in Markdown is to be printed.
+
+    Raises:
+        ValueError: if it is no page, or there are results or options that do not go with a table.
+    """
+    directories = [path for path in options.results if path.is_dir()]
+    if options.markdown:
+        given = {"--out": options.out, "--values": options.values, "--drivers": options.drivers}
+        others = [name for name, value in given.items() if value]
+        others += [str(path) for path in options.results if path.exists() and path not in directories]
+        if others or not options.results:
+            raise ValueError(f"{ONLY_COMPARISONS}; {f'leave out {others[0]}' if others else 'name one'}")
+        return None
+    if not (options.out or directories):
+        raise ValueError("there is neither a directory nor --out; name a directory of results, or a page to write")
+    out = options.out or directories[0] / "report.html"
+    if out.suffix != ".html" or out.is_dir():
+        raise ValueError(f"--out is {out}; name an .html file")
+    return out
 
 
 def _sections(paths: list[Path]) -> "tuple[list[Section], list[Path]]":

@@ -1,8 +1,10 @@
-"""The colours of videos, as Matplotlib takes them."""
+"""The colours of videos, as Matplotlib takes them, and of what lies below figures."""
 
 from collections.abc import Sequence
 from itertools import cycle
+from typing import Literal
 
+from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
 from ms_highway.envs.controllers import CHOOSING
@@ -38,3 +40,10 @@ def controller_colors(controllers: Sequence[str]) -> list[str]:
     shades = {kind: cycle(choosing_shades(kind)) for kind in kinds}
     pairs = zip(controllers, kinds, strict=True)
     return [color_of(name) if is_model(name) else next(shades[kind]) for name, kind in pairs]
+
+
+def light_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
+    """Draw a light grid below what is drawn, without a frame above and to the right."""
+    axes.grid(axis=axis, color="#eeeeee")
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)

@@ -14,7 +14,7 @@ from PIL import Image
 from ms_highway.envs.graphics import model_meaning
 from ms_highway.experiments.analysis.findings import answer, in_order
 from ms_highway.experiments.analysis.selection import Selection, select_of_several
-from ms_highway.experiments.directory import Run
+from ms_highway.experiments.directory import Made
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.experiments.results import Results
 from ms_highway.game.scenario import title
@@ -94,8 +94,7 @@ def page(
         kinds=set(summaries["kind"]),
         semantics={name: meaning for name, meaning in SEMANTICS.items() if name in semantics},
         further=list(map(_section, further)),
-        made=[_made(one.directory, one.settings, one.runs) for one in several]
-        + [_made(*section.made) for section in further if section.made],
+        made=list(map(_made, [*(one.made for one in several), *(one.made for one in further if one.made)])),
         costs=[_milliseconds(costs) for costs in (PUBLISHED_COSTS, SHIPPED_COSTS)],
         missing=sum(one.missing for one in several),
     )
@@ -123,11 +122,11 @@ def _milliseconds(costs: Mapping[str, float]) -> str:
     return f"{', '.join(most)} and {last}"
 
 
-def _made(directory: Path, settings: Mapping[str, Any], made: Sequence[Run]) -> dict[str, Any]:
+def _made(made: Made) -> dict[str, Any]:
     """Return what made some results, in texts."""
-    texts = {name: _text(value) for name, value in settings.items() if name != "asked" and value != {}}
-    runs = [{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in made]
-    return {"directory": str(directory), "settings": texts, "runs": runs}
+    texts = {name: _text(value) for name, value in made.settings.items() if name != "asked" and value != {}}
+    runs = [{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in made.runs]
+    return {"directory": str(made.directory), "settings": texts, "runs": runs}
 
 
 def _film(results: Results, scenario: str, selection: Selection) -> Shown:

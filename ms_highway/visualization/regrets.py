@@ -12,7 +12,7 @@ from ms_highway.experiments.analysis.regret import REGRETS_FILE
 from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.game.scenario import title
 from ms_highway.runtime.files import reading
-from ms_highway.visualization.colors import choosing_shades, color_of
+from ms_highway.visualization.colors import choosing_shades, color_of, light_grid
 from ms_highway.visualization.section import Section
 from ms_highway.visualization.tables import regret_tables
 
@@ -67,7 +67,7 @@ def regrets_section(directory: Path) -> Section:
 
 def regrets_told(behind: pd.DataFrame) -> str:
     """Say how far learned values, Algorithm 1 and fixed models stay behind, at the searched price nearest to 1."""
-    price = min(set(behind["price"]), key=lambda price: abs(log(max(price, 1e-9) / TOLD_PRICE)))
+    price = min(set(behind["price"]), key=lambda price: abs(log(price / TOLD_PRICE)))
     parts = []
     for scenario, rows in behind[behind["price"] == price].groupby("scenario", sort=False):
         own = rows.set_index("controller")
@@ -104,9 +104,7 @@ def regret_figure(behind: pd.DataFrame) -> Figure:
         axes.set(xscale="log", title=title(scenario), xlabel="price of a second of planning [reward]")
         axes.set_yscale("symlog", linthresh=0.1)
         axes.set_ylim(bottom=0)
-        axes.grid(color="#eeeeee")
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
+        light_grid(axes)
     panels[0].set_ylabel("regret per step")
     handles = {
         label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)

@@ -15,12 +15,13 @@ from ms_highway.experiments.analysis.summary import CONFIDENCE
 from ms_highway.planning.human_models import PACKAGE_MODELS, cheapest_first
 from ms_highway.runtime.files import read_json, reading
 from ms_highway.runtime.structures import Finite, NotNegative
+from ms_highway.visualization.colors import choosing_shades, light_grid
 from ms_highway.visualization.section import Section
 from ms_highway.visualization.tables import grid
 
 REMEDY = "write it again with `ms-highway bench road --json`"
 ROW = 0.22  # inches, of a driver in a scene
-FIRST, OTHERS = "#7d52c9", "#8a93a5"  # colours, of the first driver
+FIRST, OTHERS = choosing_shades("learned")[0], choosing_shades("switching")[1]  # colours
 RIVALS = 4  # of which the answer tells, at most
 
 Share = Annotated[float, Meta(ge=0, le=1)]
@@ -216,7 +217,5 @@ def success_figure(scenes: Scenes) -> Figure:
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_xlim(-0.02, 1.02)
     axes.set_xlabel("episodes that succeed")
-    axes.grid(axis="x", color="#eeeeee")
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    light_grid(axes, "x")
     return figure

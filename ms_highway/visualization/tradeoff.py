@@ -13,7 +13,7 @@ from ms_highway.envs.short_names import controller_config, named_controller
 from ms_highway.experiments.analysis.regret import frontier_curve
 from ms_highway.experiments.analysis.tradeoff import best_schedules, choosing, reference
 from ms_highway.game.scenario import title
-from ms_highway.visualization.colors import choosing_shades, color_of
+from ms_highway.visualization.colors import choosing_shades, color_of, light_grid
 from ms_highway.visualization.comparison import episode_count
 
 SCHEDULE_COLOR, RANDOM_COLOR, FRONTIER_COLOR = "#8a93a5", "#2e8b57", "#c2185b"
@@ -97,9 +97,7 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
     for name, own in rows.query("kind == 'fixed'").groupby("controller", sort=False):
         _points(axes, own, measure, "s", color_of(str(name)), str(name))
     axes.set_xlim(left=0)
-    axes.grid(color="#eeeeee")
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    light_grid(axes)
     axes.autoscale_view()
     labelled: list[np.ndarray] = []
     for price, *place in pd.concat([rows[:0], *online.values()])[["price", measure, "reward"]].to_numpy(float):
