@@ -58,6 +58,7 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         lanes=np.tile(lanes[:, None], KNOTS).astype(np.float32),
         open=np.ones((LANES, KNOTS), bool),
         edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
+        paved=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
         speed_limit=np.full(KNOTS, limit, np.float32),
         changes=np.zeros(LANES, np.float32),
         room=np.float32(np.inf),
@@ -90,6 +91,13 @@ def on_path(scene, *path):
     """The scene with the first car on a path of these x, y, heading and curvature."""
     for field, values in zip(("x", "y", "heading", "curvature"), path, strict=True):
         getattr(scene.paths, field)[0] = values
+    return scene
+
+
+def wrecked(scene, car, heading=0.0):
+    """The scene with a car that has crashed, and lies at an angle to its path."""
+    scene.states[car, 2:] = heading, 0.0
+    scene.moving[car] = False
     return scene
 
 

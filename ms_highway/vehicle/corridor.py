@@ -16,6 +16,7 @@ from ms_highway.vehicle.road_map import LIMIT, Chain, Goal, Lane, kept
 AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
 BEYOND = 3.0  # m, up to which a lane is taken to go straight on
 DRIVEN = (6.0,)  # m, over which a route is smoothed: it cuts the corners of joints by up to 0.6 m
+PAVED_STEP, PAVED_STEPS, PAVED_EVERY = 0.5, 16, 4  # m and number of steps aside, and samples along, of what is paved
 NEARBY = 2.0  # widths of a lane, up to which a lane that leads elsewhere can be changed to
 
 
@@ -25,8 +26,8 @@ class Corridor:
 
     Attributes:
         curve: of the route.
-        rows: lateral positions of the lanes left of it, on it, right of it, and of the road's edges [m]; speed limit
-            [m/s].
+        rows: lateral positions of the lanes left of it, on it, right of it, of the road's edges, and of the ends of all
+            lanes to both sides [m]; speed limit [m/s].
         open: where the lanes may be driven on.
     """
 
@@ -38,7 +39,14 @@ class Corridor:
         """Return what a ``RoadScene`` has of the lanes at distances from the curve's beginning [m]."""
         rows = self.curve.gather(self.rows, s).astype(np.float32)
         nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
-        return {"lanes": rows[:LANES], "open": self.open[:, nearest], "edges": rows[LANES:-1], "speed_limit": rows[-1]}
+        lanes, edges, paved = np.split(rows[:-1], [LANES, LANES + 2])
+        return {
+            "lanes": lanes,
+            "open": self.open[:, nearest],
+            "edges": edges,
+            "paved": paved,
+            "speed_limit": rows[-1],
+        }
 
 
 @kept
@@ -46,8 +54,8 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return what is around the route along a chain of lanes near a block of it."""
     curve = chain.curve(block, DRIVEN)
     ways = curve.samples[4]
-    rows, is_open, low = np.zeros((LANES + 3, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
-    lanes, edges, limit = rows[:LANES], rows[LANES:-1], rows[-1]
+    rows, is_open, low = np.zeros((LANES + 5, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
+    lanes, edges, limit = rows[:LANES], rows[LANES : LANES + 2], rows[-1]
     limit[:] = LIMIT
     for until, section in _sections(chain, goal, ways[-1]):
         here = slice(low, int(np.searchsorted(ways, until)))
@@ -70,7 +78,19 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
         found = found or [lanes[1, here]]
         edges[:, here] = np.min(found, axis=0) - width / 2, np.max(found, axis=0) + width / 2
         limit[here] = (section[1] or section[0] or section[2] or chain.lanes[-1]).limit
-    return Corridor(curve, _filled(rows), is_open)
+    rows = _filled(rows)
+    rows[LANES + 2 : -1] = _paved(curve, goal, rows[LANES : LANES + 2])
+    return Corridor(curve, rows, is_open)
+
+
+def _paved(curve: Curve, goal: Goal, edges: Rows) -> Rows:
+    """Return how far there are lanes beside a curve to the left and to the right [m]: to the road's edges at least."""
+    x, y, heading = curve.samples[:3, ::PAVED_EVERY, None]
+    aside = PAVED_STEP * np.arange(1, PAVED_STEPS + 1) * np.array([[-1.0], [1.0]])[..., None]
+    points = np.stack([x - aside * np.sin(heading), y + aside * np.cos(heading)], axis=-1)
+    steps = np.cumprod(goal.roads.paves(points), axis=-1).sum(axis=-1)
+    left, right = PAVED_STEP * np.repeat(steps, PAVED_EVERY, axis=1)[:, : edges.shape[1]]
+    return np.stack([np.minimum(-left, edges[0]), np.maximum(right, edges[1])])
 
 
 def _sections(chain: Chain, goal: Goal, until: float) -> Iterator[tuple[float, tuple[Lane | None, ...]]]:

@@ -9,12 +9,14 @@ from math import cos, hypot, inf, sin
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 from weakref import WeakKeyDictionary, proxy
 
+import numpy as np
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
+from scipy.spatial import cKDTree
 
 from ms_highway.game.road import wrapped
-from ms_highway.vehicle.lane_paths import SMOOTHING, Curve, Point, join_lanes
+from ms_highway.vehicle.lane_paths import SMOOTHING, Curve, Point, Points, Row, join_lanes, samples
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ BRIDGED = 10.0  # m, along the lane at a joint
 SHARPEST_TURN = 2.0  # rad, at a joint
 TURN = 5.0  # m of a jump that one radian of a jump in heading is worth
 BEFORE, AFTER = 70.0, 260.0  # m, sampled before and after a block
+PAVED_FARTHER = 0.25  # m, beside lanes that are known by points `COARSE` apart
 MOST_ROADS = 50  # in which changes of lane are looked for
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -286,6 +289,22 @@ class RoadMap:
     def goal(self, destination: Destination) -> Goal:
         """Return a goal, the same one for the same destination."""
         return Goal(self, destination)
+
+    def paves(self, points: Points) -> Row:
+        """Return at which points there is a lane, whoever may drive there."""
+        tree, widths = self._surface
+        distances, nearest = tree.query(points, distance_upper_bound=widths.max())
+        return distances < np.append(widths, 0.0)[nearest] / 2 + PAVED_FARTHER
+
+    @cached_property
+    def _surface(self) -> tuple[cKDTree, Row]:
+        """Points in the middle of all lanes, and how wide the lanes are there."""
+        parts = [samples(lane.shape, 0.0, lane.length) for lane in self.lanes.values()]
+        widths = [
+            np.array([lane.shape.width_at(place) for place in places])
+            for lane, (places, _, _) in zip(self.lanes.values(), parts, strict=True)
+        ]
+        return cKDTree(np.concatenate([points for _, points, _ in parts])), np.concatenate(widths)
 
 
 _maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()

@@ -15,7 +15,7 @@ from ms_highway.vehicle.traffic_paths import traffic_of
 
 KEPT_BEHIND = 60.0  # m of lanes behind the robot
 NEEDED, PLANNED = 190.0, 260.0  # m of lanes ahead, at least, and when they are looked up anew
-ASTRAY = 0.8  # rad, from the route
+FARTHEST, ASTRAY = 6.0, 0.8  # m aside of the route and rad off it: robots go round obstacles
 UNSURE = 1.5  # m, by which a lane that leads to the goal may be farther than the nearest one
 
 
@@ -80,7 +80,7 @@ def _continued(vehicle: Vehicle, rear: Point, ride: Ride) -> Ride | None:
     near, index = [lane.index for lane in chain.lanes[max(leg - 1, 0) : leg + 2]], vehicle.lane_index
     if index not in near:
         changed = any(other[:2] == index[:2] for other in near)
-        if changed or abs(d) > chain.lanes[leg].shape.width_at(0.0) / 2 or abs(heading) > ASTRAY:
+        if changed or abs(d) > FARTHEST or abs(heading) > ASTRAY:
             return None
     if chain.starts[-1] - way > NEEDED:
         return replace(ride, way=way)

@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.envs.registration import registry
+from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
@@ -85,6 +86,23 @@ def test_the_robot_no_longer_crashes_where_it_did(name, seed, ahead, why):
         *_, terminated, truncated, _ = env.step(env.action_space.sample())
         done = terminated or truncated
     assert not car.crashed, why
+
+
+@pytest.mark.parametrize(
+    ("lane", "place", "turned"), [(("ir0", "il1", 0), 10.0, 1.6), (("il1", "o1", 0), 10.0, 0.0)]
+)
+def test_the_robot_goes_round_a_car_that_has_crashed_in_its_way_over_lanes_of_others(lane, place, turned):
+    env = driven("intersection-v0", config={"initial_vehicle_count": 1, "spawn_probability": 0.0, "duration": 20})
+    env.reset(seed=0)
+    road, robot = env.unwrapped.road, env.unwrapped.vehicle
+    wreck = IDMVehicle.make_on_lane(road, lane, place, speed=0.0)
+    wreck.heading, wreck.crashed, wreck.route = wreck.heading + turned, True, [lane]
+    road.vehicles, ended = [robot, wreck], False
+    while not ended:
+        *_, terminated, truncated, info = env.step(None)
+        ended = terminated or truncated
+    assert info["road"]["success"]
+    assert not robot.crashed
 
 
 def test_a_budget_that_no_plan_keeps_makes_all_plans_late_and_says_so():

@@ -11,7 +11,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.game.road import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, locate, place
+from ms_highway.game.road import BEHIND, KNOTS, LANES, SPACING, TRAFFIC, TRAFFIC_KNOTS, locate, place
 from ms_highway.vehicle.road_scene import observe_road
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
@@ -20,6 +20,7 @@ GOALS = {"roundabout-v0": "nxs", "roundabout-generic-v0": "nxs", "exit-v0": "exi
 GOALS |= {"intersection-v0": "o1", "intersection-v2": "o1"}
 NAMES = ["highway", "highway-fast", "merge", "merge-generic", "two-way", "racetrack", "lane-keeping"]
 SCENES = [*GOALS, *(f"{name}-v0" for name in NAMES)]
+BEHIND_KNOTS = round(BEHIND / SPACING)
 KINDS = {"leaders": np.int32, "owners": np.int32, "names": np.int32}
 KINDS |= dict.fromkeys(("open", "present", "moving"), bool)
 
@@ -154,6 +155,26 @@ def test_the_left_lane_of_a_two_way_road_is_open():
     assert seen.open.all(axis=1).tolist() == [True, True, False]
     assert seen.lanes[0] == pytest.approx(-4.0, abs=0.01)
     assert seen.edges[0] == pytest.approx(-6.0, abs=0.01)
+
+
+def test_lanes_of_those_who_come_are_paved_and_no_part_of_the_robots_road():
+    seen = seen_from("intersection-v0", ("o0", "ir0", 0), 60.0, "o1")
+    here = slice(BEHIND_KNOTS, BEHIND_KNOTS + 10)
+    np.testing.assert_allclose(seen.edges[:, here], np.tile([[-2.0], [2.0]], 10), atol=0.1)
+    np.testing.assert_allclose(seen.paved[:, here], np.tile([[-6.0], [2.0]], 10), atol=0.3)
+    highway = seen_from("highway-v0", ("0", "1", 1), 100.0)
+    np.testing.assert_allclose(highway.paved, highway.edges, atol=0.3)
+
+
+def test_a_robot_on_the_lane_of_those_who_come_still_follows_its_own():
+    ego = with_ego("intersection-v0", ("o0", "ir0", 0), 60.0)
+    own = observe_road(ego, "o1").route
+    ego.position = ego.position - np.array([4.0, 2.0])
+    ego.on_state_update()
+    assert ego.lane_index == ("il0", "o0", 0)
+    seen = observe_road(ego, "o1")
+    assert seen.robot[1] == pytest.approx(-4.0, abs=0.05)
+    np.testing.assert_allclose(seen.route.x[:20], own.x[1:21], atol=0.05)
 
 
 def test_cars_that_come_are_seen_from_farther_than_those_that_go_the_same_way():

@@ -158,7 +158,7 @@ def _best(now: Situation, few: Judged, answered: Judged, numbers: Places) -> Roa
 
 def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:
     driven = simulate_plans(now, manners, plans)
-    return Judged(plans, driven, score(now, driven, plans.lane))
+    return Judged(plans, driven, score(now, driven, plans))
 
 
 def _following(now: Situation, rungs: Places, plans: int) -> Manners:

@@ -26,15 +26,19 @@ from ms_highway.runtime.arrays import Car, Control, Controls, Flag, ManyControls
 FOLLOWING = 1.0, 0.75, 0.5, 0.25  # shares of the desired speed, in profiles that follow by IDM
 STEADY = -5.0, -3.0, -1.5, 0.0, 1.5, 3.0  # m/s^2, of profiles of constant acceleration
 YIELDING = 0.5, 1.5, 3.0, 5.0, np.inf  # s, of profiles that let cars pass who come until then
+SECONDS_ASIDE, NEARLY = 1.2, 0.3  # s before what cannot move, if a robot is farther off its way round it [m]
+TURNING = 4.0  # m, before what cannot move, that leave room to turn round it
+ROUND = 0.3, 0.6  # shares of the desired speed, in profiles that go round what cannot move
 IN_EACH_LANE = (  # share of the desired speed, acceleration, whether it follows, and closes up as late as is safe
     *((share, 0.0, True, False) for share in FOLLOWING),
     (1.0, 0.0, True, True),
     *((1.0, acceleration, False, False) for acceleration in STEADY),
 )
 ALL = (
-    *((lane, *profile, 0.0) for lane in range(LANES) for profile in IN_EACH_LANE),
-    *((1, 1.0, 0.0, True, False, seconds) for seconds in YIELDING),
-    (1, 1.0, 0.0, False, False, 0.0),  # the rest of the last plan
+    *((lane, *profile, 0.0, 0) for lane in range(LANES) for profile in IN_EACH_LANE),
+    *((1, 1.0, 0.0, True, False, seconds, 0) for seconds in YIELDING),
+    *((1, share, 0.0, True, False, 0.0, side) for share in ROUND for side in (-1, 1)),
+    (1, 1.0, 0.0, False, False, 0.0, 0),  # the rest of the last plan
 )
 
 PROPOSALS = len(ALL)
@@ -91,6 +95,7 @@ class Profiles(NamedTuple):
         follows: whether it follows the traffic.
         closes: whether it closes up as it follows.
         yields: it lets all cars pass that come to where they cross its route within this time [s].
+        side: on which it goes round what cannot move in the robot's lane: -1, left; 1, right; 0, it does not.
         given: whether its controls are given.
         controls: those.
     """
@@ -101,6 +106,7 @@ class Profiles(NamedTuple):
     follows: PlanFlags
     closes: PlanFlags
     yields: Plans
+    side: Lane
     given: PlanFlags
     controls: ManyControls
 
@@ -175,6 +181,14 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
     return DrivenPlans(states, controls, world, along, s, d, speeds, cosine)
 
 
+def aim(now: Situation, plan: Profiles, s: Scalar) -> Scalar:
+    """Return the lateral position that a plan goes to where its rear axle is at s."""
+    passes = (plan.side != 0) & now.obstruction.exists & (s < now.obstruction.end)
+    return jnp.where(
+        passes, now.obstruction.sides[(plan.side > 0).astype(int)], interpolate(now.scene.lanes[plan.lane], s)
+    )
+
+
 def _slip(scene: RoadScene, along: EachStep) -> EachStep:
     """Return the angles from the headings of others to their paths: centres that turn move aside of where cars head."""
     bends = jnp.where(scene.moving[:, None], jax.vmap(bend, (0, -2), -2)(scene.paths, along), 0.0)
@@ -187,7 +201,7 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     s, d, heading, speed = car
     onward = speeds * where[2]
     front, apart = s + scene.size[0] / 2, scene.reach[:, 1] + ROOM
-    lane = interpolate(scene.lanes[plan.lane], s)
+    lane = aim(now, plan, s)
     goal = jnp.where(_waits(now, plan, car, lane, where, onward), interpolate(scene.lanes[1], s), lane)
 
     # towards the centre of the lane
@@ -206,9 +220,16 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
         interpolate(now.caps, s + PREVIEW * speed), jnp.sqrt(2 * STOPPING * planning.grip * jnp.maximum(left, 0.0))
     )
 
+    # slowly towards what cannot move, until the robot is aside of it
+    ahead = jnp.maximum((now.obstruction.begin - s - scene.size[0]) / SECONDS_ASIDE, CREEPING)
+    cap = jnp.where((plan.side != 0) & (jnp.abs(d - lane) > NEARLY), jnp.minimum(cap, ahead), cap)
+
     # behind whoever is ahead, here or in the lane that the robot goes to
     beside = (where[1] > jnp.minimum(d, lane) - apart) & (where[1] < jnp.maximum(d, lane) + apart)
-    gap = jnp.where((where[0] > front) & beside & scene.present, where[0] - front - scene.reach[:, 0], FAR)
+    beside = beside & (scene.moving | (plan.side == 0))
+    gap = jnp.where(
+        (where[0] > front) & beside & scene.present, where[0] - front - scene.reach[:, 0] - TURNING * ~scene.moving, FAR
+    )
     safe = onward + jnp.sqrt(2 * LATE * jnp.maximum(gap - CLOSEST - REACTION * speed, 0.0))
     kept = EAGERNESS * idm_acceleration(speed, FAR, gap, onward, *CLOSE).min()
     kept = jnp.where(plan.closes, (safe.min() - speed) / PREVIEW, kept)

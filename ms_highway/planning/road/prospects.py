@@ -43,12 +43,13 @@ def missing_room(now: Situation, driven: DrivenPlans, goal: Plans) -> EachCar:
     """Return what is missing to stop behind each car ahead after a plan, or to the least gap within it [m].
 
     A car that joins the road, and those near it, may change to the next lane at once, without looking. What is missing
-    to the least gap when a plan begins does not count.
+    to the least gap when a plan begins does not count, nor that to what cannot move: there is no gap to keep.
     """
     scene, (s, d, _, speed) = now.scene, driven.robot
     reach, apart = scene.reach[:, 0], scene.reach[:, 1] + 0.2
     gap = driven.s - s - scene.size[0] / 2
-    led = (gap > 0) & (jnp.abs(driven.d - d) < apart[:, None]) & (driven.cosine > SAME_WAY) & scene.present[:, None]
+    led = (gap > 0) & (jnp.abs(driven.d - d) < apart[:, None]) & (driven.cosine > SAME_WAY)
+    led = led & (scene.present & scene.moving)[:, None]
     close = jnp.where(led, jnp.maximum(LEAST_GAP * speed + reach[:, None] - gap, 0.0), 0.0)
 
     s, d, speed = s[..., -1], d[..., -1], speed[..., -1]

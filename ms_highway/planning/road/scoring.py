@@ -2,13 +2,14 @@
 
 from typing import NamedTuple
 
+import jax
 from jax import numpy as jnp
 
 from ms_highway.game.road import Pose, Sizes, interpolate, rotated
 from ms_highway.planning.car_following import FAR
 from ms_highway.planning.road.arrays import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans
 from ms_highway.planning.road.motion import bodies, earlier
-from ms_highway.planning.road.proposals import DrivenPlans
+from ms_highway.planning.road.proposals import DrivenPlans, Profiles, aim
 from ms_highway.planning.road.prospects import lane_of, missing_room, prospects, urgency
 from ms_highway.planning.road.settings import LANE, STOPPING
 from ms_highway.planning.road.traffic import (
@@ -81,9 +82,9 @@ class Scores(NamedTuple):
         return self.collides | self.leaves | (self.missing > 0)
 
 
-def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
-    """Judge plans that go to lanes 0 to 2."""
-    scene, planning, weights = now.scene, now.planning, now.weights
+def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
+    """Judge plans."""
+    lanes, scene, planning, weights = plans.lane, now.scene, now.planning, now.weights
     desired = planning.desired_speed
     s, d, _, speed = jnp.moveaxis(driven.states, -1, 0)
     goal = lane_of(scene.lanes, lanes, s)
@@ -91,6 +92,7 @@ def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
     per_second = weights.speed * (1 - off_speed / desired) - weights.centre * (d - goal) ** 2
     per_second = per_second - _discomfort(now, driven)
     closed = (lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
+    closed = closed | ((plans.side != 0) & ~now.obstruction.exists)  # nothing to go round
     leaves = _leaves(now, driven)
     share = jnp.where(lanes == 1, 1.0, jnp.clip(1 - jnp.abs(goal - d)[:, -1] / LANE, 0.0, 1.0))  # of its change of lane
     urgent = urgency(scene, 1)
@@ -101,7 +103,7 @@ def score(now: Situation, driven: DrivenPlans, lanes: Lane) -> Scores:
         - weights.off_road * (leaves.astype(float) + closed)
     )
     others, intrusion, impact = _meetings(now, driven, lanes)
-    missing = missing_room(now, driven, goal[:, -1])
+    missing = missing_room(now, driven, jax.vmap(aim, (None, 0, 0))(now, plans, s[:, -1]))
     slower, charged = prospects(now, driven, jnp.where(share > 0.5, lanes, 1))
     lost = weights.prospect * slower / desired
     return Scores(
@@ -127,10 +129,14 @@ def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
 
 
 def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
-    """Return whether plans leave the road; what cannot be helped any more does not count."""
+    """Return whether plans leave the road, or, round what cannot move, all lanes.
+
+    What cannot be helped any more does not count.
+    """
     s, d, heading, _ = jnp.moveaxis(driven.states, -1, 0)
     length, width = now.scene.size
-    left, right = interpolate(now.scene.edges, s + length / 2)
+    edges = jnp.where(now.obstruction.exists, now.scene.paved, now.scene.edges)
+    left, right = interpolate(edges, s + length / 2)
     middle = d + length / 2 * jnp.sin(heading)
     reach = (width * jnp.cos(heading) + length * jnp.abs(jnp.sin(heading))) / 2
     beyond = jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)

@@ -23,6 +23,7 @@ from ms_highway.game.road import (
 from ms_highway.planning.car_following import FAR, HEADWAY, idm_acceleration
 from ms_highway.planning.road.arrays import EachFlag, EachStep, Steps
 from ms_highway.planning.road.motion import speed_caps
+from ms_highway.planning.road.obstruction import Obstruction, obstruction_of
 from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
 from ms_highway.runtime.arrays import Numbers, Scalar
 
@@ -87,6 +88,7 @@ class Situation(NamedTuple):
         ways: of the traffic.
         crossings: of these ways and the route.
         caps: see `ms_highway.planning.road.motion.speed_caps`.
+        obstruction: of the robot's lane.
     """
 
     scene: RoadScene
@@ -95,12 +97,14 @@ class Situation(NamedTuple):
     ways: Ways
     crossings: Crossings
     caps: Knots
+    obstruction: Obstruction
 
 
 def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights) -> Situation:
     """Compute what all plans of a step share."""
     ways = ways_of(scene)
-    return Situation(scene, planning, weights, ways, _crossings(scene, ways), speed_caps(scene, planning))
+    crossings, caps = _crossings(scene, ways), speed_caps(scene, planning)
+    return Situation(scene, planning, weights, ways, crossings, caps, obstruction_of(scene))
 
 
 def ways_of(scene: RoadScene) -> Ways:
@@ -112,11 +116,13 @@ def ways_of(scene: RoadScene) -> Ways:
 def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     """Find where paths of traffic cross the robot's route.
 
-    Who is in the robot's lane does not cross it where their ways part: one of them follows the other. Nobody crosses it
-    behind the robot.
+    Who is in the robot's lane, or joins it behind the robot, does not cross it where their ways part: one of them
+    follows the other. Nobody crosses it behind the robot.
     """
     now, inside = int(BEHIND / SPACING), jnp.abs(ways.d) < CORRIDOR
-    shares = inside[:, now] & (ways.cosine[:, now] > SHARING)
+    along = inside & (ways.cosine > SHARING)
+    joins = along & (ways.s < scene.robot[0]) & (jnp.arange(ways.s.shape[-1]) >= now)
+    shares = along[:, now] | joins.any(axis=-1)
     come = inside[:, now] & (ways.cosine[:, now] < -SHARING) & (ways.s[:, now] > scene.robot[0])
     come = come & scene.moving & scene.present
     aslant = (ways.s > scene.robot[0] - PASSED) & (ways.cosine < SHARING) & ~shares[:, None]

@@ -1,0 +1,58 @@
+"""Find what lies in the robot's lane and cannot move, such as a car that has crashed, and the ways round it."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+
+from ms_highway.game.road import RoadScene, Traffic, interpolate, locate, place
+from ms_highway.planning.car_following import FAR
+from ms_highway.runtime.arrays import Flag, Scalar, Vector
+
+SIGHT = 30.0  # m ahead, in which obstacles are gone round
+CLEAR = 1.0  # m, between bodies that pass
+CORNERS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]], np.float32)  # of bodies, in sizes
+TOGETHER = 3  # obstacles side by side that are gone round together
+
+
+class Obstruction(NamedTuple):
+    """What cannot move in the robot's lane.
+
+    Attributes:
+        exists: whether there is anything.
+        sides: lateral positions at which the robot passes it on the left and on the right [m].
+        begin, end: positions between which it lies [m].
+    """
+
+    exists: Flag
+    sides: Vector
+    begin: Scalar
+    end: Scalar
+
+
+def obstruction_of(scene: RoadScene) -> Obstruction:
+    """Return the obstruction of the robot's lane."""
+    x, y, heading = (
+        field + 0 * CORNERS[:, 0] for field in jax.vmap(place)(scene.paths, scene.states[:, :1], scene.states[:, 1:2])
+    )
+    heading = heading + scene.askew
+    ahead, aside = (scene.sizes[:, None] * CORNERS).transpose(2, 0, 1)
+    cosine, sine = jnp.cos(heading), jnp.sin(heading)
+    s, d, _ = locate(scene.route, x + cosine * ahead - sine * aside, y + sine * ahead + cosine * aside, heading)
+    first, last, left, right = s.min(axis=1), s.max(axis=1), d.min(axis=1), d.max(axis=1)
+    needed = scene.size[1] + 2 * CLEAR
+    own = interpolate(scene.lanes[1], first)
+    near = scene.present & ~scene.moving & (last > scene.robot[0]) & (first < scene.robot[0] + SIGHT)
+    inside = near & (left < own + needed / 2) & (right > own - needed / 2)
+
+    def reach(low: Traffic, high: Traffic) -> Scalar:
+        """Return how high obstacles reach in the lane, or beside those where no robot fits in between."""
+        found = jnp.where(inside, high, -FAR).max()
+        for _ in range(TOGETHER - 1):
+            found = jnp.maximum(found, jnp.where(near & (low < found + needed), high, -FAR).max())
+        return found
+
+    sides = jnp.stack([-reach(-right, -left) - needed / 2, reach(left, right) + needed / 2])
+    begin, end = jnp.where(inside, first, FAR).min(), jnp.where(inside, last, -FAR).max()
+    return Obstruction(inside.any(), sides, begin, end)
