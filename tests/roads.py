@@ -149,4 +149,4 @@ def judged(scene, controls, lanes, follows, planning=PLANNING):
     now, plans = situation_of(scene, planning, WEIGHTS), as_given(jnp.asarray(controls), jnp.asarray(lanes))
     manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((len(controls), TRAFFIC, planning.steps)))
     driven = simulate_plans(now, manners, plans)
-    return driven, score(now, driven, plans.lane)
+    return driven, score(now, driven, plans)

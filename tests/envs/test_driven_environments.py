@@ -88,9 +88,7 @@ def test_the_robot_no_longer_crashes_where_it_did(name, seed, ahead, why):
     assert not car.crashed, why
 
 
-@pytest.mark.parametrize(
-    ("lane", "place", "turned"), [(("ir0", "il1", 0), 10.0, 1.6), (("il1", "o1", 0), 10.0, 0.0)]
-)
+@pytest.mark.parametrize(("lane", "place", "turned"), [(("ir0", "il1", 0), 10.0, 1.6), (("il1", "o1", 0), 10.0, 0.0)])
 def test_the_robot_goes_round_a_car_that_has_crashed_in_its_way_over_lanes_of_others(lane, place, turned):
     env = driven("intersection-v0", config={"initial_vehicle_count": 1, "spawn_probability": 0.0, "duration": 20})
     env.reset(seed=0)

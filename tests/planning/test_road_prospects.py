@@ -8,17 +8,18 @@ from roads import NOBODY, PLANNING, WEIGHTS, coming, scene_of
 
 from ms_highway.game.road import KNOTS, TRAFFIC
 from ms_highway.planning.road.plan import no_plan, propose
-from ms_highway.planning.road.proposals import IN_EACH_LANE, profiles
+from ms_highway.planning.road.proposals import ALL, profiles
 from ms_highway.planning.road.prospects import missing_room, prospects
 from ms_highway.planning.road.settings import IDM
 from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
-PROFILES = len(IN_EACH_LANE)
 MEMORY = no_plan(PLANNING)
 LANES = np.asarray(profiles(MEMORY.controls, 1).lane)
-CLOSING_UP, KEEPING_SPEED = PROFILES + 4, PROFILES + 8  # in the own lane
-
+FOLLOWING, CLOSING_UP, BRAKING, KEEPING_SPEED = (
+    [plan[:5] for plan in ALL].index((1, 1.0, *profile))
+    for profile in ((0.0, True, False), (0.0, True, True), (-3.0, False, False), (0.0, False, False))
+)  # in the own lane
 
 propose_quickly = jit_quickly(propose)
 lost_after = jit_quickly(lambda now, rollouts: prospects(now, rollouts, LANES)[0])
@@ -72,8 +73,7 @@ def test_who_comes_after_a_plan_is_in_the_way_and_then_has_passed_unlike_who_sta
 def test_closing_up_keeps_its_speed_longer_than_following_and_still_leaves_room_to_stop():
     scene = scene_of(robot=(0.0, 0.0, 0.0, 28.0), cars=[(55.0, 0, 20.0)])
     rollouts = proposed(scene).driven
-    following = PROFILES
-    assert rollouts.states[CLOSING_UP, -1, 0] > rollouts.states[following, -1, 0] + 3.0
+    assert rollouts.states[CLOSING_UP, -1, 0] > rollouts.states[FOLLOWING, -1, 0] + 3.0
     room = missing(scene)
     assert room[CLOSING_UP, 0] == 0
     assert room[KEEPING_SPEED, 0] > 0
@@ -81,10 +81,9 @@ def test_closing_up_keeps_its_speed_longer_than_following_and_still_leaves_room_
 
 def test_tailgating_within_a_plan_counts_even_if_it_ends_with_room():
     scene = scene_of(robot=(0.0, 0.0, 0.0, 26.0), cars=[(18.0, 0, 20.0)])
-    braking = PROFILES + 6
-    gaps = np.asarray(proposed(scene).driven.s[braking, 0] - proposed(scene).driven.states[braking, :, 0]) - 7.5
+    gaps = np.asarray(proposed(scene).driven.s[BRAKING, 0] - proposed(scene).driven.states[BRAKING, :, 0]) - 7.5
     assert gaps[-1] > gaps.min() + 1
-    assert missing(scene)[braking, 0] > 0
+    assert missing(scene)[BRAKING, 0] > 0
 
 
 def test_a_car_that_joins_the_road_may_go_on_into_the_robots_lane():

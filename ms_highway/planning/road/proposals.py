@@ -23,14 +23,13 @@ from ms_highway.planning.road.traffic import (
 )
 from ms_highway.runtime.arrays import Car, Control, Controls, Flag, ManyControls, Scalar
 
-FOLLOWING = 1.0, 0.75, 0.5, 0.25  # shares of the desired speed, in profiles that follow by IDM
 STEADY = -5.0, -3.0, -1.5, 0.0, 1.5, 3.0  # m/s^2, of profiles of constant acceleration
 YIELDING = 0.5, 1.5, 3.0, 5.0, np.inf  # s, of profiles that let cars pass who come until then
 SECONDS_ASIDE, NEARLY = 1.2, 0.3  # s before what cannot move, if a robot is farther off its way round it [m]
 TURNING = 4.0  # m, before what cannot move, that leave room to turn round it
 ROUND = 0.3, 0.6  # shares of the desired speed, in profiles that go round what cannot move
 IN_EACH_LANE = (  # share of the desired speed, acceleration, whether it follows, and closes up as late as is safe
-    *((share, 0.0, True, False) for share in FOLLOWING),
+    (1.0, 0.0, True, False),
     (1.0, 0.0, True, True),
     *((1.0, acceleration, False, False) for acceleration in STEADY),
 )
