@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
-from roads import NOBODY, PLANNING, WEIGHTS, coming, crossing, judged, scene_of, turning_off
+from roads import NOBODY, PLANNING, WEIGHTS, coming, crossing, judged, on_path, scene_of, turning_off
 
-from ms_highway.game.road import LANES, TRAFFIC
+from ms_highway.game.road import BEHIND, LANES, SPACING, TRAFFIC, TRAFFIC_KNOTS
 from ms_highway.planning.road.prospects import missing_room, urgency
 from ms_highway.planning.road.scoring import blocks, separation
 from ms_highway.planning.road.traffic import situation_of
@@ -173,6 +173,15 @@ def test_a_car_from_ahead_comes_into_the_robots_way_where_it_turns_off_and_not_w
     straight_on = coming(scene_of(robot=(40.0, 0.0, 0.0, 0.0), cars=[(120.0, 0, 10.0)]), 0)
     for scene, expected in ((turning_off(40.0), True), (turning_off(20.0), False), (straight_on, False)):
         assert bool(in_the_way(scene, scores_of(scene, KEEPING, KEEPING)[0])[0, 0]) == expected
+
+
+@pytest.mark.parametrize(("joins_at", "crosses"), [(10.0, False), (50.0, True)])
+def test_who_joins_the_route_behind_the_robot_and_turns_off_ahead_of_it_does_not_cross_it(joins_at, crosses):
+    scene = scene_of(robot=(30.0, 0.0, 0.0, 8.0), cars=[(0.0, 0, 8.0)])
+    along = SPACING * np.arange(TRAFFIC_KNOTS) - BEHIND
+    aside = np.where(along < joins_at, -5.0, 0.0) - np.maximum(along - 60.0, 0.0)
+    path = along, aside, np.where(along > 60.0, -np.pi / 4, 0.0), 0 * along
+    assert situation_of(on_path(scene, *path), PLANNING, WEIGHTS).crossings.exist[0] == crosses
 
 
 @pytest.mark.parametrize("come_from", np.arange(55.0, 57.0, 0.25))
