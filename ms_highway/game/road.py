@@ -78,7 +78,7 @@ class RoadScene:
         lanes: lateral positions of the centres of `LANES` lanes at the knots of the route: left, own, right [m].
         open: where each of them may be driven on.
         edges: lateral positions of the left and the right edge of the road at the knots [m].
-        paved: of the ends of all lanes to both sides, also of those that lead elsewhere or come [m].
+        paved: the same of all lanes side by side, those included that lead elsewhere or the other way [m].
         speed_limit: at the knots, of the own lane [m/s].
         changes: changes of lane to the right that the goal asks for from each lane, negative to the left.
         room: distance left for them [m]; infinite where the goal asks for none.

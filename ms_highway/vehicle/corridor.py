@@ -26,8 +26,8 @@ class Corridor:
 
     Attributes:
         curve: of the route.
-        rows: lateral positions of the lanes left of it, on it, right of it, of the road's edges, and of the ends of all
-            lanes to both sides [m]; speed limit [m/s].
+        rows: lateral positions of the lanes left of it, on it, right of it, of the road's edges, and of those of all
+            lanes side by side [m]; speed limit [m/s].
         open: where the lanes may be driven on.
     """
 

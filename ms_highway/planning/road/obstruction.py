@@ -6,14 +6,14 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.road import RoadScene, Traffic, interpolate, locate, place
+from ms_highway.game.road import RoadScene, Traffic, interpolate, locate, place, rotated
 from ms_highway.planning.car_following import FAR
 from ms_highway.runtime.arrays import Flag, Scalar, Vector
 
 SIGHT = 30.0  # m ahead, in which obstacles are gone round
 CLEAR = 1.0  # m, between bodies that pass
 CORNERS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]], np.float32)  # of bodies, in sizes
-TOGETHER = 3  # obstacles side by side that are gone round together
+TOGETHER = 3  # obstacles side by side, at most, that are gone round together
 
 
 class Obstruction(NamedTuple):
@@ -32,14 +32,11 @@ class Obstruction(NamedTuple):
 
 
 def obstruction_of(scene: RoadScene) -> Obstruction:
-    """Return the obstruction of the robot's lane."""
-    x, y, heading = (
-        field + 0 * CORNERS[:, 0] for field in jax.vmap(place)(scene.paths, scene.states[:, :1], scene.states[:, 1:2])
-    )
-    heading = heading + scene.askew
-    ahead, aside = (scene.sizes[:, None] * CORNERS).transpose(2, 0, 1)
-    cosine, sine = jnp.cos(heading), jnp.sin(heading)
-    s, d, _ = locate(scene.route, x + cosine * ahead - sine * aside, y + sine * ahead + cosine * aside, heading)
+    """Return what cannot move in the robot's lane, by the corners of bodies in the coordinates of its route."""
+    x, y, along = jax.vmap(place)(scene.paths, scene.states[:, :1], scene.states[:, 1:2])
+    ahead, aside = jnp.moveaxis(scene.sizes[:, None] * CORNERS, -1, 0)
+    forth, across = rotated(ahead, aside, -along - scene.askew)
+    s, d, _ = locate(scene.route, x + forth, y + across, along)
     first, last, left, right = s.min(axis=1), s.max(axis=1), d.min(axis=1), d.max(axis=1)
     needed = scene.size[1] + 2 * CLEAR
     own = interpolate(scene.lanes[1], first)
