@@ -8,6 +8,7 @@ import pytest
 from highway_env.road.lane import CircularLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
 from roads import NOBODY, PLANNING, WEIGHTS, coming, execute, judged, scene_of, winding
 
@@ -160,6 +161,19 @@ def test_a_car_that_has_crashed_lies_across_its_lane_as_it_does_now():
     scene.states[0, 2], scene.moving[0] = 0.7, False
     _, rollouts = proposed(scene)
     np.testing.assert_allclose(np.asarray(rollouts.world)[:, 0, 2], 0.7, atol=1e-6)
+
+
+@pytest.mark.parametrize("heading", [1.2, 2.6, -0.8])
+def test_a_car_that_has_crashed_is_expected_to_slide_where_it_heads_as_highway_envs_do(heading):
+    scene = scene_of(cars=[(30.0, 0, 6.0)])
+    scene.states[0, 2], scene.moving[0] = heading, False
+    _, rollouts = proposed(scene)
+    car, places = Vehicle(None, [30.0, 0.0], heading, 6.0), []
+    car.crashed = True
+    for _ in range(PLANNING.steps * 10):
+        car.step(float(PLANNING.time_step) / 10)
+        places.append(car.position.copy())
+    np.testing.assert_allclose(np.asarray(rollouts.world)[0, 0, :2].T, places[9::10], atol=0.6)
 
 
 def gaps(number, *cars):

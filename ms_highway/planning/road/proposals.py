@@ -150,8 +150,10 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
     """Drive plans among others who answer each of them."""
     scene, planning, dt = now.scene, now.planning, now.planning.time_step
     half, traits = scene.size[0] / 2, assumed_traits(scene)
-    across, start = aside(scene, planning.times), (scene.robot, scene.states[:, 0], scene.states[:, 3])
-    rolls = scene.states[:, 3] < -BACKWARDS  # may go on so; others stop at most
+    along, _, heading, speeds = jnp.asarray(scene.states).T
+    speeds = speeds * jnp.where(scene.moving, 1.0, jnp.cos(heading))  # along the paths
+    across, start = aside(scene, planning.times), (scene.robot, along, speeds)
+    rolls = speeds < -BACKWARDS  # may go on so; others stop at most
     surprises = jnp.exp(-planning.times / FADES)[:, None] * manners.surprise
     most = jnp.where((planning.times - dt / 2 < HELD)[:, None], manners.held, jnp.inf)
 

@@ -182,10 +182,14 @@ def assumed_traits(scene: RoadScene) -> Traits:
 
 
 def aside(scene: RoadScene, times: Steps) -> EachStep:
-    """Return the lateral positions of others on their paths, to the middle of which they settle."""
+    """Return the lateral positions of others on their paths, to the middle of which they settle if they drive.
+
+    Who has crashed slides where it heads, more slowly from second to second: ``v' = -v``.
+    """
     _, now, heading, speed = scene.states.T[..., None]
-    drift = speed * jnp.sin(heading) + now / SETTLING
-    return (now + drift * times) * jnp.exp(-times / SETTLING)
+    sideways = speed * jnp.sin(heading)
+    settles = (now + (sideways + now / SETTLING) * times) * jnp.exp(-times / SETTLING)
+    return jnp.where(scene.moving[:, None], settles, now + sideways * (1 - jnp.exp(-times)))
 
 
 def on_route(ways: Ways, along: Traffic, across: Traffic) -> Pose:
