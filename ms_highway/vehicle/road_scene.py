@@ -1,7 +1,7 @@
 """See the road from a vehicle as a `RoadScene`."""
 
 from dataclasses import dataclass, replace
-from math import inf
+from math import cos, inf
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -15,7 +15,8 @@ from ms_highway.vehicle.traffic_paths import traffic_of
 
 KEPT_BEHIND = 60.0  # m of lanes behind the robot
 NEEDED, PLANNED = 190.0, 260.0  # m of lanes ahead, at least, and when they are looked up anew
-FARTHEST, ASTRAY = 6.0, 0.8  # m aside of the route and rad off it: robots go round obstacles
+FARTHEST, ASTRAY = 6.0, 0.8  # m aside of the route, over lanes that lead another way, and rad off it
+SAME_WAY = 0.85  # cosine of the angle to a lane, from which a robot may have taken that
 UNSURE = 1.5  # m, by which a lane that leads to the goal may be farther than the nearest one
 
 
@@ -80,7 +81,10 @@ def _continued(vehicle: Vehicle, rear: Point, ride: Ride) -> Ride | None:
     near, index = [lane.index for lane in chain.lanes[max(leg - 1, 0) : leg + 2]], vehicle.lane_index
     if index not in near:
         changed = any(other[:2] == index[:2] for other in near)
-        if changed or abs(d) > FARTHEST or abs(heading) > ASTRAY:
+        own = vehicle.lane
+        turned = own.heading_at(own.local_coordinates(vehicle.position)[0]) - vehicle.heading
+        farthest = chain.lanes[leg].shape.width_at(0.0) / 2 if cos(turned) > SAME_WAY else FARTHEST
+        if changed or abs(d) > farthest or abs(heading) > ASTRAY:
             return None
     if chain.starts[-1] - way > NEEDED:
         return replace(ride, way=way)

@@ -223,7 +223,8 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
 
     # slowly towards what cannot move, until the robot is aside of it
     ahead = jnp.maximum((now.obstruction.begin - s - scene.size[0]) / SECONDS_ASIDE, CREEPING)
-    cap = jnp.where((plan.side != 0) & (jnp.abs(d - lane) > NEARLY), jnp.minimum(cap, ahead), cap)
+    slowly = (plan.side != 0) & (jnp.abs(d - lane) > NEARLY) & (s + scene.size[0] < now.obstruction.begin)
+    cap = jnp.where(slowly, jnp.minimum(cap, ahead), cap)
 
     # behind whoever is ahead, here or in the lane that the robot goes to
     beside = (where[1] > jnp.minimum(d, lane) - apart) & (where[1] < jnp.maximum(d, lane) + apart)
