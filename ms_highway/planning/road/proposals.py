@@ -1,4 +1,4 @@
-"""Propose plans: to the centre of each lane, by speed profiles, simulated against traffic that answers."""
+"""Propose plans: to each lane, by speed profiles, or round what cannot move, simulated against traffic that answers."""
 
 from typing import NamedTuple
 
@@ -139,7 +139,7 @@ class DrivenPlans(NamedTuple):
 
 
 def profiles(last: Controls, last_lane: Lane) -> Profiles:
-    """Return the profiles of all proposals: each lane at each speed, and the rest of the last plan."""
+    """Return the profiles of all proposals: to each lane, yielding, round what cannot move, the rest of the last plan."""
     lane, *columns = (jnp.asarray(column) for column in zip(*ALL, strict=True))
     given = jnp.arange(PROPOSALS) == LAST_PLAN
     controls = jnp.broadcast_to(last, (PROPOSALS, *last.shape))
@@ -205,7 +205,7 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     lane = aim(now, plan, s)
     goal = jnp.where(_waits(now, plan, car, lane, where, onward), interpolate(scene.lanes[1], s), lane)
 
-    # towards the centre of the lane
+    # towards its aim
     turn = interpolate(scene.route.curvature, s + 0.5 * speed * planning.time_step)
     back = -(FREQUENCY**2) * (d - goal) - 2 * FREQUENCY * speed * jnp.sin(heading)
     squared = jnp.maximum(speed, SLOWEST) ** 2

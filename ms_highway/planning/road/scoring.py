@@ -129,7 +129,7 @@ def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
 
 
 def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
-    """Return whether plans leave the road, or, round what cannot move, all lanes.
+    """Return whether plans leave the road, or all lanes while something in theirs cannot move.
 
     What cannot be helped any more does not count.
     """
