@@ -139,7 +139,7 @@ class DrivenPlans(NamedTuple):
 
 
 def profiles(last: Controls, last_lane: Lane) -> Profiles:
-    """Return the profiles of all proposals: to each lane, yielding, round what cannot move, the rest of the last plan."""
+    """Return the profiles of all proposals: to lanes, yielding, round what cannot move, the rest of the last plan."""
     lane, *columns = (jnp.asarray(column) for column in zip(*ALL, strict=True))
     given = jnp.arange(PROPOSALS) == LAST_PLAN
     controls = jnp.broadcast_to(last, (PROPOSALS, *last.shape))
