@@ -94,9 +94,9 @@ def on_path(scene, *path):
     return scene
 
 
-def wrecked(scene, car, heading=0.0):
-    """The scene with a car that has crashed, and lies at an angle to its path."""
-    scene.states[car, 2:] = heading, 0.0
+def wrecked(scene, car, heading=0.0, speed=0.0):
+    """The scene with a car that has crashed, and lies, or slides, at an angle to its path."""
+    scene.states[car, 2:] = heading, speed
     scene.moving[car] = False
     return scene
 

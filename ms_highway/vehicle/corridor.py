@@ -17,6 +17,7 @@ AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
 BEYOND = 3.0  # m, up to which a lane is taken to go straight on
 DRIVEN = (6.0,)  # m, over which a route is smoothed: it cuts the corners of joints by up to 0.6 m
 PAVED_STEP, PAVED_STEPS, PAVED_EVERY = 0.5, 16, 4  # m and number of steps aside, and samples along, of what is paved
+EDGES, PAVED = slice(LANES, LANES + 2), slice(LANES + 2, LANES + 4)  # rows, after those of lanes
 NEARBY = 2.0  # widths of a lane, up to which a lane that leads elsewhere can be changed to
 
 
@@ -39,14 +40,8 @@ class Corridor:
         """Return what a ``RoadScene`` has of the lanes at distances from the curve's beginning [m]."""
         rows = self.curve.gather(self.rows, s).astype(np.float32)
         nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
-        lanes, edges, paved = np.split(rows[:-1], [LANES, LANES + 2])
-        return {
-            "lanes": lanes,
-            "open": self.open[:, nearest],
-            "edges": edges,
-            "paved": paved,
-            "speed_limit": rows[-1],
-        }
+        named = {"lanes": rows[:LANES], "edges": rows[EDGES], "paved": rows[PAVED], "speed_limit": rows[-1]}
+        return named | {"open": self.open[:, nearest]}
 
 
 @kept
@@ -55,7 +50,7 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     curve = chain.curve(block, DRIVEN)
     ways = curve.samples[4]
     rows, is_open, low = np.zeros((LANES + 5, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
-    lanes, edges, limit = rows[:LANES], rows[LANES : LANES + 2], rows[-1]
+    lanes, edges, limit = rows[:LANES], rows[EDGES], rows[-1]
     limit[:] = LIMIT
     for until, section in _sections(chain, goal, ways[-1]):
         here = slice(low, int(np.searchsorted(ways, until)))
@@ -79,7 +74,7 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
         edges[:, here] = np.min(found, axis=0) - width / 2, np.max(found, axis=0) + width / 2
         limit[here] = (section[1] or section[0] or section[2] or chain.lanes[-1]).limit
     rows = _filled(rows)
-    rows[LANES + 2 : -1] = _paved(curve, goal, rows[LANES : LANES + 2])
+    rows[PAVED] = _paved(curve, goal, rows[EDGES])
     return Corridor(curve, rows, is_open)
 
 

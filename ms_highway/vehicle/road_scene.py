@@ -8,6 +8,7 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.game.road import BEHIND, KNOTS, SPACING, RoadScene
+from ms_highway.planning.road.traffic import SHARING
 from ms_highway.vehicle.corridor import corridor
 from ms_highway.vehicle.lane_paths import Point
 from ms_highway.vehicle.road_map import BLOCK, Chain, Goal, Lane, Spot, road_map
@@ -16,7 +17,6 @@ from ms_highway.vehicle.traffic_paths import traffic_of
 KEPT_BEHIND = 60.0  # m of lanes behind the robot
 NEEDED, PLANNED = 190.0, 260.0  # m of lanes ahead, at least, and when they are looked up anew
 FARTHEST, ASTRAY = 6.0, 0.8  # m aside of the route, over lanes that lead another way, and rad off it
-SAME_WAY = 0.85  # cosine of the angle to a lane, from which a robot may have taken that
 UNSURE = 1.5  # m, by which a lane that leads to the goal may be farther than the nearest one
 
 
@@ -83,7 +83,7 @@ def _continued(vehicle: Vehicle, rear: Point, ride: Ride) -> Ride | None:
         changed = any(other[:2] == index[:2] for other in near)
         own = vehicle.lane
         turned = own.heading_at(own.local_coordinates(vehicle.position)[0]) - vehicle.heading
-        farthest = chain.lanes[leg].shape.width_at(0.0) / 2 if cos(turned) > SAME_WAY else FARTHEST
+        farthest = chain.lanes[leg].shape.width_at(0.0) / 2 if cos(turned) > SHARING else FARTHEST
         if changed or abs(d) > farthest or abs(heading) > ASTRAY:
             return None
     if chain.starts[-1] - way > NEEDED:

@@ -13,7 +13,7 @@ from ms_highway.planning.road.plan import no_plan
 from ms_highway.runtime.compilation import jit_quickly
 
 ACROSS = np.pi / 2
-seen = jit_quickly(obstruction_of)
+seen = jit_quickly(lambda scene: obstruction_of(scene, WEIGHTS))
 
 
 def country_road(*cars, speed=8.0):

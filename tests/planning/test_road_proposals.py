@@ -10,7 +10,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
-from roads import NOBODY, PLANNING, WEIGHTS, coming, execute, judged, scene_of, winding
+from roads import NOBODY, PLANNING, WEIGHTS, coming, execute, judged, scene_of, winding, wrecked
 
 from ms_highway.game.road import KNOTS, SPACING, TRAFFIC, interpolate
 from ms_highway.planning.road.proposals import ALL, FULL_BRAKING, PROPOSALS, Manners, profiles, simulate_plans
@@ -157,16 +157,14 @@ def test_a_car_that_turns_is_expected_at_the_angle_to_its_path_that_highway_envs
 
 
 def test_a_car_that_has_crashed_lies_across_its_lane_as_it_does_now():
-    scene = scene_of(cars=[(30.0, 0, 1.0)])
-    scene.states[0, 2], scene.moving[0] = 0.7, False
+    scene = wrecked(scene_of(cars=[(30.0, 0, 1.0)]), 0, heading=0.7, speed=1.0)
     _, rollouts = proposed(scene)
     np.testing.assert_allclose(np.asarray(rollouts.world)[:, 0, 2], 0.7, atol=1e-6)
 
 
 @pytest.mark.parametrize("heading", [1.2, 2.6, -0.8])
 def test_a_car_that_has_crashed_is_expected_to_slide_where_it_heads_as_highway_envs_do(heading):
-    scene = scene_of(cars=[(30.0, 0, 6.0)])
-    scene.states[0, 2], scene.moving[0] = heading, False
+    scene = wrecked(scene_of(cars=[(30.0, 0, 6.0)]), 0, heading, speed=6.0)
     _, rollouts = proposed(scene)
     car, places = Vehicle(None, [30.0, 0.0], heading, 6.0), []
     car.crashed = True

@@ -25,7 +25,8 @@ from ms_highway.runtime.arrays import Car, Control, Controls, Flag, ManyControls
 
 STEADY = -5.0, -3.0, -1.5, 0.0, 1.5, 3.0  # m/s^2, of profiles of constant acceleration
 YIELDING = 0.5, 1.5, 3.0, 5.0, np.inf  # s, of profiles that let cars pass who come until then
-SECONDS_ASIDE, NEARLY = 1.2, 0.3  # s before what cannot move, if a robot is farther off its way round it [m]
+NEARLY = 0.3  # m, beside its way round what cannot move, up to which a robot is on it
+SECONDS_ASIDE = 1.2  # s, that one that is not yet on it takes to what cannot move, at least
 TURNING = 4.0  # m, before what cannot move, that leave room to turn round it
 ROUND = 0.3, 0.6  # shares of the desired speed, in profiles that go round what cannot move
 IN_EACH_LANE = (  # share of the desired speed, acceleration, whether it follows, and closes up as late as is safe
@@ -202,8 +203,8 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     s, d, heading, speed = car
     onward = speeds * where[2]
     front, apart = s + scene.size[0] / 2, scene.reach[:, 1] + ROOM
-    lane = aim(now, plan, s)
-    goal = jnp.where(_waits(now, plan, car, lane, where, onward), interpolate(scene.lanes[1], s), lane)
+    target = aim(now, plan, s)
+    goal = jnp.where(_waits(now, plan, car, target, where, onward), interpolate(scene.lanes[1], s), target)
 
     # towards its aim
     turn = interpolate(scene.route.curvature, s + 0.5 * speed * planning.time_step)
@@ -222,12 +223,12 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     )
 
     # slowly towards what cannot move, until the robot is aside of it
-    ahead = jnp.maximum((now.obstruction.begin - s - scene.size[0]) / SECONDS_ASIDE, CREEPING)
-    slowly = (plan.side != 0) & (jnp.abs(d - lane) > NEARLY) & (s + scene.size[0] < now.obstruction.begin)
+    ahead = jnp.maximum((now.obstruction.begin - s - scene.size[0]) / SECONDS_ASIDE, SLOWEST)
+    slowly = (plan.side != 0) & (jnp.abs(d - target) > NEARLY) & (s + scene.size[0] < now.obstruction.begin)
     cap = jnp.where(slowly, jnp.minimum(cap, ahead), cap)
 
     # behind whoever is ahead, here or in the lane that the robot goes to
-    beside = (where[1] > jnp.minimum(d, lane) - apart) & (where[1] < jnp.maximum(d, lane) + apart)
+    beside = (where[1] > jnp.minimum(d, target) - apart) & (where[1] < jnp.maximum(d, target) + apart)
     beside = beside & (scene.moving | (plan.side == 0))
     gap = jnp.where(
         (where[0] > front) & beside & scene.present, where[0] - front - scene.reach[:, 0] - TURNING * ~scene.moving, FAR

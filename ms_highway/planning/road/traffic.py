@@ -104,7 +104,7 @@ def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights)
     """Compute what all plans of a step share."""
     ways = ways_of(scene)
     crossings, caps = _crossings(scene, ways), speed_caps(scene, planning)
-    return Situation(scene, planning, weights, ways, crossings, caps, obstruction_of(scene))
+    return Situation(scene, planning, weights, ways, crossings, caps, obstruction_of(scene, weights))
 
 
 def ways_of(scene: RoadScene) -> Ways:
