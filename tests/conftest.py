@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 import pytest
+from highway_env.vehicle.behavior import IDMVehicle
 from jax import numpy as jnp
 
 from ms_highway.cli.main import main
@@ -66,6 +67,15 @@ def still_shared() -> Iterator[None]:
     yield
     if jax.config.jax_compilation_cache_dir != str(CACHE):
         keep_compilations(CACHE)
+
+
+@pytest.fixture(autouse=True)
+def drivers_as_they_were() -> Iterator[None]:
+    """Undo what stock intersections set in the class of highway-env's drivers, for all scenes of the process."""
+    before = {name: getattr(IDMVehicle, name) for name in ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")}
+    yield
+    for name, value in before.items():
+        setattr(IDMVehicle, name, value)
 
 
 @pytest.fixture(scope="module", autouse=True)

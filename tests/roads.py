@@ -138,15 +138,16 @@ def keeping_velocity(scene):
     return jax.vmap(one)(scene.paths, scene.states)
 
 
-def as_given(controls, lane):
+def as_given(controls, lane, side):
     """Profiles of plans whose controls are given."""
-    return jax.vmap(lambda *plan: jax.tree.map(lambda field: field[LAST_PLAN], profiles(*plan)))(controls, lane)
+    return jax.vmap(lambda *plan: jax.tree.map(lambda field: field[LAST_PLAN], profiles(*plan)))(controls, lane, side)
 
 
 @jit_quickly
-def judged(scene, controls, lanes, follows, planning=PLANNING):
+def judged(scene, controls, lanes, follows, planning=PLANNING, sides=None):
     """Plans whose controls are given [plans, steps, 2], driven and judged; the others follow or keep their speed."""
-    now, plans = situation_of(scene, planning, WEIGHTS), as_given(jnp.asarray(controls), jnp.asarray(lanes))
+    sides = jnp.zeros(len(lanes), int) if sides is None else jnp.asarray(sides)
+    now, plans = situation_of(scene, planning, WEIGHTS), as_given(jnp.asarray(controls), jnp.asarray(lanes), sides)
     manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((len(controls), TRAFFIC, planning.steps)))
     driven = simulate_plans(now, manners, plans)
     return driven, score(now, driven, plans)

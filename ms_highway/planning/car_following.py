@@ -11,6 +11,11 @@ COMFORTABLE, BRAKING, HEADWAY, STANDSTILL = 3.0, 5.0, 1.5, 10.0  # m/s^2, m/s^2,
 HARDEST = 6.0  # m/s^2, of braking
 
 
+def lowest(values: Numbers, where: Numbers) -> Numbers:
+    """Return the lowest of values in the last axis of those that count, `FAR` where none does."""
+    return jnp.where(where, values, FAR).min(axis=-1)
+
+
 def idm_acceleration(
     speed: Numbers,
     wanted: float | Numbers,

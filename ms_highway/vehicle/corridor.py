@@ -84,6 +84,7 @@ def _paved(curve: Curve, goal: Goal, edges: Rows) -> Rows:
     aside = PAVED_STEP * np.arange(1, PAVED_STEPS + 1) * np.array([[-1.0], [1.0]])[..., None]
     points = np.stack([x - aside * np.sin(heading), y + aside * np.cos(heading)], axis=-1)
     steps = np.cumprod(goal.roads.paves(points), axis=-1).sum(axis=-1)
+    steps[:, :-1] = np.minimum(steps[:, :-1], steps[:, 1:])  # until the next of these samples
     left, right = PAVED_STEP * np.repeat(steps, PAVED_EVERY, axis=1)[:, : edges.shape[1]]
     return np.stack([np.minimum(-left, edges[0]), np.maximum(right, edges[1])])
 

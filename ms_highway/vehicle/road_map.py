@@ -16,7 +16,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from scipy.spatial import cKDTree
 
 from ms_highway.game.road import wrapped
-from ms_highway.vehicle.lane_paths import SMOOTHING, Curve, Point, Points, Row, join_lanes, samples
+from ms_highway.vehicle.lane_paths import COARSE, SMOOTHING, Curve, Point, Points, Row, join_lanes, samples
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,6 @@ BRIDGED = 10.0  # m, along the lane at a joint
 SHARPEST_TURN = 2.0  # rad, at a joint
 TURN = 5.0  # m of a jump that one radian of a jump in heading is worth
 BEFORE, AFTER = 70.0, 260.0  # m, sampled before and after a block
-PAVED_FARTHER = 0.25  # m, beside lanes that are known by points `COARSE` apart
 MOST_ROADS = 50  # in which changes of lane are looked for
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -292,19 +291,26 @@ class RoadMap:
 
     def paves(self, points: Points) -> Row:
         """Return at which points there is a lane, whoever may drive there."""
-        tree, widths = self._surface
-        distances, nearest = tree.query(points, distance_upper_bound=widths.max())
-        return distances < np.append(widths, 0.0)[nearest] / 2 + PAVED_FARTHER
+        tree, widest = self._surface
+        distances, _ = tree.query(np.pad(points, [(0, 0)] * (points.ndim - 1) + [(0, 1)]), distance_upper_bound=widest)
+        return np.isfinite(distances)
 
     @cached_property
-    def _surface(self) -> tuple[cKDTree, Row]:
-        """Points in the middle of all lanes, and how wide the lanes are there."""
+    def _surface(self) -> tuple[cKDTree, float]:
+        """Points in the middle of all lanes, and the radius of the widest of the circles around them that are paved.
+
+        A point lies in the circle of radius r around another one where both are at most the widest radius R apart in
+        space, the latter ``sqrt(R^2 - r^2)`` high: so the nearest one tells, whichever lanes are how wide.
+        """
         parts = [samples(lane.shape, 0.0, lane.length) for lane in self.lanes.values()]
         widths = [
             np.array([lane.shape.width_at(place) for place in places])
             for lane, (places, _, _) in zip(self.lanes.values(), parts, strict=True)
         ]
-        return cKDTree(np.concatenate([points for _, points, _ in parts])), np.concatenate(widths)
+        radii = np.hypot(np.concatenate(widths), COARSE) / 2  # they meet at the lanes' edges
+        heights = np.sqrt(radii.max() ** 2 - radii**2)
+        middles = np.concatenate([points for _, points, _ in parts])
+        return cKDTree(np.column_stack([middles, heights])), float(radii.max())
 
 
 _maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()

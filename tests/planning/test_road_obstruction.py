@@ -4,15 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from roads import PLANNING, WEIGHTS, coming, scene_of, wrecked
+from roads import NOBODY, PLANNING, WEIGHTS, coming, execute, judged, scene_of, wrecked
 
 from ms_highway.control.road import plan_of
 from ms_highway.game.road import KNOTS, LANES, TRAFFIC
 from ms_highway.planning.road.obstruction import obstruction_of
-from ms_highway.planning.road.plan import no_plan
+from ms_highway.planning.road.plan import LastPlan, no_plan
+from ms_highway.planning.road.proposals import aimed_at
+from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 ACROSS = np.pi / 2
+SLOW = replace(PLANNING, desired_speed=10.0)
 seen = jit_quickly(lambda scene: obstruction_of(scene, WEIGHTS))
 
 
@@ -25,9 +28,18 @@ def country_road(*cars, speed=8.0):
     return replace(scene, open=is_open, edges=np.clip(paved, -2.0, 2.0), paved=paved)
 
 
-def planned(scene):
-    planning = replace(PLANNING, desired_speed=10.0)
-    return plan_of(scene, planning, WEIGHTS, np.zeros(TRAFFIC, np.int32), no_plan(PLANNING))
+def planned(scene, last=None):
+    return plan_of(scene, SLOW, WEIGHTS, np.zeros(TRAFFIC, np.int32), last or no_plan(PLANNING))
+
+
+def after(plan):
+    """What a plan hands on to the next one."""
+    return LastPlan(np.concatenate([plan.controls[1:], plan.controls[-1:]]), np.asarray(plan.path)[-1, :2])
+
+
+@jit_quickly
+def aimed(scene, x, y):
+    return aimed_at(situation_of(scene, PLANNING, WEIGHTS), x, y)
 
 
 @pytest.mark.parametrize(
@@ -37,6 +49,7 @@ def planned(scene):
         ([0], ACROSS, (-4.5, 4.5), (24.0, 26.0)),
         ([0, 1], 0.0, (-3.0, 7.0), (22.5, 27.5)),
         ([0, -1], ACROSS, (-8.5, 4.5), (24.0, 26.0)),
+        ([-1, 0, 1], 0.0, (-7.0, 7.0), (22.5, 27.5)),
     ],
 )
 def test_what_lies_in_the_lane_is_passed_a_metre_away_and_so_is_what_leaves_no_room_beside_it(
@@ -56,6 +69,26 @@ def test_what_lies_beside_the_lane_behind_or_far_ahead_is_no_obstruction(place):
     assert not seen(wrecked(scene_of(cars=[(*place, 0.0)]), 0)).exists
 
 
+def test_what_lies_beside_it_but_farther_along_lies_between_the_same_ends_or_is_no_part_of_it():
+    found = seen(wrecked(wrecked(scene_of(cars=[(20.0, 0, 0.0), (27.0, -1, 0.0)]), 0), 1))
+    np.testing.assert_allclose([*found.sides, found.begin, found.end], [-7.0, 3.0, 17.5, 29.5], atol=1e-3)
+    found = seen(wrecked(wrecked(scene_of(cars=[(14.0, 0, 0.0), (27.0, -1, 0.0)]), 0), 1))
+    np.testing.assert_allclose([*found.sides, found.begin, found.end], [-3.0, 3.0, 11.5, 16.5], atol=1e-3)
+
+
+def test_what_still_slides_is_passed_where_it_is_and_where_it_will_lie():
+    found = seen(wrecked(scene_of(cars=[(20.0, 0, 0.0)]), 0, ACROSS, speed=4.0))
+    np.testing.assert_allclose(found.sides, (-4.5, 8.5), atol=1e-3)
+
+
+def test_on_a_loop_what_lies_ahead_does_not_lie_a_lap_further_on():
+    bend = 2 * np.pi / 121.0  # m: knots of the next lap are halfway between those of this one
+    for place in (10.0, 20.0):
+        found = seen(wrecked(scene_of(bend, cars=[(place, 0, 0.0)]), 0, ACROSS))
+        assert found.exists
+        assert place - 2.0 < found.begin < found.end < place + 2.0
+
+
 def test_a_car_that_stands_and_may_drive_on_is_no_obstruction():
     assert not seen(scene_of(cars=[(25.0, 0, 0.0)])).exists
 
@@ -66,6 +99,39 @@ def test_a_plan_goes_round_a_wreck_over_the_lane_of_those_who_come_where_nobody_
     assert y.min() < -2.0
     assert not plan.broken
     assert x[-1] > 20.0
+
+
+def test_the_rest_of_a_plan_round_a_wreck_still_goes_round_it_and_one_that_is_past_it_leads_back():
+    scene = wrecked(country_road((26.0, 0, 0.0)), 0)
+    end = np.asarray(planned(scene).path)[-1, :2]
+    for place, expected in ((end, (1, -1)), ((31.0, -0.4), (1, 0)), ((22.0, 0.1), (1, 0)), ((18.0, 3.2), (1, 1))):
+        assert tuple(map(int, aimed(scene, *place))) == expected
+    assert tuple(map(int, aimed(scene_of(), 31.0, -3.5))) == (0, 0)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_it_passes_on_the_side_where_the_way_is_shorter_in_a_bend_too_and_goes_back_to_its_lane(side):
+    scene = wrecked(scene_of(bend=1 / 60, robot=(0.0, 0.0, 0.0, 8.0), cars=[(24.0, -0.5 * side, 0.0)], limit=10.0), 0)
+    is_open = np.zeros((LANES, KNOTS), bool)
+    is_open[1] = True
+    states, last = [], no_plan(PLANNING)
+    for _ in range(30):
+        plan = planned(replace(scene, open=is_open), last)
+        assert not plan.broken
+        states.append(scene.robot)
+        moved, _ = execute(scene, SLOW, np.asarray(plan.controls)[:1])
+        scene, last = replace(scene, robot=np.asarray(moved)[0]), after(plan)
+    s, d, *_ = np.array(states).T
+    assert max(d, key=abs) == pytest.approx(side * 1.0, abs=0.2)
+    assert s[-1] > 40.0
+    assert abs(d[-1]) < 0.3
+
+
+def test_a_plan_round_something_breaks_a_constraint_where_there_is_nothing_to_go_round():
+    controls, lanes, sides = np.zeros((2, PLANNING.steps, 2), np.float32), np.array([1, 1]), np.array([0, -1])
+    for scene in (country_road(), wrecked(country_road((29.0, 1, 0.0)), 0)):
+        _, scores = judged(scene, controls, lanes, NOBODY, PLANNING, sides)
+        assert np.asarray(scores.leaves).tolist() == [False, True]
 
 
 def test_a_plan_waits_behind_a_wreck_while_somebody_comes_and_leaves_room_to_go_round_it():

@@ -8,6 +8,8 @@ import highway_env  # noqa: F401, registers the environments
 import jax
 import numpy as np
 import pytest
+from highway_env.road.lane import StraightLane
+from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
@@ -164,6 +166,21 @@ def test_lanes_of_those_who_come_are_paved_and_no_part_of_the_robots_road():
     np.testing.assert_allclose(seen.paved[:, here], np.tile([[-6.0], [2.0]], 10), atol=0.3)
     highway = seen_from("highway-v0", ("0", "1", 1), 100.0)
     np.testing.assert_allclose(highway.paved, highway.edges, atol=0.3)
+
+
+@pytest.mark.parametrize("widths", [(3.0, 3.0), (3.0, 6.0), (6.0, 3.0)])
+def test_lanes_of_any_width_pave_all_between_their_edges_and_nothing_before_or_after_them(widths):
+    network, (one, other) = RoadNetwork(), widths
+    network.add_lane("a", "b", StraightLane([0, 0], [200, 0], width=one, forbidden=True))
+    network.add_lane("c", "d", StraightLane([120, -(one + other) / 2], [20, -(one + other) / 2], width=other))
+    ego = Vehicle(Road(network), [62.5, 0.0], 0.0, 8.0)
+    seen = observe_road(ego)
+    left, right = seen.paved[:, seen.route.x > 0]
+    x = seen.route.x[seen.route.x > 0]
+    np.testing.assert_allclose(right, one / 2, atol=0.51)
+    beside = (x >= 22.0) & (x <= 118.0)
+    np.testing.assert_allclose(left[beside], -one / 2 - other, atol=0.51)
+    np.testing.assert_allclose(left[(x < 18.0) | (x >= 121.0)], -one / 2, atol=0.51)
 
 
 def test_a_robot_on_the_lane_of_those_who_come_still_follows_its_own():

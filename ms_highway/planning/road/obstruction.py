@@ -6,13 +6,15 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.game.collision_risk import CORNERS
-from ms_highway.game.road import RoadScene, Traffic, interpolate, locate, place, rotated
-from ms_highway.planning.car_following import FAR
+from ms_highway.game.road import BEHIND, SPACING, Flags, RoadScene, interpolate, locate, place, rotated
+from ms_highway.planning.car_following import lowest
 from ms_highway.planning.road.settings import RoadWeights
 from ms_highway.runtime.arrays import Flag, Scalar, Vector
 
 SIGHT = 30.0  # m ahead, in which obstacles are gone round
+BESIDE = 5.0  # m along the route, up to which obstacles lie beside each other
 TOGETHER = 3  # obstacles side by side, at most, that are gone round together
+KNOTS_IN_SIGHT = int((BEHIND + SIGHT + 10.0) / SPACING)  # of the route: on a loop, the next lap is not in sight
 
 
 class Obstruction(NamedTuple):
@@ -31,24 +33,31 @@ class Obstruction(NamedTuple):
 
 
 def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
-    """Return what cannot move in the robot's lane, by the corners of bodies in the coordinates of its route."""
-    x, y, along = jax.vmap(place)(scene.paths, scene.states[:, :1], scene.states[:, 1:2])
-    ahead, aside = jnp.moveaxis(scene.sizes[:, None] / 2 * CORNERS, -1, 0)
-    forth, across = rotated(ahead, aside, -along - scene.askew)
-    s, d, _ = locate(scene.route, x + forth, y + across, along)
-    first, last, left, right = s.min(axis=1), s.max(axis=1), d.min(axis=1), d.max(axis=1)
+    """Return what cannot move in the robot's lane, by the corners of bodies in the coordinates of its route.
+
+    Bodies are where they are, and where they will have slid to: ``v' = -v``. Those in the lane count together, and so
+    does whoever lies beside them and leaves no room for the robot in between.
+    """
+    along, across, heading, speed = jnp.asarray(scene.states).T[..., None]
+    slid = speed * jnp.array([0.0, 1.0])
+    x, y, path = jax.vmap(place)(scene.paths, along + slid * jnp.cos(heading), across + slid * jnp.sin(heading))
+    ahead, aside = jnp.moveaxis(scene.sizes[:, None, None] / 2 * CORNERS, -1, 0)  # [traffic, 1, corners]
+    turned = path[..., None]
+    forth, sideways = rotated(ahead, aside, -turned - scene.askew[..., None])
+    in_sight = jax.tree.map(lambda knots: knots[:KNOTS_IN_SIGHT], scene.route)
+    s, d, _ = locate(in_sight, x[..., None] + forth, y[..., None] + sideways, turned)
+    first, last, left, right = (bound(each, axis=(1, 2)) for each in (s, d) for bound in (jnp.min, jnp.max))
     needed = scene.size[1] + 2 * weights.comfortable
     own = interpolate(scene.lanes[1], first)
     near = scene.present & ~scene.moving & (last > scene.robot[0]) & (first < scene.robot[0] + SIGHT)
-    inside = near & (left < own + needed / 2) & (right > own - needed / 2)
+    found = in_lane = near & (left < own + needed / 2) & (right > own - needed / 2)
 
-    def outermost(low: Traffic, high: Traffic) -> Scalar:
-        """Return how far to one side obstacles reach, those included beside which no robot fits."""
-        found = jnp.where(inside, high, -FAR).max()
-        for _ in range(TOGETHER - 1):
-            found = jnp.maximum(found, jnp.where(near & (low < found + needed), high, -FAR).max())
-        return found
+    def extent(found: Flags) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+        return lowest(first, found), -lowest(-last, found), lowest(left, found), -lowest(-right, found)
 
-    sides = jnp.stack([-outermost(-right, -left) - needed / 2, outermost(left, right) + needed / 2])
-    begin, end = jnp.where(inside, first, FAR).min(), jnp.where(inside, last, -FAR).max()
-    return Obstruction(inside.any(), sides, begin, end)
+    for _ in range(TOGETHER - 1):
+        begin, end, low, high = extent(found)
+        beside = (first < end + BESIDE) & (last > begin - BESIDE) & (left < high + needed) & (right > low - needed)
+        found = found | (near & beside)
+    begin, end, low, high = extent(found)
+    return Obstruction(in_lane.any(), jnp.stack([low - needed / 2, high + needed / 2]), begin, end)

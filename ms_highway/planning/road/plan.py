@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.road import Flags, Places, RoadScene, Traffic, interpolate, locate
+from ms_highway.game.road import Flags, Places, RoadScene, Traffic
 from ms_highway.planning.road.answers import UNIT, commuter_among
 from ms_highway.planning.road.arrays import EachStep
 from ms_highway.planning.road.motion import centres, cruise
@@ -21,6 +21,7 @@ from ms_highway.planning.road.proposals import (
     DrivenPlans,
     Manners,
     Profiles,
+    aimed_at,
     profiles,
     simulate_plans,
 )
@@ -105,9 +106,7 @@ def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
         rungs: number of the model of each of the others, see `ms_highway.planning.road.settings.IDM`.
         last: plan.
     """
-    s, d, _ = locate(now.scene.route, last.goal[0], last.goal[1], jnp.zeros(()))
-    lane = jnp.where(jnp.isfinite(d), jnp.argmin(jnp.abs(interpolate(now.scene.lanes, s) - d)), 1)
-    return _judged(now, profiles(last.controls, lane), _following(now, rungs, PROPOSALS))
+    return _judged(now, profiles(last.controls, *aimed_at(now, *last.goal)), _following(now, rungs, PROPOSALS))
 
 
 def propose_road(

@@ -6,8 +6,8 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.road import LANES, Flags, Pose, RoadScene, Traffic, bend, interpolate, place
-from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration
+from ms_highway.game.road import LANES, Flags, Pose, RoadScene, Traffic, bend, interpolate, locate, place
+from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration, lowest
 from ms_highway.planning.road.arrays import EachStep, Lane, PlanFlags, Plans, States, World
 from ms_highway.planning.road.motion import RESERVED, SLIP, advance, within_tyres
 from ms_highway.planning.road.settings import STOPPING
@@ -18,10 +18,9 @@ from ms_highway.planning.road.traffic import (
     aside,
     assumed_traits,
     follow_all,
-    lowest,
     on_route,
 )
-from ms_highway.runtime.arrays import Car, Control, Controls, Flag, ManyControls, Scalar
+from ms_highway.runtime.arrays import Car, Control, Controls, Flag, Index, ManyControls, Scalar
 
 STEADY = -5.0, -3.0, -1.5, 0.0, 1.5, 3.0  # m/s^2, of profiles of constant acceleration
 YIELDING = 0.5, 1.5, 3.0, 5.0, np.inf  # s, of profiles that let cars pass who come until then
@@ -139,12 +138,22 @@ class DrivenPlans(NamedTuple):
         return jnp.moveaxis(self.states[:, None], -1, 0)
 
 
-def profiles(last: Controls, last_lane: Lane) -> Profiles:
+def profiles(last: Controls, last_lane: Index, last_side: Index | int = 0) -> Profiles:
     """Return the profiles of all proposals: to lanes, yielding, round what cannot move, the rest of the last plan."""
-    lane, *columns = (jnp.asarray(column) for column in zip(*ALL, strict=True))
+    lane, *columns, side = (jnp.asarray(column) for column in zip(*ALL, strict=True))
     given = jnp.arange(PROPOSALS) == LAST_PLAN
+    lane, side = jnp.where(given, last_lane, lane), jnp.where(given, last_side, side)
     controls = jnp.broadcast_to(last, (PROPOSALS, *last.shape))
-    return Profiles(*(jnp.where(given, last_lane, lane), *columns, given, controls))
+    return Profiles(lane, *columns, side, given, controls)
+
+
+def aimed_at(now: Situation, x: Scalar, y: Scalar) -> tuple[Index, Index]:
+    """Return the lane and the side of a plan that ends at a place: those whose `aim` is nearest to it."""
+    s, d, _ = locate(now.scene.route, x, y, jnp.zeros(()))
+    sides = jnp.where(now.obstruction.exists & (s < now.obstruction.end), now.obstruction.sides, FAR)
+    aims = jnp.concatenate([interpolate(now.scene.lanes, s), sides])
+    nearest = jnp.where(jnp.isfinite(d), jnp.argmin(jnp.abs(aims - d)), 1)
+    return jnp.where(nearest < LANES, nearest, 1), jnp.where(nearest < LANES, 0, 2 * (nearest - LANES) - 1)
 
 
 def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:
@@ -230,9 +239,8 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     # behind whoever is ahead, here or in the lane that the robot goes to
     beside = (where[1] > jnp.minimum(d, target) - apart) & (where[1] < jnp.maximum(d, target) + apart)
     beside = beside & (scene.moving | (plan.side == 0))
-    gap = jnp.where(
-        (where[0] > front) & beside & scene.present, where[0] - front - scene.reach[:, 0] - TURNING * ~scene.moving, FAR
-    )
+    room = scene.reach[:, 0] + TURNING * (~scene.moving & (plan.lane == 1))
+    gap = jnp.where((where[0] > front) & beside & scene.present, where[0] - front - room, FAR)
     safe = onward + jnp.sqrt(2 * LATE * jnp.maximum(gap - CLOSEST - REACTION * speed, 0.0))
     kept = EAGERNESS * idm_acceleration(speed, FAR, gap, onward, *CLOSE).min()
     kept = jnp.where(plan.closes, (safe.min() - speed) / PREVIEW, kept)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.road import Pose, Sizes, interpolate, rotated
-from ms_highway.planning.car_following import FAR
+from ms_highway.game.road import Knots, Pose, Sizes, interpolate, rotated
+from ms_highway.planning.car_following import FAR, lowest
 from ms_highway.planning.road.arrays import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans
 from ms_highway.planning.road.motion import bodies, earlier
 from ms_highway.planning.road.proposals import DrivenPlans, Profiles, aim
@@ -19,7 +19,6 @@ from ms_highway.planning.road.traffic import (
     STANDING,
     Situation,
     leads,
-    lowest,
     way_knots,
 )
 from ms_highway.runtime.arrays import Numbers
@@ -93,7 +92,7 @@ def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
     per_second = per_second - _discomfort(now, driven)
     closed = (lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
     closed = closed | ((plans.side != 0) & ~now.obstruction.exists)  # nothing to go round
-    leaves = _leaves(now, driven)
+    leaves = _leaves(now, driven, plans)
     share = jnp.where(lanes == 1, 1.0, jnp.clip(1 - jnp.abs(goal - d)[:, -1] / LANE, 0.0, 1.0))  # of its change of lane
     urgent = urgency(scene, 1)
     per_plan = (
@@ -128,19 +127,24 @@ def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
     return weights.acceleration * (controls[..., 1] ** 2 + (lateral - squared * bend) ** 2) + weights.jerk * jerk
 
 
-def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
-    """Return whether plans leave the road, or all lanes while something in theirs cannot move.
+def _leaves(now: Situation, driven: DrivenPlans, plans: Profiles) -> PlanFlags:
+    """Return whether plans leave the road, or all lanes where they go round something or the robot has left the road.
 
     What cannot be helped any more does not count.
     """
     s, d, heading, _ = jnp.moveaxis(driven.states, -1, 0)
     length, width = now.scene.size
-    edges = jnp.where(now.obstruction.exists, now.scene.paved, now.scene.edges)
-    left, right = interpolate(edges, s + length / 2)
     middle = d + length / 2 * jnp.sin(heading)
     reach = (width * jnp.cos(heading) + length * jnp.abs(jnp.sin(heading))) / 2
-    beyond = jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)
-    return (beyond > beyond[:, :1] + 0.1).any(axis=1)
+
+    def beyond(edges: Knots) -> EachStep:
+        left, right = interpolate(edges, s + length / 2)
+        return jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)
+
+    narrow, wide = beyond(now.scene.edges), beyond(now.scene.paved)
+    round_it = now.obstruction.exists & ((plans.side != 0) | (narrow[:, 0] > 0))
+    found = jnp.where(round_it[:, None], wide, narrow)
+    return (found > found[:, :1] + 0.1).any(axis=1)
 
 
 def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar, Plans, Plans]:

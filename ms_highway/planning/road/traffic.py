@@ -20,7 +20,7 @@ from ms_highway.game.road import (
     interpolate,
     locate,
 )
-from ms_highway.planning.car_following import FAR, HEADWAY, idm_acceleration
+from ms_highway.planning.car_following import FAR, HEADWAY, idm_acceleration, lowest
 from ms_highway.planning.road.arrays import EachFlag, EachStep, Steps
 from ms_highway.planning.road.motion import speed_caps
 from ms_highway.planning.road.obstruction import Obstruction, obstruction_of
@@ -140,11 +140,6 @@ def leads(scene: RoadScene, ways: Ways, reach: Scalar) -> Flags:
 def way_knots(ways: Ways) -> Knots:
     """Return the positions of the knots on the paths [m]."""
     return SPACING * jnp.arange(ways.s.shape[-1]) - BEHIND
-
-
-def lowest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the lowest of values in the last axis of those that count, `FAR` where none does."""
-    return jnp.where(where, values, FAR).min(axis=-1)
 
 
 def follow_all(
