@@ -140,11 +140,10 @@ class DrivenPlans(NamedTuple):
 
 def profiles(last: Controls, last_lane: Index, last_side: Index | int = 0) -> Profiles:
     """Return the profiles of all proposals: to lanes, yielding, round what cannot move, the rest of the last plan."""
-    lane, *columns, side = (jnp.asarray(column) for column in zip(*ALL, strict=True))
-    given = jnp.arange(PROPOSALS) == LAST_PLAN
-    lane, side = jnp.where(given, last_lane, lane), jnp.where(given, last_side, side)
-    controls = jnp.broadcast_to(last, (PROPOSALS, *last.shape))
-    return Profiles(lane, *columns, side, given, controls)
+    given, controls = jnp.arange(PROPOSALS) == LAST_PLAN, jnp.broadcast_to(last, (PROPOSALS, *last.shape))
+    plans = Profiles(*(jnp.asarray(column) for column in zip(*ALL, strict=True)), given, controls)
+    lane, side = jnp.where(given, last_lane, plans.lane), jnp.where(given, last_side, plans.side)
+    return plans._replace(lane=lane, side=side)
 
 
 def aimed_at(now: Situation, x: Scalar, y: Scalar) -> tuple[Index, Index]:
