@@ -141,7 +141,7 @@ class DrivenPlans(NamedTuple):
 def profiles(last: Controls, last_lane: Index, last_side: Index | int = 0) -> Profiles:
     """Return the profiles of all proposals: to lanes, yielding, round what cannot move, the rest of the last plan."""
     given, controls = jnp.arange(PROPOSALS) == LAST_PLAN, jnp.broadcast_to(last, (PROPOSALS, *last.shape))
-    plans = Profiles(*(jnp.asarray(column) for column in zip(*ALL, strict=True)), given, controls)
+    plans = Profiles._make([*map(jnp.asarray, zip(*ALL, strict=True)), given, controls])
     lane, side = jnp.where(given, last_lane, plans.lane), jnp.where(given, last_side, plans.side)
     return plans._replace(lane=lane, side=side)
 
