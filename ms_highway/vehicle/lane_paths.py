@@ -53,8 +53,8 @@ class Curve:
         """Interpolate rows that belong to the curve's samples at distances from its beginning [m]."""
         place = np.clip(s / FINE, 0.0, rows.shape[1] - 1.001)
         low = place.astype(int)
-        share = place - low
-        return rows[:, low] * (1 - share) + rows[:, low + 1] * share
+        share, left = place - low, rows[:, low]
+        return left + share * (rows[:, low + 1] - left)
 
     def path(self, s: float, knots: int) -> Path:
         """Return the path whose s = 0 is at a distance from the curve's beginning [m]; its heading there is wrapped."""

@@ -64,7 +64,7 @@ class Way(NamedTuple):
 
 
 def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path) -> dict[str, Any]:
-    """Return what a ``RoadScene`` has of others: those whose paths come near the robot's route first, then by distance.
+    """Return what a ``RoadScene`` has of others by distance, first of those who come near the robot's route if many.
 
     Args:
         vehicle: the robot.
@@ -72,7 +72,8 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path) -> dict[str, Any]:
         route: its path.
     """
     ways = [way for number, car in enumerate(_in_sight(vehicle)) for way in _ways(car, number, roads)]
-    ways = sorted(ways, key=lambda way: (not _meets(way.path, route), way.owner))[:TRAFFIC]
+    if len(ways) > TRAFFIC:
+        ways = sorted(ways, key=lambda way: (not _meets(way.path, route), way.owner))[:TRAFFIC]
     rows = [
         {
             "paths": way.path,

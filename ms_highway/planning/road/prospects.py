@@ -1,5 +1,7 @@
 """Judge what follows a plan: room to stop, the speed that the lanes allow, and the way to the goal's lane."""
 
+from functools import reduce
+
 import jax
 from jax import numpy as jnp
 from jax.scipy.ndimage import map_coordinates
@@ -15,7 +17,7 @@ from ms_highway.runtime.arrays import Numbers, Scalar
 AROUND = 2  # lanes to each side of the robot's that it may use after a plan
 SECONDS_AFTER = 8  # s, of what follows a plan
 PLACES, SPEEDS = 144, 13  # of the table of what follows
-CHANGES, BOUNDS = (1, 1, 4), ((0, 0), (0, 0), (2, 1))  # in a second, two steps of speed less to one more
+SLOWER_FASTER = 2, 1  # steps of speed in a second at most
 BLOCKED, CHANGE = 30.0, 0.3  # steps of speed that a second in the way of others and a change of lane count
 SECONDS_TO_CLOSE_UP, KEPT = 3.0, 5.0  # s, m, of who limits the speed
 ROOM_BEHIND, ROOM_AHEAD, GENTLE = 3.0, 1.0, 2.5  # m, m, m/s^2: to others after a plan
@@ -111,18 +113,20 @@ def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
     ahead = (s + onward * seconds[:, None])[:, None, None] - places[:, None]  # [seconds, 1, places, traffic]
     room_behind = jnp.minimum(ROOM_BEHIND, ROOM_BEHIND_SECONDS * fastest)
     ahead = jnp.where((inside > 0.5)[:, None] & (ahead > -reach - room_behind), ahead - reach, FAR)
-    onward = onward[jnp.argmin(ahead, axis=-1)][..., None]
+    free = ahead.min(axis=-1, keepdims=True)
+    onward = jnp.where(ahead == free, onward, FAR).min(axis=-1, keepdims=True)  # of whoever is next
     closing = jnp.maximum(speeds - jnp.maximum(onward, 0.0), 0.0)
     coming = SECONDS_AWAY * jnp.maximum(-onward, 0.0)
     needed = ROOM_AHEAD + REACTION * speeds + coming + closing**2 / (2 * GENTLE)  # [seconds, lanes, places, speeds]
     loss = jnp.maximum(jnp.minimum(interpolate(now.caps, places), fastest)[:, None] / step - jnp.arange(SPEEDS), 0.0)
-    hindered = jnp.where((ahead.min(axis=-1)[..., None] > needed) & there[..., None], 0.0, BLOCKED)
+    hindered = jnp.where((free > needed) & there[..., None], 0.0, BLOCKED)
 
     def back(value: Values, after: tuple[Values, Values]) -> tuple[Values, None]:
         """Return the values a second earlier: the best change of speed, then of lane into one that is free already."""
         value = jnp.pad(value - after[1] - loss, ((0, 0), (0, SPEEDS), (0, 0)), mode="edge")
         value = jnp.stack([value[:, speed : speed + PLACES, speed] for speed in range(SPEEDS)], axis=-1)
-        value = jax.lax.reduce_window(value, -jnp.inf, jax.lax.max, CHANGES, (1, 1, 1), BOUNDS)
+        value = jnp.pad(value, ((0, 0), (0, 0), SLOWER_FASTER), constant_values=-jnp.inf)
+        value = reduce(jnp.maximum, (value[..., change : change + SPEEDS] for change in range(sum(SLOWER_FASTER) + 1)))
         aside = jnp.pad(value - after[0] - CHANGE, ((1, 1), (0, 0), (0, 0)), constant_values=-FAR)
         return jnp.maximum(value, jnp.maximum(aside[:-2], aside[2:])), None
 

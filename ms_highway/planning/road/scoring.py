@@ -155,20 +155,21 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
     bodies first touch.
     """
     scene, planning, weights, speeds = now.scene, now.planning, now.weights, driven.speeds
-    dt, (s, d, _, speed) = planning.time_step, driven.robot
+    dt, steps, (s, d, _, speed) = planning.time_step, jnp.arange(planning.steps), driven.robot
     x, y, heading = jnp.moveaxis(driven.world[:, :, :3], 2, 0)
     own, others = bodies(scene, driven.states[:, None]), (x, y, heading)
     # A follower in the robot's own lane that runs into it, or through it, while it is in its lane does not count.
     behind = driven.s[..., :1] < s[..., :1] - 1.0
-    followed = jnp.cumprod(jnp.abs(driven.d - d) < scene.size[1], axis=-1) > 0
-    stays = jnp.equal(lanes, 1)[:, None, None] | (jnp.cumprod(jnp.abs(d - scene.robot[1]) < ASIDE, axis=-1) > 0)
+    followed = steps < _first(jnp.abs(driven.d - d) >= scene.size[1])
+    stays = jnp.equal(lanes, 1)[:, None, None] | (steps < _first(jnp.abs(d - scene.robot[1]) >= ASIDE))
     pushes = behind & followed & (driven.cosine > CROSSING) & stays
     counts = scene.present[:, None] & ~pushes
     clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, driven)), FAR)
     touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)
-    first = touch & (jnp.cumsum(touch, axis=-1) == 1)
-    squared = speed**2 + speeds**2 - 2 * speed * speeds * jnp.cos(own[2] - others[2])
-    revised, steps = _avoidable(now, driven)[..., None], jnp.arange(planning.steps)
+    first = touch & (steps == _first(touch))
+    onward, sideways = rotated(speeds * jnp.cos(heading), speeds * jnp.sin(heading), own[2])
+    squared = (speed - onward) ** 2 + sideways**2  # of the difference of velocities
+    revised = _avoidable(now, driven)[..., None]
     binds = ~(revised & (dt * steps > SOON))
     fading = FADING**steps * jnp.where(binds, 1.0, weights.avoidable)
     near = jnp.clip(1 - clear / weights.comfortable, 0.0, 1.0) ** 2
@@ -186,6 +187,12 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
     return cost, jnp.where(binds, jnp.maximum(depth, 0.0), 0.0).max(axis=(1, 2)), impact
 
 
+def _first(happens: Numbers) -> Numbers:
+    """Return the number of the first step in which something happens, that after the last where nothing does."""
+    steps = happens.shape[-1]
+    return jnp.where(happens, jnp.arange(steps), steps).min(axis=-1, keepdims=True)
+
+
 def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
     """Return the distance between two rectangles along the axis that separates them best [m]; negative if they overlap.
 
@@ -195,8 +202,8 @@ def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
         other: x, y and heading of the other.
         sizes: its length and width [m].
     """
-    dx, dy, turn = (theirs - mine for theirs, mine in zip(other, own, strict=True))
-    c, s = jnp.abs(jnp.cos(turn)), jnp.abs(jnp.sin(turn))
+    dx, dy = other[0] - own[0], other[1] - own[1]
+    c, s = (jnp.abs(part) for part in rotated(jnp.cos(other[2]), jnp.sin(other[2]), own[2]))
 
     def apart(heading: Numbers, size: Sizes, sizes: Sizes) -> Numbers:
         (a, b), (e, f) = (jnp.moveaxis(jnp.asarray(each) / 2, -1, 0) for each in (size, sizes))
