@@ -62,8 +62,8 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
         config: any of these keys, see `ms_highway.envs.road.settings.RoadSettings`: ``driver`` (``"priced"`` by
             default; ``"fixed:naive"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
             ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs``,
-            ``traits`` (whether each driver's desired speed and headway are estimated) and ``belief`` (whether the robot
-            infers which model each driver follows).
+            ``traits`` (whether each driver's desired speed and headway are estimated), ``belief`` (whether the robot
+            infers which model each driver follows) and ``intentions`` (whether others show which way they take).
 
     Returns:
         The environment, driven.

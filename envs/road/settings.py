@@ -11,7 +11,7 @@ from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_un
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RungChoice
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import PACKAGE_MODELS
-from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
 from ms_highway.vehicle.road_robot import MARGIN
 
 DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in PACKAGE_MODELS))
@@ -44,6 +44,7 @@ class RoadSettings(Struct, frozen=True):
         traits: whether the desired speed and time headway of each driver are estimated while driving, and used.
         belief: whether the robot infers which model each driver follows, and counts on a yield only of those who have
             shown one: for others, tom falls back to idm.
+        intentions: whether others show which way they take, as highway-env's ``observe_intentions`` lets agents see it.
 
     Raises:
         ValueError: for a ladder in another order, unknown rungs, or an impossible driver.
@@ -59,6 +60,7 @@ class RoadSettings(Struct, frozen=True):
     curvature: Positive = 0.2
     traits: bool = False
     belief: bool = False
+    intentions: bool = False
 
     @classmethod
     def read(cls, config: Mapping[str, Any] | None) -> "RoadSettings":
@@ -118,4 +120,5 @@ class RoadSettings(Struct, frozen=True):
         costs = SHIPPED_COSTS if self.costs == "shipped" else None
         if isinstance(self.costs, dict):
             costs = Costs(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in PACKAGE_MODELS]))
-        return RoadDriver(planning, self.choice(), costs=costs, traits=self.traits, belief=self.belief)
+        choice, known = self.choice(), (self.traits, self.belief, self.intentions)
+        return RoadDriver(planning, choice, RoadWeights(), costs, *known)

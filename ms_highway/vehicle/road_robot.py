@@ -170,7 +170,8 @@ class RoadRobot(OfferedSpeeds, Vehicle):
     def look(self) -> RoadScene:
         """Observe the road."""
         curvature, acceleration = self.applied.tolist()
-        return observe_road(self, destination_for(self.goal), (curvature, acceleration))
+        intentions = self.driver is not None and self.driver.intentions
+        return observe_road(self, destination_for(self.goal), (curvature, acceleration), intentions)
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan if it is time for it; ignore actions."""

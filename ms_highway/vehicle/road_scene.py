@@ -33,7 +33,10 @@ _rides: WeakKeyDictionary[Vehicle, Ride] = WeakKeyDictionary()
 
 
 def observe_road(
-    vehicle: Vehicle, destination: str | Spot | None = None, applied: tuple[float, float] = (0.0, 0.0)
+    vehicle: Vehicle,
+    destination: str | Spot | None = None,
+    applied: tuple[float, float] = (0.0, 0.0),
+    intentions: bool = False,
 ) -> RoadScene:
     """See the road from a vehicle.
 
@@ -44,6 +47,7 @@ def observe_road(
         vehicle: the robot.
         destination: node of the network to drive to, or a spot.
         applied: curvature and acceleration that the robot has applied last [1/m, m/s^2].
+        intentions: whether others show which way they take, as by indicators: the ``route`` that they have.
     """
     roads = road_map(vehicle.road.network)
     followed = tuple((start, end) for start, end, _ in getattr(vehicle, "route", None) or ())
@@ -67,7 +71,7 @@ def observe_road(
         size=np.array([vehicle.LENGTH, vehicle.WIDTH], dtype=np.float32),
         applied=np.array(applied, dtype=np.float32),
         **around.at(s - BEHIND + SPACING * np.arange(KNOTS)),
-        **traffic_of(vehicle, roads, route),
+        **traffic_of(vehicle, roads, route, intentions),
     )
 
 

@@ -63,15 +63,16 @@ class Way(NamedTuple):
     state: Car
 
 
-def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path) -> dict[str, Any]:
+def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, intentions: bool = False) -> dict[str, Any]:
     """Return what a ``RoadScene`` has of others by distance, first of those who come near the robot's route if many.
 
     Args:
         vehicle: the robot.
         roads: of its network.
         route: its path.
+        intentions: whether others show which way they take, so that they have no other.
     """
-    ways = [way for number, car in enumerate(_in_sight(vehicle)) for way in _ways(car, number, roads)]
+    ways = [way for number, car in enumerate(_in_sight(vehicle)) for way in _ways(car, number, roads, intentions)]
     if len(ways) > TRAFFIC:
         ways = sorted(ways, key=lambda way: (not _meets(way.path, route), way.owner))[:TRAFFIC]
     rows = [
@@ -126,13 +127,19 @@ def _drives(car: RoadObject) -> bool:
     return isinstance(car, Vehicle) and not car.crashed
 
 
-def _ways(car: RoadObject, owner: int, roads: RoadMap) -> list[Way]:
-    """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane."""
+def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list[Way]:
+    """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane.
+
+    Where it shows its intentions, these are the ways along its route.
+    """
     found, own = [], roads.lanes[car.lane_index]
     for lane in _begun(car, own) if _drives(car) else [own]:
         place = float(lane.shape.local_coordinates(car.position)[0])
         chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS))
         found += [(number, place, chain) for number, chain in enumerate(chains)]
+    legs = {leg[:2] for leg in getattr(car, "route", None) or ()} if intentions else ()
+    shown = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in found]
+    found = [item for item, number in zip(found, shown, strict=True) if number == max(shown)]
     found.sort(key=lambda item: item[0])
     ways = []
     for _, place, chain in found[: MOST_WAYS if _drives(car) else 1]:

@@ -105,15 +105,18 @@ def test_the_same_seed_gives_the_same_episode(driver):
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
-        ("priced:1e+3", ("priced:1e+3", False, False)),
-        ("priced:1e+3+traits+belief", ("priced:1e+3", True, True)),
-        ("fixed:tom+belief", ("fixed:tom", False, True)),
+        ("priced:1e+3", ("priced:1e+3", False, False, False)),
+        ("priced:1e+3+traits+belief", ("priced:1e+3", True, True, False)),
+        ("fixed:tom+belief+intentions", ("fixed:tom", False, True, True)),
     ],
 )
 def test_drivers_are_named_with_what_they_know_of_others(name, settings):
     check_driver(name)
-    made = make_driver(Block("merge-v0", name)).settings
-    assert (made.driver, made.traits, made.belief) == settings
+    env = make_driver(Block("merge-v0", name))
+    assert (env.settings.driver, env.settings.traits, env.settings.belief, env.settings.intentions) == settings
+    env.reset(seed=0)
+    driver = env.unwrapped.vehicle.driver
+    assert (driver.traits, driver.belief, driver.intentions) == settings[1:]
 
 
 def test_a_scene_without_a_version_is_driven_in_all_of_them_the_newest_first():

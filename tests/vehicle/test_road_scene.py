@@ -212,6 +212,10 @@ def test_cars_before_an_intersection_may_go_several_ways():
     assert seen.owners[:3].tolist() == [0, 0, 0]
     ends = np.stack([seen.paths.x[:3, -1], seen.paths.y[:3, -1]], axis=-1)
     assert len(np.unique(ends.round(-1), axis=0)) == 3
+    shown = observe_road(ego, "o1", intentions=True)
+    assert shown.present.sum() == 1
+    assert shown.paths.x[0, -1] < -50.0
+    assert shown.paths.y[0, -1] == pytest.approx(-2.0, abs=0.1)
     among(ego, (("ir2", "il3", 0), 10.0))
     assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
 

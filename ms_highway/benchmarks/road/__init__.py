@@ -14,6 +14,9 @@ SCENES = (
 )
 """Stock scenes that are measured by default, in all versions, the newest first."""
 
+KNOWN = "traits", "belief", "intentions"
+"""What a driver of this package may know of others, in the names of drivers after a plus each."""
+
 OTHER_SCENES = ("highway-v0", "racetrack-oval-v1", "racetrack-oval-v0")
 
 RECORDED = "recorded"
@@ -67,8 +70,8 @@ def known_scenes(names: Iterable[str]) -> list[str]:
 
 def driver_config(name: str) -> dict[str, Any]:
     """Return the configuration, for `ms_highway.drive`, of a driver of this package, such as ``priced:2+traits``."""
-    driver, *suffixes = re.split(r"(?=\+traits|\+belief)", name)
-    return {"driver": driver, "traits": "+traits" in suffixes, "belief": "+belief" in suffixes}
+    driver, *suffixes = re.split(rf"(?=\+(?:{'|'.join(KNOWN)}))", name)
+    return {"driver": driver} | {known: f"+{known}" in suffixes for known in KNOWN}
 
 
 def is_agent(driver: str) -> bool:

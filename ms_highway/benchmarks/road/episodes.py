@@ -140,7 +140,7 @@ def check_driver(name: str) -> None:
         try:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
-            known = ", ".join([*OTHERS, *DRIVERS, "DRIVER[+traits][+belief]", "AGENT.zip"])
+            known = ", ".join([*OTHERS, *DRIVERS, "DRIVER[+traits][+belief][+intentions]", "AGENT.zip"])
             raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
 
 
