@@ -197,7 +197,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             driver.planning, driver.weights = planning, RoadWeights()
             driver.reset()
             robot = replace_ego(base, RoadRobot.create_from, number)
-            robot.drive_with(driver, goal, self.settings.acceleration)
+            robot.drive_with(driver, goal, self.settings.acceleration, self.settings.intentions)
             self.robots.append(robot)
         self._aims = [robot.lane_index for robot in self.robots]
         return observation, {**info, "road": self._told() | {"action": None}}

@@ -101,7 +101,8 @@ class _Pilot:
         if self.last_step is None or base.time - self._planned_at > PERIOD - 0.5 / base.config["policy_frequency"]:
             goal = destination_of(base)
             keep(goal, self.driver, vehicle, base.time)
-            self.last_step = self.driver.step(observe_road(vehicle, destination_for(goal), applied))
+            seen = observe_road(vehicle, destination_for(goal), applied, self.settings.intentions)
+            self.last_step = self.driver.step(seen)
             self._planned_at = base.time
         now, grip = Velocity(vehicle.speed, vehicle.heading), MARGIN * self.settings.acceleration
         curvature, along = keep_grip(self.last_step.control, now, before, vehicle.LENGTH, frame, grip)

@@ -11,7 +11,7 @@ from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_un
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RungChoice
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import PACKAGE_MODELS
-from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
+from ms_highway.planning.road.settings import RoadPlanning
 from ms_highway.vehicle.road_robot import MARGIN
 
 DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in PACKAGE_MODELS))
@@ -120,5 +120,4 @@ class RoadSettings(Struct, frozen=True):
         costs = SHIPPED_COSTS if self.costs == "shipped" else None
         if isinstance(self.costs, dict):
             costs = Costs(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in PACKAGE_MODELS]))
-        choice, known = self.choice(), (self.traits, self.belief, self.intentions)
-        return RoadDriver(planning, choice, RoadWeights(), costs, *known)
+        return RoadDriver(planning, self.choice(), costs=costs, traits=self.traits, belief=self.belief)

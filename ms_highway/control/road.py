@@ -85,7 +85,6 @@ class RoadDriver:
         traits: whether desired speeds and headways of others are estimated, and used to predict them.
         belief: whether the robot infers which model each driver follows, and counts on a yield only of those who have
             shown one.
-        intentions: whether others show which way they take; whoever looks for the driver has to know.
     """
 
     planning: RoadPlanning
@@ -94,7 +93,6 @@ class RoadDriver:
     costs: Costs | None = SHIPPED_COSTS
     traits: bool = False
     belief: bool = False
-    intentions: bool = False
 
     def __post_init__(self) -> None:
         self.reset()

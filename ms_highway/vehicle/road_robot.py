@@ -124,6 +124,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         driver: plans; without one, the car keeps its velocity.
         goal: node of the road network that it drives to, a spot to be at in time, or None without any.
         grip: total acceleration at most [m/s^2].
+        intentions: whether others show which way they take.
         route: roads to follow, None without a route.
         last_step: of the driver, None before the first.
         applied: curvature and acceleration in the last frame [1/m, m/s^2].
@@ -156,9 +157,11 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         car.route = getattr(vehicle, "route", None)
         return car
 
-    def drive_with(self, driver: RoadDriver | None, goal: RobotGoal = None, grip: float = GRIP) -> None:
+    def drive_with(
+        self, driver: RoadDriver | None, goal: RobotGoal = None, grip: float = GRIP, intentions: bool = False
+    ) -> None:
         """Let a driver drive, to a node of the road network or a spot where there is a goal."""
-        self.driver, self.goal, self.grip, self.time = driver, goal, grip, 0.0
+        self.driver, self.goal, self.grip, self.intentions, self.time = driver, goal, grip, intentions, 0.0
 
     def forget(self) -> None:
         """Forget the record of steps and frames."""
@@ -170,8 +173,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
     def look(self) -> RoadScene:
         """Observe the road."""
         curvature, acceleration = self.applied.tolist()
-        intentions = self.driver is not None and self.driver.intentions
-        return observe_road(self, destination_for(self.goal), (curvature, acceleration), intentions)
+        return observe_road(self, destination_for(self.goal), (curvature, acceleration), self.intentions)
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan if it is time for it; ignore actions."""

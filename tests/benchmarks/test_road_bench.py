@@ -115,8 +115,8 @@ def test_drivers_are_named_with_what_they_know_of_others(name, settings):
     env = make_driver(Block("merge-v0", name))
     assert (env.settings.driver, env.settings.traits, env.settings.belief, env.settings.intentions) == settings
     env.reset(seed=0)
-    driver = env.unwrapped.vehicle.driver
-    assert (driver.traits, driver.belief, driver.intentions) == settings[1:]
+    robot = env.unwrapped.vehicle
+    assert (robot.driver.traits, robot.driver.belief, robot.intentions) == settings[1:]
 
 
 def test_a_scene_without_a_version_is_driven_in_all_of_them_the_newest_first():
