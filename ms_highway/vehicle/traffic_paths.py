@@ -133,11 +133,11 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list
     Where it shows its intentions, these are the ways along its route.
     """
     found, own = [], roads.lanes[car.lane_index]
+    legs = frozenset(leg[:2] for leg in getattr(car, "route", None) or ()) if intentions else frozenset()
     for lane in _begun(car, own) if _drives(car) else [own]:
         place = float(lane.shape.local_coordinates(car.position)[0])
-        chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS))
+        chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS), legs)
         found += [(number, place, chain) for number, chain in enumerate(chains)]
-    legs = {leg[:2] for leg in getattr(car, "route", None) or ()} if intentions else ()
     shown = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in found]
     found = [item for item, number in zip(found, shown, strict=True) if number == max(shown)]
     found.sort(key=lambda item: item[0])
@@ -172,16 +172,18 @@ def _begun(car: Vehicle, own: Lane) -> list[Lane]:
 
 
 @kept
-def _chains_from(lane: Lane, tens: int) -> list[Chain]:
-    """Return the chains of lanes from some tens of metres before a lane's end on, one for each way that branches."""
+def _chains_from(lane: Lane, tens: int, legs: frozenset[tuple[str, str]]) -> list[Chain]:
+    """Return the chains of lanes from some tens of metres before a lane's end on, one for each way that branches.
+
+    Where some of the roads that follow are legs of a route, the others do not count.
+    """
     found: list[Chain] = []
     open_ends: list[tuple[Lanes, float]] = [((lane,), TENS * tens)]
     for lanes, covered in open_ends:
         nexts = lanes[-1].following(CROOKED) if covered < LENGTH else ()
-        open_ends += [
-            ((*lanes, following), covered + following.length)
-            for following in (nexts if covered < BRANCHES else nexts[:1])
-        ]
+        onward = [following for following in nexts if following.index[:2] in legs]
+        onward = onward or list(nexts if covered < BRANCHES else nexts[:1])
+        open_ends += [((*lanes, following), covered + following.length) for following in onward]
         if not nexts:
             found.append(lane.roads.chain(lanes))
     return found

@@ -119,6 +119,12 @@ def test_drivers_are_named_with_what_they_know_of_others(name, settings):
     assert (robot.driver.traits, robot.driver.belief, robot.intentions) == settings[1:]
 
 
+@pytest.mark.parametrize("name", ["priced+traits+intention", "priced+beliefs"])
+def test_an_unknown_suffix_of_a_driver_is_refused(name):
+    with pytest.raises(ValueError, match="unknown driver"):
+        check_driver(name)
+
+
 def test_a_scene_without_a_version_is_driven_in_all_of_them_the_newest_first():
     assert known_scenes(["roundabout", "merge-v0", "merge"]) == [
         "roundabout-v1",

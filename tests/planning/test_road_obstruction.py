@@ -104,8 +104,9 @@ def test_a_plan_goes_round_a_wreck_over_the_lane_of_those_who_come_where_nobody_
 def test_the_rest_of_a_plan_round_a_wreck_still_goes_round_it_and_one_that_is_past_it_leads_back():
     scene = wrecked(country_road((26.0, 0, 0.0)), 0)
     end = np.asarray(planned(scene).path)[-1, :2]
-    for place, expected in ((end, (1, -1)), ((31.0, -0.4), (1, 0)), ((22.0, 0.1), (1, 0)), ((18.0, 3.2), (1, 1))):
-        assert tuple(map(int, aimed(scene, *place))) == expected
+    back = (31.0, -0.4), (30.0, -2.9)
+    for place, expected in zip((end, *back, (22.0, 0.1), (18.0, 3.2)), (-1, 0, -1, 0, 1), strict=True):
+        assert tuple(map(int, aimed(scene, *place))) == (1, expected)
     assert tuple(map(int, aimed(scene_of(), 31.0, -3.5))) == (0, 0)
 
 

@@ -14,7 +14,9 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.game.road import BEHIND, KNOTS, LANES, SPACING, TRAFFIC, TRAFFIC_KNOTS, locate, place
+from ms_highway.vehicle.road_map import road_map
 from ms_highway.vehicle.road_scene import observe_road
+from ms_highway.vehicle.traffic_paths import _ways
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
 
@@ -216,6 +218,13 @@ def test_cars_before_an_intersection_may_go_several_ways():
     assert shown.present.sum() == 1
     assert shown.paths.x[0, -1] < -50.0
     assert shown.paths.y[0, -1] == pytest.approx(-2.0, abs=0.1)
+    (far,) = among(ego, (("o3", "ir3", 0), 5.0))
+    for goal in ("o0", "o1", "o2"):
+        far.plan_route_to(goal)
+        (way,) = _ways(far, 0, road_map(far.road.network), True)
+        assert [lane.index[:2] for lane in way.chain.lanes[:3]] == [leg[:2] for leg in far.route], (
+            "farther than branches"
+        )
     among(ego, (("ir2", "il3", 0), 10.0))
     assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
 

@@ -70,8 +70,9 @@ def known_scenes(names: Iterable[str]) -> list[str]:
 
 def driver_config(name: str) -> dict[str, Any]:
     """Return the configuration, for `ms_highway.drive`, of a driver of this package, such as ``priced:2+traits``."""
-    driver, *suffixes = re.split(rf"(?=\+(?:{'|'.join(KNOWN)}))", name)
-    return {"driver": driver} | {known: f"+{known}" in suffixes for known in KNOWN}
+    suffix = re.compile(rf"\+({'|'.join(KNOWN)})(?=\+|$)")
+    found = suffix.findall(name)
+    return {"driver": suffix.sub("", name)} | {known: known in found for known in KNOWN}
 
 
 def is_agent(driver: str) -> bool:

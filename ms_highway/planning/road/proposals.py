@@ -149,7 +149,7 @@ def profiles(last: Controls, last_lane: Index, last_side: Index | int = 0) -> Pr
 def aimed_at(now: Situation, x: Scalar, y: Scalar) -> tuple[Index, Index]:
     """Return the lane and the side of a plan that ends at a place: those whose `aim` is nearest to it."""
     s, d, _ = locate(now.scene.route, x, y, jnp.zeros(()))
-    sides = jnp.where(now.obstruction.exists & (s < now.obstruction.end), now.obstruction.sides, FAR)
+    sides = jnp.where(now.obstruction.exists, now.obstruction.sides, FAR)  # also on the way back
     aims = jnp.concatenate([interpolate(now.scene.lanes, s), sides])
     nearest = jnp.where(jnp.isfinite(d), jnp.argmin(jnp.abs(aims - d)), 1)
     return jnp.where(nearest < LANES, nearest, 1), jnp.where(nearest < LANES, 0, 2 * (nearest - LANES) - 1)
