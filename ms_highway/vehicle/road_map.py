@@ -297,10 +297,10 @@ class RoadMap:
 
     @cached_property
     def _surface(self) -> tuple[cKDTree, float]:
-        """Points in the middle of all lanes, and the radius of the widest of the circles around them that are paved.
+        """Points in the middle of all lanes, lifted, and the widest radius R of the circles that they pave.
 
-        A point lies in the circle of radius r around another one where both are at most the widest radius R apart in
-        space, the latter ``sqrt(R^2 - r^2)`` high: so the nearest one tells, whichever lanes are how wide.
+        Lifted by ``sqrt(R^2 - r^2)``, the middle of a circle of radius r is nearer than R to just the places in it, so
+        that a look for the nearest suffices, however wide lanes are.
         """
         parts = [samples(lane.shape, 0.0, lane.length) for lane in self.lanes.values()]
         widths = [

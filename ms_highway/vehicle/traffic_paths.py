@@ -64,13 +64,13 @@ class Way(NamedTuple):
 
 
 def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, intentions: bool = False) -> dict[str, Any]:
-    """Return what a ``RoadScene`` has of others by distance, first of those who come near the robot's route if many.
+    """Return what a ``RoadScene`` has of others, nearest first; of more than `TRAFFIC`, those near the route first.
 
     Args:
         vehicle: the robot.
         roads: of its network.
         route: its path.
-        intentions: whether others show which way they take, so that they have no other.
+        intentions: whether others show which way they take.
     """
     ways = [way for number, car in enumerate(_in_sight(vehicle)) for way in _ways(car, number, roads, intentions)]
     if len(ways) > TRAFFIC:
@@ -133,13 +133,14 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list
     Where it shows its intentions, these are the ways along its route.
     """
     found, own = [], roads.lanes[car.lane_index]
-    legs = frozenset(leg[:2] for leg in getattr(car, "route", None) or ()) if intentions else frozenset()
+    legs = frozenset(leg[:2] for leg in (intentions and getattr(car, "route", None)) or ())
     for lane in _begun(car, own) if _drives(car) else [own]:
         place = float(lane.shape.local_coordinates(car.position)[0])
         chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS), legs)
         found += [(number, place, chain) for number, chain in enumerate(chains)]
     shown = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in found]
-    found = [item for item, number in zip(found, shown, strict=True) if number == max(shown)]
+    most = max(shown)
+    found = [item for item, number in zip(found, shown, strict=True) if number == most]
     found.sort(key=lambda item: item[0])
     ways = []
     for _, place, chain in found[: MOST_WAYS if _drives(car) else 1]:

@@ -29,7 +29,7 @@ LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where
 @jit_quickly
 def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=NOTHING, surprise=AS_MODELLED):
     """All proposals, and how they turn out."""
-    plans = profiles(jnp.asarray(last), jnp.asarray(1))
+    plans = profiles(jnp.asarray(last), 1, 0)
     manners = Manners(follows, ordered, jnp.broadcast_to(accelerations, (PROPOSALS, *accelerations.shape)), surprise)
     return plans, simulate_plans(situation_of(scene, PLANNING, WEIGHTS), manners, plans)
 

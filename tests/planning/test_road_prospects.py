@@ -15,7 +15,7 @@ from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 MEMORY = no_plan(PLANNING)
-LANES = np.asarray(profiles(MEMORY.controls, 1).lane)
+LANES = np.asarray(profiles(MEMORY.controls, 1, 0).lane)
 FOLLOWING, CLOSING_UP, BRAKING, KEEPING_SPEED = (
     [plan[:5] for plan in ALL].index((1, 1.0, *profile))
     for profile in ((0.0, True, False), (0.0, True, True), (-3.0, False, False), (0.0, False, False))

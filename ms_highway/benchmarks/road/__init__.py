@@ -14,9 +14,6 @@ SCENES = (
 )
 """Stock scenes that are measured by default, in all versions, the newest first."""
 
-KNOWN = "traits", "belief", "intentions"
-"""What a driver of this package may know of others, in the names of drivers after a plus each."""
-
 OTHER_SCENES = ("highway-v0", "racetrack-oval-v1", "racetrack-oval-v0")
 
 RECORDED = "recorded"
@@ -28,6 +25,9 @@ EGOS = ("problem", "changing")
 
 REACTIVE = ("reactive", "reactive-default")
 """Peers that solve planning problems of recordings: privileged, as they know how others went."""
+
+KNOWN = "traits", "belief", "intentions"
+"""What a driver of this package may know of others, in the names of drivers after a plus each."""
 
 HUMAN = "human"
 """The driver that goes as the vehicle was recorded to whose place the ego takes."""

@@ -14,7 +14,17 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from ms_highway.benchmarks.road import HUMAN, REACTIVE, RECORDED, RECORDED_ID, SEARCH, TRAFFIC, driver_config, is_agent
+from ms_highway.benchmarks.road import (
+    HUMAN,
+    KNOWN,
+    REACTIVE,
+    RECORDED,
+    RECORDED_ID,
+    SEARCH,
+    TRAFFIC,
+    driver_config,
+    is_agent,
+)
 from ms_highway.benchmarks.road.export import Drive
 from ms_highway.benchmarks.road.judge import Verdict, judge_drive
 from ms_highway.benchmarks.road.measures import Watch, has_ended
@@ -140,7 +150,8 @@ def check_driver(name: str) -> None:
         try:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
-            known = ", ".join([*OTHERS, *DRIVERS, "DRIVER[+traits][+belief][+intentions]", "AGENT.zip"])
+            suffixed = "DRIVER" + "".join(f"[+{known}]" for known in KNOWN)
+            known = ", ".join([*OTHERS, *DRIVERS, suffixed, "AGENT.zip"])
             raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
 
 

@@ -13,8 +13,8 @@ from ms_highway.runtime.arrays import Flag, Scalar, Vector
 
 SIGHT = 30.0  # m ahead, in which obstacles are gone round
 BESIDE = 5.0  # m along the route, up to which obstacles lie beside each other
-TOGETHER = 3  # obstacles side by side, at most, that are gone round together
-KNOTS_IN_SIGHT = int((BEHIND + SIGHT + 10.0) / SPACING)  # of the route: on a loop, the next lap is not in sight
+ROUNDS = 2  # in which obstacles are added that lie beside those found
+KNOTS_IN_SIGHT = int((BEHIND + SIGHT + 10.0) / SPACING)  # of the route, 10 m more: on a loop, not the next lap
 
 
 class Obstruction(NamedTuple):
@@ -55,7 +55,7 @@ def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     def extent(found: Flags) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         return lowest(first, found), -lowest(-last, found), lowest(left, found), -lowest(-right, found)
 
-    for _ in range(TOGETHER - 1):
+    for _ in range(ROUNDS):
         begin, end, low, high = extent(found)
         beside = (first < end + BESIDE) & (last > begin - BESIDE) & (left < high + needed) & (right > low - needed)
         found = found | (near & beside)

@@ -138,7 +138,7 @@ class DrivenPlans(NamedTuple):
         return jnp.moveaxis(self.states[:, None], -1, 0)
 
 
-def profiles(last: Controls, last_lane: Index, last_side: Index | int = 0) -> Profiles:
+def profiles(last: Controls, last_lane: Index | int, last_side: Index | int) -> Profiles:
     """Return the profiles of all proposals: to lanes, yielding, round what cannot move, the rest of the last plan."""
     given, controls = jnp.arange(PROPOSALS) == LAST_PLAN, jnp.broadcast_to(last, (PROPOSALS, *last.shape))
     plans = Profiles._make([*map(jnp.asarray, zip(*ALL, strict=True)), given, controls])

@@ -166,7 +166,7 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
     counts = scene.present[:, None] & ~pushes
     clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, driven)), FAR)
     touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)
-    first = touch & (steps == _first(touch))
+    first = steps == _first(touch)
     onward, sideways = rotated(speeds * jnp.cos(heading), speeds * jnp.sin(heading), own[2])
     squared = (speed - onward) ** 2 + sideways**2  # of the difference of velocities
     revised = _avoidable(now, driven)[..., None]
