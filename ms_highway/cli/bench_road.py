@@ -35,7 +35,8 @@ late the share of plans that were not ready within a budget. Choices count the t
 
 Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, turn, tom); with
 +traits, the desired speed and headway of each car are estimated, with +belief, the model that its driver follows (such
-as priced+traits+belief); with +intentions, other cars show which way they take, as by indicators. Others: idm,
+as priced+traits+belief); with +intentions, other cars show which way they take, as by
+indicators: their true routes, where they have one. Others: idm,
 highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and lane; random, which chooses the
 environment's actions by chance; search, a beam search over copies of the environment that knows all that will happen,
 within the tyres of this package's drivers: privileged, about half a minute for an episode, which may last 60 s; or the

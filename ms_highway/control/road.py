@@ -180,7 +180,8 @@ class RoadDriver:
             rest, source = np.asarray(self._last.controls), "last plan"
         status, self._left = fallback_status(bool(np.isfinite(wanted).all()), self._left, len(wanted))
         kept = wanted if status == PLANNED else rest
-        self._last = LastPlan(np.concatenate([kept[1:], kept[-1:]]), plan.path[-1, :2])
+        side = plan.side if status == PLANNED else self._last.side
+        self._last = LastPlan(np.concatenate([kept[1:], kept[-1:]]), plan.path[-1, :2], side)
         if status != PLANNED or late:
             return rest, LATE if status == PLANNED else status, source
         hardest = plan.broken and wanted[0, 1] < -BRAKING_SHARE * grip

@@ -16,6 +16,11 @@ def lowest(values: Numbers, where: Numbers) -> Numbers:
     return jnp.where(where, values, FAR).min(axis=-1)
 
 
+def highest(values: Numbers, where: Numbers) -> Numbers:
+    """Return the highest of values in the last axis of those that count, minus `FAR` where none does."""
+    return jnp.where(where, values, -FAR).max(axis=-1)
+
+
 def idm_acceleration(
     speed: Numbers,
     wanted: float | Numbers,

@@ -320,6 +320,30 @@ def test_a_policy_of_several_environments_answers_with_one_action_each():
         observations, *_ = envs.step(actions)
 
 
+def first_step_of_a_robot(env, config):
+    robot = ms_highway.drive(env, config)
+    robot.reset(seed=3)
+    robot.step(robot.action_space.sample())
+    return robot.unwrapped.vehicle.steps[0]
+
+
+def first_step_of_a_policy(env, config):
+    policy = ms_highway.RoadPolicy(env, config)
+    observation, _ = env.reset(seed=3)
+    policy.predict(observation)
+    return policy.steps[0]
+
+
+@pytest.mark.parametrize("first_step", [first_step_of_a_robot, first_step_of_a_policy])
+def test_others_who_show_which_way_they_take_are_expected_on_that_way_alone(first_step):
+    steps = (
+        first_step(gym.make("intersection-v1", config=CONTINUOUS), {"driver": "fixed:naive", "intentions": intentions})
+        for intentions in (False, True)
+    )
+    unknown, shown = (step.owners[step.owners >= 0].tolist() for step in steps)
+    assert len(unknown) > len(set(unknown)) == len(shown) == len(set(shown))
+
+
 @pytest.mark.parametrize(
     ("config", "message"),
     [

@@ -9,8 +9,8 @@ from roads import NOBODY, PLANNING, WEIGHTS, coming, execute, judged, scene_of, 
 from ms_highway.control.road import plan_of
 from ms_highway.game.road import KNOTS, LANES, TRAFFIC
 from ms_highway.planning.road.obstruction import obstruction_of
-from ms_highway.planning.road.plan import LastPlan, no_plan
-from ms_highway.planning.road.proposals import aimed_at
+from ms_highway.planning.road.plan import LastPlan, no_plan, propose
+from ms_highway.planning.road.proposals import LAST_PLAN
 from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
@@ -32,14 +32,24 @@ def planned(scene, last=None):
     return plan_of(scene, SLOW, WEIGHTS, np.zeros(TRAFFIC, np.int32), last or no_plan(PLANNING))
 
 
+def ending_at(last, place):
+    return last._replace(goal=np.array(place, np.float32))
+
+
 def after(plan):
     """What a plan hands on to the next one."""
-    return LastPlan(np.concatenate([plan.controls[1:], plan.controls[-1:]]), np.asarray(plan.path)[-1, :2])
+    return LastPlan(np.concatenate([plan.controls[1:], plan.controls[-1:]]), np.asarray(plan.path)[-1, :2], plan.side)
 
 
 @jit_quickly
-def aimed(scene, x, y):
-    return aimed_at(situation_of(scene, PLANNING, WEIGHTS), x, y)
+def proposed(scene, last):
+    return propose(situation_of(scene, SLOW, WEIGHTS), np.zeros(TRAFFIC, np.int32), last)
+
+
+def rest_of(scene, last):
+    """Lane and side of the rest of the last plan."""
+    plans = proposed(scene, last).plans
+    return int(plans.lane[LAST_PLAN]), int(plans.side[LAST_PLAN])
 
 
 @pytest.mark.parametrize(
@@ -101,13 +111,18 @@ def test_a_plan_goes_round_a_wreck_over_the_lane_of_those_who_come_where_nobody_
     assert x[-1] > 20.0
 
 
-def test_the_rest_of_a_plan_round_a_wreck_still_goes_round_it_and_one_that_is_past_it_leads_back():
-    scene = wrecked(country_road((26.0, 0, 0.0)), 0)
-    end = np.asarray(planned(scene).path)[-1, :2]
-    back = (31.0, -0.4), (30.0, -2.9)
-    for place, expected in zip((end, *back, (22.0, 0.1), (18.0, 3.2)), (-1, 0, -1, 0, 1), strict=True):
-        assert tuple(map(int, aimed(scene, *place))) == (1, expected)
-    assert tuple(map(int, aimed(scene_of(), 31.0, -3.5))) == (0, 0)
+def test_the_rest_of_a_plan_round_a_wreck_still_goes_round_it_and_of_others_to_the_lane_where_they_end():
+    wreck = wrecked(country_road((26.0, 0, 0.0)), 0)
+    round_it = after(planned(wreck))
+    assert round_it.side == -1
+    back, straight = (ending_at(round_it, place) for place in ((31.0, -0.4), (31.0, -4.4)))
+    for last in (round_it, back, straight):
+        assert rest_of(wreck, last) == (1, -1)
+    assert rest_of(scene_of(), straight) == (0, 0), "nothing to go round any more"
+    assert rest_of(wreck, no_plan(SLOW)) == (1, 0)
+    assert rest_of(wreck, ending_at(no_plan(SLOW), (31.0, 4.4))) == (2, 0)
+    again = plan_of(wreck, SLOW, WEIGHTS, np.zeros(TRAFFIC, np.int32), round_it)
+    assert again.side == -1
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -133,6 +148,29 @@ def test_a_plan_round_something_breaks_a_constraint_where_there_is_nothing_to_go
     for scene in (country_road(), wrecked(country_road((29.0, 1, 0.0)), 0)):
         _, scores = judged(scene, controls, lanes, NOBODY, PLANNING, sides)
         assert np.asarray(scores.leaves).tolist() == [False, True]
+
+
+def test_lanes_of_those_who_come_are_left_out_but_by_plans_round_something_and_by_a_robot_that_is_there():
+    controls, lanes, sides = np.zeros((2, PLANNING.steps, 2), np.float32), np.array([1, 1]), np.array([0, -1])
+    leaving = np.array([0.0, 0.0, -0.09, 8.0], np.float32)  # 3 m to the left in the end
+    wreck = wrecked(country_road((26.0, 0, 0.0)), 0)
+    for scene, expected in ((wreck, [True, False]), (country_road(), [True, True])):
+        _, scores = judged(replace(scene, robot=leaving), controls, lanes, NOBODY, PLANNING, sides)
+        assert np.asarray(scores.leaves).tolist() == expected
+    beyond = replace(wreck, robot=np.array([0.0, -1.2, -0.05, 8.0], np.float32))
+    for scene, expected in ((beyond, False), (replace(wreck, robot=beyond.robot * [1, 0, 1, 1]), True)):
+        _, scores = judged(scene, controls, lanes, NOBODY, PLANNING, sides)
+        assert bool(scores.leaves[0]) == expected
+
+
+def test_only_in_its_own_lane_a_plan_leaves_room_to_turn_round_what_cannot_move():
+    scene = wrecked(wrecked(scene_of(robot=(0.0, 0.0, 0.0, 8.0), cars=[(40.0, 0, 0.0), (40.0, 1, 0.0)]), 0), 1)
+    plans = proposed(scene, no_plan(SLOW))
+    follows = np.asarray(
+        plans.plans.follows & ~plans.plans.closes & (plans.plans.share == 1.0) & (plans.plans.yields == 0)
+    )
+    own, beside = (np.asarray(plans.driven.states)[follows & (plans.plans.lane == lane), -1] for lane in (1, 2))
+    assert own[0, 0] < beside[0, 0] - 1.0
 
 
 def test_a_plan_waits_behind_a_wreck_while_somebody_comes_and_leaves_room_to_go_round_it():

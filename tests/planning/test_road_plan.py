@@ -91,7 +91,7 @@ def test_without_answers_the_best_proposal_drives():
 
 def test_the_rest_of_the_last_plan_is_among_the_proposals():
     last = (np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.001, 0.5]).astype(np.float32)
-    memory = LastPlan(last, np.array([80.0, 4.0], np.float32))
+    memory = LastPlan(last, np.array([80.0, 4.0], np.float32), np.int32(0))
     proposals = proposed(SCENES["free"], everybody("naive"), memory)
     np.testing.assert_allclose(proposals.driven.controls[LAST_PLAN], last, atol=1e-5)
 

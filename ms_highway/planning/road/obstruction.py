@@ -7,7 +7,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.collision_risk import CORNERS
 from ms_highway.game.road import BEHIND, SPACING, Flags, RoadScene, interpolate, locate, place, rotated
-from ms_highway.planning.car_following import lowest
+from ms_highway.planning.car_following import highest, lowest
 from ms_highway.planning.road.settings import RoadWeights
 from ms_highway.runtime.arrays import Flag, Scalar, Vector
 
@@ -53,7 +53,7 @@ def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     found = in_lane = near & (left < own + needed / 2) & (right > own - needed / 2)
 
     def extent(found: Flags) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-        return lowest(first, found), -lowest(-last, found), lowest(left, found), -lowest(-right, found)
+        return lowest(first, found), highest(last, found), lowest(left, found), highest(right, found)
 
     for _ in range(ROUNDS):
         begin, end, low, high = extent(found)

@@ -21,7 +21,7 @@ from ms_highway.planning.road.proposals import (
     DrivenPlans,
     Manners,
     Profiles,
-    aimed_at,
+    nearest_lane,
     profiles,
     simulate_plans,
 )
@@ -42,10 +42,12 @@ class LastPlan(NamedTuple):
     Attributes:
         controls: of the robot from now on.
         goal: x and y of where the robot is after the last plan, world coordinates; NaN without one.
+        side: on which it goes round what cannot move, see `ms_highway.planning.road.proposals.Profiles`.
     """
 
     controls: Controls
     goal: Vector
+    side: Index
 
 
 class Judged(NamedTuple):
@@ -64,6 +66,7 @@ class RoadPlan(NamedTuple):
         path: x, y and heading of the robot's centre after each step [steps, 3].
         predictions: x and y of others [traffic, steps, 2].
         chosen: number of the proposal that drives.
+        side: on which it goes round what cannot move, see `LastPlan`.
         broken: whether it breaks a constraint.
     """
 
@@ -71,6 +74,7 @@ class RoadPlan(NamedTuple):
     path: Numbers
     predictions: Numbers
     chosen: Index
+    side: Index
     broken: Flag
 
 
@@ -95,7 +99,7 @@ class Proposed(NamedTuple):
 
 def no_plan(planning: RoadPlanning) -> LastPlan:
     """Return what stands for the last plan before the first one: go on straight."""
-    return LastPlan(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32))
+    return LastPlan(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32), np.int32(0))
 
 
 def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
@@ -106,7 +110,9 @@ def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
         rungs: number of the model of each of the others, see `ms_highway.planning.road.settings.IDM`.
         last: plan.
     """
-    return _judged(now, profiles(last.controls, *aimed_at(now, *last.goal)), _following(now, rungs, PROPOSALS))
+    side = jnp.where(now.obstruction.exists, last.side, 0)  # also on the way back
+    lane = jnp.where(side == 0, nearest_lane(now.scene, *last.goal), 1)
+    return _judged(now, profiles(last.controls, lane, side), _following(now, rungs, PROPOSALS))
 
 
 def propose_road(
@@ -152,7 +158,9 @@ def _best(now: Situation, few: Judged, answered: Judged, numbers: Places) -> Roa
     driven = answered.driven
     predictions = jnp.swapaxes(driven.world[best, :, :2], 1, 2)
     path = centres(now.scene, driven.states[best])[:3].T
-    return RoadPlan(driven.controls[best], path, predictions, numbers[best], answered.scores.broken[best])
+    return RoadPlan(
+        driven.controls[best], path, predictions, numbers[best], few.plans.side[best], answered.scores.broken[best]
+    )
 
 
 def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:

@@ -146,13 +146,10 @@ def profiles(last: Controls, last_lane: Index | int, last_side: Index | int) -> 
     return plans._replace(lane=lane, side=side)
 
 
-def aimed_at(now: Situation, x: Scalar, y: Scalar) -> tuple[Index, Index]:
-    """Return the lane and the side of a plan that ends at a place: those whose `aim` is nearest to it."""
-    s, d, _ = locate(now.scene.route, x, y, jnp.zeros(()))
-    sides = jnp.where(now.obstruction.exists, now.obstruction.sides, FAR)  # also on the way back
-    aims = jnp.concatenate([interpolate(now.scene.lanes, s), sides])
-    nearest = jnp.where(jnp.isfinite(d), jnp.argmin(jnp.abs(aims - d)), 1)
-    return jnp.where(nearest < LANES, nearest, 1), jnp.where(nearest < LANES, 0, 2 * (nearest - LANES) - 1)
+def nearest_lane(scene: RoadScene, x: Scalar, y: Scalar) -> Index:
+    """Return the lane whose centre is nearest to a place; the robot's own if that is NaN."""
+    s, d, _ = locate(scene.route, x, y, jnp.zeros(()))
+    return jnp.where(jnp.isfinite(d), jnp.argmin(jnp.abs(interpolate(scene.lanes, s) - d)), 1)
 
 
 def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:

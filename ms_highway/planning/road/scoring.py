@@ -6,7 +6,7 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.game.road import Knots, Pose, Sizes, interpolate, rotated
-from ms_highway.planning.car_following import FAR, lowest
+from ms_highway.planning.car_following import FAR, highest, lowest
 from ms_highway.planning.road.arrays import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans
 from ms_highway.planning.road.motion import bodies, earlier
 from ms_highway.planning.road.proposals import DrivenPlans, Profiles, aim
@@ -132,18 +132,17 @@ def _leaves(now: Situation, driven: DrivenPlans, plans: Profiles) -> PlanFlags:
 
     What cannot be helped any more does not count.
     """
-    s, d, heading, _ = jnp.moveaxis(driven.states, -1, 0)
-    length, width = now.scene.size
-    middle = d + length / 2 * jnp.sin(heading)
-    reach = (width * jnp.cos(heading) + length * jnp.abs(jnp.sin(heading))) / 2
+    scene, (length, width) = now.scene, now.scene.size
 
-    def beyond(edges: Knots) -> EachStep:
+    def beyond(edges: Knots, states: Numbers) -> Numbers:
+        s, d, heading, _ = jnp.moveaxis(states, -1, 0)
+        middle = d + length / 2 * jnp.sin(heading)
+        reach = (width * jnp.cos(heading) + length * jnp.abs(jnp.sin(heading))) / 2
         left, right = interpolate(edges, s + length / 2)
         return jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)
 
-    narrow, wide = beyond(now.scene.edges), beyond(now.scene.paved)
-    round_it = now.obstruction.exists & ((plans.side != 0) | (narrow[:, 0] > 0))
-    found = jnp.where(round_it[:, None], wide, narrow)
+    wide = now.obstruction.exists & ((plans.side != 0) | (beyond(scene.edges, scene.robot) > 0))
+    found = jnp.where(wide[:, None], beyond(scene.paved, driven.states), beyond(scene.edges, driven.states))
     return (found > found[:, :1] + 0.1).any(axis=1)
 
 
@@ -242,8 +241,8 @@ def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
     rear, front = s[..., None] - CLEARANCE, s[..., None] + scene.size[0] + CLEARANCE
     across = now.crossings.aslant & (jnp.abs(ways.d - d[..., None]) < CORRIDOR)
     here, knots = across & (ways.s > rear) & (ways.s < front), way_knots(ways)
-    leaving = (-lowest(-ways.s, across) + CLEARANCE - s) / (speed + 1.0)
+    leaving = (highest(ways.s, across) + CLEARANCE - s) / (speed + 1.0)
     along = driven.along[..., -1]
     coming = (lowest(knots, here) - scene.sizes[:, 0] - along) / jnp.maximum(driven.speeds[..., -1], 1.0)
-    comes = (along < -lowest(-knots, here)) & (coming < leaving + 0.5) & (coming < AWAITED)
+    comes = (along < highest(knots, here)) & (coming < leaving + 0.5) & (coming < AWAITED)
     return scene.present & scene.moving & comes

@@ -20,7 +20,7 @@ from ms_highway.game.road import (
     interpolate,
     locate,
 )
-from ms_highway.planning.car_following import FAR, HEADWAY, idm_acceleration, lowest
+from ms_highway.planning.car_following import FAR, HEADWAY, highest, idm_acceleration, lowest
 from ms_highway.planning.road.arrays import EachFlag, EachStep, Steps
 from ms_highway.planning.road.motion import speed_caps
 from ms_highway.planning.road.obstruction import Obstruction, obstruction_of
@@ -128,7 +128,7 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     aslant = (ways.s > scene.robot[0] - PASSED) & (ways.cosine < SHARING) & ~shares[:, None]
     across = inside & aslant
     knots, line = way_knots(ways), lowest(ways.s, across) - scene.sizes[:, 1] / 2 - WAITING
-    return Crossings(aslant & ~come[:, None], come, line, lowest(knots, across), -lowest(-knots, across))
+    return Crossings(aslant & ~come[:, None], come, line, lowest(knots, across), highest(knots, across))
 
 
 def leads(scene: RoadScene, ways: Ways, reach: Scalar) -> Flags:
