@@ -1,12 +1,15 @@
 """Stretches of road for tests: three lanes, straight or on a circle, with traffic placed in road coordinates."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.road import BEHIND, KNOTS, LANES, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path, RoadScene, place
 from ms_highway.planning.road.motion import advance, within_tyres
-from ms_highway.planning.road.proposals import LAST_PLAN, Manners, profiles, simulate_plans
+from ms_highway.planning.road.plan import propose
+from ms_highway.planning.road.proposals import LAST_PLAN, PROPOSALS, Manners, profiles, simulate_plans
 from ms_highway.planning.road.scoring import score
 from ms_highway.planning.road.settings import LANE, RoadPlanning, RoadWeights
 from ms_highway.planning.road.traffic import situation_of
@@ -14,6 +17,7 @@ from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 NOBODY = np.zeros(TRAFFIC, bool)
+PLANS = jax.tree.map(np.asarray, profiles(np.zeros((PLANNING.steps, 2), np.float32), 1, 0))
 
 
 def arc(knots, bend=0.0, d=0.0, start=0.0):
@@ -80,6 +84,15 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
     )
 
 
+def country_road(*cars, speed=8.0):
+    """A road of one lane for each direction: nobody but who goes round something drives on the left."""
+    scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=cars, limit=10.0)
+    paved = np.tile(np.array([[-6.0], [2.0]], np.float32), KNOTS)
+    is_open = np.zeros((LANES, KNOTS), bool)
+    is_open[1] = True
+    return replace(scene, open=is_open, edges=np.clip(paved, -2.0, 2.0), paved=paved)
+
+
 def crossing(robot_s, come_from, speed=10.0):
     """A standing robot, and a car that crosses its route at s = 40 from the left, so far away now [m]."""
     scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, speed)])
@@ -116,6 +129,7 @@ def turning_off(robot_s):
     return on_path(scene, 115.0 - path.x, -LANE - path.y, path.heading + np.pi, path.curvature)
 
 
+@jit_quickly
 def execute(scene, planning, controls):
     """Return the robot's states after each control, and the controls within limits that it executed."""
 
@@ -138,16 +152,36 @@ def keeping_velocity(scene):
     return jax.vmap(one)(scene.paths, scene.states)
 
 
-def as_given(controls, lane, side):
-    """Profiles of plans whose controls are given."""
-    return jax.vmap(lambda *plan: jax.tree.map(lambda field: field[LAST_PLAN], profiles(*plan)))(controls, lane, side)
+def manners_of(follows, **others):
+    """Others who follow by IDM, or keep their speed, all of it by arrays of the same shapes."""
+    zeros = np.zeros((PROPOSALS, TRAFFIC, PLANNING.steps), np.float32)
+    manners = Manners(follows, NOBODY, zeros, zeros[0, :, 0], np.full(TRAFFIC, np.inf, np.float32))
+    return manners._replace(**others)
 
 
 @jit_quickly
-def judged(scene, controls, lanes, follows, planning=PLANNING, sides=None):
-    """Plans whose controls are given [plans, steps, 2], driven and judged; the others follow or keep their speed."""
-    sides = jnp.zeros(len(lanes), int) if sides is None else jnp.asarray(sides)
-    now, plans = situation_of(scene, planning, WEIGHTS), as_given(jnp.asarray(controls), jnp.asarray(lanes), sides)
-    manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((len(controls), TRAFFIC, planning.steps)))
+def driven_and_judged(scene, planning, manners, plans):
+    """As many plans as there are proposals, driven and judged: one program for all tests."""
+    now = situation_of(scene, planning, WEIGHTS)
     driven = simulate_plans(now, manners, plans)
     return driven, score(now, driven, plans)
+
+
+def judged(scene, controls, lanes, follows, planning=PLANNING, sides=0):
+    """Plans whose controls are given [plans, steps, 2], driven and judged; the others follow or keep their speed."""
+    number = len(controls)
+    filled = np.minimum(np.arange(PROPOSALS), number - 1)
+    plans = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS, axis=0), PLANS)
+    plans = plans._replace(
+        lane=np.asarray(lanes, np.int32)[filled],
+        side=np.broadcast_to(np.asarray(sides, np.int32), number)[filled],
+        controls=np.asarray(controls, np.float32)[filled],
+    )
+    found = driven_and_judged(scene, planning, manners_of(follows), plans)
+    return jax.tree.map(lambda field: field[:number], found)
+
+
+@jit_quickly
+def proposals_of(scene, planning, rungs, last):
+    """All proposals, driven and judged."""
+    return propose(situation_of(scene, planning, WEIGHTS), rungs, last)

@@ -44,7 +44,8 @@ class RoadSettings(Struct, frozen=True):
         traits: whether the desired speed and time headway of each driver are estimated while driving, and used.
         belief: whether the robot infers which model each driver follows, and counts on a yield only of those who have
             shown one: for others, tom falls back to idm.
-        intentions: whether others show which way they take, as highway-env's ``observe_intentions`` lets agents see it.
+        intentions: whether others show which way they take: their ``route``, where they have one; highway-env's
+            ``observe_intentions`` shows agents the direction of its end.
 
     Raises:
         ValueError: for a ladder in another order, unknown rungs, or an impossible driver.

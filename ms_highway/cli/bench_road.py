@@ -35,13 +35,13 @@ late the share of plans that were not ready within a budget. Choices count the t
 
 Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, turn, tom); with
 +traits, the desired speed and headway of each car are estimated, with +belief, the model that its driver follows (such
-as priced+traits+belief); with +intentions, other cars show which way they take, as by
-indicators: their true routes, where they have one. Others: idm,
-highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and lane; random, which chooses the
-environment's actions by chance; search, a beam search over copies of the environment that knows all that will happen,
-within the tyres of this package's drivers: privileged, about half a minute for an episode, which may last 60 s; or the
-file of an agent that stable-baselines3 has saved (it has to be installed), such as notebooks/examples/train_peers.py
-writes: open only files that you trust, as they may hold any program. Drivers above 10 m/s^2 are labelled unphysical.
+as priced+traits+belief); with +intentions, other cars show which way they take, as by indicators: their true routes,
+where they have one. Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and lane;
+random, which chooses the environment's actions by chance; search, a beam search over copies of the environment that
+knows all that will happen, within the tyres of this package's drivers: privileged, about half a minute for an episode,
+which may last 60 s; or the file of an agent that stable-baselines3 has saved (it has to be installed), such as
+notebooks/examples/train_peers.py writes: open only files that you trust, as they may hold any program. Drivers above 10
+m/s^2 are labelled unphysical.
 With a search, or its log as --bound, the table says how others fare from the same starts: solved, the share of those
 that the search solves which they solve, too; regret, what they earn less per step, to be read beside crashes, which cut
 episodes short (the search need not find the best); waited, the time that they stood longer, in seconds, where both

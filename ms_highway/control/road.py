@@ -175,15 +175,13 @@ class RoadDriver:
     def _followed(self, plan: RoadPlan, late: bool) -> tuple[Controls, int, str]:
         """Return the controls to follow, the number of their status and their source; keep what is left of the plan."""
         wanted, grip = plan.controls, self.planning.grip
-        rest, source = np.full_like(wanted, [0.0, -grip]), "braking"
+        rest, source = no_plan(self.planning)._replace(controls=np.full_like(wanted, [0.0, -grip])), "braking"
         if self._left > 1:
-            rest, source = np.asarray(self._last.controls), "last plan"
+            rest, source = self._last, "last plan"
         status, self._left = fallback_status(bool(np.isfinite(wanted).all()), self._left, len(wanted))
-        kept = wanted if status == PLANNED else rest
-        side = plan.side if status == PLANNED else self._last.side
-        self._last = LastPlan(np.concatenate([kept[1:], kept[-1:]]), plan.path[-1, :2], side)
+        self._last = (plan.handed_on() if status == PLANNED else rest).later()
         if status != PLANNED or late:
-            return rest, LATE if status == PLANNED else status, source
+            return rest.controls, LATE if status == PLANNED else status, source
         hardest = plan.broken and wanted[0, 1] < -BRAKING_SHARE * grip
         return wanted, status, "braking" if hardest else SOURCES.get(int(plan.chosen), "proposal")
 

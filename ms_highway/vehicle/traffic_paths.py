@@ -139,8 +139,8 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list
         chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS), legs)
         found += [(number, place, chain) for number, chain in enumerate(chains)]
     shown = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in found]
-    most = max(shown)
-    found = [item for item, number in zip(found, shown, strict=True) if number == most]
+    most = {chain.lanes[0].index[:2] for (*_, chain), number in zip(found, shown, strict=True) if number == max(shown)}
+    found = [item for item in found if item[2].lanes[0].index[:2] in most]  # all lanes of a road that it shows
     found.sort(key=lambda item: item[0])
     ways = []
     for _, place, chain in found[: MOST_WAYS if _drives(car) else 1]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from roads import PLANNING, scene_of
+from roads import PLANNING, country_road, scene_of, wrecked
 
 from ms_highway.control.road import DriversSeen, RoadDriver
 from ms_highway.game.road import TRAFFIC
@@ -133,6 +133,17 @@ def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_bra
     assert again.source in PLANS
     assert np.isfinite(again.control).all()
     assert robot.step(blind).source == "last plan"
+
+
+def test_the_next_plan_has_the_rest_of_the_last_one_also_where_one_between_them_failed():
+    robot = RoadDriver(replace(PLANNING, desired_speed=10.0), FixedRung("naive"), costs=COSTS)
+    wreck = wrecked(country_road((26.0, 0, 0.0)), 0)
+    step = robot.step(wreck)
+    for passed in (1, 2):
+        assert robot._last.side == -1, "it goes round the wreck"
+        np.testing.assert_array_equal(robot._last.goal, step.path[-1, :2])
+        np.testing.assert_array_equal(robot._last.controls[:-passed], step.plan[passed:])
+        robot.step(BLIND)
 
 
 def test_without_a_last_plan_a_failure_brakes_at_once_and_a_reset_forgets():

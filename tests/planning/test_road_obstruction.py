@@ -4,28 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from roads import NOBODY, PLANNING, WEIGHTS, coming, execute, judged, scene_of, wrecked
+from roads import NOBODY, PLANNING, WEIGHTS, coming, country_road, execute, judged, proposals_of, scene_of, wrecked
 
 from ms_highway.control.road import plan_of
 from ms_highway.game.road import KNOTS, LANES, TRAFFIC
 from ms_highway.planning.road.obstruction import obstruction_of
-from ms_highway.planning.road.plan import LastPlan, no_plan, propose
+from ms_highway.planning.road.plan import no_plan
 from ms_highway.planning.road.proposals import LAST_PLAN
-from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 ACROSS = np.pi / 2
 SLOW = replace(PLANNING, desired_speed=10.0)
 seen = jit_quickly(lambda scene: obstruction_of(scene, WEIGHTS))
-
-
-def country_road(*cars, speed=8.0):
-    """A road of one lane for each direction: nobody but who goes round something drives on the left."""
-    scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=cars, limit=10.0)
-    paved = np.tile(np.array([[-6.0], [2.0]], np.float32), KNOTS)
-    is_open = np.zeros((LANES, KNOTS), bool)
-    is_open[1] = True
-    return replace(scene, open=is_open, edges=np.clip(paved, -2.0, 2.0), paved=paved)
 
 
 def planned(scene, last=None):
@@ -38,12 +28,11 @@ def ending_at(last, place):
 
 def after(plan):
     """What a plan hands on to the next one."""
-    return LastPlan(np.concatenate([plan.controls[1:], plan.controls[-1:]]), np.asarray(plan.path)[-1, :2], plan.side)
+    return plan.handed_on().later()
 
 
-@jit_quickly
 def proposed(scene, last):
-    return propose(situation_of(scene, SLOW, WEIGHTS), np.zeros(TRAFFIC, np.int32), last)
+    return proposals_of(scene, SLOW, np.zeros(TRAFFIC, np.int32), last)
 
 
 def rest_of(scene, last):
@@ -121,8 +110,7 @@ def test_the_rest_of_a_plan_round_a_wreck_still_goes_round_it_and_of_others_to_t
     assert rest_of(scene_of(), straight) == (0, 0), "nothing to go round any more"
     assert rest_of(wreck, no_plan(SLOW)) == (1, 0)
     assert rest_of(wreck, ending_at(no_plan(SLOW), (31.0, 4.4))) == (2, 0)
-    again = plan_of(wreck, SLOW, WEIGHTS, np.zeros(TRAFFIC, np.int32), round_it)
-    assert again.side == -1
+    assert planned(wreck, round_it).side == -1
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -157,9 +145,9 @@ def test_lanes_of_those_who_come_are_left_out_but_by_plans_round_something_and_b
     for scene, expected in ((wreck, [True, False]), (country_road(), [True, True])):
         _, scores = judged(replace(scene, robot=leaving), controls, lanes, NOBODY, PLANNING, sides)
         assert np.asarray(scores.leaves).tolist() == expected
-    beyond = replace(wreck, robot=np.array([0.0, -1.2, -0.05, 8.0], np.float32))
-    for scene, expected in ((beyond, False), (replace(wreck, robot=beyond.robot * [1, 0, 1, 1]), True)):
-        _, scores = judged(scene, controls, lanes, NOBODY, PLANNING, sides)
+    for scene, place, expected in ((wreck, -1.2, False), (wreck, 0.0, True), (country_road(), -1.2, True)):
+        robot = np.array([0.0, place, -0.05, 8.0], np.float32)
+        _, scores = judged(replace(scene, robot=robot), controls, lanes, NOBODY, PLANNING, sides)
         assert bool(scores.leaves[0]) == expected
 
 

@@ -6,29 +6,19 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import PLANNING, WEIGHTS, crossing, execute, scene_of
+from roads import PLANNING, WEIGHTS, crossing, execute, proposals_of, scene_of
 
 from ms_highway.control.road import answered_by, proposed_for
 from ms_highway.control.road import plan_of as planned
 from ms_highway.game.road import BEHIND, SPACING, TRAFFIC
 from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.motion import bodies
-from ms_highway.planning.road.plan import LastPlan, no_plan, propose
+from ms_highway.planning.road.plan import LastPlan, no_plan
 from ms_highway.planning.road.proposals import LAST_PLAN
-from ms_highway.planning.road.traffic import situation_of
-from ms_highway.runtime.compilation import jit_quickly
 
 GRIP, STEPS = float(PLANNING.grip), PLANNING.steps
 MEMORY = no_plan(PLANNING)
 ZERO = round(BEHIND / SPACING)  # knot of paths at s = 0
-
-
-@jit_quickly
-def proposed(scene, rungs, memory):
-    return propose(situation_of(scene, PLANNING, WEIGHTS), rungs, memory)
-
-
-driven = jax.jit(execute)
 
 
 def everybody(name):
@@ -64,7 +54,7 @@ def test_under_every_model_a_plan_is_finite_and_within_limits(name):
         plan = plan_of(scene, rung)
         assert np.isfinite(plan.path).all()
         assert np.isfinite(plan.predictions).all()
-        states, held = driven(scene, PLANNING, plan.controls)
+        states, held = execute(scene, PLANNING, plan.controls)
         np.testing.assert_allclose(plan.controls, held, atol=1e-3)
         np.testing.assert_allclose(plan.path, jnp.stack(bodies(scene, states), axis=-1), atol=0.05)
         before = np.concatenate([scene.robot[None, 3], states[:-1, 3]])
@@ -76,14 +66,14 @@ def test_under_every_model_a_plan_is_finite_and_within_limits(name):
 def test_a_plan_breaks_no_constraint_where_some_proposal_breaks_none(seed):
     scene = busy(seed)
     for name in ("naive", "idm"):
-        scores = proposed(scene, everybody(name), MEMORY).scores
+        scores = proposals_of(scene, PLANNING, everybody(name), MEMORY).scores
         assert not np.asarray(scores.broken).all()
         assert not plan_of(scene, name).broken
 
 
 def test_without_answers_the_best_proposal_drives():
     for scene in (*SCENES.values(), busy(1), busy(2), busy(3)):
-        proposals, plan = proposed(scene, everybody("naive"), MEMORY), plan_of(scene)
+        proposals, plan = proposals_of(scene, PLANNING, everybody("naive"), MEMORY), plan_of(scene)
         best = int(np.argmax(proposals.scores.preference))
         assert plan.chosen == best
         np.testing.assert_allclose(plan.controls, proposals.driven.controls[best], atol=1e-4)
@@ -92,7 +82,7 @@ def test_without_answers_the_best_proposal_drives():
 def test_the_rest_of_the_last_plan_is_among_the_proposals():
     last = (np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.001, 0.5]).astype(np.float32)
     memory = LastPlan(last, np.array([80.0, 4.0], np.float32), np.int32(0))
-    proposals = proposed(SCENES["free"], everybody("naive"), memory)
+    proposals = proposals_of(SCENES["free"], PLANNING, everybody("naive"), memory)
     np.testing.assert_allclose(proposals.driven.controls[LAST_PLAN], last, atol=1e-5)
 
 

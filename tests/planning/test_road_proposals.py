@@ -10,12 +10,22 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
-from roads import NOBODY, PLANNING, WEIGHTS, coming, execute, judged, scene_of, winding, wrecked
+from roads import (
+    NOBODY,
+    PLANNING,
+    PLANS,
+    coming,
+    driven_and_judged,
+    execute,
+    judged,
+    manners_of,
+    scene_of,
+    winding,
+    wrecked,
+)
 
 from ms_highway.game.road import KNOTS, SPACING, TRAFFIC, interpolate
-from ms_highway.planning.road.proposals import ALL, FULL_BRAKING, PROPOSALS, Manners, profiles, simulate_plans
-from ms_highway.planning.road.traffic import situation_of
-from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.planning.road.proposals import ALL, FULL_BRAKING, PROPOSALS
 
 GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
 FOLLOWING = np.ones(TRAFFIC, bool)
@@ -26,12 +36,12 @@ FOLLOWING_RIGHT, KEEPING_RIGHT = ([plan[:4] for plan in ALL].index((2, 1.0, 0.0,
 LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
 
 
-@jit_quickly
 def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=NOTHING, surprise=AS_MODELLED):
     """All proposals, and how they turn out."""
-    plans = profiles(jnp.asarray(last), 1, 0)
-    manners = Manners(follows, ordered, jnp.broadcast_to(accelerations, (PROPOSALS, *accelerations.shape)), surprise)
-    return plans, simulate_plans(situation_of(scene, PLANNING, WEIGHTS), manners, plans)
+    plans = PLANS._replace(controls=np.tile(np.asarray(last, np.float32), (PROPOSALS, 1, 1)))
+    accelerations = np.tile(np.asarray(accelerations, np.float32), (PROPOSALS, 1, 1))
+    manners = manners_of(follows, given=ordered, accelerations=accelerations, surprise=surprise)
+    return plans, driven_and_judged(scene, PLANNING, manners, plans)[0]
 
 
 def given(scene, controls, lane, follows):

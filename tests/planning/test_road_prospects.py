@@ -4,25 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from roads import NOBODY, PLANNING, WEIGHTS, coming, scene_of
+from roads import NOBODY, PLANNING, PLANS, WEIGHTS, coming, proposals_of, scene_of
 
 from ms_highway.game.road import KNOTS, TRAFFIC
-from ms_highway.planning.road.plan import no_plan, propose
-from ms_highway.planning.road.proposals import ALL, profiles
+from ms_highway.planning.road.plan import no_plan
+from ms_highway.planning.road.proposals import ALL
 from ms_highway.planning.road.prospects import missing_room, prospects
 from ms_highway.planning.road.settings import IDM
 from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 MEMORY = no_plan(PLANNING)
-LANES = np.asarray(profiles(MEMORY.controls, 1, 0).lane)
 FOLLOWING, CLOSING_UP, BRAKING, KEEPING_SPEED = (
     [plan[:5] for plan in ALL].index((1, 1.0, *profile))
     for profile in ((0.0, True, False), (0.0, True, True), (-3.0, False, False), (0.0, False, False))
 )  # in the own lane
 
-propose_quickly = jit_quickly(propose)
-lost_after = jit_quickly(lambda now, rollouts: prospects(now, rollouts, LANES)[0])
+lost_after = jit_quickly(lambda now, rollouts: prospects(now, rollouts, PLANS.lane)[0])
 room_missing = jit_quickly(missing_room)
 
 
@@ -32,7 +30,7 @@ def now_in(scene):
 
 
 def proposed(scene):
-    return propose_quickly(now_in(scene), np.full(TRAFFIC, IDM), MEMORY)
+    return proposals_of(scene, PLANNING, np.full(TRAFFIC, IDM, np.int32), MEMORY)
 
 
 def lost(scene):
@@ -42,7 +40,7 @@ def lost(scene):
 
 def missing(scene, goals=(-4.0, 0.0, 4.0)):
     found = proposed(scene)
-    return np.asarray(room_missing(now_in(scene), found.driven, np.asarray(goals, np.float32)[LANES]))
+    return np.asarray(room_missing(now_in(scene), found.driven, np.asarray(goals, np.float32)[PLANS.lane]))
 
 
 @pytest.mark.slow

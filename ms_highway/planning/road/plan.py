@@ -49,6 +49,10 @@ class LastPlan(NamedTuple):
     goal: Vector
     side: Index
 
+    def later(self) -> "LastPlan":
+        """Return what is left of it a step later; its last control is held."""
+        return self._replace(controls=np.concatenate([self.controls[1:], self.controls[-1:]]))
+
 
 class Judged(NamedTuple):
     """Plans, how they turn out, and what they earn."""
@@ -66,7 +70,7 @@ class RoadPlan(NamedTuple):
         path: x, y and heading of the robot's centre after each step [steps, 3].
         predictions: x and y of others [traffic, steps, 2].
         chosen: number of the proposal that drives.
-        side: on which it goes round what cannot move, see `LastPlan`.
+        side: on which it goes round what cannot move, see `ms_highway.planning.road.proposals.Profiles`.
         broken: whether it breaks a constraint.
     """
 
@@ -76,6 +80,10 @@ class RoadPlan(NamedTuple):
     chosen: Index
     side: Index
     broken: Flag
+
+    def handed_on(self) -> LastPlan:
+        """Return what the next plan has of it while it is followed."""
+        return LastPlan(self.controls, self.path[-1, :2], self.side)
 
 
 class Proposed(NamedTuple):
@@ -110,7 +118,7 @@ def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
         rungs: number of the model of each of the others, see `ms_highway.planning.road.settings.IDM`.
         last: plan.
     """
-    side = jnp.where(now.obstruction.exists, last.side, 0)  # also on the way back
+    side = jnp.where(now.obstruction.exists, last.side, 0)  # also where the plan leads back already
     lane = jnp.where(side == 0, nearest_lane(now.scene, *last.goal), 1)
     return _judged(now, profiles(last.controls, lane, side), _following(now, rungs, PROPOSALS))
 

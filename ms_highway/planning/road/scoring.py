@@ -128,9 +128,10 @@ def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
 
 
 def _leaves(now: Situation, driven: DrivenPlans, plans: Profiles) -> PlanFlags:
-    """Return whether plans leave the road, or all lanes where they go round something or the robot has left the road.
+    """Return whether plans leave the road.
 
-    What cannot be helped any more does not count.
+    What lanes of others pave counts as road for plans that go round what cannot move, and for all plans of a robot that
+    is beside its road on the way round. What cannot be helped any more does not count.
     """
     scene, (length, width) = now.scene, now.scene.size
 
