@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
+from ms_highway.game import curvature as bending
 from ms_highway.game.collision_risk import CAR_SHARPNESS, CONTACT, NEAR, body_points
-from ms_highway.game.curvature import curvature
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import linear_reward
@@ -16,6 +16,7 @@ from ms_highway.game.scenario import PAPER_UNIT, build_game
 from ms_highway.game.scenarios import DENSE_MERGE, MERGER
 
 GAME = build_game(DENSE_MERGE, humans=2)
+curvature = jax.jit(bending.curvature)
 FAR = observe(np.array([[[500.0, 0.0, 0.0, 20.0]], [[600.0, 0.0, 0.0, 20.0]]], np.float32))
 
 
@@ -68,12 +69,12 @@ def test_closeness_bends_by_the_squares_of_the_slopes_of_distances_and_their_own
         return jnp.sum((2 * (turned @ at) / jnp.asarray(GAME.scene.car_size)[:, None]) ** 2, axis=0) - 1
 
     fields = jnp.concatenate([jnp.asarray(field) for field in own[:4]])
-    value, slopes = excess(fields), jax.jacfwd(excess)(fields)
+    value, slopes, bends = jax.jit(lambda at: (excess(at), jax.jacfwd(excess)(at), jax.hessian(excess)(at)))(fields)
     bend = CAR_SHARPNESS**2 * jnp.exp(-CAR_SHARPNESS * value) + 600 * CONTACT * jnp.maximum(NEAR - value, 0)
     assert (value < NEAR).any()
     fall = CAR_SHARPNESS * jnp.exp(-CAR_SHARPNESS * value) + 300 * CONTACT * jnp.maximum(NEAR - value, 0) ** 2
     expected = jnp.einsum("p,pf,pg->fg", bend, slopes, slopes)
-    expected += jnp.einsum("p,pfg->fg", fall, jax.hessian(excess)(fields))
+    expected += jnp.einsum("p,pfg->fg", fall, bends)
     others = Motion(*(jnp.stack([close, far]) for close, far in zip(other, (field[0] for field in FAR), strict=True)))
     scene = replace(GAME.scene, obstacles=np.zeros((0, 2)))
     np.testing.assert_allclose(

@@ -1,5 +1,6 @@
 """The robot keeps a way out from cones and from humans who do not yield."""
 
+import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
@@ -31,37 +32,45 @@ def beside(game, offsets):
     return jnp.asarray(np.concatenate([robot, humans]), jnp.float32)
 
 
-def collides(game, state):
-    return float(features(game.scene, game.robot, state)[game.robot.names.index("collision")]) > 0
+@pytest.fixture(scope="module")
+def moved(game):
+    """The state after a control of the robot, while humans keep their velocity, and whether the robot collides then."""
+
+    @jax.jit
+    def after(state, control):
+        others = keep_velocity(game.dynamics, state[1:])
+        state = step(game.dynamics, state, jnp.concatenate([(control * game.planner.control_scale)[None], others]))
+        return state, features(game.scene, game.robot, state)[game.robot.names.index("collision")] > 0
+
+    return after
 
 
-def driven(game, state, control, escape=None):
+def driven(game, moved, state, control, escape=None):
     """Whether the robot collides if it always wants this control [1/m, m/s^2], and how many controls are replaced."""
-    scale, replaced = np.asarray(game.planner.control_scale), 0
+    wanted, replaced = jnp.asarray(control / np.asarray(game.planner.control_scale), jnp.float32), 0
     for _ in range(STEPS):
-        own = jnp.asarray(control / scale, jnp.float32)
+        own = wanted
         if escape is not None:
             instead, replaces = escape(state, own)
             own, replaced = instead[0] if replaces else own, replaced + bool(replaces)
-        others = keep_velocity(game.dynamics, state[1:])
-        state = step(game.dynamics, state, jnp.concatenate([(own * scale)[None], others]))
-        if collides(game, state):
+        state, collides = moved(state, own)
+        if collides:
             return True, replaced
     return False, replaced
 
 
-def test_a_robot_that_would_drive_into_the_cones_brakes_in_time_where_the_lane_beside_is_taken(game, escape):
+def test_a_robot_that_would_drive_into_the_cones_brakes_in_time_where_the_lane_beside_is_taken(game, moved, escape):
     state, cruise = beside(game, [-8.0, 0.0, 8.0]), np.array([0.0, 4.0])
-    assert driven(game, state, cruise)[0]
-    collided, replaced = driven(game, state, cruise, escape)
+    assert driven(game, moved, state, cruise)[0]
+    collided, replaced = driven(game, moved, state, cruise, escape)
     assert not collided
     assert replaced > 0
 
 
-def test_a_robot_that_would_drive_into_a_human_who_keeps_its_velocity_does_not(game, escape):
+def test_a_robot_that_would_drive_into_a_human_who_keeps_its_velocity_does_not(game, moved, escape):
     state, leftwards = beside(game, [-8.0, 0.0, 8.0]), np.array([-0.01, 4.0])
-    assert driven(game, state, leftwards)[0]
-    assert not driven(game, state, leftwards, escape)[0]
+    assert driven(game, moved, state, leftwards)[0]
+    assert not driven(game, moved, state, leftwards, escape)[0]
 
 
 def test_a_control_that_leaves_a_way_out_stays(game, escape):
@@ -79,15 +88,14 @@ def test_a_control_and_the_escapes_from_now_are_judged_over_the_same_time(game, 
     assert not any(replaced)
 
 
-def test_the_controls_of_an_escape_are_those_that_avoid_the_collision(game, escape):
+def test_the_controls_of_an_escape_are_those_that_avoid_the_collision(game, moved, escape):
     state, cruise = beside(game, [-8.0, 0.0, 8.0]), jnp.array([0.0, 0.12])
     while not (found := escape(state, cruise)).replaces:
         state = step(game.dynamics, state, keep_velocity(game.dynamics, state))
     assert found.controls.shape == (game.planner.horizon, 2)
     for control in found.controls:
-        others = keep_velocity(game.dynamics, state[1:])
-        state = step(game.dynamics, state, jnp.concatenate([(control * game.planner.control_scale)[None], others]))
-        assert not collides(game, state)
+        state, collides = moved(state, control)
+        assert not collides
 
 
 def test_a_robot_that_cannot_get_away_from_who_comes_up_behind_speeds_up(game, escape):
