@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
-from roads import NOBODY, PLANNING, WEIGHTS, coming, crossing, judged, on_path, scene_of, turning_off
+from roads import NOBODY, PLANNING, WEIGHTS, coming, crossing, judged, on_path, scene_of, turning_off, wrecked
 
 from ms_highway.game.road import BEHIND, LANES, SPACING, TRAFFIC, TRAFFIC_KNOTS
 from ms_highway.planning.road.prospects import missing_room, urgency
@@ -60,6 +60,14 @@ def test_bodies_are_apart_exactly_where_highway_env_says_so():
         touching, _, _ = are_polygons_intersecting(mine, theirs, np.zeros(2), np.zeros(2))
         assert touching == (found[i] < 0), i
     assert 0.2 < np.mean(found < 0) < 0.8
+
+
+@pytest.mark.parametrize(("place", "expected"), [(1.25, (False, False)), (1.5, (False, True)), (1.75, (True, True))])
+def test_what_has_crashed_is_passed_by_more_than_a_car_that_stands_and_may_drive_on(place, expected):
+    standing, crashed = (scene_of(robot=(0.0, place, 0.0, 10.0), cars=[(20.0, 1, 0.0)]) for _ in range(2))
+    for scene, close in zip((standing, wrecked(crashed, 0)), expected, strict=True):
+        _, scores = scores_of(scene, KEEPING, KEEPING)
+        assert bool(scores.collides[0]) == close
 
 
 def test_a_plan_that_hits_somebody_earns_less_than_one_that_does_not():
