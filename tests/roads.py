@@ -153,7 +153,7 @@ def keeping_velocity(scene):
 
 
 def manners_of(follows, **others):
-    """Others who follow by IDM, or keep their speed, all of it by arrays of the same shapes."""
+    """Others who follow by IDM, or keep their speed; arrays have the same shapes always, for one program."""
     zeros = np.zeros((PROPOSALS, TRAFFIC, PLANNING.steps), np.float32)
     manners = Manners(follows, NOBODY, zeros, zeros[0, :, 0], np.full(TRAFFIC, np.inf, np.float32))
     return manners._replace(**others)
@@ -170,6 +170,7 @@ def driven_and_judged(scene, planning, manners, plans):
 def judged(scene, controls, lanes, follows, planning=PLANNING, sides=0):
     """Plans whose controls are given [plans, steps, 2], driven and judged; the others follow or keep their speed."""
     number = len(controls)
+    assert number <= PROPOSALS
     filled = np.minimum(np.arange(PROPOSALS), number - 1)
     plans = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS, axis=0), PLANS)
     plans = plans._replace(

@@ -179,7 +179,7 @@ class RoadDriver:
         if self._left > 1:
             rest, source = self._last, "last plan"
         status, self._left = fallback_status(bool(np.isfinite(wanted).all()), self._left, len(wanted))
-        self._last = (plan.handed_on() if status == PLANNED else rest).later()
+        self._last = plan.handed_on() if status == PLANNED else rest.later()
         if status != PLANNED or late:
             return rest.controls, LATE if status == PLANNED else status, source
         hardest = plan.broken and wanted[0, 1] < -BRAKING_SHARE * grip

@@ -130,7 +130,7 @@ def _drives(car: RoadObject) -> bool:
 def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list[Way]:
     """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane.
 
-    Where it shows its intentions, these are the ways along its route.
+    Where it shows its intentions, these are the ways from all lanes of the road from which most of its route follows.
     """
     found, own = [], roads.lanes[car.lane_index]
     legs = frozenset(leg[:2] for leg in (intentions and getattr(car, "route", None)) or ())
@@ -139,8 +139,9 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list
         chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS), legs)
         found += [(number, place, chain) for number, chain in enumerate(chains)]
     shown = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in found]
-    most = {chain.lanes[0].index[:2] for (*_, chain), number in zip(found, shown, strict=True) if number == max(shown)}
-    found = [item for item in found if item[2].lanes[0].index[:2] in most]  # all lanes of a road that it shows
+    most = max(shown)
+    roads_shown = {chain.lanes[0].index[:2] for (*_, chain), number in zip(found, shown, strict=True) if number == most}
+    found = [item for item in found if item[2].lanes[0].index[:2] in roads_shown]
     found.sort(key=lambda item: item[0])
     ways = []
     for _, place, chain in found[: MOST_WAYS if _drives(car) else 1]:

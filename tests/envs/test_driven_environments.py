@@ -341,7 +341,7 @@ def first_step_of_a_policy(env, config):
 
 
 @pytest.mark.parametrize("first_step", [first_step_of_a_robot, first_step_of_a_policy])
-def test_others_who_show_which_way_they_take_have_one_way_each(first_step):
+def test_others_who_keep_their_lane_and_show_which_way_they_take_have_one_way_each(first_step):
     steps = (
         first_step(gym.make("intersection-v1", config=CONTINUOUS), {"driver": "fixed:naive", "intentions": intentions})
         for intentions in (False, True)

@@ -26,11 +26,6 @@ def ending_at(last, place):
     return last._replace(goal=np.array(place, np.float32))
 
 
-def after(plan):
-    """What a plan hands on to the next one."""
-    return plan.handed_on().later()
-
-
 def proposed(scene, last):
     return proposals_of(scene, SLOW, np.zeros(TRAFFIC, np.int32), last)
 
@@ -102,7 +97,7 @@ def test_a_plan_goes_round_a_wreck_over_the_lane_of_those_who_come_where_nobody_
 
 def test_the_rest_of_a_plan_round_a_wreck_still_goes_round_it_and_of_others_to_the_lane_where_they_end():
     wreck = wrecked(country_road((26.0, 0, 0.0)), 0)
-    round_it = after(planned(wreck))
+    round_it = planned(wreck).handed_on()
     assert round_it.side == -1
     back, straight = (ending_at(round_it, place) for place in ((31.0, -0.4), (31.0, -4.4)))
     for last in (round_it, back, straight):
@@ -124,7 +119,7 @@ def test_it_passes_on_the_side_where_the_way_is_shorter_in_a_bend_too_and_goes_b
         assert not plan.broken
         states.append(scene.robot)
         moved, _ = execute(scene, SLOW, np.asarray(plan.controls)[:1])
-        scene, last = replace(scene, robot=np.asarray(moved)[0]), after(plan)
+        scene, last = replace(scene, robot=np.asarray(moved)[0]), plan.handed_on()
     s, d, *_ = np.array(states).T
     assert max(d, key=abs) == pytest.approx(side * 1.0, abs=0.2)
     assert s[-1] > 40.0

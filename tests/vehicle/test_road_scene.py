@@ -229,13 +229,17 @@ def test_cars_before_an_intersection_may_go_several_ways():
         )
     among(ego, (("ir2", "il3", 0), 10.0))
     assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
+
+
+def test_a_car_that_changes_lanes_has_a_way_along_both_also_where_it_shows_its_route():
     ego = with_ego("roundabout-v0")
     (other,) = among(ego, (("ex", "ee", 0), 1.0))
     other.plan_route_to("exr")
     other.heading, other.speed = other.heading + 0.25, 12.0
     for shows in (False, True):
         ways = _ways(other, 0, road_map(other.road.network), shows)
-        assert {way.chain.lanes[0].index[2] for way in ways} == {0, 1}, "it changes lanes, whatever its route"
+        assert {way.chain.lanes[0].index[2] for way in ways} == {0, 1}
+        assert not shows or all(way.chain.lanes[1].index[:2] == other.route[1][:2] for way in ways)
 
 
 def test_a_car_that_changes_lane_has_a_way_along_both_lanes():

@@ -82,8 +82,8 @@ class RoadPlan(NamedTuple):
     broken: Flag
 
     def handed_on(self) -> LastPlan:
-        """Return what the next plan has of it while it is followed."""
-        return LastPlan(self.controls, self.path[-1, :2], self.side)
+        """Return what the next plan has of it, a step later."""
+        return LastPlan(self.controls, self.path[-1, :2], self.side).later()
 
 
 class Proposed(NamedTuple):

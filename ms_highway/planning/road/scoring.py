@@ -23,7 +23,8 @@ from ms_highway.planning.road.traffic import (
 )
 from ms_highway.runtime.arrays import Numbers
 
-MARGIN, OF_WRECKS = 0.35, 0.6  # m between bodies that counts as a collision; plans are looked at every 0.2 s only
+MARGIN = 0.35  # m between bodies that counts as a collision
+MARGIN_TO_WRECKS = 0.6  # m, the same for what cannot move: plans are looked at every 0.2 s only
 FADING = 0.95  # of what is expected later, per step
 TOLERATED = 1.5  # m/s^2, of braking of others that costs nothing
 SOON = 1.6  # s, until when all counts that others may do
@@ -176,7 +177,7 @@ def _meetings(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar
     slowed = jnp.diff(speeds, axis=-1, prepend=jnp.broadcast_to(scene.states[:, 3:], (*speeds.shape[:-1], 1))) / dt
     endangered = (driven.s < s) & (speeds > speed)  # behind a faster robot, gaps open by themselves
     imposed = jnp.where(endangered, jnp.maximum(-slowed - TOLERATED, 0.0), 0.0)
-    depth = jnp.where(scene.moving, MARGIN, OF_WRECKS)[:, None] - clear
+    depth = jnp.where(scene.moving, MARGIN, MARGIN_TO_WRECKS)[:, None] - clear
     cost = (
         dt * weights.near * jnp.sum(near * fading, axis=-1)
         + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
