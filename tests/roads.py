@@ -129,7 +129,7 @@ def turning_off(robot_s):
     return on_path(scene, 115.0 - path.x, -LANE - path.y, path.heading + np.pi, path.curvature)
 
 
-@jit_quickly
+@jax.jit
 def execute(scene, planning, controls):
     """Return the robot's states after each control, and the controls within limits that it executed."""
 
