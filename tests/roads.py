@@ -17,6 +17,7 @@ from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 NOBODY = np.zeros(TRAFFIC, bool)
+ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
 PLANS = jax.tree.map(np.asarray, profiles(np.zeros((PLANNING.steps, 2), np.float32), 1, 0))
 
 
@@ -88,9 +89,7 @@ def country_road(*cars, speed=8.0):
     """A road of one lane for each direction: nobody but who goes round something drives on the left."""
     scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=cars, limit=10.0)
     paved = np.tile(np.array([[-6.0], [2.0]], np.float32), KNOTS)
-    is_open = np.zeros((LANES, KNOTS), bool)
-    is_open[1] = True
-    return replace(scene, open=is_open, edges=np.clip(paved, -2.0, 2.0), paved=paved)
+    return replace(scene, open=ONE_LANE, edges=np.clip(paved, -2.0, 2.0), paved=paved)
 
 
 def crossing(robot_s, come_from, speed=10.0):

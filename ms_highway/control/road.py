@@ -175,9 +175,10 @@ class RoadDriver:
     def _followed(self, plan: RoadPlan, late: bool) -> tuple[Controls, int, str]:
         """Return the controls to follow, the number of their status and their source; keep what is left of the plan."""
         wanted, grip = plan.controls, self.planning.grip
-        rest, source = no_plan(self.planning)._replace(controls=np.full_like(wanted, [0.0, -grip])), "braking"
         if self._left > 1:
             rest, source = self._last, "last plan"
+        else:
+            rest, source = no_plan(self.planning)._replace(controls=np.full_like(wanted, [0.0, -grip])), "braking"
         status, self._left = fallback_status(bool(np.isfinite(wanted).all()), self._left, len(wanted))
         self._last = plan.handed_on() if status == PLANNED else rest.later()
         if status != PLANNED or late:

@@ -73,12 +73,7 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the
         ("highway-fast-v0", 2, 0.011, "a plan that lacked room to stop won over sound ones"),
         ("roundabout-v1", 1, 0.0, "a car that braked for others was expected to go on"),
         ("roundabout-v0", 75, 0.0, "a car that had crashed was expected to lie along its lane"),
-        (
-            "roundabout-v0",
-            1014,
-            0.0,
-            "a plan passed who had crashed by less than steps of 0.2 s can tell",
-        ),
+        ("roundabout-v0", 1014, 0.0, "a plan passed who had crashed by less than steps of 0.2 s can tell"),
         ("two-way-v0", 59, 0.0, "a plan could not drop behind a car beside it to make way for one that came"),
     ],
 )

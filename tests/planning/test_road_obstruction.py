@@ -4,13 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from roads import NOBODY, PLANNING, WEIGHTS, coming, country_road, execute, judged, proposals_of, scene_of, wrecked
+from roads import (
+    NOBODY,
+    ONE_LANE,
+    PLANNING,
+    WEIGHTS,
+    coming,
+    country_road,
+    execute,
+    judged,
+    proposals_of,
+    scene_of,
+    wrecked,
+)
 
 from ms_highway.control.road import plan_of
-from ms_highway.game.road import KNOTS, LANES, TRAFFIC
+from ms_highway.game.road import TRAFFIC
 from ms_highway.planning.road.obstruction import obstruction_of
 from ms_highway.planning.road.plan import no_plan
-from ms_highway.planning.road.proposals import LAST_PLAN
+from ms_highway.planning.road.proposals import ALL, LAST_PLAN
 from ms_highway.runtime.compilation import jit_quickly
 
 ACROSS = np.pi / 2
@@ -111,11 +123,9 @@ def test_the_rest_of_a_plan_round_a_wreck_still_goes_round_it_and_of_others_to_t
 @pytest.mark.parametrize("side", [-1, 1])
 def test_it_passes_on_the_side_where_the_way_is_shorter_in_a_bend_too_and_goes_back_to_its_lane(side):
     scene = wrecked(scene_of(bend=1 / 60, robot=(0.0, 0.0, 0.0, 8.0), cars=[(24.0, -0.5 * side, 0.0)], limit=10.0), 0)
-    is_open = np.zeros((LANES, KNOTS), bool)
-    is_open[1] = True
     states, last = [], no_plan(PLANNING)
     for _ in range(30):
-        plan = planned(replace(scene, open=is_open), last)
+        plan = planned(replace(scene, open=ONE_LANE), last)
         assert not plan.broken
         states.append(scene.robot)
         moved, _ = execute(scene, SLOW, np.asarray(plan.controls)[:1])
@@ -148,12 +158,9 @@ def test_lanes_of_those_who_come_are_left_out_but_by_plans_round_something_and_b
 
 def test_only_in_its_own_lane_a_plan_leaves_room_to_turn_round_what_cannot_move():
     scene = wrecked(wrecked(scene_of(robot=(0.0, 0.0, 0.0, 8.0), cars=[(40.0, 0, 0.0), (40.0, 1, 0.0)]), 0), 1)
-    plans = proposed(scene, no_plan(SLOW))
-    follows = np.asarray(
-        plans.plans.follows & ~plans.plans.closes & (plans.plans.share == 1.0) & (plans.plans.yields == 0)
-    )
-    own, beside = (np.asarray(plans.driven.states)[follows & (plans.plans.lane == lane), -1] for lane in (1, 2))
-    assert own[0, 0] < beside[0, 0] - 1.0
+    states = np.asarray(proposed(scene, no_plan(SLOW)).driven.states)
+    own, beside = (states[ALL.index((lane, 1.0, 0.0, True, False, 0.0, 0)), -1, 0] for lane in (1, 2))
+    assert own < beside - 1.0
 
 
 def test_a_plan_waits_behind_a_wreck_while_somebody_comes_and_leaves_room_to_go_round_it():
