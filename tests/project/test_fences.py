@@ -1,0 +1,110 @@
+"""What every change of the structure must leave as it is; ``fences.json`` holds the figures, which nothing may loosen.
+
+The figures are reached as users reach them, through commands and ``gym.make``, so that the tests outlive the structure.
+"""
+
+import json
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+
+import ms_highway
+from ms_highway.cli.main import main
+
+FENCES = json.loads(Path(__file__).with_name("fences.json").read_text())
+SLOW = pytest.mark.slow
+STOCK_SCENES = ["merge-v1", *(pytest.param(name, marks=SLOW) for name in ("highway-fast-v0", "roundabout-v0"))]
+PAPER_SCENARIOS = ["merger", pytest.param("give_way", marks=SLOW)]
+
+
+def printed(capsys, *words):
+    """Return the JSON that a command prints."""
+    capsys.readouterr()
+    assert main([*map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def drive(env, seed):
+    """Let a robot drive an episode; return the rewards of its steps and the last step's ``info``."""
+    env.reset(seed=seed)
+    rewards, done = [], False
+    while not done:
+        _, reward, terminated, truncated, info = env.step(0)
+        rewards.append(reward)
+        done = terminated or truncated
+    return rewards, info
+
+
+def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
+    files = printed(capsys, "validate", reference)["files"]
+    assert len(files) == FENCES["replay"]["files"]
+    assert max(errors["reward_error"]["max"] for errors in files.values()) < FENCES["replay"]["reward_error"]
+    decisions = [errors["decisions"] for errors in files.values() if "decisions" in errors]
+    assert sum(each["agree"] for each in decisions) == FENCES["replay"]["decisions"]
+    assert sum(each["all"] for each in decisions) == FENCES["replay"]["decisions"]
+
+
+@pytest.fixture(scope="module", params=PAPER_SCENARIOS)
+def compared(request, tmp_path_factory):
+    """Return a scenario and the directory of the episodes behind its rows of the README's table."""
+    out, controllers = tmp_path_factory.mktemp("compare"), FENCES["readme"][request.param]
+    assert main(["compare", request.param, "--controllers", *controllers, "--seeds", "30", "--out", str(out)]) == 0
+    return request.param, out
+
+
+def test_the_mean_rewards_of_the_readme_lie_within_their_intervals(compared):
+    scenario, out = compared
+    summary = pd.read_csv(out / "summary.csv").set_index("controller")
+    for controller, (low, high) in FENCES["readme"][scenario].items():
+        assert low <= summary["reward"][controller] <= high, controller
+    assert not summary["collision_episodes"].any()
+
+
+def test_live_episodes_and_batches_earn_the_same(compared, tmp_path):
+    scenario, live = compared
+    controllers = ["tom", "learned:1"]
+    assert main(["sweep", scenario, "--controllers", *controllers, "--seeds", "5", "--out", str(tmp_path)]) == 0
+    keys = ["controller", "seed"]
+    batch = pd.read_parquet(tmp_path / "episodes").set_index(keys)["reward"]
+    alone = pd.read_csv(live / "steps.csv").groupby(keys)["reward"].mean()
+    assert len(batch) == 10
+    np.testing.assert_allclose(batch, alone[batch.index], atol=FENCES["live_and_batch"])
+
+
+def test_a_robot_with_a_belief_never_hits_humans_who_never_yield():
+    config = {"controller": {"type": "fixed", "model": "tom", "belief": True}, "yielding": "never"}
+    env = gym.make("ms-highway/merger-v0", config=config)
+    collisions = 0
+    for seed in range(FENCES["belief"]["starts"]):
+        env.reset(seed=seed)
+        collisions += any(env.step(0)[-1]["collision"] for _ in range(40))
+    assert collisions == FENCES["belief"]["collisions"]
+
+
+@pytest.mark.filterwarnings("ignore:.*is out of date")
+@pytest.mark.parametrize("scene", STOCK_SCENES)
+def test_robots_in_stock_scenes_earn_their_reward_and_crash_no_more_often(scene):
+    fence = FENCES["stock"][scene]
+    env = ms_highway.drive(gym.make(scene))
+    driven = [drive(env, seed) for seed in range(20)]
+    rewards = np.array([np.mean(rewards) for rewards, _ in driven])
+    assert fence["low"] <= rewards.mean() <= fence["high"]
+    assert sum(info["crashed"] for _, info in driven) <= fence["collisions"]
+
+
+def test_the_recorded_problem_that_ships_is_solved():
+    env = ms_highway.drive(gym.make("ms-highway/recorded-v0", config={"ego": "problem"}))
+    rewards, info = drive(env, 0)
+    assert info["recorded"]["success"]
+    assert np.mean(rewards) == pytest.approx(FENCES["recorded"]["reward"], abs=FENCES["recorded"]["tolerance"])
+
+
+@SLOW
+def test_the_drivers_that_ship_predict_real_ones(us101_directory, capsys):
+    predictors = printed(capsys, "irl", "evaluate", "--theta", "us101", "--data", us101_directory)["predictors"]
+    for name, errors in FENCES["fde"].items():
+        for horizon, error in errors.items():
+            assert predictors[name]["fde"][horizon] == pytest.approx(error, rel=FENCES["fde_tolerance"]), name
