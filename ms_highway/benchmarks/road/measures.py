@@ -13,18 +13,7 @@ GAP = 0.5  # m between lanes where roads meet, at most
 REACH = 2.0  # m between cars that have just collided, at most: highway-env pushes them apart
 OFFSET = 1.0  # m
 STANDING = 1.0  # m/s
-LONGEST = 60.0  # s, after which an episode ends in scenes that have no end of their own: a car may stand still
 SAME_WAY = 0.7  # cosine of the angle between two headings, at least
-
-
-def has_ended(env: Any, terminated: bool, truncated: bool) -> bool:
-    """Return whether an episode has ended, in an environment that has just taken a step."""
-    return bool(terminated or truncated or env.time >= max(LONGEST, env.config.get("duration", 0.0)))
-
-
-def stays_on_road(car: Any) -> bool:
-    """Return whether the centre of a car is in its lane, or so close that it may be where two roads meet."""
-    return bool(car.lane.on_lane(car.position, margin=GAP))
 
 
 def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dict[str, Any]:
@@ -63,13 +52,11 @@ class Place(NamedTuple):
         lane_index: of the closest lane.
         offset: from the centre of that lane [m].
         speed: [m/s].
-        on_road: whether its centre is in that lane, or so close that it may be where two roads meet.
     """
 
     lane_index: tuple[str, str, int]
     offset: float
     speed: float
-    on_road: bool
 
 
 class Watch:
@@ -82,7 +69,7 @@ class Watch:
     Attributes:
         crashed: whether the ego has crashed.
         at_fault: whether it has, and is at fault, see `is_at_fault`.
-        off_road: whether it has left the road in any frame before.
+        off_road: whether its centre was off its lane, by more than may be where two roads meet, in any frame before.
     """
 
     def __init__(self, env: Any, *then: Callable[[], None]) -> None:
@@ -118,9 +105,8 @@ class Watch:
             self.at_fault = is_at_fault(ego, touched if is_near else None, tuple(self._places))
             return
         _, offset = ego.lane.local_coordinates(ego.position)
-        on_road = stays_on_road(ego)
-        self._places.append(Place(ego.lane_index, float(offset), float(ego.speed), on_road))
-        self.off_road |= not on_road
+        self._places.append(Place(ego.lane_index, float(offset), float(ego.speed)))
+        self.off_road |= not ego.lane.on_lane(ego.position, margin=GAP)
 
 
 def _gap(one: Any, other: Any) -> float:

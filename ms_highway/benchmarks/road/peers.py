@@ -28,8 +28,12 @@ class Peer(gym.Wrapper):
 
     Args:
         env: the environment.
+
+    Attributes:
+        seen: the last observation.
     """
 
+    seen: Any
     counted = slice(None)  # of the decisions of a step
 
     def __init__(self, env: gym.Env) -> None:
@@ -39,9 +43,9 @@ class Peer(gym.Wrapper):
 
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
-        result = super().reset(**options)
+        self.seen, info = super().reset(**options)
         self.begin(options.get("seed"))
-        return result
+        return self.seen, info
 
     def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Decide, and take a step of the environment."""
@@ -49,8 +53,8 @@ class Peer(gym.Wrapper):
         start = perf_counter()
         chosen = self.choose()
         self.decisions.append(perf_counter() - start)
-        *outcome, info = super().step(chosen)
-        return *outcome, info | {"road": {"decisions": self.decisions[self.counted]}}
+        self.seen, *outcome, info = super().step(chosen)
+        return self.seen, *outcome, info | {"road": {"decisions": self.decisions[self.counted]}}
 
     def begin(self, seed: int | None) -> None:
         """Prepare for an episode that has just been reset."""
@@ -114,16 +118,6 @@ class Agent(Peer):
                 what = name.replace("_", " ")
                 raise ValueError(f"{file}: the agent's {what} is {known}, that of {scene} {offered}; train one there")
 
-    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
-        """Start an episode."""
-        self.seen, info = super().reset(**options)
-        return self.seen, info
-
-    def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Decide, and take a step of the environment."""
-        self.seen, *outcome = super().step()
-        return self.seen, *outcome
-
     def choose(self) -> Any:
         """Return the agent's action after the last observation."""
         action, _ = self.policy.predict(self.seen, deterministic=True)
@@ -142,17 +136,16 @@ def policy_of(file: str) -> Any:
         raise ValueError(f"there is no agent {file}; notebooks/examples/train_peers.py trains some")
     try:
         from stable_baselines3.common.save_util import load_from_zip_file
-    except ModuleNotFoundError as error:
-        message = f"the agent {file} needs stable-baselines3: pip install stable-baselines3"
-        raise ModuleNotFoundError(message, name=error.name) from None
-    try:
+
         data, parameters, _ = load_from_zip_file(file, device="cpu")
         spaces = data["observation_space"], data["action_space"]
         explores = {"use_sde": True} if data.get("use_sde") else {}
         policy = data["policy_class"](*spaces, lambda _: 0.0, **explores, **data["policy_kwargs"])
         policy.load_state_dict(parameters["policy"])
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(f"the agent {file} needs a package: {error}", name=error.name) from None
+        package = str(error.name).replace("_", "-")
+        message = f"the agent {file} needs the package {package}: pip install {package}"
+        raise ModuleNotFoundError(message, name=error.name) from None
     except (ValueError, KeyError, TypeError, OSError, RuntimeError, UnpicklingError) as error:
         raise ValueError(f"{file} is no agent that stable-baselines3 has saved ({error!r})") from None
     return policy
@@ -226,7 +219,3 @@ class UnyieldingVehicle(IDMVehicle):
         """Return the acceleration of a vehicle behind another one [m/s^2]."""
         stranger = isinstance(front_vehicle, Vehicle) and not isinstance(front_vehicle, UnyieldingVehicle)
         return float(super().acceleration(ego_vehicle, None if stranger else front_vehicle, rear_vehicle))
-
-
-PEERS = {"idm": Idm, "idle": Idle, "random": Random}
-"""Their wrappers, by name."""
