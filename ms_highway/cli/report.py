@@ -31,10 +31,7 @@ predict: errors, likelihood and calibration by horizon, and paths.
 With --markdown, print the table of directories of `ms-highway compare` in Markdown instead."""
 
 ONLY_COMPARISONS = "--markdown prints the table of directories of `ms-highway compare`"
-KINDS = (
-    "name directories of `ms-highway compare` and `frontier`, files of `irl evaluate --json`, "
-    "and films, .gif"
-)
+KINDS = "name directories of `ms-highway compare` and `frontier`, files of `irl evaluate --json`, and films, .gif"
 
 EXAMPLES = """\
 examples:

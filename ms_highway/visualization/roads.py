@@ -24,8 +24,7 @@ Drivers = Mapping[str, Mapping[str, Any]]
 def success_interval(figures: Mapping[str, Any]) -> tuple[float, float]:
     """Return the interval of the share of successful episodes, by Wilson's score."""
     episodes = figures["episodes"]
-    low, high = binomtest(round(figures["success"] * episodes), episodes).proportion_ci(CONFIDENCE, "wilson")
-    return float(low), float(high)
+    return binomtest(round(figures["success"] * episodes), episodes).proportion_ci(CONFIDENCE, "wilson")
 
 
 def driver_table(title: str, drivers: Drivers) -> Table:

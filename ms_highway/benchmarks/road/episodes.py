@@ -165,9 +165,8 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         rewards.append(float(reward))
         roads.append(info["road"])
         done = terminated or truncated or inner.time >= longest
-    off_road = bool(watch.off_road or (terminated and not watch.crashed and not inner.vehicle.on_road))
-    if block.scene == RECORDED:
-        off_road = inner.off_road
+    off_at_end = terminated and not watch.crashed and not inner.vehicle.on_road
+    off_road = inner.off_road if block.scene == RECORDED else bool(watch.off_road or off_at_end)
     reached = success(inner)
     if exported and block.exports:
         exported.write(block.exports / block.traffic / file_name(block.driver), block.name(seed))

@@ -50,13 +50,11 @@ class Place(NamedTuple):
 
     Attributes:
         lane_index: of the closest lane.
-        offset: from the centre of that lane [m].
-        speed: [m/s].
+        follows_lane: whether the car is within `OFFSET` of its centre and faster than `STANDING`.
     """
 
     lane_index: tuple[str, str, int]
-    offset: float
-    speed: float
+    follows_lane: bool
 
 
 class Watch:
@@ -105,7 +103,7 @@ class Watch:
             self.at_fault = is_at_fault(ego, touched if is_near else None, tuple(self._places))
             return
         _, offset = ego.lane.local_coordinates(ego.position)
-        self._places.append(Place(ego.lane_index, float(offset), float(ego.speed)))
+        self._places.append(Place(ego.lane_index, abs(offset) < OFFSET and ego.speed > STANDING))
         self.off_road |= not ego.lane.on_lane(ego.position, margin=GAP)
 
 
@@ -123,9 +121,9 @@ def is_at_fault(ego: Any, other: Any | None, places: Sequence[Place]) -> bool:
     * the ego's centre is ahead of the other's front, along the other's heading;
     * the point of the other that is closest to the ego's centre is behind that centre, along the ego's heading.
 
-    It kept its lane if, in all of ``places``, it was within 1 m of its lane's centre and faster than 1 m/s, and its
-    number of the lane did not change while the road was the same. A car that stands on the road when it is hit is thus
-    at fault, as is one that was pushed out of the way by a crash in its side.
+    It kept its lane if it followed one in all of ``places``, and the lane's number did not change while the road was
+    the same. A car that stands on the road when it is hit is thus at fault, as is one that was pushed out of the way by
+    a crash in its side.
 
     Args:
         ego: a vehicle of highway-env.
@@ -141,5 +139,4 @@ def is_at_fault(ego: Any, other: Any | None, places: Sequence[Place]) -> bool:
     rear_ended = away @ other.direction > half_length and (closest - away) @ ego.direction < 0
     lanes = [place.lane_index for place in places]
     changed = any(before[:2] == after[:2] and before != after for before, after in pairwise(lanes))
-    in_lane = all(abs(place.offset) < OFFSET and place.speed > STANDING for place in places)
-    return bool(not rear_ended or changed or not in_lane)
+    return bool(not rear_ended or changed or not all(place.follows_lane for place in places))

@@ -1,4 +1,4 @@
-"""Drivers that are not this package's: highway-env's IDM and MOBIL, doing nothing, chance, and trained agents."""
+"""Drivers that are not this package's: highway-env's IDM and MOBIL, idle, random, and trained agents."""
 
 from functools import cache
 from itertools import pairwise
@@ -63,6 +63,10 @@ class Peer(gym.Wrapper):
         """Return the action of the coming step: by default, one for an ego that steers by itself."""
         return unheeded(self.inner.action_type)
 
+    def take_over(self, kind: type[Vehicle], **options: Any) -> Any:
+        """Put a vehicle of this class in the place of the ego, and return it."""
+        return replace_ego(self.env, lambda old: kind(old.road, old.position, old.heading, old.speed, **options))
+
     @property
     def target_speeds(self) -> Any:
         """Those of the environment's actions [m/s]."""
@@ -75,17 +79,13 @@ class Idle(Peer):
     def begin(self, seed: int | None) -> None:
         """Put an `MDPVehicle` in the place of a vehicle that does not keep its lane by itself."""
         if isinstance(self.inner, RecordedEnv):  # whose speeds need not be among those of meta-actions
-            replace_ego(self.env, lambda old: ControlledVehicle(old.road, old.position, old.heading, old.speed))
+            self.take_over(ControlledVehicle)
         elif not isinstance(self.inner.vehicle, MDPVehicle):
-            speeds = self.target_speeds
-            replace_ego(
-                self.env,
-                lambda old: MDPVehicle(old.road, old.position, old.heading, old.speed, target_speeds=speeds),
-            )
+            self.take_over(MDPVehicle, target_speeds=self.target_speeds)
 
 
 class Random(Peer):
-    """Choose among the environment's own actions by chance, the same ones for the same seed."""
+    """Choose among the environment's own actions at random, the same ones for the same seed."""
 
     def begin(self, seed: int | None) -> None:
         """Seed the actions."""
@@ -155,7 +155,7 @@ class IdmEgo(OfferedSpeeds, IDMVehicle):
     """highway-env's IDM and MOBIL in the place of the ego, with what rewards look for in an `MDPVehicle`.
 
     Attributes:
-        decisions: where it notes the duration of each of its decisions [s].
+        decisions: list to which it appends the duration of each of its decisions [s].
     """
 
     decisions: list[float] | None = None
@@ -179,14 +179,11 @@ class Idm(Peer):
 
     def begin(self, seed: int | None) -> None:
         """Put an `IdmEgo` in the place of the ego."""
-        speed = desired_speed_of(self.env)
-        ego = replace_ego(
-            self.env, lambda old: IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=speed)
-        )
+        ego = self.take_over(IdmEgo, target_speed=desired_speed_of(self.env))
         ego.target_speeds, ego.route, ego.decisions = self.target_speeds, route_to_goal(self.inner), self.decisions
 
     def choose(self) -> Any:
-        """Let the ego decide; tell it the speed that keeps an appointment."""
+        """Let the ego decide, at the speed that keeps an appointment."""
         appointment = destination_of(self.inner)
         if isinstance(appointment, Appointment):
             self.inner.vehicle.target_speed = appointment.desired_speed(self.inner.vehicle, self.inner.time)
