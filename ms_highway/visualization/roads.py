@@ -4,12 +4,10 @@ Figures of a driver are those of `ms-highway bench road --json`; figures of earl
 """
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
 from rich.table import Table
 from scipy.stats import binomtest
 
@@ -74,13 +72,10 @@ def success_figure(scenes: Mapping[str, Drivers]) -> Figure:
     figure = Figure(figsize=(8, 1 + 0.5 * len(counts) + 0.2 * sum(counts)), layout="constrained")
     panels = figure.subplots(len(counts), sharex=True, squeeze=False, height_ratios=counts)[:, 0]
     for axes, (scene, drivers) in zip(panels, scenes.items(), strict=True):
-        success = np.array([one["success"] for one in drivers.values()])
-        ends = np.array([success_interval(one) for one in drivers.values()])
-        names = [Path(driver).stem if driver.endswith(".zip") else driver for driver in drivers]
-        axes.errorbar(success, names, xerr=np.abs(ends.T - success), fmt="o", capsize=2)
+        percent = 100 * np.array([one["success"] for one in drivers.values()])
+        ends = 100 * np.array([success_interval(one) for one in drivers.values()])
+        axes.errorbar(percent, list(drivers), xerr=np.abs(ends.T - percent), fmt="o", capsize=2)
         axes.set_title(scene, loc="left")
         axes.invert_yaxis()
-        axes.grid(axis="x", alpha=0.3)
-    panels[-1].set(xlim=(-0.02, 1.02), xlabel="episodes that succeed, with 90 % intervals")
-    panels[-1].xaxis.set_major_formatter(PercentFormatter(1.0))
+    panels[-1].set(xlim=(-2, 102), xlabel="% of episodes that succeed, with 90 % intervals")
     return figure

@@ -170,7 +170,6 @@ def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path,
         ("merge --drivers agents/mine.zip", "there is no agent agents/mine.zip; notebooks/examples/train_peers.py"),
         ("merge --drivers switching", "the choice by price is called 'priced'"),
         ("merge --export drives", "--export is for the scene 'recorded' only"),
-        ("recorded --export drives", "--export writes solutions of planning problems of --data"),
         ("recorded --traffic commuter", "--traffic commuter is not for recorded; choose one of learned, replay, idm"),
     ],
 )
