@@ -1,4 +1,4 @@
-"""Measure latency and throughput, also beside the same planners in CasADi, and how steady driving is.
+"""Measure latency and throughput, how steady driving is, and how drivers fare on stock roads.
 
 Imports `ms_highway.experiments` and what stands below it.
 """

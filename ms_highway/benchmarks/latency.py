@@ -5,7 +5,6 @@ import resource
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -25,28 +24,23 @@ from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_plans import CompiledPlans, Costs, checked_state
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.several import plan_for
-from ms_highway.runtime.arrays import Controls, State
+from ms_highway.runtime.arrays import State
 from ms_highway.runtime.files import temporary_directory
 from ms_highway.runtime.jax_settings import low_latency, own_process
 from ms_highway.runtime.timing import forget, timed
 
-REPEATS = 600
-TURN = 20  # runs of one thing before the next
+REPEATS, BATCH_REPEATS, SEVERAL_REPEATS = 600, 20, 60
 BATCHES = (1, 32, 1024)  # of vmapped plans
 CACHE, CACHED_FROM = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
-AGREEMENT = 1e-3  # between ours and the peer's scaled controls
-SEVERAL_REPEATS = 60
 KIBIBYTE = 1024
 
 
-def bench(scenario: str, peer: bool = False, **config: Any) -> Iterator[tuple[str, dict[str, Any]]]:
+def bench(scenario: str, **config: Any) -> Iterator[tuple[str, dict[str, Any]]]:
     """Measure each rung of the ladder of a scenario with one human, in microseconds, from its first start.
 
     Compilation is measured on all cores, everything else warm, on one core. Yields for every rung its name and:
 
     * ``plan_us``: median (p50) and p99 of a plan, until its result is there;
-    * ``peer_us``: median of the same plan in CasADi's C code, checked to agree before, and run in turns with ours, so
-      that both see the same moods of the machine (only with ``peer``);
     * ``decision_us``: median of a decision at this rung, one in three of which checks the rung below;
     * ``step_us``: median of a step of the environment less the plans of both cars;
     * ``compile_s``: tracing and compiling the plan after those of the rungs below, as a process does that has just
@@ -56,23 +50,17 @@ def bench(scenario: str, peer: bool = False, **config: Any) -> Iterator[tuple[st
 
     Args:
         scenario: its name.
-        peer: whether to measure the peer.
         config: of the environment.
-
-    Raises:
-        ImportError: if the peer is wanted and CasADi is not there.
-        RuntimeError: if the peer plans something else.
     """
-    env, inner = _environment(scenario, human_reward="published", **config)  # which is what the peer knows
+    env, inner = _environment(scenario, **config)
     game, models, state = inner.game, inner.settings.models, checked_state(inner.car_states)
     with one_core():
         step = _step_without_planning(env, inner)
     env.close()
-    compiling = {kind: _compile_seconds(game, models, state, kind == "cached") for kind in ("cold", "cached")}
-    for rung, model in enumerate(models):
-        seconds = {kind: times[rung] for kind, times in compiling.items()}
+    compiling = _compile_seconds(CompiledPlans(game, models), state)
+    for rung, (model, seconds) in enumerate(zip(models, compiling, strict=True)):
         with one_core():
-            yield model.name, _measured(game, models, rung, state, peer) | {"step_us": step, "compile_s": seconds}
+            yield model.name, _measured(game, models, rung, state) | {"step_us": step, "compile_s": seconds}
 
 
 def _environment(scenario: str, **config: Any) -> tuple[gym.Env, InteractionEnv]:
@@ -84,39 +72,23 @@ def _environment(scenario: str, **config: Any) -> tuple[gym.Env, InteractionEnv]
     return env, inner
 
 
-def _measured(game: Game, models: tuple[HumanModel, ...], rung: int, state: State, peer: bool) -> dict[str, Any]:
+def _measured(game: Game, models: tuple[HumanModel, ...], rung: int, state: State) -> dict[str, Any]:
     """Measure one rung, warm."""
-    compiled, model = CompiledPlans(game, models), models[rung]
-    function, *arguments = compiled.call(state, [rung])
-    plans: dict[str, Callable[[], None]] = {"plan_us": partial(_run, function, *arguments)}
-    with temporary_directory() as directory:
-        if peer:
-            plans["peer_us"] = _peer(game, model, state, np.asarray(compiled.plan(state, [rung])[0].robot), directory)
-        times = _times(plans)
+    function, *arguments = CompiledPlans(game, models).call(state, [rung])
+    p50, p99 = np.quantile(_times(function, *arguments), [0.5, 0.99]).tolist()
     flops = float((function.lower(*arguments).compile().cost_analysis() or {})["flops"])
     return {
-        "plan_us": {"p50": median(times["plan_us"]), "p99": float(np.quantile(times["plan_us"], 0.99))},
-        **({"peer_us": {"p50": median(times["peer_us"])}} if peer else {}),
+        "plan_us": {"p50": p50, "p99": p99},
         "decision_us": _decision(game, models, rung, state),
         "flop": game.planner.iterations * flops,  # XLA counts the body of the loop once, and little is outside of it
-        "plans_per_s": {str(size): _throughput(game, model, state, size) for size in BATCHES},
+        "plans_per_s": {str(size): _throughput(game, models[rung], state, size) for size in BATCHES},
     }
 
 
-def _run(function: Callable[..., Any], *arguments: Any) -> None:
-    """Run a compiled function until its result is there."""
+def _times(function: Callable[..., Any], *arguments: Any, repeats: int = REPEATS) -> list[float]:
+    """Return the microseconds of each of many warm runs of a compiled function."""
     jax.block_until_ready(function(*arguments))
-
-
-def _times(runs: Mapping[str, Callable[[], None]], repeats: int = REPEATS) -> dict[str, list[float]]:
-    """Microseconds of each of many warm runs; where there are several things to run, in turns of `TURN` runs."""
-    times: dict[str, list[float]] = {name: [] for name in runs}
-    for run in runs.values():
-        run()
-    for _ in range(-(-repeats // TURN)):
-        for name, run in runs.items():
-            times[name] += [1e6 * timed(run)[1] for _ in range(TURN)]
-    return times
+    return [1e6 * timed(function, *arguments)[1] for _ in range(repeats)]
 
 
 @contextmanager
@@ -133,39 +105,32 @@ def one_core() -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-def _compile_seconds(game: Game, models: Sequence[HumanModel], state: State, cached: bool) -> list[float]:
-    """Seconds to trace and compile the plan of each rung, one after the other; leaves the user's cache alone."""
+def _compile_seconds(plans: CompiledPlans, state: State) -> list[dict[str, float]]:
+    """Return the seconds to trace and compile the plan of each rung, in order; leaves the user's cache alone."""
     kept = {name: jax.config.values[name] for name in (CACHE, CACHED_FROM)}
-    plans, seconds = CompiledPlans(game, models), list[float]()
     with temporary_directory() as directory:
         try:
-            jax.config.update(CACHE, str(directory) if cached else None)
             jax.config.update(CACHED_FROM, 0.0)
-            for _ in range(2 if cached else 1):  # the first time fills the cache
-                compilation_cache.reset_cache()
-                forget()
-                seconds = []
-                for rung in range(len(models)):
-                    start = perf_counter()
-                    function, *arguments = plans.call(state, [rung])
-                    function.lower(*arguments).compile()
-                    seconds.append(perf_counter() - start)
+            cold, _, cached = (_compile_each(plans, state, cache) for cache in (None, str(directory), str(directory)))
         finally:
             for name, value in kept.items():
                 jax.config.update(name, value)
             compilation_cache.reset_cache()
+    return [{"cold": first, "cached": later} for first, later in zip(cold, cached, strict=True)]
+
+
+def _compile_each(plans: CompiledPlans, state: State, cache: str | None) -> list[float]:
+    """Return the seconds to compile the plan of each rung in a process that has compiled nothing, with a cache."""
+    jax.config.update(CACHE, cache)
+    compilation_cache.reset_cache()
+    forget()
+    seconds = []
+    for rung in range(len(plans.ladder)):
+        start = perf_counter()
+        function, *arguments = plans.call(state, [rung])
+        function.lower(*arguments).compile()
+        seconds.append(perf_counter() - start)
     return seconds
-
-
-def _peer(game: Game, model: HumanModel, state: State, ours: Controls, directory: Path) -> Callable[[], None]:
-    """Return what repeats the peer's plan, after checking that its first result agrees with ours."""
-    from ms_highway.benchmarks.casadi_peer import compiled_peer  # which needs an extra
-
-    call, repeat = compiled_peer(game, model.name, len(state), directory)
-    apart = float(abs(call(np.asarray(state)) - ours).max())
-    if not apart < AGREEMENT:
-        raise RuntimeError(f"CasADi's {model.name} plan is {apart:.1e} away from ours; they must agree to be compared")
-    return repeat
 
 
 def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: State) -> float:
@@ -174,12 +139,11 @@ def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: Stat
     compiled = CompiledDecision(Switching(costs, 1e9, models), game)
     checking = first_memory(compiled.rule, 1)._replace(rungs=np.array([rung]), step=np.ones((), int))
     waiting = checking._replace(last_check=np.zeros_like(checking.last_check))
-    runs = {
-        name: partial(_run, compiled.function, *compiled.arguments(memory, compiled.still(state)))
-        for name, memory in (("checking", checking), ("waiting", waiting))
-    }
-    times, cooldown = _times(runs), Switching.cooldown
-    return (median(times["checking"]) + (cooldown - 1) * median(times["waiting"])) / cooldown
+    check, wait = (
+        median(_times(compiled.function, *compiled.arguments(memory, compiled.still(state))))
+        for memory in (checking, waiting)
+    )
+    return (check + (Switching.cooldown - 1) * wait) / Switching.cooldown
 
 
 def _step_without_planning(env: gym.Env, inner: InteractionEnv) -> float:
@@ -200,7 +164,7 @@ def _step_without_planning(env: gym.Env, inner: InteractionEnv) -> float:
 def _throughput(game: Game, model: HumanModel, state: State, size: int) -> float:
     states = np.broadcast_to(state, (size, *state.shape))
     plans = jax.jit(jax.vmap(lambda state: plan_for((model,), game, state)))
-    return size / median(_times({"plans": partial(_run, plans, states)}, TURN)["plans"]) * 1e6
+    return size / median(_times(plans, states, repeats=BATCH_REPEATS)) * 1e6
 
 
 def bench_several(
@@ -242,5 +206,12 @@ def _measured_several(scenario: str, humans: int, config: dict[str, Any]) -> dic
             name: [plans.plan(state, rungs)[1] for _ in range(SEVERAL_REPEATS)] for name, rungs in assignments.items()
         }
     quantiles = {name: (1e3 * np.quantile(times, [0.5, 0.99])).tolist() for name, times in seconds.items()}
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIBIBYTE
-    return {"plan_ms": quantiles, "compile_s": compiling, "memory_mib": memory}
+    return {"plan_ms": quantiles, "compile_s": compiling, "memory_mib": most_memory()}
+
+
+def most_memory() -> float:
+    """Return the most memory that this process has had [MiB]."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIBIBYTE  # of its parent, too, if that had more
+    return int(status.read_text().partition("VmHWM:")[2].split()[0]) / KIBIBYTE

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jax.sharding import Mesh
 
 from ms_highway.experiments.analysis.summary import interval
-from ms_highway.experiments.batch import Batch, make_batch
+from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison, episode_steps
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
 from ms_highway.runtime.arrays import Array
@@ -24,7 +23,7 @@ from ms_highway.runtime.jax_settings import high_throughput, own_process
 from ms_highway.simulation.devices import use_devices
 
 AFTER = 1, 5, 10, 20
-"""Steps from the start after which the change of the robot's path is told."""
+"""Steps from the start after which the change of the robot's path is measured."""
 
 NOISE_OF_A_METRE = 1.0, 1.0, 1 / (SPEED_LIMIT * PAPER_UNIT), 1.0  # noise of x, y, heading and speed, for 1 m
 RESOLUTION = 1e-6  # m, about that of float32 near a start
@@ -60,30 +59,28 @@ def steadiness(
         raise ValueError(f"episodes of {scenario} have {steps} steps; make their duration {AFTER[-1]} steps at least")
     with own_process(high_throughput, modules) as process:
         for controller in comparison.controllers[scenario]:
-            asked = comparison, scenario, controller, noises, devices, seen
-            measured = process.submit(_measured, *asked).result()
-            seeds = [comparison.first_seed, comparison.seeds]
-            yield controller, {"seeds": seeds, "seen": seen, "noise": measured}
-
-
-def _measured(
-    comparison: Comparison, scenario: str, controller: str, noises: Sequence[float], devices: int | None, seen: bool
-) -> dict[str, dict[str, Any]]:
-    return changes(make_batch(comparison, scenario), controller, noises, use_devices(devices), seen)
+            noise = process.submit(changes, comparison, scenario, controller, noises, devices, seen).result()
+            yield controller, {"seeds": [comparison.first_seed, comparison.seeds], "seen": seen, "noise": noise}
 
 
 def changes(
-    batch: Batch, controller: str, noises: Sequence[float], mesh: Mesh | None = None, seen: bool = False
+    comparison: Comparison,
+    scenario: str,
+    controller: str,
+    noises: Sequence[float],
+    devices: int | None = None,
+    seen: bool = False,
 ) -> dict[str, dict[str, Any]]:
     """Drive a controller's episodes as drawn and with noise, all in one batch, and compare them start by start.
 
     The noise of an episode is the same for all controllers, and in proportion for all standard deviations.
 
     Args:
-        batch: of the controller and others.
-        controller: its short name.
+        comparison: seeds and configuration.
+        scenario: one of its scenarios.
+        controller: one of its controllers there.
         noises: standard deviations s [m], see this module.
-        mesh: see `ms_highway.simulation.loop.simulate`.
+        devices: how many to use, see `ms_highway.simulation.devices.use_devices`.
         seen: whether the noise is in what the robot sees, rather than in the start.
 
     Returns:
@@ -100,13 +97,14 @@ def changes(
         * ``success_changes``: the share of the episodes that succeed with noise and not without, or the other way
           round; None where the scenario does not define success.
     """
-    seeds = range(batch.comparison.first_seed, batch.comparison.first_seed + batch.comparison.seeds)
+    batch = make_batch(comparison, scenario)
+    seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
     keys = [(controller, seed) for seed in seeds]
     steps = (batch.steps + 1,) if seen else ()
     noise = np.array([_noise(seed, (*steps, 1 + batch.humans)) for seed in seeds])
     sizes = (0.0, *noises)
     all_keys, noisy = keys * len(sizes), np.concatenate([size * noise for size in sizes])
-    records = batch.simulate(all_keys, mesh, **{"errors" if seen else "shifts": noisy})
+    records = batch.simulate(all_keys, use_devices(devices), **{"errors" if seen else "shifts": noisy})
     paths = np.split(np.asarray(records.states, float)[:, : AFTER[-1], 0, :2], len(sizes))
     tables = batch.episodes_table(all_keys, records).groupby(np.repeat(np.arange(len(sizes)), len(keys)))
     before, *after = [table.reset_index(drop=True) for _, table in tables]

@@ -1,25 +1,21 @@
 """How many steps of the closed loop the environments take in a second, and the simulation of many episodes at once."""
 
-import resource
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from statistics import median
 from time import perf_counter
 from typing import Any
 
-from jax.sharding import Mesh
-
-from ms_highway.benchmarks.latency import one_core
-from ms_highway.experiments.batch import Batch, Key, make_batch
+from ms_highway.benchmarks.latency import most_memory, one_core
+from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.runtime.jax_settings import high_throughput, own_process
+from ms_highway.runtime.timing import timed
 from ms_highway.simulation.devices import use_devices
 
 EPISODES = 5  # of the environment
 SECONDS, RUNS = 2.0, 5  # of one batch, at most
-KIBIBYTE = 1024
 
 
 def throughput(
@@ -94,21 +90,7 @@ def _batch(scenario: str, comparison: Comparison, devices: int | None) -> tuple[
     """
     batch = make_batch(comparison, scenario)
     keys, mesh = batch.keys(), use_devices(devices)
-    times = [_seconds(batch, keys[: batch.loop.together * mesh.size], mesh)]
+    times = [timed(batch.simulate, keys[: batch.loop.together * mesh.size], mesh)[1]]
     while len(times) < 2 or (len(times) <= RUNS and sum(times[1:]) < SECONDS):
-        times.append(_seconds(batch, keys, mesh))
-    return len(keys) * batch.steps / median(times[1:]), _most_memory(), times[0]
-
-
-def _most_memory() -> float:
-    """Return the most memory that this process has had [MiB]."""
-    status = Path("/proc/self/status")
-    if not status.exists():
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIBIBYTE  # of its parent, too, if that had more
-    return int(status.read_text().partition("VmHWM:")[2].split()[0]) / KIBIBYTE
-
-
-def _seconds(batch: Batch, keys: Sequence[Key], mesh: Mesh) -> float:
-    start = perf_counter()
-    batch.simulate(keys, mesh)
-    return perf_counter() - start
+        times.append(timed(batch.simulate, keys, mesh)[1])
+    return len(keys) * batch.steps / median(times[1:]), most_memory(), times[0]

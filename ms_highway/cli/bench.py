@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 HELP = """\
 Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for every
-scenario and human model. With --peer casadi, the same plans are also written in CasADi, compiled to C, checked to give
-the same controls, and measured in the same run (needs the extra "bench" and gcc).
+scenario and human model.
 
 With --batches, measure the closed loop instead: how many steps of the robot per second the environments take, on one
 core, and the simulation of many episodes at once, by batch size, on --devices; for every model of the ladder and for
@@ -47,17 +46,16 @@ rounding.
 EXAMPLES = """\
 examples:
   ms-highway bench merger
-  ms-highway bench --peer casadi --json bench.json
+  ms-highway bench --json bench.json
   ms-highway bench merger --batches 1 16 64 256 1024 8192
   ms-highway bench dense_merge --crowd 1 2 4 6 8 12
   ms-highway bench merger --noise 1e-5 1e-3 1e-1
   ms-highway bench dense_merge --noise 1e-5 1e-3 --set ladder=naive, --set humans=2 --json noise.json
   ms-highway bench merger --noise 0.1 --seen
-  ms-highway bench road merge --drivers switching idm"""
+  ms-highway bench road merge --drivers priced idm"""
 
 
-PEER = {"C us": "{peer_us[p50]:.0f}", "ratio": "{ratio:.2f}"}
-PLANS = {
+LATENCY = {
     "plan us": "{plan_us[p50]:.0f}",
     "p99": "{plan_us[p99]:.0f}",
     "decision us": "{decision_us:.0f}",
@@ -66,7 +64,7 @@ PLANS = {
     "compile s": "{compile_s[cold]:.1f}",
     "cached": "{compile_s[cached]:.1f}",
 }
-SEVERAL = {
+CROWD = {
     "all naive": "{plan_ms[naive][0]:.2f} ({plan_ms[naive][1]:.2f})",
     "one tom": "{plan_ms[tom_one][0]:.2f} ({plan_ms[tom_one][1]:.2f})",
     "all turn": "{plan_ms[turn][0]:.2f} ({plan_ms[turn][1]:.2f})",
@@ -90,7 +88,6 @@ def add_bench(commands: Any) -> None:
     """Add the command ``bench`` to a parser's subparsers."""
     parser = add_command(commands, "bench", "measure planning time, the closed loop, and steadiness", HELP, EXAMPLES)
     add_scenarios(parser)
-    parser.add_argument("--peer", choices=["casadi"], help="measure the same plans in CasADi's C code as well")
     add_number(parser, "--batches", None, "measure the closed loop in such batches", nargs="+", metavar="SIZE")
     add_number(parser, "--crowd", None, "numbers of humans (default: 1 6 8)", nargs="+", metavar="N")
     noise = number(*NOISES, float)
@@ -114,19 +111,17 @@ def _bench(options: argparse.Namespace) -> None:
     from ms_highway.planning.human_models import rung_names
     from ms_highway.runtime.files import write_json
 
-    if options.noise and (options.batches or options.peer or options.crowd):
-        raise ValueError("--noise is about driving, and --batches, --peer and --crowd about time; leave one out")
+    if options.noise and (options.batches or options.crowd):
+        raise ValueError("--noise is about driving, and --batches and --crowd about time; leave one out")
     own = any(each is not None for each in (options.seeds, options.seed, options.controllers)) or options.seen
     if not options.noise and own:
         raise ValueError("--seen, --seeds, --seed and --controllers are about --noise; give it, or leave them out")
-    if (options.batches and options.peer) or (options.devices and not (options.batches or options.noise)):
-        raise ValueError("--peer is about plans, and --devices about --batches and --noise; leave one out")
-    config, results = configuration(options), dict[str, dict[str, Any]]()
+    if options.devices and not (options.batches or options.noise):
+        raise ValueError("--devices is about --batches and --noise; give one of them, or leave it out")
+    config, results, tables = configuration(options), dict[str, dict[str, Any]](), []
     scenarios = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS))
     for scenario in scenarios:
         environment_id(scenario)  # refuses unknown ones before anything is measured
-        if options.peer and SCENARIOS[scenario].streams:
-            raise ValueError(f"--peer is for scenarios with one human; leave out {scenario}")
     if options.noise:
         ladders = {scenario: config.get("ladder", SCENARIOS[scenario].ladder) for scenario in scenarios}
         controllers = {scenario: options.controllers or rung_names(ladder) for scenario, ladder in ladders.items()}
@@ -135,68 +130,70 @@ def _bench(options: argparse.Namespace) -> None:
     with telling() as tell:
         for scenario in scenarios:
             if options.noise:
-                noises = list(dict.fromkeys(options.noise))
+                noises, table = list(dict.fromkeys(options.noise)), _steadiness_table
                 measured = steadiness(asked, scenario, noises, options.devices, options.modules, options.seen)
             elif options.batches:
-                loops = paper_controllers(scenario), options.batches, options.devices, options.modules
-                measured = throughput(scenario, *loops, config)
+                loops, table = (options.batches, options.devices, options.modules, config), _throughput_table
+                measured = throughput(scenario, paper_controllers(scenario), *loops)
             elif SCENARIOS[scenario].streams:
-                measured = bench_several(scenario, options.crowd or [1, 6, 8], config)
+                measured, table = bench_several(scenario, options.crowd or [1, 6, 8], config), _crowd_table
             else:
-                measured = bench(scenario, options.peer == "casadi", **config)
+                measured, table = bench(scenario, **config), _latency_table
+            results[scenario] = {}
             for name, result in measured:
                 tell(f"measured {scenario}, {name}")
-                results.setdefault(scenario, {})[name] = result
-    print_tables(*map(_table, results, results.values()))
+                results[scenario][name] = result
+            tables.append(table(scenario, results[scenario]))
+    print_tables(*tables)
     if options.json:
         write_json(options.json, results)
 
 
-def _table(scenario: str, measured: Mapping[str, Any]) -> "Table":
-    """Tabulate what was measured in a scenario."""
+def _latency_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
+    mean = sum(one["plan_us"]["p50"] for one in measured.values()) / len(measured)
+    for one in measured.values():
+        one["of_mean_plan"] = one["decision_us"] / mean
+    return _table(f"{scenario}: medians, on one core; us: microseconds", measured, LATENCY)
+
+
+def _crowd_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
+    return _table(f"{scenario}: ms of a plan on one core, median (p99)", measured, CROWD)
+
+
+def _table(title: str, measured: Mapping[str, Any], forms: Mapping[str, str]) -> "Table":
+    """Return a table of what was measured, a row for each name, in columns of these forms."""
     from ms_highway.visualization.tables import grid
 
-    results = list(measured.values())
-    if "noise" in results[0]:
-        what = f"mm from the undisturbed path after 1 to 20 steps, median (95 %) of {results[0]['seeds'][1]} starts"
-        what += ", by noise in what the robot sees" if results[0]["seen"] else ""
-        rows = [
-            {"": name, "noise": noise, **_steady(figures)}
-            for name, one in measured.items()
-            for noise, figures in one["noise"].items()
-        ]
-        return grid(f"{scenario}: {what}", rows, left=2)
-    if "batch" in results[0]:
-        devices = results[0]["devices"]
-        rows = [
-            {"": "environment", **{name: f"{one['environment']:,.0f}" for name, one in measured.items()}, "MiB": ""}
-        ]
-        for size in results[0]["batch"]:
-            row = {"": f"batch of {size}"}
-            for name, one in measured.items():
-                row[name] = f"{one['batch'][size]:,.0f} ({one['batch'][size] / one['environment']:.1f}x)"
-            rows.append({**row, "MiB": f"{max(one['memory_mib'][size] for one in results):,.0f}"})
-        return grid(f"{scenario}: steps of the closed loop per second; batches on {devices}", rows)
-    forms, what = SEVERAL, "ms of a plan on one core, median (p99)"
-    if "plan_us" in results[0]:
-        forms, what = (PEER if "peer_us" in results[0] else {}) | PLANS, "medians, on one core; us: microseconds"
-        mean = sum(one["plan_us"]["p50"] for one in results) / len(results)
-        for one in results:
-            if "peer_us" in one:
-                one["ratio"] = one["plan_us"]["p50"] / one["peer_us"]["p50"]
-            one["of_mean_plan"] = one["decision_us"] / mean
     rows = [{"": name, **{key: form.format(**one) for key, form in forms.items()}} for name, one in measured.items()]
-    return grid(f"{scenario}: {what}", rows)
+    return grid(title, rows)
 
 
-def _steady(figures: Mapping[str, Any]) -> dict[str, str]:
-    """Return texts, by heading, of a driver's figures under a noise."""
-    from ms_highway.visualization.tables import two_digits
+def _throughput_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
+    from ms_highway.visualization.tables import grid
 
-    success = figures["success_changes"]
-    texts = {
-        step: f"{two_digits(1e3 * one['p50'])} ({two_digits(1e3 * one['p95'])})"
-        for step, one in figures["change_m"].items()
-    }
-    texts |= {heading: form.format(**figures) for heading, form in STEADY.items()}
-    return texts | ({} if success is None else {"success changed": f"{success:.0%}"})
+    first, *_ = results = list(measured.values())
+    rows = [{"": "environment", **{name: f"{one['environment']:,.0f}" for name, one in measured.items()}, "MiB": ""}]
+    for size in first["batch"]:
+        row = {"": f"batch of {size}"}
+        for name, one in measured.items():
+            row[name] = f"{one['batch'][size]:,.0f} ({one['batch'][size] / one['environment']:.1f}x)"
+        rows.append({**row, "MiB": f"{max(one['memory_mib'][size] for one in results):,.0f}"})
+    return grid(f"{scenario}: steps of the closed loop per second; batches on {first['devices']}", rows)
+
+
+def _steadiness_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
+    from ms_highway.visualization.tables import grid, two_digits
+
+    first, rows = next(iter(measured.values())), []
+    for name, one in measured.items():
+        for noise, figures in one["noise"].items():
+            row = {"": name, "noise": noise}
+            for step, change in figures["change_m"].items():
+                row[step] = f"{two_digits(1e3 * change['p50'])} ({two_digits(1e3 * change['p95'])})"
+            row |= {heading: form.format(**figures) for heading, form in STEADY.items()}
+            if figures["success_changes"] is not None:
+                row["success changed"] = f"{figures['success_changes']:.0%}"
+            rows.append(row)
+    what = f"mm from the undisturbed path after 1 to 20 steps, median (95 %) of {first['seeds'][1]} starts"
+    what += ", by noise in what the robot sees" if first["seen"] else ""
+    return grid(f"{scenario}: {what}", rows, left=2)

@@ -9,18 +9,15 @@ from ms_highway.benchmarks.road import (
     DRIVERS,
     EGOS,
     HUMAN,
-    REACTIVE,
     RECORDED,
     RECORDED_TRAFFIC,
     SCENES,
-    SEARCH,
     TRAFFIC,
     is_agent,
     known_scenes,
 )
 from ms_highway.cli.console import add_command, count_episodes, draw_unseen, print_tables
-from ms_highway.cli.options import MOST_PROCESSES, MOST_SEEDS, add_number
-from ms_highway.runtime.extras import needing
+from ms_highway.cli.options import MOST_SEEDS, add_number
 
 HELP = """\
 Drive stock scenes of highway-env with this package's drivers and with others, from the same starts, and compare how
@@ -37,36 +34,27 @@ Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RU
 +traits, the desired speed and headway of each car are estimated, with +belief, the model that its driver follows (such
 as priced+traits+belief); with +intentions, other cars show which way they take, as by indicators: their true routes,
 where they have one. Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and lane;
-random, which chooses the environment's actions by chance; search, a beam search over copies of the environment that
-knows all that will happen, within the tyres of this package's drivers: privileged, about half a minute for an episode,
-which may last 60 s; or the file of an agent that stable-baselines3 has saved (it has to be installed), such as
-notebooks/examples/train_peers.py writes: open only files that you trust, as they may hold any program. Drivers above 10
-m/s^2 are labelled unphysical.
-With a search, or its log as --bound, the table says how others fare from the same starts: solved, the share of those
-that the search solves which they solve, too; regret, what they earn less per step, to be read beside crashes, which cut
-episodes short (the search need not find the best); waited, the time that they stood longer, in seconds, where both
-solve the start.
+random, which chooses the environment's actions by chance; or the file of an agent that stable-baselines3 has saved (it
+has to be installed), such as notebooks/examples/train_peers.py writes: open only files that you trust, as they may hold
+any program. Drivers above 10 m/s^2 are labelled unphysical.
 
 The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default that of the package), or,
 with --egos changing, a start in the place of every vehicle that was recorded to change lanes: it has to be where that
 was last. Its --traffic: learned drivers who react (default), replay, or idm. Success is CommonRoad's: the goal's region
 reached in its interval of time, without a collision and on the road; "s to goal" is the mean. There, --seed and
---seeds are the number of the first start and how many. Further drivers there: human, who goes as the vehicle was
-recorded to whose place it takes; reactive, commonroad-reactive-planner, to which the recorded future of all others is
-known: privileged; reactive-default, the same with its own settings. --export DIR writes every drive as a CommonRoad
-scenario and solution; with --judge, commonroad-drivability-checker judges these: it agrees where both say the same of
-success, collision and road, and says which drives CommonRoad's vehicle could have made: feasible."""
+--seeds are the number of the first start and how many. A further driver there is human, which goes as the vehicle was
+recorded to whose place it takes. --export DIR writes every drive of a planning problem as two CommonRoad files, for
+example for commonroad-drivability-checker: DIR/TRAFFIC/DRIVER/NAME.xml, the recording with the other vehicles as they
+moved in the episode, and NAME.solution.xml, the ego's drive, states of a kinematic single-track model (KS2)."""
 
 EXAMPLES = """\
 examples:
   ms-highway bench road merge --drivers priced idm
   ms-highway bench road --seeds 100 --seed 1000 --json road.json --log road.csv
   ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films
-  ms-highway bench road intersection-v0 --drivers search --seeds 20 --log search.csv
   ms-highway bench road merge-v0 --drivers priced agents/dqn-merge-v0-0.zip
-  ms-highway bench road intersection-v0 --drivers priced idm --seeds 20 --bound search.csv
   ms-highway bench road recorded
-  ms-highway bench road recorded --data us101 --traffic replay --drivers priced idm reactive --export drives --judge"""
+  ms-highway bench road recorded --data us101 --traffic replay --drivers priced idm --export drives"""
 
 
 def add_bench_road(commands: Any) -> None:
@@ -91,12 +79,11 @@ def add_bench_road(commands: Any) -> None:
     parser.add_argument("--traffic", choices=kinds, default=None, help=traffic)
     parser.add_argument("--data", type=Path, metavar="DIR", help="CommonRoad scenarios, for the scene recorded")
     parser.add_argument("--egos", choices=EGOS, help="whose place the ego takes in recordings (default: problem)")
-    parser.add_argument("--judge", action="store_true", help="let an outside judge check exported drives")
-    add_number(parser, "--jobs", None, "processes at once (default: number of cores)", most=MOST_PROCESSES)
+    add_number(parser, "--jobs", None, "processes at once (default: number of cores)")
     for name, metavar, text in (
-        ("--export", "DIR", "write drives in recordings as CommonRoad scenarios and solutions"),
+        ("--export", "DIR", "write drives of planning problems as CommonRoad files"),
         ("--films", "DIR", "film the first success and failure of each driver"),
-        ("--bound", "FILE", "compare with the search in a log that --log has written"),
+        ("--figure", "FILE", "draw the share of episodes that succeed, a .png file"),
         ("--json", "FILE", "write all figures to a JSON file"),
         ("--log", "FILE", "write a row per episode to a CSV file"),
     ):
@@ -108,32 +95,26 @@ def _bench_road(options: argparse.Namespace) -> None:
     import pandas as pd
 
     from ms_highway.benchmarks.road.blocks import run_blocks
-    from ms_highway.benchmarks.road.bound import behind, bound_of, read_bounds
     from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, make_driver, row, summary
-    from ms_highway.cli.results_directory import write_table
+    from ms_highway.cli.results_directory import save_figures, write_table
     from ms_highway.control.road import SHIPPED_COSTS
     from ms_highway.planning.human_models import PACKAGE_MODELS
     from ms_highway.runtime.files import write_json
-    from ms_highway.visualization.roads import driver_table, fared
+    from ms_highway.visualization.roads import driver_table, success_figure
 
     scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
     for driver in drivers:
         check_driver(driver)
-    starts = _starts(options, scenes, drivers)
-    traffic = options.traffic or (RECORDED_TRAFFIC[0] if starts else "idm")
-    given = tuple(starts), options.export, options.judge
-    blocks = [Block(scene, driver, traffic, *given) for scene in scenes for driver in drivers]
-    for block in blocks:
-        if block.driver == SEARCH or is_agent(block.driver):
-            make_driver(block).close()  # or refuse scenes that are not for it
-    seeds = range(options.seed, options.seed + (options.seeds or 20))
-    if starts:
+    _check_recorded(options, scenes, drivers)
+    seeds, starts = range(options.seed, options.seed + (options.seeds or 20)), []
+    if scenes == [RECORDED]:
+        starts = _starts(options)
         seeds = range(len(starts))[options.seed :][: options.seeds]
-    bounds = read_bounds(options.bound, traffic) if options.bound else {}
-    if options.bound and not any(seed in bounds.get(scene, {}) for scene in scenes for seed in seeds):
-        raise ValueError(f"--bound: {options.bound} has no start of these scenes and seeds")
-    if options.bound and options.log and options.bound.resolve() == options.log.resolve():
-        raise ValueError(f"--log would overwrite {options.bound}, which is the bound; give another file")
+    traffic = options.traffic or (RECORDED_TRAFFIC[0] if starts else "idm")
+    blocks = [Block(scene, driver, traffic, tuple(starts), options.export) for scene in scenes for driver in drivers]
+    for block in blocks:
+        if is_agent(block.driver):
+            make_driver(block).close()  # or refuse scenes that it does not fit
     draw_unseen()
     episodes: dict[Block, list[Episode]] = {block: [] for block in blocks}
     results: dict[str, dict[str, Any]] = {scene: {} for scene in scenes}
@@ -154,56 +135,48 @@ def _bench_road(options: argparse.Namespace) -> None:
                     write_table(pd.DataFrame(rows), options.log)
 
     count_episodes(driven(), 0, len(blocks) * len(seeds))
-    if SEARCH in drivers:
-        bounds |= {scene: bound_of(episodes[Block(scene, SEARCH, traffic)]) for scene in scenes}
-    for block in blocks:
-        results[block.scene][block.driver] |= behind(episodes[block], bounds.get(block.scene, {}))
-    if bounds and options.json:
-        write_json(options.json, results)
     costs = zip(PACKAGE_MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
     counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
-    for scene, figures in fared(results).items():
+    for scene, figures in results.items():
         heading = f"{scene}, traffic {traffic}: {len(seeds)} episodes; choices count {counted} ms a car"
-        print_tables(driver_table(heading, figures, "traffic", "episodes"))  # which the heading says
+        print_tables(driver_table(heading, figures))
+    if options.figure:
+        save_figures({options.figure.stem: success_figure(results)}, options.figure.parent)
 
 
-def _starts(options: argparse.Namespace, scenes: list[str], drivers: list[str]) -> list[Any]:
-    """Return the starts in recordings; none in other scenes.
+def _check_recorded(options: argparse.Namespace, scenes: list[str], drivers: list[str]) -> None:
+    """Refuse options of recordings in other scenes, and the other way round.
 
     Raises:
-        ValueError: for options that do not go together.
+        ValueError: naming the option and what goes with the scenes.
     """
-    if RECORDED not in scenes:
-        given = {"--data": options.data, "--egos": options.egos, "--export": options.export, "--judge": options.judge}
-        given |= {driver: driver in drivers for driver in (HUMAN, *REACTIVE)}
-        for name in [name for name, value in given.items() if value]:
-            raise ValueError(f"{name} is for the scene {RECORDED!r} only: ms-highway bench road {RECORDED} ...")
-        if options.traffic is not None and options.traffic not in TRAFFIC:
-            known = ", ".join(TRAFFIC)
-            raise ValueError(f"--traffic {options.traffic} is for the scene {RECORDED!r}; choose one of {known}")
-        return []
-    if scenes != [RECORDED]:
+    recorded = RECORDED in scenes
+    given = {"--data": options.data, "--egos": options.egos, "--export": options.export, HUMAN: HUMAN in drivers}
+    for name in [name for name, value in given.items() if value and not recorded]:
+        raise ValueError(f"{name} is for the scene {RECORDED!r} only: ms-highway bench road {RECORDED} ...")
+    if recorded and scenes != [RECORDED]:
         raise ValueError(f"the scene {RECORDED!r} has traffic and starts of its own; measure it in a command by itself")
-    if options.traffic is not None and options.traffic not in RECORDED_TRAFFIC:
-        known = ", ".join(RECORDED_TRAFFIC)
-        raise ValueError(f"--traffic {options.traffic} is not for the scene {RECORDED!r}; choose one of {known}")
-    egos = options.egos or EGOS[0]
-    if SEARCH in drivers:
-        raise ValueError(f"the driver {SEARCH} does not drive in recordings; leave it out")
-    for driver in [driver for driver in drivers if driver in ({HUMAN} if egos == EGOS[0] else REACTIVE)]:
-        raise ValueError(f"the driver {driver} does not drive with --egos {egos}; leave it out")
-    if options.data is None and set(drivers) & set(REACTIVE):
-        raise ValueError(f"the drivers {' and '.join(REACTIVE)} need files of recordings; give their directory, --data")
-    if options.judge or set(drivers) & set(REACTIVE):
-        with needing("judge"):
-            import commonroad_dc  # noqa: F401  # or refuse before anything is driven
-    if options.export and (options.data is None or egos != EGOS[0]):
+    kinds = RECORDED_TRAFFIC if recorded else TRAFFIC
+    if options.traffic is not None and options.traffic not in kinds:
+        raise ValueError(f"--traffic {options.traffic} is not for {scenes[0]}; choose one of {', '.join(kinds)}")
+    problems = options.egos != "changing"
+    if recorded and problems and HUMAN in drivers:
+        raise ValueError(f"the driver {HUMAN} does not drive with --egos problem; leave it out, or say --egos changing")
+    if options.export and (options.data is None or not problems):
         raise ValueError("--export writes solutions of planning problems of --data; give that, and no other --egos")
-    if options.judge and not options.export:
-        raise ValueError("--judge judges exported drives; say where they go: --export DIR")
+    if options.figure and options.figure.suffix != ".png":
+        raise ValueError(f"--figure is {options.figure}; name a .png file")
+
+
+def _starts(options: argparse.Namespace) -> list[Any]:
+    """Return the starts in recordings.
+
+    Raises:
+        ValueError: if there is none, or the first one that is asked for does not exist.
+    """
     from ms_highway.benchmarks.road.recorded import starts_of
 
-    starts = starts_of(options.data, egos)
+    starts = starts_of(options.data, options.egos or EGOS[0])
     if options.seed >= len(starts):
         raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
     return starts

@@ -20,7 +20,6 @@ and commands that made them. RESULTS are, one or several:
   a directory of `ms-highway compare`: a section for each scenario, with a film of two controllers side by side; of
                                        further ones, outcomes beside those of the first
   a directory of `ms-highway frontier`: how much better the choice of models could be
-  a file of `ms-highway bench road --json`: how drivers fare on stock roads or in recorded traffic
   a file of `ms-highway irl evaluate --json`: how well drivers are predicted
   a film, .gif, as `ms-highway video` and `ms-highway bench road --films` make them
 
@@ -32,16 +31,13 @@ predict: errors, likelihood and calibration by horizon, and paths.
 With --markdown, print the table of directories of `ms-highway compare` in Markdown instead."""
 
 ONLY_COMPARISONS = "--markdown prints the table of directories of `ms-highway compare`"
-KINDS = (
-    "name directories of `ms-highway compare` and `frontier`, files of `bench road --json` and `irl evaluate --json`, "
-    "and films, .gif"
-)
+KINDS = "name directories of `ms-highway compare` and `frontier`, files of `irl evaluate --json`, and films, .gif"
 
 EXAMPLES = """\
 examples:
   ms-highway report results/compare
   ms-highway report results/compare results/released --out page.html
-  ms-highway report results/compare results/frontier road.json films/merge-v0.gif --out page.html
+  ms-highway report results/compare results/frontier films/merge-v0.gif --out page.html
   ms-highway report results/merger --no-videos --out merger.html
   ms-highway report results/compare results/released --markdown
   ms-highway report --values shipped --out values.html
@@ -136,11 +132,9 @@ def _sections(paths: list[Path]) -> "tuple[list[Section], list[Path]]":
         ValueError: for a file that does not exist, cannot be read, or is of no known kind.
     """
     from ms_highway.experiments.analysis.regret import REGRETS_FILE
-    from ms_highway.irl.evaluation import is_evaluation
     from ms_highway.visualization.films import films_section
     from ms_highway.visualization.irl.tables import evaluation_section
     from ms_highway.visualization.regrets import regrets_section
-    from ms_highway.visualization.roads import roads_section
 
     sections, directories, films = [], [], []
     if len({path.resolve() for path in paths}) < len(paths):
@@ -155,7 +149,7 @@ def _sections(paths: list[Path]) -> "tuple[list[Section], list[Path]]":
         elif path.suffix.lower() == ".gif":
             films.append(path)
         elif path.suffix.lower() == ".json":
-            sections.append((evaluation_section if is_evaluation(path) else roads_section)(path))
+            sections.append(evaluation_section(path))
         else:
             raise ValueError(f"{path} holds no results; {KINDS}")
     return sections + ([films_section(films)] if films else []), directories

@@ -18,7 +18,7 @@ from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.visualization.overview import overview
-from ms_highway.visualization.roads import driver_rows, fared
+from ms_highway.visualization.roads import driver_rows
 from ms_highway.visualization.tables import markdown
 
 KEPT = Path(__file__).parent
@@ -67,11 +67,10 @@ def collect(results: Path) -> None:
                 roads.setdefault(scene, {}).update(drivers)
         if roads:
             (KEPT / f"{name}.json").write_text(json.dumps(in_order(roads), indent=2) + "\n")
-    recorded = {
-        file.stem: json.loads(file.read_text())[RECORDED] for file in sorted((results / RECORDED).glob("*.json"))
-    }
-    if recorded:
-        (KEPT / f"{RECORDED}.json").write_text(json.dumps(recorded, indent=2) + "\n")
+    recorded = json.loads((KEPT / f"{RECORDED}.json").read_text())
+    for file in sorted((results / RECORDED).glob("*.json")):
+        recorded.setdefault(file.stem, {}).update(json.loads(file.read_text())[RECORDED])  # keeps retired drivers
+    (KEPT / f"{RECORDED}.json").write_text(json.dumps(recorded, indent=2) + "\n")
 
 
 def comparison(run: str) -> Results:
@@ -140,13 +139,13 @@ def in_order(roads: dict[str, dict[str, dict]]) -> dict[str, dict[str, dict]]:
 
 def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
     """Texts, a row per stock scene and driver."""
-    return table_of({"scene": scene, **row} for scene, drivers in fared(roads).items() for row in driver_rows(drivers))
+    return table_of({"scene": scene, **row} for scene, drivers in roads.items() for row in driver_rows(drivers))
 
 
 def recorded_tables() -> dict[str, pd.DataFrame]:
     """Texts, a table for planning problems and one for lane changes, a row per kind of traffic and driver."""
     rows: dict[str, list[dict[str, str]]] = {}
-    for run, drivers in fared(json.loads((KEPT / f"{RECORDED}.json").read_text())).items():
+    for run, drivers in json.loads((KEPT / f"{RECORDED}.json").read_text()).items():
         egos, _, traffic = run.partition("_")
         rows.setdefault(f"recorded {egos}", []).extend({"traffic": traffic, **row} for row in driver_rows(drivers))
     return {name: table_of(own) for name, own in rows.items()}

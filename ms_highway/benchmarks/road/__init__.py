@@ -23,9 +23,6 @@ RECORDED_ID = "ms_highway:ms-highway/recorded-v0"
 RECORDED_TRAFFIC = ("learned", "replay", "idm")
 EGOS = ("problem", "changing")
 
-REACTIVE = ("reactive", "reactive-default")
-"""Peers that solve planning problems of recordings: privileged, as they know how others went."""
-
 KNOWN = "traits", "belief", "intentions"
 """What a driver of this package may know of others, in the names of drivers after a plus each."""
 
@@ -34,9 +31,6 @@ HUMAN = "human"
 
 PEERS = ("idm", "idle", "random")
 """Drivers that are not this package's."""
-
-SEARCH = "search"
-"""The driver that knows what will happen, which others are compared with; it takes half a minute for an episode."""
 
 DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", *PEERS)
 """Drivers that are measured by default."""

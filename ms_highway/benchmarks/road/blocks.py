@@ -4,7 +4,6 @@ A process is left after its episodes, because some scenes change the class of th
 """
 
 import os
-import re
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -12,7 +11,7 @@ from pathlib import Path
 from queue import Queue
 from threading import Event
 
-from ms_highway.benchmarks.road.episodes import Block, Episode, film, run_episode
+from ms_highway.benchmarks.road.episodes import Block, Episode, file_name, film, run_episode
 from ms_highway.runtime.jax_settings import cores, low_latency, own_process
 
 
@@ -38,39 +37,34 @@ def run_blocks(
     Raises:
         ValueError: if a driver cannot be made.
     """
-    reports: Queue[tuple[Block, Episode] | Future[None]] = Queue()  # episodes, and blocks that are done
-    jobs, free, stopped = min(jobs or cores(), len(blocks)), Queue[int](), Event()
-    for core in range(jobs):
-        free.put(core)
+    reports: Queue[tuple[Block, Episode] | Future[None]] = Queue()  # episodes, and workers that are done
+    left, stopped = iter(blocks), Event()
 
-    def drive_all(block: Block) -> None:
-        core = free.get()
-        try:
+    def drive_blocks(core: int) -> None:
+        for block in left:
             with own_process(partial(_on_one_core, core), modules) as process:
-                seen: dict[bool, int] = {}
+                firsts: dict[bool, int] = {}  # seeds of the first success and failure
                 for seed in seeds:
                     if stopped.is_set():
                         return
                     episode = process.submit(run_episode, block, seed).result()
-                    seen.setdefault(episode.success, seed)
+                    firsts.setdefault(episode.success, seed)
                     reports.put((block, episode))
-                for success, seed in seen.items():
+                for success, seed in firsts.items():
                     name = f"{block.scene}_{block.driver}_{'success' if success else 'failure'}_{block.name(seed)}.gif"
                     if films:
-                        process.submit(film, block, seed, films / re.sub(r"[:/\\]", "_", name)).result()
-        finally:
-            free.put(core)
+                        process.submit(film, block, seed, films / file_name(name)).result()
 
-    with ThreadPoolExecutor(jobs) as threads:
+    workers = min(jobs or cores(), len(blocks))
+    with ThreadPoolExecutor(workers) as threads:
         try:
-            for block in blocks:
-                threads.submit(drive_all, block).add_done_callback(reports.put)
-            left = len(blocks)
-            while left:
+            for core in range(workers):
+                threads.submit(drive_blocks, core).add_done_callback(reports.put)
+            while workers:
                 report = reports.get()
                 if isinstance(report, Future):
                     report.result()
-                    left -= 1
+                    workers -= 1
                 else:
                     yield report
         finally:

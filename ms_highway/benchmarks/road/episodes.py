@@ -3,35 +3,21 @@
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import count
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 
-from ms_highway.benchmarks.road import (
-    HUMAN,
-    KNOWN,
-    REACTIVE,
-    RECORDED,
-    RECORDED_ID,
-    SEARCH,
-    TRAFFIC,
-    driver_config,
-    is_agent,
-)
+from ms_highway.benchmarks.road import HUMAN, KNOWN, RECORDED, RECORDED_ID, TRAFFIC, driver_config, is_agent
 from ms_highway.benchmarks.road.export import Drive
-from ms_highway.benchmarks.road.judge import Verdict, judge_drive
-from ms_highway.benchmarks.road.measures import Watch, has_ended
-from ms_highway.benchmarks.road.peers import PEERS, Agent, Peer, policy_of
-from ms_highway.benchmarks.road.reactive import Reactive, ReactiveDefault
+from ms_highway.benchmarks.road.measures import Watch
+from ms_highway.benchmarks.road.peers import Agent, Idle, Idm, Peer, Random, policy_of
 from ms_highway.benchmarks.road.recorded import Human, RecordedStart
-from ms_highway.benchmarks.road.search import Search
 from ms_highway.envs.road import drive
 from ms_highway.envs.road.graphics import show
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
@@ -40,15 +26,11 @@ from ms_highway.envs.road.stock import success
 UNPHYSICAL = 10.0
 """Acceleration [m/s^2] that no tyres hold."""
 
+LONGEST = 60.0  # s, after which an episode ends in scenes that have no end of their own: a car may stand still
 FRAMES_PER_SECOND = 10  # of films, at most
 HIGHEST = 360  # px, of films: pages load them
 
-OTHERS: dict[str, type[Peer]] = {
-    **PEERS,
-    SEARCH: Search,
-    HUMAN: Human,
-    **dict(zip(REACTIVE, (Reactive, ReactiveDefault), strict=True)),
-}
+OTHERS: dict[str, type[Peer]] = {"idm": Idm, "idle": Idle, "random": Random, HUMAN: Human}
 """Wrappers of the drivers that are not this package's own, by name."""
 
 
@@ -61,7 +43,6 @@ class Block(NamedTuple):
         traffic: a name of `ms_highway.benchmarks.road.TRAFFIC`, or of ``RECORDED_TRAFFIC``.
         starts: in recordings, of which the seeds are numbers.
         exports: directory for drives in recordings, None to write none.
-        judged: whether exported drives are judged.
     """
 
     scene: str
@@ -69,15 +50,10 @@ class Block(NamedTuple):
     traffic: str = "idm"
     starts: tuple[RecordedStart, ...] = ()
     exports: Path | None = None
-    judged: bool = False
 
     def name(self, seed: int) -> str:
         """Return the name of a start, for logs."""
         return self.starts[seed].name if self.starts else str(seed)
-
-    def options(self, seed: int) -> dict[str, Any] | None:
-        """Return the options of the reset that leads to a start."""
-        return {"config": self.starts[seed].config} if self.starts else None
 
 
 @dataclass(frozen=True)
@@ -104,7 +80,6 @@ class Episode:
         late: number of plans that were not ready within their budget.
         sources: number of decisions by what drove then, where the driver says so.
         rungs: number of cars that each rung predicted, summed over decisions.
-        verdict: of an outside judge, None without one.
     """
 
     seed: int
@@ -125,16 +100,6 @@ class Episode:
     late: int
     sources: Counter[str]
     rungs: Counter[str]
-    verdict: Verdict | None = None
-
-    @property
-    def agrees(self) -> bool | None:
-        """Whether the judge says of success, collision and road what the environment does; None without a judge."""
-        if self.verdict is None:
-            return None
-        told = self.verdict.reached and not self.verdict.collision and not self.verdict.off_road
-        own = self.success, self.crashed, self.off_road
-        return own == (told, self.verdict.collision, self.verdict.off_road)
 
 
 def check_driver(name: str) -> None:
@@ -189,23 +154,23 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         then: is called after every frame.
     """
     env = env or _kept_driver(block)
-    env.reset(seed=seed, options=block.options(seed))
+    env.reset(seed=seed, options={"config": block.starts[seed].config} if block.starts else None)
     inner: Any = env.unwrapped
-    drive = Drive(inner) if block.exports else None
-    every_frame = [*([then] if then else []), *([drive.see] if drive else [])]
-    watch, done = Watch(inner, *every_frame), False
-    rewards, roads = [], []
+    exported = Drive(inner) if block.exports else None
+    watch = Watch(inner, *([then] if then else []), *([exported.see] if exported else []))
+    rewards, roads, done = [], [], False
+    longest = max(LONGEST, inner.config.get("duration", 0.0))
     while not done:
         _, reward, terminated, truncated, info = env.step(None)
         rewards.append(float(reward))
         roads.append(info["road"])
-        done = has_ended(inner, terminated, truncated)
-    off_road = bool(watch.off_road or (terminated and not watch.crashed and not inner.vehicle.on_road))
-    if block.scene == RECORDED:
-        off_road = inner.off_road
+        done = terminated or truncated or inner.time >= longest
+    off_at_end = terminated and not watch.crashed and not inner.vehicle.on_road
+    off_road = inner.off_road if block.scene == RECORDED else bool(watch.off_road or off_at_end)
     reached = success(inner)
+    if exported and block.exports:
+        exported.write(block.exports / block.traffic / file_name(block.driver), block.name(seed))
     return Episode(
-        verdict=_exported(drive, block, seed) if drive else None,
         seed=seed,
         success=not watch.crashed and bool(not off_road if reached is None else reached),
         crashed=watch.crashed,
@@ -221,13 +186,9 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
     )
 
 
-def _exported(drive: Drive, block: Block, seed: int) -> Verdict | None:
-    """Write a drive, and return what the judge says of it, if it is to be judged."""
-    assert block.exports
-    place = block.exports / block.traffic / re.sub(r"[:/\\]", "_", block.driver) / block.name(seed)
-    scenario, solution = (place.with_name(f"{place.name}.{kind}") for kind in ("xml", "solution.xml"))
-    drive.write(scenario, solution)
-    return judge_drive(scenario, solution) if block.judged else None
+def file_name(text: str) -> str:
+    """Return a text as part of a file's name."""
+    return re.sub(r"[:/\\]", "_", text)
 
 
 def film(block: Block, seed: int, path: Path) -> None:
@@ -240,13 +201,13 @@ def film(block: Block, seed: int, path: Path) -> None:
     """
     from ms_highway.visualization.video import write
 
-    frames, rate = _filmed(block, seed)
+    shown = [block]
     if block.starts and isinstance(block.starts[seed].ego, int):
-        above, _ = _filmed(block._replace(driver=HUMAN, traffic="replay"), seed)
-        longest = max(len(frames), len(above))
-        whole = [[*one, *[one[-1]] * (longest - len(one))] for one in (above, frames)]
-        frames = [np.vstack(pair) for pair in zip(*whole, strict=True)]
-    write(frames, path, rate)
+        shown.insert(0, block._replace(driver=HUMAN, traffic="replay"))
+    films, rates = zip(*(_filmed(one, seed) for one in shown), strict=True)
+    longest = max(map(len, films))
+    whole = [[*pictures, *[pictures[-1]] * (longest - len(pictures))] for pictures in films]
+    write([np.vstack(pictures) for pictures in zip(*whole, strict=True)], path, rates[0])
 
 
 def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
@@ -254,18 +215,13 @@ def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
     from ms_highway.visualization.video import scaled
 
     env: Any = make_driver(block, render_mode="rgb_array")
-    frequency, pictures, frames = env.unwrapped.config["simulation_frequency"], [], count()
-    every = max(1, round(frequency / FRAMES_PER_SECOND))
-
-    def picture() -> None:
-        if next(frames) % every == 0:
-            pictures.append(env.render())
-
     show(env)
-    run_episode(block._replace(exports=None), seed, env, picture)
+    pictures: list[np.ndarray] = []
+    run_episode(block._replace(exports=None), seed, env, lambda: pictures.append(env.render()))
     env.close()
-    height, width = pictures[0].shape[:2]
-    return scaled(pictures, width * min(HIGHEST, height) // height), frequency / every
+    frequency, (height, width) = env.unwrapped.config["simulation_frequency"], pictures[0].shape[:2]
+    every = max(1, round(frequency / FRAMES_PER_SECOND))
+    return scaled(pictures[::every], width * min(HIGHEST, height) // height), frequency / every
 
 
 def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
@@ -281,65 +237,48 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
     * ``late``: share of the plans that were not ready within their budget;
     * ``steps``: mean number per episode; ``goal_seconds``: mean duration of those that reached the goal, None without
       any [s];
-    * ``judged``, ``agrees``, ``feasible``: numbers of drives that were judged, of which the judge says what the
-      environment does, and that it could have driven with CommonRoad's vehicle;
     * ``sources``: shares of the decisions by what drove, where the driver says so;
     * ``rungs``: shares of the cars that each rung predicted;
     * ``episodes``, ``seeds``, ``traffic``, ``label``: their number, the first seed and how many, the type of the other
-      vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL`, ``privileged`` for the search
-      and for who knows how others were recorded to go.
+      vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL`.
     """
-    of = SimpleNamespace(**{name: [getattr(each, name) for each in episodes] for name in vars(episodes[0])})
-    p50, p99 = np.quantile(1e3 * np.concatenate(of.decisions), [0.5, 0.99])
-    reached = [one.seconds for one in episodes if one.success]
-    judged = [one for one in episodes if one.verdict]
+    of = pd.DataFrame(map(vars, episodes))
+    p50, p99 = np.quantile(np.concatenate(of["decisions"]), [0.5, 0.99])
+    largest, reached = of["max_acceleration"].max(), of["seconds"][of["success"]]
     figures = {
-        "success": np.mean(of.success),
-        "collisions": sum(of.crashed),
-        "at_fault": sum(of.at_fault),
-        "off_road": np.mean(of.off_road),
-        "reward_per_step": sum(of.reward) / sum(of.steps),
-        "return": np.mean(of.reward),
-        "mean_speed": sum(of.distance) / sum(of.seconds),
-        "stood": np.mean(of.stood),
-        "max_acceleration": max(of.max_acceleration),
-        "max_acceleration_of_centre": max(of.max_acceleration_of_centre),
-        "jerk": np.sqrt(np.average(of.squared_jerk, weights=of.frames)),
-        "p50_ms": p50,
-        "p99_ms": p99,
-        "late": sum(of.late) / sum(map(len, of.decisions)),
-        "steps": np.mean(of.steps),
-        "goal_seconds": float(np.mean(reached)) if reached else None,
-        "judged": len(judged),
-        "agrees": sum(bool(one.agrees) for one in judged),
-        "feasible": sum(one.verdict.feasible for one in judged if one.verdict),
-        "sources": _shares(of.sources),
-        "rungs": _shares(of.rungs),
+        **of[["success", "off_road", "stood", "steps"]].mean(),
+        "collisions": of["crashed"].sum(),
+        "at_fault": of["at_fault"].sum(),
+        "reward_per_step": of["reward"].sum() / of["steps"].sum(),
+        "return": of["reward"].mean(),
+        "mean_speed": of["distance"].sum() / of["seconds"].sum(),
+        "max_acceleration": largest,
+        "max_acceleration_of_centre": of["max_acceleration_of_centre"].max(),
+        "jerk": np.sqrt(np.average(of["squared_jerk"], weights=of["frames"])),
+        "p50_ms": 1e3 * p50,
+        "p99_ms": 1e3 * p99,
+        "late": of["late"].sum() / of["decisions"].map(len).sum(),
+        "goal_seconds": None if reached.empty else reached.mean(),
+        "sources": _shares(of["sources"]),
+        "rungs": _shares(of["rungs"]),
         "episodes": len(episodes),
-        "seeds": [of.seed[0], len(episodes)],
+        "seeds": [episodes[0].seed, len(episodes)],
         "traffic": block.traffic,
-        "label": _label(block, max(of.max_acceleration)),
+        "label": "unphysical" if largest > UNPHYSICAL else "",
     }
     return {name: figure.item() if isinstance(figure, np.generic) else figure for name, figure in figures.items()}
 
 
-def _label(block: Block, acceleration: float) -> str:
-    labels = {"privileged": block.driver in (SEARCH, *REACTIVE), "unphysical": acceleration > UNPHYSICAL}
-    return ", ".join(label for label, holds in labels.items() if holds)
-
-
-def _shares(counters: Sequence[Counter[str]]) -> dict[str, float]:
+def _shares(counters: Iterable[Counter[str]]) -> dict[str, float]:
     counts = sum(counters, Counter[str]())
     return {name: number / counts.total() for name, number in counts.items()}
 
 
 def row(block: Block, episode: Episode) -> dict[str, Any]:
     """Return an episode as a row of a table."""
-    milliseconds = 1e3 * np.array(episode.decisions)
-    left_out = ("decisions", "sources", "rungs", "verdict")
-    numbers = {name: value for name, value in vars(episode).items() if name not in left_out}
-    verdict = {f"judge_{name}": value for name, value in vars(episode.verdict).items()} if episode.verdict else {}
-    times = {"p50_ms": float(np.median(milliseconds)), "max_ms": float(np.max(milliseconds))}
     own = {"scene": block.scene, "driver": block.driver, "traffic": block.traffic}
     start = {"start": block.name(episode.seed)} if block.starts else {}
-    return own | start | numbers | times | verdict
+    left_out = ("decisions", "sources", "rungs")
+    numbers = {name: value for name, value in vars(episode).items() if name not in left_out}
+    times = {"p50_ms": 1e3 * float(np.median(episode.decisions)), "max_ms": 1e3 * max(episode.decisions)}
+    return own | start | numbers | times

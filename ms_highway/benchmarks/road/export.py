@@ -1,4 +1,9 @@
-"""Write drives in recordings as CommonRoad scenarios, with everybody as they drove, and solutions."""
+"""Write drives in recordings as CommonRoad files, a scenario and a solution, for other tools to judge.
+
+The scenario is the recording with its road and planning problem, in which all other vehicles move as they moved in the
+episode. The solution is the drive of the ego: a state every 0.1 s of the kinematic single-track model (KS) of
+CommonRoad's vehicle 2, with steering angles that are computed from how the ego turned.
+"""
 
 import gzip
 from datetime import datetime
@@ -15,7 +20,7 @@ from ms_highway.runtime.files import replacing
 
 WHEELBASE = 2.578999  # m, of CommonRoad's vehicle 2, a BMW 320i, whose size the ego has
 EPOCH = "2000-01-01"  # date of solutions of recordings without one
-SLOWEST = 0.5  # m/s, below which the steering of a motion is not told
+SLOWEST = 0.5  # m/s, below which a motion does not determine the steering angle
 
 
 class Drive:
@@ -32,7 +37,7 @@ class Drive:
         self.see()
 
     def see(self) -> None:
-        """Note where everybody is."""
+        """Add the present states of all vehicles."""
         env = self._env
         step = env.step_of_recording + (1 if self._ego else 0)  # the road has moved, its counter has not
         everyone = [env.vehicle, *env.road.traffic.vehicles.values()]
@@ -42,8 +47,8 @@ class Drive:
             own = self._ego if vehicle is env.vehicle else self._others.setdefault(vehicle.number, [])
             own.append((step, x, y, orientation, float(vehicle.speed)))
 
-    def write(self, scenario: Path, solution: Path) -> None:
-        """Write the scenario as it was driven, and the ego's solution, both for CommonRoad.
+    def write(self, directory: Path, name: str) -> None:
+        """Write ``NAME.xml``, the scenario as it was driven, and ``NAME.solution.xml``, the ego's solution.
 
         Raises:
             ImportError: without the packages of the extra ``commonroad``.
@@ -64,16 +69,10 @@ class Drive:
         identity = open_commonroad(recording)[0].scenario_id
         driven = self._driven(recording)
         date = datetime.fromisoformat(driven.get("date", EPOCH))  # of the recording: the same each time
-        with replacing(scenario) as path:
+        with replacing(directory / f"{name}.xml") as path:
             ElementTree.ElementTree(driven).write(path, encoding="utf-8", xml_declaration=True)
         states = [
-            KSState(
-                time_step=int(step),
-                position=np.array([x, y]),
-                orientation=orientation,
-                velocity=speed,
-                steering_angle=angle,
-            )
+            KSState(int(step), np.array([x, y]), orientation=orientation, velocity=speed, steering_angle=angle)
             for (step, x, y, orientation, speed), angle in zip(self._ego, self._steering(), strict=True)
         ]
         own = PlanningProblemSolution(
@@ -83,7 +82,7 @@ class Drive:
             cost_function=CostFunction.JB1,
             trajectory=Trajectory(states[0].time_step, states),
         )
-        with replacing(solution) as path:
+        with replacing(directory / f"{name}.solution.xml") as path:
             whole = CommonRoadSolutionWriter(Solution(identity, [own], date=date))
             whole.write_to_file(str(path.parent.resolve()), path.name, overwrite=True)
 
@@ -104,9 +103,8 @@ class Drive:
             if rows is None:
                 root.remove(obstacle)
                 continue
-            for part in ("initialState", "trajectory"):
-                for old in obstacle.findall(part):
-                    obstacle.remove(old)
+            for old in (*obstacle.findall("initialState"), *obstacle.findall("trajectory")):
+                obstacle.remove(old)
             obstacle.append(_state("initialState", rows[0]))
             if rows[1:]:
                 trajectory = ElementTree.SubElement(obstacle, "trajectory")
@@ -117,10 +115,8 @@ class Drive:
 def _state(name: str, row: tuple[float, ...]) -> ElementTree.Element:
     """Return an element of CommonRoad's XML: step of time, x, y, orientation and speed."""
     step, x, y, orientation, speed = row
-    state = ElementTree.Element(name)
-    point = ElementTree.SubElement(ElementTree.SubElement(state, "position"), "point")
-    for axis, value in (("x", x), ("y", y)):
-        ElementTree.SubElement(point, axis).text = repr(value)
-    for kind, value in (("orientation", orientation), ("time", int(step)), ("velocity", speed)):
-        ElementTree.SubElement(ElementTree.SubElement(state, kind), "exact").text = repr(value)
-    return state
+    return ElementTree.fromstring(
+        f"<{name}><position><point><x>{x!r}</x><y>{y!r}</y></point></position>"
+        f"<orientation><exact>{orientation!r}</exact></orientation><time><exact>{int(step)}</exact></time>"
+        f"<velocity><exact>{speed!r}</exact></velocity></{name}>"
+    )

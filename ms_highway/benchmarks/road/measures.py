@@ -13,18 +13,7 @@ GAP = 0.5  # m between lanes where roads meet, at most
 REACH = 2.0  # m between cars that have just collided, at most: highway-env pushes them apart
 OFFSET = 1.0  # m
 STANDING = 1.0  # m/s
-LONGEST = 60.0  # s, after which an episode ends in scenes that have no end of their own: a car may stand still
 SAME_WAY = 0.7  # cosine of the angle between two headings, at least
-
-
-def has_ended(env: Any, terminated: bool, truncated: bool) -> bool:
-    """Return whether an episode has ended, in an environment that has just taken a step."""
-    return bool(terminated or truncated or env.time >= max(LONGEST, env.config.get("duration", 0.0)))
-
-
-def stays_on_road(car: Any) -> bool:
-    """Return whether the centre of a car is in its lane, or so close that it may be where two roads meet."""
-    return bool(car.lane.on_lane(car.position, margin=GAP))
 
 
 def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dict[str, Any]:
@@ -61,15 +50,11 @@ class Place(NamedTuple):
 
     Attributes:
         lane_index: of the closest lane.
-        offset: from the centre of that lane [m].
-        speed: [m/s].
-        on_road: whether its centre is in that lane, or so close that it may be where two roads meet.
+        follows_lane: whether the car is within `OFFSET` of its centre and faster than `STANDING`.
     """
 
     lane_index: tuple[str, str, int]
-    offset: float
-    speed: float
-    on_road: bool
+    follows_lane: bool
 
 
 class Watch:
@@ -82,7 +67,7 @@ class Watch:
     Attributes:
         crashed: whether the ego has crashed.
         at_fault: whether it has, and is at fault, see `is_at_fault`.
-        off_road: whether it has left the road in any frame before.
+        off_road: whether its centre was off its lane, by more than may be where two roads meet, in any frame before.
     """
 
     def __init__(self, env: Any, *then: Callable[[], None]) -> None:
@@ -118,9 +103,8 @@ class Watch:
             self.at_fault = is_at_fault(ego, touched if is_near else None, tuple(self._places))
             return
         _, offset = ego.lane.local_coordinates(ego.position)
-        on_road = stays_on_road(ego)
-        self._places.append(Place(ego.lane_index, float(offset), float(ego.speed), on_road))
-        self.off_road |= not on_road
+        self._places.append(Place(ego.lane_index, abs(offset) < OFFSET and ego.speed > STANDING))
+        self.off_road |= not ego.lane.on_lane(ego.position, margin=GAP)
 
 
 def _gap(one: Any, other: Any) -> float:
@@ -137,9 +121,9 @@ def is_at_fault(ego: Any, other: Any | None, places: Sequence[Place]) -> bool:
     * the ego's centre is ahead of the other's front, along the other's heading;
     * the point of the other that is closest to the ego's centre is behind that centre, along the ego's heading.
 
-    It kept its lane if, in all of ``places``, it was within 1 m of its lane's centre and faster than 1 m/s, and its
-    number of the lane did not change while the road was the same. A car that stands on the road when it is hit is thus
-    at fault, as is one that was pushed out of the way by a crash in its side.
+    It kept its lane if it followed one in all of ``places``, and the lane's number did not change while the road was
+    the same. A car that stands on the road when it is hit is thus at fault, as is one that was pushed out of the way by
+    a crash in its side.
 
     Args:
         ego: a vehicle of highway-env.
@@ -155,5 +139,4 @@ def is_at_fault(ego: Any, other: Any | None, places: Sequence[Place]) -> bool:
     rear_ended = away @ other.direction > half_length and (closest - away) @ ego.direction < 0
     lanes = [place.lane_index for place in places]
     changed = any(before[:2] == after[:2] and before != after for before, after in pairwise(lanes))
-    in_lane = all(abs(place.offset) < OFFSET and place.speed > STANDING for place in places)
-    return bool(not rear_ended or changed or not in_lane)
+    return bool(not rear_ended or changed or not all(place.follows_lane for place in places))

@@ -1,4 +1,4 @@
-"""Drivers that are not this package's: highway-env's IDM and MOBIL, doing nothing, chance, and trained agents."""
+"""Drivers that are not this package's: highway-env's IDM and MOBIL, idle, random, and trained agents."""
 
 from functools import cache
 from itertools import pairwise
@@ -28,8 +28,12 @@ class Peer(gym.Wrapper):
 
     Args:
         env: the environment.
+
+    Attributes:
+        seen: the last observation.
     """
 
+    seen: Any
     counted = slice(None)  # of the decisions of a step
 
     def __init__(self, env: gym.Env) -> None:
@@ -39,9 +43,9 @@ class Peer(gym.Wrapper):
 
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
-        result = super().reset(**options)
+        self.seen, info = super().reset(**options)
         self.begin(options.get("seed"))
-        return result
+        return self.seen, info
 
     def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Decide, and take a step of the environment."""
@@ -49,8 +53,8 @@ class Peer(gym.Wrapper):
         start = perf_counter()
         chosen = self.choose()
         self.decisions.append(perf_counter() - start)
-        *outcome, info = super().step(chosen)
-        return *outcome, info | {"road": {"decisions": self.decisions[self.counted]}}
+        self.seen, *outcome, info = super().step(chosen)
+        return self.seen, *outcome, info | {"road": {"decisions": self.decisions[self.counted]}}
 
     def begin(self, seed: int | None) -> None:
         """Prepare for an episode that has just been reset."""
@@ -58,6 +62,10 @@ class Peer(gym.Wrapper):
     def choose(self) -> Any:
         """Return the action of the coming step: by default, one for an ego that steers by itself."""
         return unheeded(self.inner.action_type)
+
+    def take_over(self, kind: type[Vehicle], **options: Any) -> Any:
+        """Put a vehicle of this class in the place of the ego, and return it."""
+        return replace_ego(self.env, lambda old: kind(old.road, old.position, old.heading, old.speed, **options))
 
     @property
     def target_speeds(self) -> Any:
@@ -71,17 +79,13 @@ class Idle(Peer):
     def begin(self, seed: int | None) -> None:
         """Put an `MDPVehicle` in the place of a vehicle that does not keep its lane by itself."""
         if isinstance(self.inner, RecordedEnv):  # whose speeds need not be among those of meta-actions
-            replace_ego(self.env, lambda old: ControlledVehicle(old.road, old.position, old.heading, old.speed))
+            self.take_over(ControlledVehicle)
         elif not isinstance(self.inner.vehicle, MDPVehicle):
-            speeds = self.target_speeds
-            replace_ego(
-                self.env,
-                lambda old: MDPVehicle(old.road, old.position, old.heading, old.speed, target_speeds=speeds),
-            )
+            self.take_over(MDPVehicle, target_speeds=self.target_speeds)
 
 
 class Random(Peer):
-    """Choose among the environment's own actions by chance, the same ones for the same seed."""
+    """Choose among the environment's own actions at random, the same ones for the same seed."""
 
     def begin(self, seed: int | None) -> None:
         """Seed the actions."""
@@ -114,16 +118,6 @@ class Agent(Peer):
                 what = name.replace("_", " ")
                 raise ValueError(f"{file}: the agent's {what} is {known}, that of {scene} {offered}; train one there")
 
-    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
-        """Start an episode."""
-        self.seen, info = super().reset(**options)
-        return self.seen, info
-
-    def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Decide, and take a step of the environment."""
-        self.seen, *outcome = super().step()
-        return self.seen, *outcome
-
     def choose(self) -> Any:
         """Return the agent's action after the last observation."""
         action, _ = self.policy.predict(self.seen, deterministic=True)
@@ -142,17 +136,16 @@ def policy_of(file: str) -> Any:
         raise ValueError(f"there is no agent {file}; notebooks/examples/train_peers.py trains some")
     try:
         from stable_baselines3.common.save_util import load_from_zip_file
-    except ModuleNotFoundError as error:
-        message = f"the agent {file} needs stable-baselines3: pip install stable-baselines3"
-        raise ModuleNotFoundError(message, name=error.name) from None
-    try:
+
         data, parameters, _ = load_from_zip_file(file, device="cpu")
         spaces = data["observation_space"], data["action_space"]
         explores = {"use_sde": True} if data.get("use_sde") else {}
         policy = data["policy_class"](*spaces, lambda _: 0.0, **explores, **data["policy_kwargs"])
         policy.load_state_dict(parameters["policy"])
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(f"the agent {file} needs a package: {error}", name=error.name) from None
+        package = str(error.name).replace("_", "-")
+        message = f"the agent {file} needs the package {package}: pip install {package}"
+        raise ModuleNotFoundError(message, name=error.name) from None
     except (ValueError, KeyError, TypeError, OSError, RuntimeError, UnpicklingError) as error:
         raise ValueError(f"{file} is no agent that stable-baselines3 has saved ({error!r})") from None
     return policy
@@ -162,7 +155,7 @@ class IdmEgo(OfferedSpeeds, IDMVehicle):
     """highway-env's IDM and MOBIL in the place of the ego, with what rewards look for in an `MDPVehicle`.
 
     Attributes:
-        decisions: where it notes the duration of each of its decisions [s].
+        decisions: list to which it appends the duration of each of its decisions [s].
     """
 
     decisions: list[float] | None = None
@@ -186,14 +179,11 @@ class Idm(Peer):
 
     def begin(self, seed: int | None) -> None:
         """Put an `IdmEgo` in the place of the ego."""
-        speed = desired_speed_of(self.env)
-        ego = replace_ego(
-            self.env, lambda old: IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=speed)
-        )
+        ego = self.take_over(IdmEgo, target_speed=desired_speed_of(self.env))
         ego.target_speeds, ego.route, ego.decisions = self.target_speeds, route_to_goal(self.inner), self.decisions
 
     def choose(self) -> Any:
-        """Let the ego decide; tell it the speed that keeps an appointment."""
+        """Let the ego decide, at the speed that keeps an appointment."""
         appointment = destination_of(self.inner)
         if isinstance(appointment, Appointment):
             self.inner.vehicle.target_speed = appointment.desired_speed(self.inner.vehicle, self.inner.time)
@@ -226,7 +216,3 @@ class UnyieldingVehicle(IDMVehicle):
         """Return the acceleration of a vehicle behind another one [m/s^2]."""
         stranger = isinstance(front_vehicle, Vehicle) and not isinstance(front_vehicle, UnyieldingVehicle)
         return float(super().acceleration(ego_vehicle, None if stranger else front_vehicle, rear_vehicle))
-
-
-PEERS = {"idm": Idm, "idle": Idle, "random": Random}
-"""Their wrappers, by name."""

@@ -1,4 +1,4 @@
-"""Choose what to drive in recordings, their planning problems or lane changes, and drive as those went who changed."""
+"""Choose what to drive in recordings, their planning problems or lane changes, and drive as recorded vehicles did."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +11,6 @@ from ms_highway.envs.recorded.environment import RecordedEnv
 from ms_highway.envs.recorded.scenario import SHIPPED, TrafficRecording, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import RecordedVehicle, sampled
-from ms_highway.envs.road.stock import replace_ego
 from ms_highway.game.scenario import TIME_STEP
 
 LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
@@ -83,7 +82,7 @@ def _changing(scenario: TrafficRecording) -> list[tuple[int, tuple[float, ...]]]
 
 
 class GuidedVehicle(RecordedVehicle):
-    """An ego that goes where it is told.
+    """An ego that moves to a given state.
 
     Attributes:
         coming: position, heading and speed at the end of the step.
@@ -92,29 +91,29 @@ class GuidedVehicle(RecordedVehicle):
     coming: tuple[np.ndarray, float, float]
 
     def step(self, dt: float) -> None:
-        """Be where it is told."""
+        """Move to the given state."""
         self.put(*self.coming)
 
 
 class Human(Peer):
-    """Go as the vehicle was recorded to whose place the ego takes, and then straight on.
+    """Drive as the recorded vehicle that the ego replaces, and then straight on.
 
     Raises:
-        ValueError: from a reset, for a planning problem, which nobody was recorded to solve.
+        ValueError: from a reset, for a planning problem, where the ego replaces no vehicle.
     """
 
     def begin(self, seed: int | None) -> None:
-        """Put a car that goes where it is told in the place of the ego."""
+        """Put a vehicle that moves to given states in the place of the ego."""
         env = self.inner
         if not isinstance(env, RecordedEnv) or env.task.track is None:
             raise ValueError("the driver human goes as a recorded vehicle did; say --egos changing")
         track = env.scenario.track(env.task.track)
-        assert track is not None  # the environment has found it
+        assert track is not None  # the environment has checked it
         self._track = track
-        self._ego = replace_ego(self.env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
+        self._ego = self.take_over(GuidedVehicle)
 
     def choose(self) -> Any:
-        """Tell the ego where it was recorded to go."""
+        """Give the ego the recorded state at the end of the step."""
         env, last = self.inner, int(self._track.samples[-1, 0])
         step = env.step_of_recording + 1
         x, y, orientation, speed = sampled(self._track, step)
