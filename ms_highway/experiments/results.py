@@ -8,7 +8,7 @@ import pandas as pd
 
 from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.comparison import episode_steps
-from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, Made, ResultsDirectory, Run
+from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
 from ms_highway.experiments.records import check_records, whole_steps
 from ms_highway.experiments.runner import STEPS_FILE
 from ms_highway.runtime.files import reading
@@ -87,11 +87,6 @@ class Results:
     def scenarios(self) -> list[str]:
         """Names of the scenarios, in the order of the records."""
         return list(dict.fromkeys(self.summaries["scenario"]))
-
-    @property
-    def made(self) -> Made:
-        """What made it."""
-        return Made(self.directory, self.settings, self.runs)
 
     @property
     def missing(self) -> int:

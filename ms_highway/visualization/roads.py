@@ -16,7 +16,6 @@ from ms_highway.planning.human_models import PACKAGE_MODELS, cheapest_first
 from ms_highway.runtime.files import read_json, reading
 from ms_highway.runtime.structures import Finite, NotNegative
 from ms_highway.visualization.colors import choosing_shades, light_grid
-from ms_highway.visualization.section import Section
 from ms_highway.visualization.tables import grid
 
 REMEDY = "write it again with `ms-highway bench road --json`"
@@ -140,26 +139,6 @@ def driver_rows(drivers: Mapping[str, Fared], *without: str) -> list[dict[str, s
 
 def _text(value: float | None, form: str) -> str:
     return "" if value is None else format(value, form)
-
-
-def roads_section(path: Path) -> Section:
-    """Return the section of a file of figures.
-
-    Raises:
-        ValueError: as `read_roads`, or if it holds no driver.
-    """
-    scenes = {scene: drivers for scene, drivers in read_roads(path).items() if drivers}
-    if not scenes:
-        raise ValueError(f"{path} holds no driver yet; let `ms-highway bench road` finish one")
-    first = next(iter(next(iter(scenes.values()))))
-    caption = "Share of the episodes that succeed, with its 90 % interval (Wilson), by scene and driver."
-    return Section(
-        f"Roads: {path}",
-        "Who reaches its goal without a collision, and what does a decision cost?",
-        successes_told(scenes, first),
-        [driver_table(scene, drivers) for scene, drivers in scenes.items()],
-        {"success": (success_figure(scenes), caption)},
-    )
 
 
 def successes_told(scenes: Scenes, first: str) -> str:
