@@ -54,13 +54,6 @@ def add_values(commands: Any) -> None:
     add_number(parser, "--rounds", None, "of rollouts and fits (default: 5; among several humans 2)", most=100)
     steps = "of a rollout (default: 20; among several humans 25)"
     add_number(parser, "--horizon-steps", None, steps, most=100, metavar="STEPS", dest="horizon")
-    parser.add_argument(
-        "--without",
-        nargs="+",
-        choices=("lambda", "gradients"),
-        default=[],
-        help="inputs that the networks do not get, to see what they are worth",
-    )
     add_number(parser, "--seed", 0, "of everything that is drawn", 0)
     parser.add_argument(
         "--solvers",
@@ -127,8 +120,8 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     if 0 < len(alone) < len(names):
         raise ValueError(f"{alone[0]} has one human, other scenarios several; learn them in a file each")
     if not alone:
-        if options.generated or options.without:
-            raise ValueError("--generated and --without are for scenarios with one human")
+        if options.generated:
+            raise ValueError("--generated is for scenarios with one human")
         given = config.get("costs", {})
         config["costs"] = given if isinstance(given, str) else {**SHIPPED_COSTS, **given}
     solvers = [{"solver": solver} for solver in dict.fromkeys(options.solvers or [])]
@@ -159,10 +152,9 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         own["states"] = options.states, -(-options.states * 5 // 8) if alone else options.states
     settings = batches[0].comparison.common_config() | {"versions": this_run()["versions"]}
     settings |= {"solver": [each["solver"] for each in solvers]} if solvers else {}
-    settings |= {name: getattr(options, name) for name in ("scenarios", "generated", "seed", "without")}
+    settings |= {name: getattr(options, name) for name in ("scenarios", "generated", "seed")}
     learning = Learning(
         {name: costs[name] for name in models},
-        without=tuple(options.without),
         seed=options.seed,
         settings=settings | {"scenarios": names},
         **({} if alone else SEVERAL) | {name: value for name, value in own.items() if value},

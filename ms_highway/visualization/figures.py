@@ -54,7 +54,5 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
     seeds = common_seeds(records, scenario, [*deciding, *([beside] if beside else [])])
     if deciding and seeds:
         episodes = [one_episode(records, scenario, name, seeds[0]) for name in deciding]
-        drawn["decisions"] = decisions(
-            episodes, one_episode(records, scenario, beside, seeds[0]) if beside else None
-        )
+        drawn["decisions"] = decisions(episodes, one_episode(records, scenario, beside, seeds[0]) if beside else None)
     return drawn

@@ -28,7 +28,7 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
     low, high = interval(gains)
     sure = f"90 % interval {low:.2f} to {high:.2f}, {len(gains)} starts"
     if best == cheapest:
-        text = "no fixed model that costs more earns more"
+        text = "and no more expensive fixed model earns more"
     elif low > 0:
         text = f"{gains.mean():.2f} more than {cheapest} ({sure})"
     elif len(gains) < 2:
