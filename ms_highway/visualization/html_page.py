@@ -2,7 +2,7 @@
 
 import base64
 import io
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -24,16 +24,6 @@ from ms_highway.visualization.video import side_by_side
 DPI = 160
 COLORS = 256  # of a figure
 POSTER = 0.4  # of the video, from which the picture is taken that stands for it
-
-
-class Film(NamedTuple):
-    """A film and the picture that stands for it, both as data URIs; its size [px], and what it shows."""
-
-    source: str
-    poster: str
-    width: int
-    height: int
-    caption: str
 
 
 def page(results: Results, videos: bool = True, progress: Progress = silent) -> str:
@@ -87,8 +77,8 @@ def results_table(results: Results, scenario: str) -> pd.DataFrame:
     return texts
 
 
-def _film(results: Results, scenario: str) -> Film:
-    """Film the most informative controllers from the first start that all of them have driven."""
+def _film(results: Results, scenario: str) -> dict[str, Any]:
+    """Film the most informative controllers from the first start that all of them have driven; sizes are in px."""
     controllers = most_informative_pair(results.summaries, scenario)
     seed = next(iter(common_seeds(results.records, scenario, controllers)), 0)
     films = [video.film(scenario, name, seed, **results.config(scenario)) for name in controllers]
@@ -98,7 +88,13 @@ def _film(results: Results, scenario: str) -> Film:
     places = " above, ".join(controllers) + (" below" if len(controllers) > 1 else "")
     caption = f"Episode {seed}, at true speed: {places}. Times are as measured while filming; other episodes differ."
     height, width, _ = pictures[0].shape
-    return Film(_data("video/mp4", content), _data("image/png", poster.getvalue()), width, height, caption)
+    return {
+        "source": _data("video/mp4", content),
+        "poster": _data("image/png", poster.getvalue()),
+        "width": width,
+        "height": height,
+        "caption": caption,
+    }
 
 
 def _picture(figure: Figure) -> str:
