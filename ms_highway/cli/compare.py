@@ -59,7 +59,6 @@ def add_compare(commands: Any) -> None:
 
 def _compare(options: argparse.Namespace) -> None:
     from ms_highway.cli.results_directory import own_results, save_figures, write_table
-    from ms_highway.experiments.analysis.selection import select
     from ms_highway.experiments.analysis.summary import summary
     from ms_highway.experiments.results import read_results
     from ms_highway.experiments.runner import read, run
@@ -80,8 +79,7 @@ def _compare(options: argparse.Namespace) -> None:
         results = read_results(options.out)  # of this command and of those before
         write_table(results.summaries, options.out / "summary.csv")
         for scenario in asked.controllers:
-            selection = select(results.records, results.summaries, scenario)
-            drawn = figures(results.records, results.summaries, scenario, selection)
+            drawn = figures(results.records, results.summaries, scenario)
             for name in CAPTIONS.keys() - drawn.keys():  # what fewer controllers had
                 (options.out / f"{scenario}_{name}.png").unlink(missing_ok=True)
             save_figures({f"{scenario}_{name}": figure for name, figure in drawn.items()}, options.out)

@@ -93,7 +93,7 @@ def _search(every: Sequence["Outcomes"], options: argparse.Namespace, tell: Call
     import pandas as pd
 
     from ms_highway.cli.results_directory import save_figures, write_table
-    from ms_highway.experiments.analysis.regret import REGRETS_FILE, best, regrets
+    from ms_highway.experiments.analysis.regret import best, regrets
     from ms_highway.experiments.frontier import search
     from ms_highway.visualization.tradeoff import frontier
 
@@ -112,6 +112,6 @@ def _search(every: Sequence["Outcomes"], options: argparse.Namespace, tell: Call
             own = regrets(outcomes.table, batch.comparison.controllers[scenario], seeds, price)
             orders, behind = pd.concat([orders, found]), pd.concat([behind, own.reset_index().assign(**place)])
         write_table(orders, options.out / "orders.csv")
-        write_table(behind, options.out / REGRETS_FILE)
+        write_table(behind, options.out / "regrets.csv")
         save_figures({f"{scenario}_frontier": frontier(outcomes.table, behind, scenario, seeds)}, options.out)
     return behind

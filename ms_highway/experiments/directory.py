@@ -3,12 +3,12 @@
 import json
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, NotRequired, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import msgspec
 
@@ -20,14 +20,6 @@ EXTENDED = ("measured", "asked")
 """Keys of the settings that further comparisons in the same directory add to: T(M), and numbers of episodes."""
 
 PACKAGES = ("ms-highway", "jax", "jaxlib", "highway-env", "gymnasium", "numpy")
-
-
-class Made(NamedTuple):
-    """What made a directory of results: where it lies, its settings and its runs."""
-
-    directory: Path
-    settings: Mapping[str, Any]
-    runs: Sequence["Run"]
 
 
 class Run(TypedDict):
@@ -99,14 +91,6 @@ class ResultsDirectory:
         file = self.path / PROVENANCE_FILE
         with reading(file, "move it away or choose another directory", " as a list of runs"):
             return msgspec.convert(read_json(file), list[Run]) if file.exists() else []
-
-    def made(self) -> Made:
-        """Return settings and runs.
-
-        Raises:
-            ValueError: if one of their files cannot be read.
-        """
-        return Made(self.path, self.settings(), self.runs())
 
     def record(self, command: str) -> str:
         """Record this process as one more run, which a line of a shell began.

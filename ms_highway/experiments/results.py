@@ -8,7 +8,7 @@ import pandas as pd
 
 from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.comparison import episode_steps
-from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, Made, ResultsDirectory, Run
+from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
 from ms_highway.experiments.records import check_records, whole_steps
 from ms_highway.experiments.runner import STEPS_FILE
 from ms_highway.runtime.files import reading
@@ -23,37 +23,31 @@ PUBLISHED_WITH = {
 
 
 class Published(NamedTuple):
-    """Means per step over 30 episodes: the robot's reward, and the seconds of planning and of deciding about the model.
+    """Means per step over 30 episodes: the robot's reward, and the seconds of planning and deciding about the model.
 
     From the logs that the authors of Sripathy, Bobu, Brown and Dragan, "Dynamically Switching Human Prediction Models
     for Efficient Planning" (ICRA 2021), released; seconds are those of their laptop.
     """
 
     reward: float
-    planning_seconds: float
-    decision_seconds: float
-
-    @property
-    def seconds(self) -> float:
-        """Planning and deciding together."""
-        return self.planning_seconds + self.decision_seconds
+    seconds: float
 
 
 ROWS = """\
-stay_back  naive           -7.73  0.105  0
-stay_back  turn             2.52  0.212  0
-stay_back  switching:5      2.34  0.107  0.0095
-stay_back  switching:0.4    2.59  0.123  0.0088
-merger     naive            1.55  0.084  0
-merger     turn             1.54  0.163  0
-merger     tom              5.33  0.380  0
-merger     switching:0.6    3.53  0.116  0.0134
-merger     switching:0.1    5.54  0.145  0.0177
-give_way   naive           -0.02  0.092  0
-give_way   turn             0.34  0.181  0
-give_way   tom              4.91  0.448  0
-give_way   switching:0.03   1.78  0.173  0.0199
-give_way   switching:0.01   4.44  0.254  0.0292"""
+stay_back  naive           -7.73  0.105
+stay_back  turn             2.52  0.212
+stay_back  switching:5      2.34  0.1165
+stay_back  switching:0.4    2.59  0.1318
+merger     naive            1.55  0.084
+merger     turn             1.54  0.163
+merger     tom              5.33  0.380
+merger     switching:0.6    3.53  0.1294
+merger     switching:0.1    5.54  0.1627
+give_way   naive           -0.02  0.092
+give_way   turn             0.34  0.181
+give_way   tom              4.91  0.448
+give_way   switching:0.03   1.78  0.1929
+give_way   switching:0.01   4.44  0.2832"""
 
 PUBLISHED = {
     (scenario, controller): Published(*map(float, numbers))
@@ -87,11 +81,6 @@ class Results:
     def scenarios(self) -> list[str]:
         """Names of the scenarios, in the order of the records."""
         return list(dict.fromkeys(self.summaries["scenario"]))
-
-    @property
-    def made(self) -> Made:
-        """What made it."""
-        return Made(self.directory, self.settings, self.runs)
 
     @property
     def missing(self) -> int:

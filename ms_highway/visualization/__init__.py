@@ -1,4 +1,4 @@
-"""Draw tables, figures, pages and films from records; decides nothing.
+"""Draw tables, figures, a page and films from records; decides nothing.
 
 Imports `ms_highway.experiments` and what stands below it.
 """

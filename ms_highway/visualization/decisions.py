@@ -1,13 +1,10 @@
 """Draw an episode step by step: what was decided and what it was worth, on the models in use."""
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator, StrMethodFormatter
 
@@ -33,55 +30,35 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
     """
     figure = Figure(figsize=(10, 5), layout="constrained")
     panels = figure.subplots(2, len(episodes), sharex=True, sharey="row", squeeze=False, height_ratios=[1.2, 1])
-    every, handles = pd.concat(episodes), []
+    estimated, used, handles = {}, set(), []
     for (upper, lower), episode in zip(panels.T, episodes, strict=True):
-        first = episode.iloc[0]
+        first, steps = episode.iloc[0], np.arange(len(episode))
         upper.set_title(f"{title(first['scenario'])}, {first['controller']}, seed {first['seed']}", fontsize="medium")
         upper.grid(axis="y", color="white", linewidth=0.8)
-        gains = {name: episode[gain_column(name)] for name in models_of(episode, gain_column)}
-        draw_steps((upper, lower), episode["model"], gains, episode["reward"], SMALL_GAIN)
+        upper.set_yscale("symlog", linthresh=SMALL_GAIN, linscale=0.7)
+        upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        upper.yaxis.set_minor_locator(NullLocator())
+        upper.axhline(0, color="black", linewidth=0.8)
+        for name in models_of(episode, gain_column):
+            gains = episode[gain_column(name)]
+            (line,) = upper.plot(steps, gains, "o-", color=color_of(name), markersize=4, linewidth=0.8)
+            if gains.notna().any():
+                estimated[name] = line
+        lower.plot(steps, episode["reward"], color="black", linewidth=1.5)
+        lower.set(xlabel="step (0.1 s)", xlim=(-0.5, len(steps) - 0.5))
         lower.set_title(f"mean reward {episode['reward'].mean():.2f}", loc="right", fontsize="small")
         if reference is not None:
             label = f"reward of {reference['controller'].iloc[0]}"
             handles = lower.plot(reference["step"], reference["reward"], ":", color="black", label=label)
+        for axes in (upper, lower):
+            for step, model in enumerate(episode["model"]):
+                axes.axvspan(step - 0.5, step + 0.5, color=color_of(model), alpha=0.25, linewidth=0, zorder=0)
+            axes.spines[["top", "right"]].set_visible(False)
+        used.update(episode["model"])
     panels[0, 0].set_ylabel("estimated net gain")
     panels[1, 0].set_ylabel("reward per step")
-    known = [name for name in models_of(every, gain_column) if every[gain_column(name)].notna().any()]
-    names = {name: f"gain of switching to {name}" for name in known}
-    key = [*steps_key(names, set(every["model"])), *handles]
-    figure.legend(handles=key, loc="outside lower center", ncols=4, frameon=False)
+    for name, line in estimated.items():
+        line.set_label(f"gain of switching to {name}")
+    in_use = [Patch(color=color_of(name), alpha=0.35, label=f"{name} in use") for name in cheapest_first(used)]
+    figure.legend(handles=[*estimated.values(), *in_use, *handles], loc="outside lower center", ncols=4, frameon=False)
     return figure
-
-
-def draw_steps(
-    panels: tuple[Axes, Axes], models: Sequence[str], worth: Mapping[str, Any], rewards: Any, small: float
-) -> None:
-    """Draw what models are worth before each step of an episode, and below it the reward, on the models in use.
-
-    Args:
-        panels: above and below.
-        models: in use, a name per step.
-        worth: by name of a model, a number per step.
-        rewards: one per step.
-        small: up to which the scale of worth is linear; beyond, it is logarithmic.
-    """
-    (upper, lower), steps = panels, np.arange(len(models))
-    upper.set_yscale("symlog", linthresh=small, linscale=0.7)
-    upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    upper.yaxis.set_minor_locator(NullLocator())
-    upper.axhline(0, color="black", linewidth=0.8)
-    for name, values in worth.items():
-        upper.plot(steps, values, "o-", color=color_of(name), markersize=4, linewidth=0.8)
-    lower.plot(steps, rewards, color="black", linewidth=1.5)
-    lower.set(xlabel="step (0.1 s)", xlim=(-0.5, len(models) - 0.5))
-    for axes in panels:
-        for step, model in enumerate(models):
-            axes.axvspan(step - 0.5, step + 0.5, color=color_of(model), alpha=0.25, linewidth=0, zorder=0)
-        axes.spines[["top", "right"]].set_visible(False)
-
-
-def steps_key(worth: Mapping[str, str], used: Collection[str]) -> list[Any]:
-    """Return what explains the panels of `draw_steps`: what is said of the worth of models, and the models in use."""
-    lines = [Line2D([], [], color=color_of(name), marker="o", label=text) for name, text in worth.items()]
-    names = cheapest_first(used)
-    return [*lines, *(Patch(color=color_of(name), alpha=0.35, label=f"{name} in use") for name in names)]

@@ -3,12 +3,15 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ms_highway.experiments.analysis.selection import Selection
+from ms_highway.experiments.analysis.selection import choosing_controllers, main_controllers
+from ms_highway.experiments.analysis.tradeoff import reference
+from ms_highway.experiments.records import common_seeds, one_episode
 from ms_highway.visualization.comparison import bars, timeline
 from ms_highway.visualization.decisions import decisions
 from ms_highway.visualization.tradeoff import curve
 
 FEWEST_LAMBDAS = 3  # that make a curve
+MOST_DECIDING = 2  # controllers whose decisions are drawn beside each other
 
 CAPTIONS = {
     "bars": "Reward and time per step of each controller. Whiskers are the 90 % intervals of the mean over episodes; "
@@ -26,22 +29,30 @@ CAPTIONS = {
 """What the figures of `figures` show."""
 
 
-def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str, selection: Selection) -> dict[str, Figure]:
+def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Figure]:
     """Draw all figures of a scenario, by the names that `CAPTIONS` explains.
 
-    Reward and computation are a curve of all controllers where a kind has three lambdas, and else bars.
+    Reward and computation are a curve of all controllers where a kind has three lambdas, and else bars. Decisions are
+    those of two controllers that choose online, beside the most expensive fixed model, from the first start that all
+    of them have driven.
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`.
         summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
-        selection: which controllers to draw in bars and timeline, and whose decisions.
     """
-    rows = summaries[(summaries["scenario"] == scenario) & summaries["controller"].isin(selection.main)]
-    driven = records[records["controller"].isin(selection.main)]
-    lambdas = summaries.query("scenario == @scenario").groupby("kind")["price"].nunique().max()
-    drawn = {"curve": curve(summaries, scenario)} if lambdas >= FEWEST_LAMBDAS else {"bars": bars(rows, scenario)}
-    drawn["timeline"] = timeline(driven, scenario)
-    if selection.deciding:
-        drawn["decisions"] = decisions(selection.deciding, selection.beside)
+    main = main_controllers(summaries, scenario)
+    rows = summaries.query("scenario == @scenario")
+    lambdas = rows.groupby("kind")["price"].nunique().max()
+    drawn = {}
+    if lambdas >= FEWEST_LAMBDAS:
+        drawn["curve"] = curve(summaries, scenario)
+    else:
+        drawn["bars"] = bars(rows[rows["controller"].isin(main)], scenario)
+    drawn["timeline"] = timeline(records[records["controller"].isin(main)], scenario)
+    deciding, beside = choosing_controllers(summaries, scenario)[:MOST_DECIDING], reference(summaries, scenario)
+    seeds = common_seeds(records, scenario, [*deciding, *([beside] if beside else [])])
+    if deciding and seeds:
+        episodes = [one_episode(records, scenario, name, seeds[0]) for name in deciding]
+        drawn["decisions"] = decisions(episodes, one_episode(records, scenario, beside, seeds[0]) if beside else None)
     return drawn

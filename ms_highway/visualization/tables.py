@@ -63,12 +63,6 @@ def two_digits(value: float) -> str:
     return f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}"
 
 
-def markdown(table: pd.DataFrame) -> str:
-    """Return a table of texts in Markdown."""
-    lines = [list(table), ["---"] * table.shape[1], *table.to_numpy().tolist()]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
 def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
     """Return regrets per step in one scenario, a table per price, of the controllers that `remarks` selects.
 

@@ -17,9 +17,8 @@ from ms_highway.benchmarks.road import DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.controllers import FIXED_ORDERS
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
-from ms_highway.visualization.overview import overview
+from ms_highway.visualization.html_page import results_table
 from ms_highway.visualization.roads import driver_rows
-from ms_highway.visualization.tables import markdown
 
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
@@ -27,6 +26,7 @@ LIMITS = ("limit_50", "limit_9", "limit_6")
 RUNS = ("compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", *LIMITS)
 """Directories in results/."""
 
+OUTCOME = "controller", "reward/step", "90 % interval", "collisions"  # cells of a run that stand beside others
 TABLES = "summary", "regrets"  # what some of them hold, and what is kept with a column ``run``
 ROADS = "road", "road_commuters"
 """Directories of figures in results/, each file written by ``ms-highway bench road --json``, and what keeps them."""
@@ -88,22 +88,56 @@ def kept_table(name: str, run: str) -> pd.DataFrame:
 
 def tables() -> dict[str, str]:
     """The tables of the pages in Markdown, by the name that stands in the comment above each."""
-    compare = comparison("compare")
-    whole, limits = overview([compare], explained=True), overview([comparison(run) for run in LIMITS])
+    whole = overview(compare="")
+    limits = overview(
+        limit_50=", 0.2 and 50 control limit", limit_9=", 0.2 and 9 control limit", limit_6=", 0.1 and 6 control limit"
+    )
     shown = [(scenario, name) for scenario, names in SHOWN.items() for name in names]
     shown_tables = {
         "shown": whole.set_index(["scenario", "controller"]).loc[shown, SHOWN_COLUMNS].reset_index(),
-        "semantics": overview([compare, comparison("released")]),
-        "human rewards": overview([compare, comparison("published")]),
-        "worth": overview([comparison("worth")]),
-        "crowd": overview([comparison("crowd")]),
-        "crowd peers": overview([comparison("crowd_peers")]),
+        "semantics": brief(overview(compare=", paper semantics", released=", released semantics")),
+        "human rewards": brief(overview(compare=", learned human reward", published=", published human reward")),
+        **{name: brief(overview(**{name.replace(" ", "_"): ""})) for name in ("worth", "crowd", "crowd peers")},
         "limits": limits.drop(columns=[name for name in limits if "collision" not in name][2:]),
         "regrets": regret_cells(kept_table("regrets", "frontier")),
         **recorded_tables(),
         **{name: road_cells(json.loads((KEPT / f"{name}.json").read_text())) for name in ROADS},
     }
     return {name: markdown(table) for name, table in shown_tables.items()}
+
+
+def overview(**names: str) -> pd.DataFrame:
+    """Texts, a row per scenario and controller: outcomes of every named run beside each other, times of the first."""
+    several = {name: comparison(run) for run, name in names.items()}
+    found = {
+        (name, scenario, texts["controller"]): texts
+        for name, results in several.items()
+        for scenario in results.scenarios
+        for texts in results_table(results, scenario).to_dict("records")
+    }
+    rows = []
+    for key in dict.fromkeys((scenario, controller) for _, scenario, controller in found):
+        row = dict(zip(("scenario", "controller"), key, strict=True))
+        own = [found.get((name, *key), {}) for name in several]
+        for name, texts in zip(several, own, strict=True):
+            reward = f"{texts['reward/step']} ({texts['90 % interval']})" if texts else ""
+            row[f"reward per step (90 % interval){name}"] = reward
+            row[f"episodes with a collision{name}"] = texts.get("collisions", "")
+        more = {heading: text for texts in reversed(own) for heading, text in texts.items() if "published" in heading}
+        row |= {heading: text for heading, text in (own[0] | more).items() if heading not in OUTCOME}
+        rows.append(row)
+    return table_of(rows)
+
+
+def brief(table: pd.DataFrame) -> pd.DataFrame:
+    """A table without the columns that need an explanation."""
+    return table.drop(columns=["counted ms", "published ms"], errors="ignore")
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """A table of texts in Markdown."""
+    lines = [list(table), ["---"] * table.shape[1], *table.to_numpy().tolist()]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:

@@ -27,7 +27,6 @@ def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, 
         "compare merger --controllers naive --out .",
         "sweep merger --controllers naive --out .",
         "compare merger --set human_reward=learned.json --out out",
-        "report --drivers learned.json us101 . --out page.html",
     ):
         assert "nested too deeply" in refused(command)
 
@@ -107,7 +106,6 @@ def test_json_that_is_nested_too_deeply_is_refused_wherever_it_is_read(content, 
         ("validate nowhere", "there is no directory nowhere"),
         ("bench roundabout", "'roundabout'; the scenarios are"),
         ("sweep merger give_way --out sweep", "there are 2 scenarios; a sweep is of one"),
-        ("report", "name a directory of results, or a page to write"),
     ],
 )
 def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(command, message, refused):

@@ -22,7 +22,7 @@ from ms_highway.visualization.irl.prediction import (
     likelihood_figure,
     paths_figure,
 )
-from ms_highway.visualization.irl.tables import drivers_section, evaluation_tables, learned_tables
+from ms_highway.visualization.irl.tables import evaluation_tables, learned_tables
 
 
 def evaluation():
@@ -95,18 +95,6 @@ def test_tables_show_what_was_found():
     assert "0.5 " in text
     assert "patiences" in text
     assert "headway while changing lanes" in text
-
-
-def test_a_section_has_all_tables_and_figures(us101_directory, tmp_path):
-    path, data = tmp_path / "evaluation.json", tmp_path / "one"
-    data.mkdir()
-    first = min(us101_directory.glob("*.xml.gz"))
-    (data / first.name).symlink_to(first)
-    path.write_bytes(msgspec.json.encode(evaluation()))
-    section = drivers_section(path, "us101", str(data))
-    tables, figures = section.tables, section.figures
-    assert len(tables) == 6
-    assert set(figures) == {"errors", "likelihood", "calibration", "paths", "counts"}
 
 
 @pytest.mark.parametrize(

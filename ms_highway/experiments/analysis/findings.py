@@ -1,17 +1,13 @@
 """Say in a few sentences what the numbers of a comparison show."""
 
-from collections.abc import Iterable
-
 import pandas as pd
 
-from ms_highway.experiments.analysis.selection import choosing_controllers, telling_pair
+from ms_highway.experiments.analysis.selection import choosing_controllers
 from ms_highway.experiments.analysis.summary import interval
-
-FIRST = "merger", "give_way"
 
 
 def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str:
-    """Say what the best fixed model gains over the cheapest, how much of it choosing keeps, and who collides.
+    """Say what the best fixed model gains over the cheapest, how much of it choosing keeps, and what collides.
 
     A gain counts as more than chance by its 90 % interval over the starts that both drove from.
 
@@ -22,56 +18,38 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
     """
     rows = summaries.query("scenario == @scenario").set_index("controller")
     reward, counted, fixed = rows["reward"], rows["counted_ms"], rows.query("kind == 'fixed'")
+    choosing = choosing_controllers(summaries, scenario)
     if fixed.empty:
-        pair = telling_pair(summaries, scenario)
-        return " ".join(
-            [*(f"{name} earns a reward of {reward[name]:.2f} per step." for name in pair), _collisions(rows)]
-        )
+        best = str(reward.idxmax())
+        return f"{best} earns the most, a reward of {reward[best]:.2f} per step. {_collisions(rows)}"
     best, cheapest = str(fixed["reward"].idxmax()), str(fixed["counted_ms"].fillna(float("inf")).idxmin())
     driven = records.query("scenario == @scenario").pivot_table("reward", "seed", "controller")
     gains = (driven[best] - driven[cheapest]).dropna()
     low, high = interval(gains)
-    choosing = choosing_controllers(summaries, scenario)
-    if low > 0 and choosing:
-        kept, effort = 100 * (reward - reward[cheapest]) / gains.mean(), 100 * counted / counted[best]
-        shares = [
-            f"{name} keeps {kept[name]:.0f} % of {best}'s gain over {cheapest}"
-            + (f" for {effort[name]:.0f} % of its planning" if effort[name] < float("inf") else "")
-            for name in choosing
-        ]
-        rewards = ", ".join(f"{name} {reward[name]:.2f}" for name in (cheapest, best, *choosing))
-        gain = f"The gain is {gains.mean():.2f} ({low:.2f}, {high:.2f})"
-        return f"{'; '.join(shares)}. {gain}; reward per step: {rewards}. {_collisions(rows)}"
-    text = f"Planning every step with {best} earns a reward of {reward[best]:.2f} per step"
+    sure = f"90 % interval {low:.2f} to {high:.2f}, {len(gains)} starts"
     if best == cheapest:
-        text += ", and no more expensive model earns more in these episodes" if len(fixed) > 1 else ""
+        text = "and no more expensive fixed model earns more"
+    elif low > 0:
+        text = f"{gains.mean():.2f} more than {cheapest} ({sure})"
+    elif len(gains) < 2:
+        text = f"{cheapest} {reward[cheapest]:.2f}; one start cannot show a difference"
     else:
-        text += f", with {cheapest} {reward[cheapest]:.2f}"
-        if len(gains) < 2:
-            text += "; one episode cannot show that it is better"
-        elif not low > 0:
-            difference = f"difference {gains.mean():.2f}, 90 % interval {low:.2f} to {high:.2f}"
-            text += f", but {len(gains)} episodes do not show that it is better ({difference})"
-    sentences = [text]
+        text = f"{cheapest} {reward[cheapest]:.2f}; these starts do not show a difference ({sure})"
+    sentences = [f"{best} earns a reward of {reward[best]:.2f} per step, {text}."]
     for name in choosing:
-        text, share = f"{name} earns {reward[name]:.2f}", counted[name] / counted[best]
-        sentences.append(text + (f" with {100 * share:.0f} % of {best}'s planning" if share < float("inf") else ""))
-    return " ".join([*(f"{sentence}." for sentence in sentences), _collisions(rows)])
+        text, effort = f"{name} earns {reward[name]:.2f}", counted[name] / counted[best]
+        if low > 0:
+            text += f" and keeps {100 * (reward[name] - reward[cheapest]) / gains.mean():.0f} % of that gain"
+        if effort < float("inf"):
+            text += f", for {100 * effort:.0f} % of {best}'s planning"
+        sentences.append(f"{text}.")
+    return " ".join([*sentences, _collisions(rows)])
 
 
 def _collisions(rows: pd.DataFrame) -> str:
-    """Say who collides, and how often."""
+    """Say with which controllers there are collisions, and in how many episodes."""
     hit = rows[rows["collision_episodes"] > 0]
     if hit.empty:
         return "No controller collides."
-    worst = hit.loc[hit["collision_episodes"].idxmax()]
-    *names, last = hit.index
-    who = f"{', '.join(names)} and {last}" if names else last
-    who = "every controller" if len(hit) == len(rows) > 1 else who
-    most = f"{worst['collision_episodes']} of {worst['episodes']}"
-    return f"There are collisions with {who}, in {'up to ' if names else ''}{most} episodes."
-
-
-def in_order(scenarios: Iterable[str]) -> list[str]:
-    """Order scenarios for texts: Merger, Give Way, then the others as given."""
-    return sorted(scenarios, key=lambda name: FIRST.index(name) if name in FIRST else len(FIRST))
+    episodes = [f"{name} in {row['collision_episodes']} of {row['episodes']}" for name, row in hit.iterrows()]
+    return f"Episodes with a collision: {', '.join(episodes)}."

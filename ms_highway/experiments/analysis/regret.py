@@ -13,9 +13,6 @@ from ms_highway.experiments.analysis.summary import interval
 BEST_PER_START = "best order of each start"
 """Name that `regrets` gives to the best order that was found for every start."""
 
-REGRETS_FILE = "regrets.csv"
-"""What a directory of ``ms-highway frontier`` keeps them in."""
-
 CURVE_PRICES = np.geomspace(1e-3, 1e3, 121)  # reward per second
 
 

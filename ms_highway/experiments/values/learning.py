@@ -27,12 +27,8 @@ from ms_highway.runtime.compilation import pack
 from ms_highway.runtime.files import read_arrays, reading, replacing
 from ms_highway.simulation.records import DECIDES
 
-BLIND = {"lambda": ("log10 lambda",), "gradients": ("d/d ",)}
-"""Parts of the names of inputs that `Learning` can do without, by what it is called."""
-
 REMEDY = "remove it, or choose another --out"
 LEAST_SPREAD = 1e-3  # of an input
-UNSEEN = 1e9  # spread of an input that is left out
 HELD_OUT_STARTS = 8
 HELD_OUT_PRICES = (0.1, 1.0, 10.0)
 SWITCHES = (2, 4, 6, 9, 13, 20)  # steps after which the orders that rules are compared with go over to another rung
@@ -50,7 +46,6 @@ class Learning:
         rounds: of rollouts and fits.
         states: that rollouts start from, on each course, in the first round and in the others.
         horizon: steps of a rollout.
-        without: names of `BLIND`, for ablations.
         seed: of all random numbers, which have nothing to do with the numbered starts of environments.
         settings: what the file of values tells beside this.
     """
@@ -61,7 +56,6 @@ class Learning:
     rounds: int = 5
     states: tuple[int, int] = (400, 250)
     horizon: int = 20
-    without: tuple[str, ...] = ()
     seed: int = 0
     settings: Mapping[str, Any] = field(default_factory=dict)
 
@@ -88,9 +82,7 @@ class Learning:
                 centre = np.append(centre, logarithms.mean()).astype(np.float32)
                 spread = np.append(spread, np.ptp(logarithms) / np.sqrt(12)).astype(np.float32)
                 network = new_network(random, *shape)
-            left_out = [part for name in self.without for part in BLIND[name]]
-            blind = [any(part in name for part in left_out) for name in names]
-            spread = np.where(blind, np.float32(UNSEEN), spread + LEAST_SPREAD)
+            spread = spread + LEAST_SPREAD
             network = fit(network, rollouts, np.array(costs), self.prices if over_top else None, centre, spread, random)
         provenance = {
             **self.settings,
@@ -113,7 +105,7 @@ class Progress(NamedTuple):
         round: from 1.
         course: its name; empty after the fit that ends a round.
         values: after a fit.
-        regrets: held-out regret per step of each whole course with one human, by its name, after a fit: means over
+        regrets: held-out regret per step of each course with one human, by its name, after a fit: means over
             `HELD_OUT_STARTS` starts and `HELD_OUT_PRICES`, to the best of simple orders and of the rule itself.
     """
 
@@ -144,7 +136,7 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
     settings = {**asdict(learning), "courses": games}
     ResultsDirectory(kept).take_up(settings)
     ResultsDirectory(kept).write_settings(settings)
-    held_out = [_HeldOut(learning, course, mesh) for course in courses if course.share == 1 and not course.several]
+    held_out = [_HeldOut(learning, course, mesh) for course in courses if not course.several]
     values, done = None, list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, course in enumerate(courses):
@@ -156,7 +148,7 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
             else:
                 random, states = learning.stream(number, COURSE, place), learning.states[values is not None]
                 driving = learning.driving(course, values, mesh)
-                rollouts = driving.roll_out(random, max(1, round(course.share * states)), len(learning.costs))
+                rollouts = driving.roll_out(random, states, len(learning.costs))
                 with replacing(file) as path:
                     np.savez(path, **rollouts._asdict())
             done.append(rollouts)

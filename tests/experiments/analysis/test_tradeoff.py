@@ -18,16 +18,20 @@ ROWS = [
     ("schedule:tom=6,naive", 5.7, 132.0),
     ("schedule:tom=2,turn", 2.0, 160.0),
     ("random:naive=0.5,tom=0.5", 5.8, 100.0),
+    ("learned:0.1", 5.9, 150.0),
+    ("learned:1", 5.0, 120.0),
+    ("learned:0.1:own.npz", 5.5, 160.0),
 ]
 
 
 @pytest.fixture
 def summaries():
     table = pd.DataFrame(ROWS, columns=["controller", "reward", "counted_ms"])
+    configs = [controller_config(name.removesuffix(":own.npz")) for name in table["controller"]]  # which is not read
     return table.assign(
         scenario="merger",
-        kind=[controller_config(name)["type"] for name in table["controller"]],
-        price=[controller_config(name).get("lambda") for name in table["controller"]],
+        kind=[config["type"] for config in configs],
+        price=[config.get("lambda") for config in configs],
         episodes=30,
         reward_low=table["reward"] - 0.1,
         reward_high=table["reward"] + 0.1,
@@ -48,58 +52,35 @@ def test_the_best_schedules_are_those_that_nothing_fixed_beats_with_less(summari
     assert best["controller"].tolist() == ["naive", "schedule:tom=4,naive", "schedule:tom=6,naive", "tom"]
 
 
-def test_meta_rewards_take_off_the_price_of_planning(summaries):
+def test_meta_rewards_take_off_the_price_of_planning_a_column_for_each_kind_that_chooses_online(summaries):
     table = meta_rewards(summaries, "merger")
-    assert table.index.tolist() == [0.01, 0.1]
-    assert table.loc[0.1, "switching"] == pytest.approx(4.8 - 0.1 * 0.185)
-    assert table.loc[0.01, "tom"] == pytest.approx(6.0 - 0.01 * 0.37)
-    assert (table["best schedule"] == table["tom"]).all()
-    summaries["reward"] -= summaries["counted_ms"] / 50  # now computation is expensive
-    assert meta_rewards(summaries, "merger").loc[0.1, "best schedule"] == pytest.approx(5.7 - 132 / 50 - 0.1 * 0.132)
-
-
-def test_the_curve_shows_every_controller_over_counted_and_over_measured_time(summaries):
-    figure = curve(summaries, "merger")
-    counted, measured = figure.axes
-    points = np.concatenate([line.get_xydata() for line in counted.lines])
-    for _, reward, milliseconds in ROWS:
-        assert (np.abs(points - [milliseconds, reward]).max(axis=1) < 1e-9).any()
-    assert measured.get_xlim()[1] < 5
-    assert {text.get_text() for text in counted.texts} == {"0.1", "0.01"}
-
-
-def test_a_title_tells_that_controllers_have_several_numbers_of_episodes(summaries):
-    assert episode_count(summaries) == "30 episodes per controller"
-    summaries.loc[0, "episodes"] = 5
-    assert episode_count(summaries) == "5 to 30 episodes per controller"
-
-
-@pytest.fixture
-def several(summaries):
-    """Learned values beside switching, also from a file of one's own."""
-    names = ["learned:0.1", "learned:1", "learned:0.1:own.npz"]
-    learned = summaries.iloc[:3].assign(controller=names, kind="learned", price=[0.1, 1.0, 0.1])
-    learned["reward"], learned["counted_ms"] = [5.9, 5.0, 5.5], [150.0, 120.0, 160.0]
-    learned["reward_low"], learned["reward_high"] = learned["reward"] - 0.1, learned["reward"] + 0.1
-    return pd.concat([summaries, learned])  # with an index that repeats
-
-
-def test_meta_rewards_of_every_kind_that_chooses_online_stand_in_a_column_of_its_own(several):
-    table = meta_rewards(several, "merger")
     assert table.index.tolist() == [0.01, 0.1, 1.0]
     assert table.loc[0.1, ["switching", "learned", "learned:own.npz"]].tolist() == pytest.approx(
         [4.8 - 0.0185, 5.9 - 0.015, 5.5 - 0.016]
     )
     assert table["learned"].isna().tolist() == [True, False, False]
     assert table.loc[1.0, "tom"] == pytest.approx(6.0 - 0.37)
+    assert table["best schedule"][:2].tolist() == table["tom"][:2].tolist()
+    summaries["reward"] -= summaries["counted_ms"] / 50  # now computation is expensive
+    assert meta_rewards(summaries, "merger").loc[0.1, "best schedule"] == pytest.approx(5.7 - 132 / 50 - 0.1 * 0.132)
 
 
-def test_the_curve_has_a_line_of_its_own_colour_and_label_for_every_kind_that_chooses_online(several):
-    counted, _ = (figure := curve(several, "merger")).axes
+def test_the_curve_shows_every_controller_and_joins_each_kind_that_chooses_online(summaries):
+    counted, measured = (figure := curve(summaries, "merger")).axes
+    points = np.concatenate([line.get_xydata() for line in counted.lines])
+    for _, reward, milliseconds in ROWS:
+        assert (np.abs(points - [milliseconds, reward]).max(axis=1) < 1e-9).any()
+    assert measured.get_xlim()[1] < 5
+    assert {text.get_text() for text in counted.texts} == {"0.1", "0.01", "1"}
     (legend,) = figure.legends
     assert {"switching, by lambda", "learned, by lambda"} <= {text.get_text() for text in legend.get_texts()}
-    points = {tuple(line.get_xydata()[0]): line for line in counted.lines if len(line.get_xydata())}
-    learned, switching = points[150.0, 5.9], points[296.0, 5.4]
+    first = {tuple(line.get_xydata()[0]): line for line in counted.lines if len(line.get_xydata())}
+    learned, switching = first[150.0, 5.9], first[296.0, 5.4]
     assert learned.get_xydata().tolist() == [[150.0, 5.9], [120.0, 5.0]]
     assert learned.get_color() != switching.get_color()
-    assert {"0.1", "0.01", "1"} == {text.get_text() for text in counted.texts}
+
+
+def test_a_title_says_that_controllers_have_several_numbers_of_episodes(summaries):
+    assert episode_count(summaries) == "30 episodes per controller"
+    summaries.loc[0, "episodes"] = 5
+    assert episode_count(summaries) == "5 to 30 episodes per controller"
