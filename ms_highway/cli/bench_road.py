@@ -33,9 +33,8 @@ it was rear-ended in a lane that it had kept for a second. Intervals of success 
 acceleration in any frame of the simulation, jerk the root mean square, ms the time of a decision, without compilation,
 late the share of plans that were not ready within a budget. Choices count the time of models at what the package ships.
 
-Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, turn, tom); with
-+traits, the desired speed and headway of each car are estimated, with +belief, the model that its driver follows (such
-as priced+traits+belief); with +intentions, other cars show which way they take, as by indicators: their true routes,
+Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
++intentions (such as priced+intentions), other cars show which way they take, as by indicators: their true routes,
 where they have one. Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and lane;
 random, which chooses the environment's actions by chance; search, a beam search over copies of the environment that
 knows all that will happen, within the tyres of this package's drivers: privileged, about half a minute for an episode,
@@ -112,7 +111,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, make_driver, row, summary
     from ms_highway.cli.results_directory import write_table
     from ms_highway.control.road import SHIPPED_COSTS
-    from ms_highway.planning.human_models import PACKAGE_MODELS
+    from ms_highway.planning.road.settings import MODELS
     from ms_highway.runtime.files import write_json
     from ms_highway.visualization.roads import driver_table, fared
 
@@ -160,7 +159,7 @@ def _bench_road(options: argparse.Namespace) -> None:
         results[block.scene][block.driver] |= behind(episodes[block], bounds.get(block.scene, {}))
     if bounds and options.json:
         write_json(options.json, results)
-    costs = zip(PACKAGE_MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
+    costs = zip(MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
     counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
     for scene, figures in fared(results).items():
         heading = f"{scene}, traffic {traffic}: {len(seeds)} episodes; choices count {counted} ms a car"

@@ -12,7 +12,8 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 from ms_highway.experiments.analysis.summary import CONFIDENCE
-from ms_highway.planning.human_models import PACKAGE_MODELS, cheapest_first
+from ms_highway.planning.human_models import cheapest_first
+from ms_highway.planning.road.settings import MODELS
 from ms_highway.runtime.files import read_json, reading
 from ms_highway.runtime.structures import Finite, NotNegative
 from ms_highway.visualization.colors import choosing_shades, light_grid
@@ -106,7 +107,7 @@ def driver_table(title: str, drivers: Mapping[str, Fared], *without: str) -> Tab
 
 def driver_rows(drivers: Mapping[str, Fared], *without: str) -> list[dict[str, str]]:
     """Return a row of texts for each driver, without the columns that have nothing to say."""
-    rungs = cheapest_first([*PACKAGE_MODELS, *(rung for one in drivers.values() for rung in one.rungs)])
+    rungs = cheapest_first([*MODELS, *(rung for one in drivers.values() for rung in one.rungs)])
     rows = []
     for driver, one in drivers.items():
         first, count = one.seeds

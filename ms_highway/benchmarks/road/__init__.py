@@ -26,8 +26,8 @@ EGOS = ("problem", "changing")
 REACTIVE = ("reactive", "reactive-default")
 """Peers that solve planning problems of recordings: privileged, as they know how others went."""
 
-KNOWN = "traits", "belief", "intentions"
-"""What a driver of this package may know of others, in the names of drivers after a plus each."""
+INTENTIONS = "+intentions"
+"""End of the names of drivers to whom others show which way they take."""
 
 HUMAN = "human"
 """The driver that goes as the vehicle was recorded to whose place the ego takes."""
@@ -38,7 +38,7 @@ PEERS = ("idm", "idle", "random")
 SEARCH = "search"
 """The driver that knows what will happen, which others are compared with; it takes half a minute for an episode."""
 
-DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", *PEERS)
+DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:tom", *PEERS)
 """Drivers that are measured by default."""
 
 TRAFFIC = {
@@ -69,10 +69,8 @@ def known_scenes(names: Iterable[str]) -> list[str]:
 
 
 def driver_config(name: str) -> dict[str, Any]:
-    """Return the configuration, for `ms_highway.drive`, of a driver of this package, such as ``priced:2+traits``."""
-    suffix = re.compile(rf"\+({'|'.join(KNOWN)})(?=\+|$)")
-    found = suffix.findall(name)
-    return {"driver": suffix.sub("", name)} | {known: known in found for known in KNOWN}
+    """Return the configuration for `ms_highway.drive` of a driver of this package, such as ``priced:2+intentions``."""
+    return {"driver": name.removesuffix(INTENTIONS), "intentions": name.endswith(INTENTIONS)}
 
 
 def is_agent(driver: str) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ms_highway.benchmarks.road import (
     HUMAN,
-    KNOWN,
+    INTENTIONS,
     REACTIVE,
     RECORDED,
     RECORDED_ID,
@@ -150,8 +150,7 @@ def check_driver(name: str) -> None:
         try:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
-            suffixed = "DRIVER" + "".join(f"[+{known}]" for known in KNOWN)
-            known = ", ".join([*OTHERS, *DRIVERS, suffixed, "AGENT.zip"])
+            known = ", ".join([*OTHERS, *DRIVERS, f"DRIVER[{INTENTIONS}]", "AGENT.zip"])
             raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
 
 

@@ -50,7 +50,7 @@ class Commuter:
         path: of the human.
         state: of the human on it.
         size: length and width of all cars [m].
-        reward: the commuters', with the speed and the headway that this human desires.
+        reward: the commuters', with the speed limit of this human.
         others: fields of their `ms_highway.game.dynamics.Motion` after each step, None before it looks.
     """
 
@@ -176,16 +176,11 @@ def commuter_of(scene: RoadScene, planning: RoadPlanning, i: Index) -> Commuter:
     """Return other car i as a commuter that has not looked at others yet."""
     path, state, size = jax.tree.map(lambda field: field[i], (scene.paths, scene.states, scene.sizes))
     reward = replace(_reward(), speed_limit=scene.limits[i])
-    if scene.traits is not None:
-        reward = replace(reward, speed_limit=scene.traits.speed[i], headway=scene.traits.headway[i])
     return Commuter(planning, path, state, size, reward)
 
 
 def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: World, others: World) -> Commuter:
     """Return other car i as a commuter among the robot and the `NEAREST` others.
-
-    With the trajectory of `ms_highway.planning.road.motion.cruise`, the robot keeps its velocity, which is what the
-    model turn assumes.
 
     Args:
         scene: the road.

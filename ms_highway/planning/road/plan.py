@@ -1,9 +1,8 @@
 """Plan on a road: propose, let others answer, check.
 
 All proposals are judged with others who keep their speed or follow by the Intelligent Driver Model. If some plan for
-their reward, they answer the best few of these proposals (theory of mind) or a robot that keeps its velocity (turn),
-and these proposals are judged again. Answers make plans better, not safe: what hits somebody who only follows does not
-drive where anything else holds.
+their reward (theory of mind), they answer the best few of these proposals, and these are judged again. Answers make
+plans better, not safe: reject a plan that collides if others merely follow, when a safe plan exists.
 """
 
 from typing import NamedTuple
@@ -15,7 +14,7 @@ from jax import numpy as jnp
 from ms_highway.game.road import Flags, Places, RoadScene, Traffic
 from ms_highway.planning.road.answers import UNIT, commuter_among
 from ms_highway.planning.road.arrays import EachStep
-from ms_highway.planning.road.motion import centres, cruise
+from ms_highway.planning.road.motion import centres
 from ms_highway.planning.road.proposals import (
     PROPOSALS,
     DrivenPlans,
@@ -26,9 +25,8 @@ from ms_highway.planning.road.proposals import (
     simulate_plans,
 )
 from ms_highway.planning.road.scoring import UNSOUND, Scores, score
-from ms_highway.planning.road.settings import IDM, LANE, TOM, TURN, RoadPlanning, RoadWeights
-from ms_highway.planning.road.traffic import Situation, assumed_traits, leads, situation_of
-from ms_highway.planning.road.traits import followed, jointly
+from ms_highway.planning.road.settings import IDM, LANE, TOM, RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import Situation, accelerations_now, leads, situation_of
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, Vector, for_each
 
 ANSWERED = 4  # best proposals that others answer
@@ -152,9 +150,9 @@ def answer_road(proposed: Proposed, rungs: Places) -> RoadPlan:
         rungs: number of the model of each of the others.
     """
     now, few = proposed.now, proposed.few
-    optimises = (rungs >= TURN) & now.scene.moving & now.scene.present
+    optimises = (rungs == TOM) & now.scene.moving & now.scene.present
     manners = _following(now, rungs, ANSWERED)._replace(
-        given=optimises, accelerations=_answers(now, rungs, optimises, few.driven)
+        given=optimises, accelerations=_answers(now, optimises, few.driven)
     )
     return _best(now, few, _judged(now, few.plans, manners), proposed.numbers)
 
@@ -184,27 +182,25 @@ def _following(now: Situation, rungs: Places, plans: int) -> Manners:
     """
     scene, planning = now.scene, now.planning
     follows = (rungs >= IDM) & scene.moving & ~now.crossings.exist
-    expected = follows | ((rungs >= TURN) & scene.moving)
-    manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((plans, len(rungs), planning.steps)))
-    if scene.accelerations is None:
-        return manners
-    modelled = jointly(scene, followed(scene, assumed_traits(scene)), planning.time_step)
+    expected = follows | ((rungs == TOM) & scene.moving)
+    modelled = accelerations_now(scene, now.ways, planning.time_step)
     brakes = leads(scene, now.ways, BESIDE * LANE) & (scene.accelerations < -HARD)
-    return manners._replace(
+    return Manners(
+        follows,
+        given=jnp.zeros_like(follows),
+        accelerations=jnp.zeros((plans, len(rungs), planning.steps)),
         surprise=scene.accelerations - jnp.where(expected, modelled, 0.0),
         held=jnp.where(brakes, scene.accelerations, jnp.inf),
     )
 
 
-def _answers(now: Situation, rungs: Places, optimises: Flags, driven: DrivenPlans) -> EachStep:
+def _answers(now: Situation, optimises: Flags, driven: DrivenPlans) -> EachStep:
     """Return the accelerations of those who optimise their reward, under each of some plans."""
     scene, planning = now.scene, now.planning
     robots, others = centres(scene, driven.states), driven.world
-    kept = jnp.broadcast_to(cruise(scene, planning), robots.shape)
 
     def one(car: Places, found: EachStep) -> EachStep:
-        seen = jnp.where(rungs[car] == TOM, robots, kept)
         answer = jax.vmap(lambda *all_others: commuter_among(scene, planning, car, *all_others).answer())
-        return found.at[:, car].set(UNIT * answer(seen, others))
+        return found.at[:, car].set(UNIT * answer(robots, others))
 
-    return for_each(optimises, one, jnp.zeros((len(robots), len(rungs), planning.steps)))
+    return for_each(optimises, one, jnp.zeros((len(robots), len(optimises), planning.steps)))
