@@ -159,7 +159,7 @@ def desired_speeds(scene: RoadScene) -> Traffic:
 
 
 def accelerations_now(scene: RoadScene, ways: Ways, time_step: Scalar) -> Traffic:
-    """Return the accelerations by the Intelligent Driver Model now: the least on all paths of a car, never backwards."""
+    """Return the accelerations now by the Intelligent Driver Model: the least on all ways of a car, never backwards."""
     s, d, _, speed = jnp.asarray(scene.robot)
     speeds = jnp.asarray(scene.states)[:, 3]
     where = on_route(ways, scene.states[:, 0], scene.states[:, 1])
