@@ -164,10 +164,11 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             robot.forget()
         kind = self._base.action_type
         *outcome, info = self.env.step(unheeded(kind))
-        if isinstance(kind, MultiAgentAction):
-            done = tuple(map(action_done, kind.agents_action_types, self.robots))
-        else:
-            done = action_done(kind, self.robots[0])
+        kinds = getattr(kind, "agents_action_types", [kind])
+        done: Any = None
+        if not isinstance(kinds[0], DiscreteMetaAction):
+            done = tuple(map(action_done, kinds, self.robots))
+            done = done if isinstance(kind, MultiAgentAction) else done[0]
         return *outcome, {**info, "road": self._told() | {"action": done}}
 
     def render(self) -> Any:
@@ -202,14 +203,12 @@ def unheeded(action_type: ActionType) -> Any:
     return _nearest_in(action_type, action_type.controlled_vehicle.action)
 
 
-def action_done(action_type: ActionType, robot: RoadRobot) -> Any:
-    """Return what a robot did in a step, as an action of its environment; None where that is a meta-action.
+def action_done(action_type: ContinuousAction, robot: RoadRobot) -> Any:
+    """Return what a robot did in a step, as an action of its environment.
 
     A continuous action is the mean over the frames of the step, clipped to the space; of a ``DiscreteAction``, the one
     nearest to that.
     """
-    if isinstance(action_type, DiscreteMetaAction):
-        return None
     frames = robot.actions or [robot.action]
     return _nearest_in(action_type, {key: float(np.mean([frame[key] for frame in frames])) for key in frames[0]})
 

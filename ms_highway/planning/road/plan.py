@@ -108,8 +108,8 @@ def no_plan(planning: RoadPlanning) -> LastPlan:
     return LastPlan(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32), np.int32(0))
 
 
-def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
-    """Simulate and judge all proposals while others keep their speed, or follow from the model `IDM` on.
+def proposals(now: Situation, rungs: Places, last: LastPlan) -> tuple[Profiles, Manners]:
+    """Return all proposals, and the manners of others who keep their speed, or follow from the model `IDM` on.
 
     Args:
         now: the situation.
@@ -118,7 +118,7 @@ def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
     """
     side = jnp.where(now.obstruction.exists, last.side, 0)  # also where the plan leads back already
     lane = jnp.where(side == 0, nearest_lane(now.scene, *last.goal), 1)
-    return _judged(now, profiles(last.controls, lane, side), _following(now, rungs, PROPOSALS))
+    return profiles(last.controls, lane, side), _following(now, rungs, PROPOSALS)
 
 
 def propose_road(
@@ -130,11 +130,11 @@ def propose_road(
         scene: the road.
         planning: limits and wishes.
         weights: what counts.
-        rungs: see `propose`.
+        rungs: see `proposals`.
         last: plan.
     """
     now = situation_of(scene, planning, weights)
-    judged = propose(now, rungs, last)
+    judged = _judged(now, *proposals(now, rungs, last))
     total = judged.scores.total
     worth = (total[:, None] + judged.scores.answerable).max(axis=0) - total.max()
     _, numbers = jax.lax.top_k(judged.scores.preference, ANSWERED)
