@@ -78,10 +78,8 @@ class RoadSettings(Struct, frozen=True):
         Raises:
             ValueError: for an unknown driver.
         """
-        kind, colon, rest = self.driver.partition(":")
+        kind, _, rest = self.driver.partition(":")
         message = f"config['driver'] is {self.driver!r}"
-        if kind == "switching":
-            raise ValueError(f"{message}; on roads, the choice by price is called {'priced' + colon + rest!r}")
         if self.budget is not None:
             if self.driver != "priced":
                 raise ValueError(f"config['budget'] is {self.budget!r}, but {message}; say 'priced'")

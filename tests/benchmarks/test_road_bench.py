@@ -163,7 +163,7 @@ def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path,
         ("merge --drivers budget:1..2", "unknown driver 'budget:1..2'"),
         ("merge --drivers oracle", "unknown driver 'oracle'; the drivers are idm, idle, random, search, human"),
         ("merge --drivers agents/mine.zip", "there is no agent agents/mine.zip; notebooks/examples/train_peers.py"),
-        ("merge --drivers switching", "the choice by price is called 'priced'"),
+        ("merge --drivers switching", "unknown driver 'switching'"),
         ("merge --seeds 0", "--seeds: '0' is no whole number from 1"),
     ],
 )

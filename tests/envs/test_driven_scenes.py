@@ -81,7 +81,6 @@ def test_what_others_have_set_in_highway_envs_drivers_is_left_alone(monkeypatch)
         ({"prize": 1.0}, "unknown key 'prize' in config; did you mean 'price'"),
         ({"driver": "priced:cheap"}, "'priced:cheap'; it needs its price, such as priced:0.1"),
         ({"driver": "fixed:nobody"}, "'fixed:nobody'; choose one of 'priced'"),
-        ({"driver": "switching:2"}, "on roads, the choice by price is called 'priced:2'"),
         ({"driver": "fixed:tom", "ladder": ("naive", "idm")}, "add 'tom' to it"),
         ({"ladder": ("tom", "naive")}, "give rungs of naive, idm, tom in this order"),
         (

@@ -40,17 +40,15 @@ def polygon(x, y, heading, length, width):
 
 
 def test_bodies_are_apart_exactly_where_highway_env_says_so():
-    random, number = np.random.default_rng(0), 300
-    x, y, other_x, other_y = random.uniform(-6, 6, (4, number))
-    heading, other_heading = random.uniform(-7, 7, (2, number))
+    random, number, own = np.random.default_rng(0), 300, (0.5, -0.3, 2.0)
+    others = *random.uniform(-6, 6, (2, number)), random.uniform(-7, 7, number)
     sizes = random.uniform(0.5, 6, (number, 2))
-    own = jnp.stack([x, y, heading]), jnp.array([5.0, 2.0])
-    found = np.asarray(separation(tuple(own[0]), own[1], (other_x, other_y, other_heading), sizes))
-    for i in np.flatnonzero(np.abs(found) > 1e-3):
-        mine = polygon(x[i], y[i], heading[i], 5.0, 2.0)
-        theirs = polygon(other_x[i], other_y[i], other_heading[i], *sizes[i])
-        touching, _, _ = are_polygons_intersecting(mine, theirs, np.zeros(2), np.zeros(2))
-        assert touching == (found[i] < 0), i
+    found = np.asarray(separation(tuple(map(jnp.float32, own)), jnp.array([5.0, 2.0]), others, sizes))
+    for place, size, apart in zip(np.transpose(others), sizes, found, strict=True):
+        touching, *_ = are_polygons_intersecting(
+            polygon(*own, 5.0, 2.0), polygon(*place, *size), np.zeros(2), np.zeros(2)
+        )
+        assert abs(apart) < 1e-3 or touching == (apart < 0)
     assert 0.2 < np.mean(found < 0) < 0.8
 
 
