@@ -49,7 +49,8 @@ def test_projecting_undoes_placing_also_beyond_the_ends_of_a_path_and_wraps_head
     path = arc(64, bend)
     random = np.random.default_rng(0)
     s, d, turned = (jnp.asarray(random.uniform(-a, a, 500), jnp.float32) for a in (19.0, 6.0, 3.0))
-    s = (s + 40.0 * (np.arange(500) % 2)).at[:2].set(jnp.array([-60.0, 150.0]))
+    s = s + 40.0 * (np.arange(500) % 2)
+    s, d = s.at[:2].set(jnp.array([-60.0, 150.0])), d.at[:2].set(jnp.array([3.0, -5.0]))
     x, y, along = jax.jit(place)(path, s, d)
     poses = jax.jit(locate)(path, x, y, along + turned + 2 * np.pi)
     for found, true, within in zip(poses, (s, d, turned), (0.02, 0.02, 0.005), strict=True):

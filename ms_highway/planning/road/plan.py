@@ -30,7 +30,7 @@ from ms_highway.planning.road.traffic import Situation, accelerations_now, leads
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, Vector, for_each
 
 ANSWERED = 4  # best proposals that others answer
-HARD = 3.0  # m/s^2, from which who brakes ahead is expected to go on so
+HARD = 3.0  # m/s^2, of braking ahead, from which it is expected to go on
 BESIDE = 1.5  # lanes aside, up to which that matters
 
 
@@ -158,7 +158,7 @@ def answer_road(proposed: Proposed, rungs: Places) -> RoadPlan:
 
 
 def _best(now: Situation, few: Judged, answered: Judged, numbers: Places) -> RoadPlan:
-    """Return the best plan; one that hits somebody who makes no way ranks behind those that do not."""
+    """Return the best plan; one that collides if others merely follow ranks behind those that do not."""
     relies = few.scores.collides & ~answered.scores.broken
     best = jnp.argmax(answered.scores.preference - UNSOUND * relies)
     driven = answered.driven
@@ -177,8 +177,8 @@ def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:
 def _following(now: Situation, rungs: Places, plans: int) -> Manners:
     """Return the manners of others who keep their speed, or follow.
 
-    Who may cross the robot's way keeps its speed, as it stops and starts there for others than the car ahead. What
-    accelerations are beyond models fades; braking hard ahead of the robot goes on.
+    Vehicles that may cross the robot's way keep their speed: there they stop and start for others than the car ahead.
+    The part of an acceleration that the model does not explain fades; hard braking ahead of the robot goes on.
     """
     scene, planning = now.scene, now.planning
     follows = (rungs >= IDM) & scene.moving & ~now.crossings.exist

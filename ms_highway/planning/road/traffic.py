@@ -49,8 +49,8 @@ class Crossings(NamedTuple):
     """Where paths of traffic cross the robot's route.
 
     Attributes:
-        aslant: at which knots they go at an angle to the route, from the robot on, but for who comes towards it.
-        come: who comes towards the robot in its lane.
+        aslant: at which knots they go at an angle to the route, from the robot on, oncoming vehicles left out.
+        come: which vehicles come towards the robot in its lane.
         line: position on the route where the front of the robot waits for those who cross it [m].
         begin, last: positions on the path where they begin and end to [m]; far away where they never do.
     """
@@ -105,8 +105,8 @@ def ways_of(scene: RoadScene) -> Ways:
 def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     """Find where paths of traffic cross the robot's route.
 
-    Who is in the robot's lane, or joins it behind the robot, does not cross it where their ways part: one of them
-    follows the other. Nobody crosses it behind the robot.
+    Vehicles in the robot's lane, and those that merge behind the robot, are not crossing traffic where their ways part:
+    one of them follows the other. Nothing crosses behind the robot.
     """
     now, inside = int(BEHIND / SPACING), jnp.abs(ways.d) < CORRIDOR
     along = inside & (ways.cosine > SHARING)
@@ -121,7 +121,7 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
 
 
 def leads(scene: RoadScene, ways: Ways, reach: Scalar) -> Flags:
-    """Return who is ahead of the robot's rear axle, goes its way, and is less than this far aside of it [m]."""
+    """Return which vehicles are ahead of the robot's rear axle, go its way, and are less than this far aside [m]."""
     s, d, cosine = on_route(ways, scene.states[:, 0], scene.states[:, 1])
     return (s > scene.robot[0]) & (jnp.abs(d - scene.robot[1]) < reach) & (cosine > CROSSING)
 
@@ -171,7 +171,7 @@ def accelerations_now(scene: RoadScene, ways: Ways, time_step: Scalar) -> Traffi
 def aside(scene: RoadScene, times: Steps) -> EachStep:
     """Return the lateral positions of others on their paths, to the middle of which they settle if they drive.
 
-    Who has crashed slides where it heads, more slowly from second to second: ``v' = -v``.
+    A crashed car slides where it heads, more slowly from second to second: ``v' = -v``.
     """
     _, now, heading, speed = scene.states.T[..., None]
     sideways = speed * jnp.sin(heading)
