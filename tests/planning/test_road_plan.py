@@ -11,8 +11,7 @@ from ms_highway.control.road import answered_by, proposed_for
 from ms_highway.control.road import plan_of as planned
 from ms_highway.game.road import BEHIND, SPACING, TRAFFIC
 from ms_highway.planning.road.motion import bodies
-from ms_highway.planning.road.plan import LastPlan, no_plan
-from ms_highway.planning.road.proposals import LAST_PLAN
+from ms_highway.planning.road.plan import no_plan
 from ms_highway.planning.road.settings import MODELS
 
 STEPS = PLANNING.steps
@@ -78,13 +77,6 @@ def test_where_nobody_optimises_the_best_proposal_drives_before_and_after_answer
             np.testing.assert_allclose(plan.controls, proposals.driven.controls[best], atol=1e-4)
 
 
-def test_the_rest_of_the_last_plan_is_among_the_proposals():
-    last = (np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.001, 0.5]).astype(np.float32)
-    memory = LastPlan(last, np.array([80.0, 4.0], np.float32), np.int32(0))
-    proposals = proposals_of(SCENES["free"], PLANNING, everybody("naive"), memory)
-    np.testing.assert_allclose(proposals.driven.controls[LAST_PLAN], last, atol=1e-5)
-
-
 CUT_IN = scene_of(robot=(0.0, 2.5, 0.06, 20.0), cars=[(-14.0, 1, 26.0)])
 
 
@@ -100,12 +92,6 @@ def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_i
     assert braking < kept - 1.0
     beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
     assert final_place(beside, "tom") > braking + 1.0
-
-
-def test_obstacles_stay_where_they_are_under_every_model():
-    scene = replace(SCENES["standing car ahead"], moving=np.zeros(TRAFFIC, bool))
-    for name in MODELS:
-        assert final_place(scene, name) == pytest.approx(45.0, abs=1e-3)
 
 
 def accelerating(scene, *accelerations):

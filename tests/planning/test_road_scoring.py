@@ -111,9 +111,10 @@ def test_to_come_close_to_somebody_or_to_hit_it_softly_is_better_than_to_leave_t
         assert scores.preference[0] > scores.preference[1] + 100
 
 
-def test_a_follower_that_runs_into_a_robot_that_keeps_its_lane_does_not_count():
+@pytest.mark.parametrize("lane", [OWN, RIGHT])
+def test_a_follower_that_runs_into_a_robot_that_keeps_its_lane_or_waits_to_change_does_not_count(lane):
     scene = scene_of(robot=(0.0, 0.0, 0.0, 15.0), cars=[(-15.0, 0, 25.0)])
-    rollouts, scores = scores_of(scene, KEEPING, (0.0, -1.0))
+    rollouts, scores = scores_of(scene, KEEPING, KEEPING, lanes=(lane, OWN))
     assert (np.asarray(rollouts.s)[:, 0, -1] > np.asarray(rollouts.states)[:, -1, 0]).all()  # it drives through it
     assert not np.asarray(scores.collides).any()
 
@@ -168,12 +169,6 @@ def test_a_plan_that_has_not_reached_a_better_lane_earns_nothing_for_it():
     own = np.asarray(scores_of(scene, KEEPING, KEEPING, lanes=(OWN, RIGHT))[1].own)
     seconds = STEPS * PLANNING.time_step
     assert own[0] - own[1] == pytest.approx(WEIGHTS.change + WEIGHTS.centre * 4.0**2 * seconds, abs=1e-3)
-
-
-def test_a_follower_that_runs_into_a_robot_that_waits_to_change_lanes_does_not_count():
-    scene = scene_of(robot=(0.0, 0.0, 0.0, 10.0), cars=[(-8.0, 0, 20.0)])
-    _, scores = scores_of(scene, KEEPING, KEEPING, lanes=(OWN, RIGHT))
-    assert not np.asarray(scores.collides).any()
 
 
 @pytest.mark.parametrize(
