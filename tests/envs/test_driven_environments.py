@@ -176,7 +176,7 @@ def test_pictures_and_videos_are_made_inside_and_outside_of_the_wrapper(outside,
     if outside:
         pytest.importorskip("moviepy", reason="moviepy, which Gymnasium records with, is not installed")
         env = ms_highway.drive(env, {"driver": "fixed:naive"})
-        env = gym.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda _: True)
+        env = gym.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda _: True)
         env.unwrapped.set_record_video_wrapper(env)
     else:
         env = ms_highway.drive(gym.wrappers.RenderCollection(env), {"driver": "fixed:naive"})
@@ -186,7 +186,7 @@ def test_pictures_and_videos_are_made_inside_and_outside_of_the_wrapper(outside,
     assert {frame.shape for frame in frames} == {(150 + PANEL, 600, 3)}
     assert len(frames) == count
     env.close()
-    assert bool(list(tmp_path.glob("*.mp4"))) == outside
+    assert bool(list(tmp_path.glob("films/*.mp4"))) == outside
 
 
 def test_vector_environments_are_driven():

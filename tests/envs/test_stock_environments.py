@@ -147,7 +147,6 @@ def test_a_robot_by_itself_drives_stock_episodes_and_chooses_its_models(name):
 
 
 def test_a_robot_by_itself_with_algorithm_1_refuses_another_rate_than_its_games():
-    environment = humans_in("highway-v0", vehicles_count=2)
-    choosing(environment, 0.0)
+    robot = choosing(humans_in("highway-v0", vehicles_count=2), 0.0)
     with pytest.raises(ValueError, match="configure the environment with 'simulation_frequency': 10"):
-        environment.step(IDLE)
+        robot.step(1 / 15)

@@ -85,14 +85,14 @@ def test_a_commuter_follows_at_the_distances_of_real_drivers_and_stops_behind_a_
 
 def test_commuters_differ_by_the_roads_random_numbers_and_plan_for_their_own_traits():
     cars = [(CommuterVehicle, (20.0 * number, 0.0), 20.0) for number in range(3)]
-    (road, *ones), (_, *same) = road_with(*cars), road_with(*cars)
+    (_, *ones), (_, *same) = road_with(*cars), road_with(*cars)
     assert [one.traits for one in ones] == [one.traits for one in same]
     assert len({one.traits for one in ones}) == 3
-    road.act()
     for one in ones:
-        traits, robot = one.traits, one.controller.game.robot
+        traits, view = one.traits, look(one)
+        robot = one._own_game(view).robot
         own = traits.headway, 20.0 * traits.desired_speed
-        assert (float(robot.headway), float(robot.speed_limit)) == pytest.approx(own)
+        assert (float(robot.headway), one.desired_speed(view)) == pytest.approx(own)
         typical = linear_reward(one.weights, 1.0).comfort[1]
         assert float(robot.comfort[1]) == pytest.approx(typical * traits.patience, rel=1e-5)
 
