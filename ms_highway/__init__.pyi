@@ -20,7 +20,6 @@ from .envs import SCENARIOS as SCENARIOS
 from .envs import add_scenario as add_scenario
 from .envs.base import InteractionEnv as InteractionEnv
 from .envs.controllers import ControllerSettings as ControllerSettings
-from .envs.road import RoadPolicy as RoadPolicy
 from .envs.road import drive as drive
 from .envs.short_names import add_rule as add_rule
 from .envs.spaces import Autopilot as Autopilot

@@ -8,7 +8,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.road import BEHIND, KNOTS, LANES, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path, RoadScene, place
 from ms_highway.planning.road.motion import advance, within_tyres
-from ms_highway.planning.road.plan import propose
+from ms_highway.planning.road.plan import Judged, proposals
 from ms_highway.planning.road.proposals import LAST_PLAN, PROPOSALS, Manners, profiles, simulate_plans
 from ms_highway.planning.road.scoring import score
 from ms_highway.planning.road.settings import LANE, RoadPlanning, RoadWeights
@@ -64,7 +64,6 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         open=np.ones((LANES, KNOTS), bool),
         edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
         paved=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
-        speed_limit=np.full(KNOTS, limit, np.float32),
         changes=np.zeros(LANES, np.float32),
         room=np.float32(np.inf),
         robot=np.asarray(robot, np.float32),
@@ -82,6 +81,7 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         owners=np.where(present, np.arange(TRAFFIC), -1),
         names=np.where(present, np.arange(TRAFFIC), -1),
         moving=present.copy(),
+        accelerations=np.zeros(TRAFFIC, np.float32),
     )
 
 
@@ -182,6 +182,15 @@ def judged(scene, controls, lanes, follows, planning=PLANNING, sides=0):
 
 
 @jit_quickly
+def now_in(scene, planning=PLANNING):
+    """The situation, which tests share."""
+    return situation_of(scene, planning, WEIGHTS)
+
+
+proposals_now = jit_quickly(proposals)
+
+
 def proposals_of(scene, planning, rungs, last):
     """All proposals, driven and judged."""
-    return propose(situation_of(scene, planning, WEIGHTS), rungs, last)
+    plans, manners = proposals_now(now_in(scene, planning), rungs, last)
+    return Judged(plans, *driven_and_judged(scene, planning, manners, plans))

@@ -1,9 +1,8 @@
 """Let a robot drive the controlled vehicles of a stock highway-env environment."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from copy import copy
-from typing import Any, Self
+from collections.abc import Mapping
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -17,8 +16,6 @@ from highway_env.envs.common.action import (
     DiscreteMetaAction,
     MultiAgentAction,
 )
-from highway_env.road.road import LaneIndex
-from highway_env.vehicle.controller import MDPVehicle
 
 from ms_highway.control.road import RoadDriver
 from ms_highway.envs.road.graphics import show
@@ -26,7 +23,6 @@ from ms_highway.envs.road.settings import RoadSettings
 from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
 from ms_highway.envs.stage import StageEnv
 from ms_highway.planning.road.settings import RoadWeights
-from ms_highway.runtime.arrays import Control
 from ms_highway.vehicle.appointment import destination_for
 from ms_highway.vehicle.road_robot import RoadRobot
 
@@ -40,8 +36,6 @@ UNTIL_FIRST = {
     "planning_seconds": 0.0,
     "decision_seconds": 0.0,
     "compile_seconds": 0.0,
-    "traits": None,
-    "belief": None,
 }
 """What ``info["road"]`` has of the driver's last step, with its values before the first."""
 
@@ -61,9 +55,8 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
             itself cannot make merge and roundabout with ``ContinuousAction``.
         config: any of these keys, see `ms_highway.envs.road.settings.RoadSettings`: ``driver`` (``"priced"`` by
             default; ``"fixed:naive"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
-            ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs``,
-            ``traits`` (whether each driver's desired speed and headway are estimated), ``belief`` (whether the robot
-            infers which model each driver follows) and ``intentions`` (whether others show which way they take).
+            ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs`` and
+            ``intentions`` (whether others show which way they take).
 
     Returns:
         The environment, driven.
@@ -96,49 +89,6 @@ def check_drivable(env: Any) -> None:
         raise ValueError(f"the reward of {name} cannot take a ContinuousAction, as it asks for lane changes; {remedy}")
 
 
-class Twin(MDPVehicle):
-    """highway-env's own car in the place of a robot, on the way to a lane; no road knows it.
-
-    Attributes:
-        told: the meta-action that it follows.
-    """
-
-    told = "IDLE"
-
-    @classmethod
-    def of(cls, robot: RoadRobot, target: LaneIndex) -> Self:
-        """Return the twin of a robot, on the way to a lane if that is within reach, or else in the robot's own."""
-        if not robot.road.network.get_lane(target).is_reachable_from(robot.position):
-            target = robot.lane_index
-        onward = list(robot.route or ())  # highway-env's cars warn of a route that begins elsewhere
-        while onward and onward[0][0] != target[1] and onward[0][:2] != target[:2]:
-            onward.pop(0)
-        options = {"target_lane_index": target, "target_speeds": robot.target_speeds, "route": onward or None}
-        return cls(robot.road, robot.position, robot.heading, robot.speed, **options)
-
-    def on_state_update(self) -> None:
-        """Do not look for the lane that it is on, which takes long and is not asked for."""
-
-    def nearest(self, robot: RoadRobot, names: Iterable[str]) -> Self:
-        """Return it as it is after the meta-action that takes it nearest to its robot, which has driven meanwhile.
-
-        Near is what differs little in position [m] and velocity [m/s]. Of equals, such as a lane change where there is
-        no other lane, it is the idle one.
-        """
-        frames, dt = len(robot.actions), robot.frame
-        ends = [self._after(name, frames, dt) for name in sorted(names, key=lambda name: name != "IDLE")]
-        return min(ends, key=lambda end: np.linalg.norm([end.position - robot.position, end.velocity - robot.velocity]))
-
-    def _after(self, name: str, frames: int, dt: float) -> Self:
-        car = copy(self)
-        car.told, car.position, car.route = name, self.position.copy(), self.route and list(self.route)
-        car.act(name)
-        for _ in range(frames):
-            car.act()
-            car.step(dt)
-        return car
-
-
 class Driven(gym.Wrapper, RecordConstructorArgs):
     """Lets a robot drive the controlled vehicles of a stock environment.
 
@@ -146,12 +96,12 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
 
     Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
     control in between. ``info["road"]["action"]`` is what the robots did in this step, an action of the environment's
-    space, to be imitated, see `action_done`; None before the first. ``info["action"]`` is only what highway-env's
-    rewards are told: idle, or the control of the step before. Of the first controlled vehicle, ``info["road"]`` says:
+    space, to be imitated, see `action_done`; None before the first, and where actions are meta-actions.
+    ``info["action"]`` is only what highway-env's rewards are told: idle, or the control of the step before. Of the
+    first controlled vehicle, ``info["road"]`` says:
 
     * ``models``, ``gains``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``,
       ``compile_seconds`` of the last plan, see `ms_highway.control.road.RoadStep`;
-    * ``traits``, ``belief``: what is known of the driver on each path then, None if that is not configured;
     * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then;
     * ``late``: how many of these plans were not ready within the budget, so that the plan before drove on;
     * ``model_counts``: how many cars each model predicted, summed over these plans;
@@ -171,7 +121,6 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         self.settings = RoadSettings.read(config)
         self.robots: list[RoadRobot] = []
         self._drivers: list[RoadDriver] = []  # kept, as each measures the costs of its models once
-        self._aims: Sequence[LaneIndex] = ()  # of what the robots do, if told as meta-actions
         show(env)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -199,7 +148,6 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             robot = replace_ego(base, RoadRobot.create_from, number)
             robot.drive_with(driver, goal, self.settings.acceleration, self.settings.intentions)
             self.robots.append(robot)
-        self._aims = [robot.lane_index for robot in self.robots]
         return observation, {**info, "road": self._told() | {"action": None}}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -214,12 +162,13 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             )
         for robot in self.robots:
             robot.forget()
-        starts = list(map(Twin.of, self.robots, self._aims))
         kind = self._base.action_type
         *outcome, info = self.env.step(unheeded(kind))
         kinds = getattr(kind, "agents_action_types", [kind])
-        done, self._aims = zip(*map(action_done, kinds, self.robots, starts), strict=True)
-        done = done if isinstance(kind, MultiAgentAction) else done[0]
+        done: Any = None
+        if not isinstance(kinds[0], DiscreteMetaAction):
+            done = tuple(map(action_done, kinds, self.robots))
+            done = done if isinstance(kind, MultiAgentAction) else done[0]
         return *outcome, {**info, "road": self._told() | {"action": done}}
 
     def render(self) -> Any:
@@ -254,47 +203,27 @@ def unheeded(action_type: ActionType) -> Any:
     return _nearest_in(action_type, action_type.controlled_vehicle.action)
 
 
-def action_done(action_type: ActionType, robot: RoadRobot, start: Twin) -> tuple[Any, LaneIndex]:
-    """Return what a robot did in a step, as an action of its environment, and the lane that this aims at.
+def action_done(action_type: ContinuousAction, robot: RoadRobot) -> Any:
+    """Return what a robot did in a step, as an action of its environment.
 
     A continuous action is the mean over the frames of the step, clipped to the space; of a ``DiscreteAction``, the one
-    nearest to that. A meta-action is that under which highway-env's own car would have come nearest, see
-    `Twin.nearest`: it follows one that began to change lanes, so each change is told once, when it begins to show.
-
-    Args:
-        action_type: of the robot.
-        robot: after the step.
-        start: its twin before the step.
+    nearest to that.
     """
-    if isinstance(action_type, DiscreteMetaAction):
-        end = start.nearest(robot, action_type.actions_indexes)
-        return action_type.actions_indexes[end.told], end.target_lane_index
     frames = robot.actions or [robot.action]
-    mean = {key: float(np.mean([frame[key] for frame in frames])) for key in frames[0]}
-    return _nearest_in(action_type, mean), robot.lane_index
+    return _nearest_in(action_type, {key: float(np.mean([frame[key] for frame in frames])) for key in frames[0]})
 
 
 def _nearest_in(action_type: ContinuousAction, executed: Mapping[str, float]) -> Any:
-    """Return the action of a space that is nearest to what a vehicle executed, see `normalised`."""
-    action = normalised(action_type, executed)
-    if isinstance(action_type, DiscreteAction):
-        places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(int)
-        return int(np.ravel_multi_index(tuple(places), (action_type.actions_per_axis,) * action_type.size))
-    return action
-
-
-def normalised(action_type: ContinuousAction, action: Mapping[str, float]) -> Control:
-    """Return a vehicle's action as a continuous action of highway-env, throttle first, as far as it has both.
-
-    Args:
-        action_type: says which ranges [-1, 1] stands for.
-        action: ``acceleration`` [m/s^2] and ``steering`` [rad].
-    """
+    """Return the action of a space, throttle first, that is nearest to what a vehicle executed [m/s^2, rad]."""
     values = []
     for key, there, (low, high) in (
         ("acceleration", action_type.longitudinal, action_type.acceleration_range),
         ("steering", action_type.lateral, action_type.steering_range),
     ):
         if there:
-            values.append(2 * (action[key] - low) / (high - low) - 1)
-    return np.clip(values, -1, 1).astype(np.float32)
+            values.append(2 * (executed[key] - low) / (high - low) - 1)
+    action = np.clip(values, -1, 1).astype(np.float32)
+    if isinstance(action_type, DiscreteAction):
+        places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(int)
+        return int(np.ravel_multi_index(tuple(places), (action_type.actions_per_axis,) * action_type.size))
+    return action

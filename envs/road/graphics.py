@@ -1,4 +1,4 @@
-"""Show on a stock environment's picture what the robot thinks: plan, predictions, rungs, belief; and a line of text."""
+"""Show on a stock environment's picture what the robot thinks: plan, predictions, rungs; and a line of text."""
 
 from collections import Counter
 from operator import itemgetter
@@ -10,10 +10,9 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.control.road import RoadStep
 from ms_highway.envs.graphics import INK, PAPER, Viewer, model_color, words
-from ms_highway.planning.human_models import PACKAGE_MODELS
+from ms_highway.planning.road.settings import MODELS
 
 PANEL, SIZE, GAP = 24, 13, 10  # px: height of the line of text, of its letters, and between its parts
-BAR, BARS = 4, 14  # px: width and height of a bar of probability 1
 NEAR = 8.0  # m, within which a prediction begins from the car that it is of
 
 
@@ -57,17 +56,17 @@ class RoadViewer(Viewer):
         return np.moveaxis(pygame.surfarray.array3d(self.picture), 0, 1)
 
     def _draw_thoughts(self, step: RoadStep) -> None:
-        """Draw predictions as dots and their cars in the colours of the rungs, the plan as a line, beliefs as bars."""
+        """Draw predictions as dots and their cars in the colours of the rungs, the plan as a line."""
         ego, surface = self.env.vehicle, self.sim_surface
         others = [car for car in self.env.road.vehicles if car is not ego and not car.crashed]
         predictions = np.asarray(step.humans, dtype=float)
         thoughts = [
-            (PACKAGE_MODELS.index(rung), _car_of(path, others), path)
+            (MODELS.index(rung), _car_of(path, others), path)
             for rung, path in zip(step.models, predictions, strict=True)
             if rung
         ]
         for rung, car, path in sorted(thoughts, key=itemgetter(0)):  # a car's most expensive rung colours it
-            color = model_color(PACKAGE_MODELS[rung])
+            color = model_color(MODELS[rung])
             if car is not None:
                 pygame.draw.polygon(surface, color, [surface.vec2pix(corner) for corner in car.polygon()])
             for point in path[1::2]:
@@ -76,20 +75,6 @@ class RoadViewer(Viewer):
         line = [surface.vec2pix(point) for point in (ego.position, *np.asarray(step.path, dtype=float)[:, :2])]
         for color, width in ((PAPER, 4), (INK, 2)) if len(line) > 1 else ():
             pygame.draw.lines(surface, color, False, line, width)
-        if step.belief is not None:
-            believed = step.belief[np.array(step.models) != ""].tolist()
-            for (_, car, _), shares in zip(thoughts, believed, strict=True):
-                if car is not None:
-                    self._draw_bars(car, shares)
-
-    def _draw_bars(self, car: Vehicle, shares: list[float]) -> None:
-        """Draw the probability of each model on a car."""
-        x, y = self.sim_surface.vec2pix(car.position)
-        left, width = x - len(PACKAGE_MODELS) * BAR // 2, len(PACKAGE_MODELS) * BAR
-        pygame.draw.rect(self.sim_surface, PAPER, (left - 1, y - BARS - 1, width + 2, BARS + 2))
-        for number, (rung, share) in enumerate(zip(PACKAGE_MODELS, shares, strict=True)):
-            height = round(BARS * share)
-            pygame.draw.rect(self.sim_surface, model_color(rung), (left + BAR * number, y - height, BAR, height))
 
     def _draw_panel(self, step: RoadStep | None) -> None:
         """Write how many cars each rung predicts, where the control comes from, and how long the plan took."""

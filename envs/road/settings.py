@@ -10,11 +10,10 @@ from ms_highway.control.road import SHIPPED_COSTS, RoadDriver
 from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RungChoice
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import PACKAGE_MODELS
-from ms_highway.planning.road.settings import RoadPlanning
+from ms_highway.planning.road.settings import MODELS, RoadPlanning
 from ms_highway.vehicle.road_robot import MARGIN
 
-DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in PACKAGE_MODELS))
+DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
 """What drives, as in ``config["driver"]``."""
 
 NUMBERED: dict[str, tuple[Callable[..., RungChoice], str]] = {
@@ -23,7 +22,7 @@ NUMBERED: dict[str, tuple[Callable[..., RungChoice], str]] = {
 }
 Wish = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
 COSTS = "say 'shipped', 'measured', or give milliseconds from 0 by rung, such as {'tom': 0.5}"
-IN_ORDER = f"give rungs of {', '.join(PACKAGE_MODELS)} in this order, {PACKAGE_MODELS[0]} among them"
+IN_ORDER = f"give rungs of {', '.join(MODELS)} in this order, {MODELS[0]} among them"
 
 
 class RoadSettings(Struct, frozen=True):
@@ -37,13 +36,10 @@ class RoadSettings(Struct, frozen=True):
         costs: ``"shipped"``; ``"measured"`` in the first step among others; or milliseconds that each rung adds to a
             plan per car, by name, 0 where left out. Unless they are measured, episodes at a price can be repeated
             exactly; a budget counts the time of decisions.
-        ladder: rungs to choose from, of `ms_highway.planning.human_models.PACKAGE_MODELS` in their order.
+        ladder: rungs to choose from, of `ms_highway.planning.road.settings.MODELS` in their order.
         desired_speed: [m/s]; None for what the scene rewards.
         acceleration: total acceleration at most [m/s^2].
         curvature: of the path at most [1/m].
-        traits: whether the desired speed and time headway of each driver are estimated while driving, and used.
-        belief: whether the robot infers which model each driver follows, and counts on a yield only of those who have
-            shown one: for others, tom falls back to idm.
         intentions: whether others show which way they take: their ``route``, where they have one; highway-env's
             ``observe_intentions`` shows agents the direction of its end.
 
@@ -55,12 +51,10 @@ class RoadSettings(Struct, frozen=True):
     price: NotNegative = 1.0
     budget: Wish = None
     costs: Annotated[Literal["shipped", "measured"] | dict[str, NotNegative], Meta(description=COSTS)] = "shipped"
-    ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = PACKAGE_MODELS
+    ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = MODELS
     desired_speed: Wish = None
     acceleration: Positive = 5.0
     curvature: Positive = 0.2
-    traits: bool = False
-    belief: bool = False
     intentions: bool = False
 
     @classmethod
@@ -73,10 +67,8 @@ class RoadSettings(Struct, frozen=True):
         return read(cls, "config", {} if config is None else config)
 
     def __post_init__(self) -> None:
-        refuse_unknown("config['costs']", self.costs if isinstance(self.costs, dict) else (), PACKAGE_MODELS)
-        if PACKAGE_MODELS[0] not in self.ladder or self.ladder != tuple(
-            rung for rung in PACKAGE_MODELS if rung in self.ladder
-        ):
+        refuse_unknown("config['costs']", self.costs if isinstance(self.costs, dict) else (), MODELS)
+        if MODELS[0] not in self.ladder or self.ladder != tuple(rung for rung in MODELS if rung in self.ladder):
             raise ValueError(f"config['ladder'] is {self.ladder!r}; {IN_ORDER}")
         self.choice()
 
@@ -86,10 +78,8 @@ class RoadSettings(Struct, frozen=True):
         Raises:
             ValueError: for an unknown driver.
         """
-        kind, colon, rest = self.driver.partition(":")
+        kind, _, rest = self.driver.partition(":")
         message = f"config['driver'] is {self.driver!r}"
-        if kind == "switching":
-            raise ValueError(f"{message}; on roads, the choice by price is called {'priced' + colon + rest!r}")
         if self.budget is not None:
             if self.driver != "priced":
                 raise ValueError(f"config['budget'] is {self.budget!r}, but {message}; say 'priced'")
@@ -102,7 +92,7 @@ class RoadSettings(Struct, frozen=True):
                 return rule(convert(rest, NotNegative, strict=False), self.ladder)
             except ValidationError:
                 raise ValueError(f"{message}; it needs {wanted}, as a number from 0") from None
-        if kind == "fixed" and rest in PACKAGE_MODELS:
+        if kind == "fixed" and rest in MODELS:
             if rest in self.ladder:
                 return FixedRung(rest)
             raise ValueError(f"{message}, but config['ladder'] is {self.ladder!r}; add {rest!r} to it")
@@ -120,5 +110,5 @@ class RoadSettings(Struct, frozen=True):
         """Return a driver with these limits and wishes."""
         costs = SHIPPED_COSTS if self.costs == "shipped" else None
         if isinstance(self.costs, dict):
-            costs = Costs(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in PACKAGE_MODELS]))
-        return RoadDriver(planning, self.choice(), costs=costs, traits=self.traits, belief=self.belief)
+            costs = Costs(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in MODELS]))
+        return RoadDriver(planning, self.choice(), costs=costs)

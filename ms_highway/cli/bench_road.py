@@ -30,9 +30,8 @@ it was rear-ended in a lane that it had kept for a second. Intervals of success 
 acceleration in any frame of the simulation, jerk the root mean square, ms the time of a decision, without compilation,
 late the share of plans that were not ready within a budget. Choices count the time of models at what the package ships.
 
-Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, turn, tom); with
-+traits, the desired speed and headway of each car are estimated, with +belief, the model that its driver follows (such
-as priced+traits+belief); with +intentions, other cars show which way they take, as by indicators: their true routes,
+Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
++intentions (such as priced+intentions), other cars show which way they take, as by indicators: their true routes,
 where they have one. Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and lane;
 random, which chooses the environment's actions by chance; or the file of an agent that stable-baselines3 has saved (it
 has to be installed), such as notebooks/examples/train_peers.py writes: open only files that you trust, as they may hold
@@ -98,7 +97,7 @@ def _bench_road(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, make_driver, row, summary
     from ms_highway.cli.results_directory import save_figures, write_table
     from ms_highway.control.road import SHIPPED_COSTS
-    from ms_highway.planning.human_models import PACKAGE_MODELS
+    from ms_highway.planning.road.settings import MODELS
     from ms_highway.runtime.files import write_json
     from ms_highway.visualization.roads import driver_table, success_figure
 
@@ -135,7 +134,7 @@ def _bench_road(options: argparse.Namespace) -> None:
                     write_table(pd.DataFrame(rows), options.log)
 
     count_episodes(driven(), 0, len(blocks) * len(seeds))
-    costs = zip(PACKAGE_MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
+    costs = zip(MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
     counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
     for scene, figures in results.items():
         heading = f"{scene}, traffic {traffic}: {len(seeds)} episodes; choices count {counted} ms a car"

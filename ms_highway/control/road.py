@@ -1,4 +1,4 @@
-"""Drive on a road: observe, infer, choose how to predict each car, plan, follow the plan or fall back."""
+"""Drive on a road: observe, choose how to predict each car, plan, follow the plan or fall back."""
 
 from dataclasses import dataclass, field, replace
 from time import perf_counter
@@ -10,23 +10,19 @@ from jaxtyping import Float
 
 from ms_highway.control.controller import ControlStep
 from ms_highway.control.fallback import LATE, PLANNED, STATUSES, fallback_status
-from ms_highway.game.road import TRAFFIC, Places, RoadScene, Traffic, Traits
-from ms_highway.metareasoning.belief import first_belief
-from ms_highway.metareasoning.road import RungChoice, counted_rungs, updated_road_belief
-from ms_highway.optimization.kalman import Gaussian
+from ms_highway.game.road import TRAFFIC, Places, RoadScene, Traffic
+from ms_highway.metareasoning.road import RungChoice
 from ms_highway.planning.car_following import HARDEST
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.plan import LastPlan, Proposed, RoadPlan, answer_road, no_plan, propose_road
 from ms_highway.planning.road.proposals import FULL_BRAKING, LAST_PLAN
-from ms_highway.planning.road.settings import IDM, NAIVE, TOM, TURN, RoadPlanning, RoadWeights
-from ms_highway.planning.road.traits import prior, traits_of, updated_traits
-from ms_highway.runtime.arrays import Belief, Controls, Rungs
+from ms_highway.planning.road.settings import IDM, MODELS, NAIVE, RoadPlanning, RoadWeights
+from ms_highway.runtime.arrays import Controls, Rungs
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
-SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013, 0.0013]))
+SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]))
 """Planning time among naive cars, and what each car adds under each model, as measured on one core [s]."""
 
 BRAKING_SHARE = 0.95  # share of the grip from which a plan that breaks a constraint counts as braking
@@ -55,14 +51,12 @@ class RoadStep(ControlStep):
         owners: number of the car that each path belongs to, -1 without one.
         source: what drives: ``proposal``, ``last plan`` or ``braking``.
         broken: whether the best plan breaks a constraint: it hits somebody, leaves the road or lacks the room to stop.
-        traits: estimated of the driver on each path, None if they are not.
     """
 
     path: Float[Any, "steps 3"]
     owners: Places
     source: str
     broken: bool = False
-    traits: Traits | None = None
 
     @property
     def failed(self) -> bool:
@@ -82,17 +76,12 @@ class RoadDriver:
         choice: of the models that predict others.
         weights: what counts.
         costs: of models; None to measure them in the first step with others, which noise may change.
-        traits: whether desired speeds and headways of others are estimated, and used to predict them.
-        belief: whether the robot infers which model each driver follows, and counts on a yield only of those who have
-            shown one.
     """
 
     planning: RoadPlanning
     choice: RungChoice
     weights: RoadWeights = field(default_factory=RoadWeights)
     costs: Costs | None = SHIPPED_COSTS
-    traits: bool = False
-    belief: bool = False
 
     def __post_init__(self) -> None:
         self.reset()
@@ -101,65 +90,64 @@ class RoadDriver:
         """Forget the last plan, before a new episode."""
         self._last = no_plan(self.planning)
         self._left = 0  # controls of the last plan that are left, the executed one included
-        self._seen = DriversSeen(self.traits, self.belief, float(self.planning.time_step))
+        self._speeds: dict[int, float] = {}  # of others at the last look, by their names
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Return what to do now."""
         refuse_after_fork()
-        start, compiling = perf_counter(), 0.0
-        if self._left == 0:
-            _, compiling = timed(self._seen.prepare, scene, self.planning.steps)
-        scene, belief = self._seen.look(scene)
-        costs, preparing = timed(self._prepared, scene)
-        compiling += preparing
-        plan, rungs, worth, planning = self._chosen(scene, belief, costs, perf_counter() - start - compiling)
+        start = perf_counter()
+        scene = self._with_accelerations(scene)
+        costs, compiling = timed(self._prepared, scene)
+        plan, rungs, worth, planning = self._chosen(scene, costs, perf_counter() - start - compiling)
         deciding = perf_counter() - start - compiling - planning
-        late = deciding + planning > 1e-3 * getattr(self.choice, "milliseconds", np.inf)
+        late = deciding + planning > 1e-3 * self.choice.milliseconds
         controls, status, source = self._followed(plan, late)
         path = plan.path[: len(controls) if status in (PLANNED, LATE) else 0]
-        self._seen.planned(scene, path)
         predicted = scene.present & (len(path) > 0)
-        gains = np.tile(worth[:, None], len(PACKAGE_MODELS))
+        gains = np.tile(worth[:, None], len(MODELS))
         gains[:, NAIVE] = np.nan
         return RoadStep(
             controls[0].astype(float),
             controls,
             plan.predictions[:, : len(path)],
-            tuple(np.where(predicted, np.array(PACKAGE_MODELS)[rungs], "").tolist()),
+            tuple(np.where(predicted, np.array(MODELS)[rungs], "").tolist()),
             planning,
             deciding,
             compiling,
-            PACKAGE_MODELS,
+            MODELS,
             gains,
             status=STATUSES[status],
-            belief=belief,
             path=path,
             owners=np.asarray(scene.owners),
             source=source,
             broken=bool(plan.broken),
-            traits=scene.traits,
         )
 
-    def _chosen(
-        self, scene: RoadScene, belief: Belief | None, costs: Costs, spent: float
-    ) -> tuple[RoadPlan, Rungs, Traffic, float]:
+    def _with_accelerations(self, scene: RoadScene) -> RoadScene:
+        """Return the road with the accelerations of others since the last look."""
+        seen, speeds = scene.names.tolist(), scene.states[:, 3].tolist()
+        changes = [speed - self._speeds.get(name, speed) for name, speed in zip(seen, speeds, strict=True)]
+        self._speeds = dict(zip(seen, speeds, strict=True))
+        accelerations = np.nan_to_num(np.array(changes, np.float32) / float(self.planning.time_step))
+        return replace(scene, accelerations=accelerations.clip(-HARDEST, HARDEST).astype(np.float32))
+
+    def _chosen(self, scene: RoadScene, costs: Costs, spent: float) -> tuple[RoadPlan, Rungs, Traffic, float]:
         """Return the plan, the rung of each of the others, what their answers are worth, and its planning time."""
-        rungs, worth = self._rungs(scene, belief, np.zeros(TRAFFIC), costs, spent), np.full(TRAFFIC, np.nan)
+        rungs, worth = self._rungs(scene, np.zeros(TRAFFIC), costs, spent), np.full(TRAFFIC, np.nan)
         proposed, planning = timed(self._proposed, scene, rungs)
         if self.choice.looks:
-            worth = np.asarray(proposed.worth) * (1.0 if belief is None else belief[:, TOM])
-            first, rungs = rungs, self._rungs(scene, belief, worth, costs, spent)
+            worth = np.asarray(proposed.worth)
+            first, rungs = rungs, self._rungs(scene, worth, costs, spent)
             if ((rungs <= IDM) & (rungs != first)).any():  # what optimises is predicted anew anyway
                 proposed, again = timed(self._proposed, scene, rungs)
                 planning += again
         plan, answering = timed(self._answered, proposed, rungs)
         return plan, rungs, worth, planning + answering
 
-    def _rungs(self, scene: RoadScene, belief: Belief | None, worth: Traffic, costs: Costs, spent: float) -> Rungs:
+    def _rungs(self, scene: RoadScene, worth: Traffic, costs: Costs, spent: float) -> Rungs:
         """Return the rung of each of the others, whose answers are worth this much [reward]."""
         chosen = self.choice.choose(worth, costs, spent)
-        rungs = np.where(scene.moving & scene.present, chosen, NAIVE).astype(np.int32)
-        return rungs if belief is None else counted_rungs(rungs, belief)
+        return np.where(scene.moving & scene.present, chosen, NAIVE).astype(np.int32)
 
     def _proposed(self, scene: RoadScene, rungs: Rungs) -> Proposed:
         return proposed_for(scene, self.planning, self.weights, rungs, self._last)
@@ -189,72 +177,11 @@ class RoadDriver:
     def _prepared(self, scene: RoadScene) -> Costs:
         """Compile, and return what models cost, measured once there are others if the choice looks at it."""
         others = np.asarray(scene.moving & scene.present)
-        rungs = np.outer(range(len(PACKAGE_MODELS)), others).astype(np.int32)
+        rungs = np.outer(range(len(MODELS)), others).astype(np.int32)
         warm_up(plan_of, scene, self.planning, self.weights, rungs[0], self._last)
         if self.costs is None and self.choice.looks and others.any():
             # Noise only adds to times, and not to all repeats.
             seconds = np.min([[timed(self._planned, scene, each)[1] for each in rungs] for _ in range(REPEATS)], axis=0)
-            seconds[:TURN] = seconds[:TURN].min()  # one program
+            seconds[: IDM + 1] = seconds[: IDM + 1].min()  # one program
             self.costs = Costs(float(seconds[0]), np.maximum.accumulate(seconds - seconds[0]) / others.sum())
-        return self.costs or Costs(0.0, np.zeros(len(PACKAGE_MODELS)))
-
-
-Known = tuple[Gaussian, Belief]
-Path = Float[Any, "steps 3"]
-
-
-def _updated(known: Known, before: RoadScene, path: Path, now: RoadScene, time_step: float) -> Known:
-    traits = updated_traits(known[0], before, now, time_step)
-    return traits, updated_road_belief(known[1], before, path, now, time_step)
-
-
-_prior, _update = jit_quickly(prior), jit_quickly(_updated)
-
-
-class DriversSeen:
-    """Estimates and belief about the drivers in sight, updated in every step of a robot.
-
-    Args:
-        traits: whether what drivers are like is estimated.
-        belief: whether the model that each follows is inferred.
-        time_step: between two steps [s].
-    """
-
-    def __init__(self, traits: bool, belief: bool, time_step: float) -> None:
-        self.traits, self.belief, self.time_step = traits, belief, time_step
-        self._before: tuple[RoadScene, Path] | None = None
-        self._speeds: dict[int, float] = {}
-        self._known: Known | None = None
-
-    def prepare(self, scene: RoadScene, steps: int) -> None:
-        """Compile, with a look at the road and the number of steps of plans."""
-        seen = DriversSeen(self.traits, self.belief, self.time_step)
-        seen.planned(seen.look(scene)[0], np.zeros((steps, 3), np.float32))
-        seen.look(scene)
-
-    def look(self, scene: RoadScene) -> tuple[RoadScene, Belief | None]:
-        """Learn from a look at the road.
-
-        Returns:
-            The road, with the accelerations of others, and the traits of the drivers if they are estimated; and the
-            probability of each model for the car on each path, None if it is not inferred.
-        """
-        seen, speeds = scene.names.tolist(), scene.states[:, 3].tolist()
-        changes = [speed - self._speeds.get(name, speed) for name, speed in zip(seen, speeds, strict=True)]
-        accelerations = np.nan_to_num(np.array(changes, np.float32) / self.time_step)
-        scene = replace(scene, accelerations=accelerations.clip(-HARDEST, HARDEST).astype(np.float32))
-        self._speeds = dict(zip(seen, speeds, strict=True))
-        if not self.traits and not self.belief:
-            return scene, None
-        if self._before is None:
-            self._known = _prior(scene), first_belief(len(scene.names))
-        else:
-            self._known = _update(self._known, *self._before, scene, self.time_step)
-        estimates, belief = jax.tree.map(np.asarray, self._known)
-        if self.traits:
-            scene = replace(scene, traits=jax.tree.map(np.asarray, traits_of(estimates.mean)))
-        return scene, belief if self.belief else None
-
-    def planned(self, scene: RoadScene, path: Path) -> None:
-        """Remember the robot's plan on the road that it looked at last; an empty one ends all learning until now."""
-        self._before = (scene, path) if len(path) else None
+        return self.costs or Costs(0.0, np.zeros(len(MODELS)))

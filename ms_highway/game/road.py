@@ -6,7 +6,7 @@ relative to the path. World coordinates are highway-env's: y points to the right
 
 from dataclasses import dataclass
 from math import pi
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -56,18 +56,6 @@ class Path:
     curvature: Knots
 
 
-class Traits(NamedTuple):
-    """What the drivers of others are like.
-
-    Attributes:
-        speed: that they desire [m/s].
-        headway: time gap that they desire [s].
-    """
-
-    speed: Traffic
-    headway: Traffic
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RoadScene:
@@ -79,7 +67,6 @@ class RoadScene:
         open: where each of them may be driven on.
         edges: lateral positions of the left and the right edge of the road at the knots [m].
         paved: the same of all lanes side by side, those included that lead elsewhere or the other way [m].
-        speed_limit: at the knots, of the own lane [m/s].
         changes: changes of lane to the right that the goal asks for from each lane, negative to the left.
         room: distance left for them [m]; infinite where the goal asks for none.
         robot: state of the middle of the robot's rear axle.
@@ -95,8 +82,7 @@ class RoadScene:
         owners: number of the car that each path belongs to, in the order of distance; -1 where none does.
         names: number of the car that each path belongs to, the same as long as the car lives; -1 where none does.
         moving: which of the others can move; obstacles cannot.
-        traits: of the drivers of others, None where nothing is known of them.
-        accelerations: of others since the last look, 0 of new ones; None where nobody has looked before [m/s^2].
+        accelerations: of others since the last look, 0 of new ones [m/s^2].
     """
 
     route: Path
@@ -104,7 +90,6 @@ class RoadScene:
     open: Knots
     edges: Knots
     paved: Knots
-    speed_limit: Knots
     changes: Numbers
     room: Scalar
     robot: Car
@@ -120,8 +105,7 @@ class RoadScene:
     owners: Places
     names: Places
     moving: Flags
-    traits: Traits | None = None
-    accelerations: Traffic | None = None
+    accelerations: Traffic
 
     @property
     def askew(self) -> Sizes:

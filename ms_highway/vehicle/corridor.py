@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from ms_highway.game.road import LANES
 from ms_highway.vehicle.lane_paths import FINE, Curve, Row, Rows, from_heading, samples
-from ms_highway.vehicle.road_map import LIMIT, Chain, Goal, Lane, kept
+from ms_highway.vehicle.road_map import Chain, Goal, Lane, kept
 
 AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
 BEYOND = 3.0  # m, up to which a lane is taken to go straight on
@@ -28,7 +28,7 @@ class Corridor:
     Attributes:
         curve: of the route.
         rows: lateral positions of the lanes left of it, on it, right of it, of the road's edges, and of those of all
-            lanes side by side [m]; speed limit [m/s].
+            lanes side by side [m].
         open: where the lanes may be driven on.
     """
 
@@ -40,8 +40,7 @@ class Corridor:
         """Return what a ``RoadScene`` has of the lanes at distances from the curve's beginning [m]."""
         rows = self.curve.gather(self.rows, s).astype(np.float32)
         nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
-        named = {"lanes": rows[:LANES], "edges": rows[EDGES], "paved": rows[PAVED], "speed_limit": rows[-1]}
-        return named | {"open": self.open[:, nearest]}
+        return {"lanes": rows[:LANES], "edges": rows[EDGES], "paved": rows[PAVED], "open": self.open[:, nearest]}
 
 
 @kept
@@ -49,9 +48,8 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return what is around the route along a chain of lanes near a block of it."""
     curve = chain.curve(block, DRIVEN)
     ways = curve.samples[4]
-    rows, is_open, low = np.zeros((LANES + 5, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
-    lanes, edges, limit = rows[:LANES], rows[EDGES], rows[-1]
-    limit[:] = LIMIT
+    rows, is_open, low = np.zeros((LANES + 4, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
+    lanes, edges = rows[:LANES], rows[EDGES]
     for until, section in _sections(chain, goal, ways[-1]):
         here = slice(low, int(np.searchsorted(ways, until)))
         if here.stop <= here.start:
@@ -72,7 +70,6 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
                 found.append(_beside(curve, here, outermost))
         found = found or [lanes[1, here]]
         edges[:, here] = np.min(found, axis=0) - width / 2, np.max(found, axis=0) + width / 2
-        limit[here] = (section[1] or section[0] or section[2] or chain.lanes[-1]).limit
     rows = _filled(rows)
     rows[PAVED] = _paved(curve, goal, rows[EDGES])
     return Corridor(curve, rows, is_open)

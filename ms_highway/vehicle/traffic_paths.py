@@ -90,7 +90,7 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, intentions: bool =
     ]
     table = jax.tree.map(_column, *rows, *[NOBODY] * (TRAFFIC - len(rows)))
     leaders, gaps = _leaders_of(table["paths"], [way.car for way in ways], table["owners"])
-    return table | {"leaders": leaders, "gaps": gaps}
+    return table | {"leaders": leaders, "gaps": gaps, "accelerations": np.zeros(TRAFFIC, np.float32)}
 
 
 def _column(*values: Any) -> np.ndarray:

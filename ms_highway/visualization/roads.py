@@ -12,7 +12,8 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 from ms_highway.experiments.analysis.summary import CONFIDENCE
-from ms_highway.planning.human_models import PACKAGE_MODELS, cheapest_first
+from ms_highway.planning.human_models import cheapest_first
+from ms_highway.planning.road.settings import MODELS
 from ms_highway.visualization.tables import grid
 
 Drivers = Mapping[str, Mapping[str, Any]]
@@ -36,7 +37,7 @@ def driver_table(title: str, drivers: Drivers) -> Table:
 
 def driver_rows(drivers: Drivers) -> list[dict[str, str]]:
     """Return a row of texts for each driver, without columns that are empty in all rows."""
-    rungs = cheapest_first([*PACKAGE_MODELS, *(rung for one in drivers.values() for rung in one.get("rungs", ()))])
+    rungs = cheapest_first([*MODELS, *(rung for one in drivers.values() for rung in one.get("rungs", ()))])
     rows = []
     for driver, one in drivers.items():
         low, high = success_interval(one)

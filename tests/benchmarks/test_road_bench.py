@@ -105,22 +105,17 @@ def test_the_same_seed_gives_the_same_episode():
 
 @pytest.mark.parametrize(
     ("name", "settings"),
-    [
-        ("priced:1e+3", ("priced:1e+3", False, False, False)),
-        ("priced:1e+3+traits+belief", ("priced:1e+3", True, True, False)),
-        ("fixed:tom+belief+intentions", ("fixed:tom", False, True, True)),
-    ],
+    [("priced:1e+3", ("priced:1e+3", False)), ("fixed:tom+intentions", ("fixed:tom", True))],
 )
 def test_drivers_are_named_with_what_they_know_of_others(name, settings):
     check_driver(name)
     env = make_driver(Block("merge-v0", name))
-    assert (env.settings.driver, env.settings.traits, env.settings.belief, env.settings.intentions) == settings
+    assert (env.settings.driver, env.settings.intentions) == settings
     env.reset(seed=0)
-    robot = env.unwrapped.vehicle
-    assert (robot.driver.traits, robot.driver.belief, robot.intentions) == settings[1:]
+    assert env.unwrapped.vehicle.intentions == settings[1]
 
 
-@pytest.mark.parametrize("name", ["priced+traits+intention", "priced+beliefs"])
+@pytest.mark.parametrize("name", ["priced+intention", "priced+intentions+intentions"])
 def test_an_unknown_suffix_of_a_driver_is_refused(name):
     with pytest.raises(ValueError, match="unknown driver"):
         check_driver(name)
@@ -168,7 +163,7 @@ def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path,
         ("roundabout-v7", "unknown scene 'roundabout-v7'; the scenes are highway-fast-v0"),
         ("merge --drivers oracle", "unknown driver 'oracle'; the drivers are idm, idle, random, human"),
         ("merge --drivers agents/mine.zip", "there is no agent agents/mine.zip; notebooks/examples/train_peers.py"),
-        ("merge --drivers switching", "the choice by price is called 'priced'"),
+        ("merge --drivers switching", "unknown driver 'switching'"),
         ("merge --export drives", "--export is for the scene 'recorded' only"),
         ("recorded --traffic commuter", "--traffic commuter is not for recorded; choose one of learned, replay, idm"),
     ],

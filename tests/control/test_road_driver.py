@@ -4,41 +4,34 @@ from dataclasses import replace
 
 import jax
 import numpy as np
-import pytest
 from roads import PLANNING, country_road, scene_of, wrecked
 
-from ms_highway.control.road import DriversSeen, RoadDriver
+from ms_highway.control.road import RoadDriver
 from ms_highway.game.road import TRAFFIC
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import PACKAGE_MODELS
-from ms_highway.planning.road.settings import RoadWeights
+from ms_highway.planning.road.settings import MODELS, RoadWeights
 
-COSTS = Costs(0.004, np.array([0.0, 0.0001, 0.001, 0.003]))
+COSTS = Costs(0.004, np.array([0.0, 0.0001, 0.003]))
 SCENE = scene_of(robot=(0.0, 0.0, 0.0, 18.0), cars=[(45.0, 0, 12.0), (-12.0, 1, 22.0), (30.0, -1, 15.0)])
 BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
 PLANS = ("proposal", "last plan")
 
 
-def driver(choice=FixedRung("naive"), **known):  # noqa: B008
-    return RoadDriver(PLANNING, choice, costs=COSTS, **known)
+def driver(choice=FixedRung("naive")):  # noqa: B008
+    return RoadDriver(PLANNING, choice, costs=COSTS)
 
 
 def test_a_step_tells_what_was_planned_and_predicted():
     step = driver(FixedRung("idm")).step(SCENE)
-    assert step.control.shape == (2,)
-    assert step.path.shape == (PLANNING.steps, 3)
-    assert step.humans.shape == (TRAFFIC, PLANNING.steps, 2)
+    shapes = [value.shape for value in (step.control, step.path, step.humans, step.gains)]
+    assert shapes == [(2,), (PLANNING.steps, 3), (TRAFFIC, PLANNING.steps, 2), (TRAFFIC, len(MODELS))]
     assert step.models == ("idm",) * 3 + ("",) * (TRAFFIC - 3)
     np.testing.assert_array_equal(step.owners, SCENE.owners)
-    assert step.gains.shape == (TRAFFIC, len(PACKAGE_MODELS))
     assert step.source in PLANS
-    assert np.isfinite(step.control).all()
-    assert np.hypot(18.0**2 * step.control[0], step.control[1]) <= PLANNING.grip + 1e-3
-    assert np.isfinite(step.path).all()
+    assert np.isfinite([*step.control, *step.path.ravel()]).all()
     assert np.abs(step.path[0, :2] - [2.5 + 18 * 0.2, 0.0]).max() < 0.2  # the centre, one step on
-    assert step.planning_seconds > 0
-    assert step.decision_seconds > 0
+    assert min(step.planning_seconds, step.decision_seconds) > 0
 
 
 def test_obstacles_are_predicted_by_the_cheapest_model():
@@ -49,15 +42,8 @@ def test_obstacles_are_predicted_by_the_cheapest_model():
 def test_models_are_chosen_by_gains_and_costs():
     eager, thrifty = (driver(PricedRungs(price)).step(SCENE) for price in (0.0, 1e9))
     np.testing.assert_array_equal(eager.gains, thrifty.gains)
-    assert set(eager.models[:3]) == {"tom"}
-    assert set(thrifty.models[:3]) == {"naive"}
-    hurried = driver(BudgetedRungs(0.0)).step(SCENE)
-    assert set(hurried.models[:3]) == {"naive"}
-    beside = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)])
-    wanting = replace(beside, changes=np.array([2.0, 1.0, 0.0], np.float32), room=np.float32(30.0))
-    step = driver(PricedRungs(1.0)).step(wanting)
-    assert step.gains[0, -1] > 0
-    assert step.models[:2] == ("tom", "naive")
+    chosen = eager, thrifty, driver(BudgetedRungs(0.0)).step(SCENE)
+    assert [set(step.models[:3]) for step in chosen] == [{"tom"}, {"naive"}, {"naive"}]
 
 
 def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there():
@@ -67,15 +53,9 @@ def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there(
     assert measured.step(scene_of()).model == ""
     first, second = measured.step(SCENE), measured.step(SCENE)
     assert measured.costs.base > 0
-    assert measured.costs.each.shape == (len(PACKAGE_MODELS),)
+    assert measured.costs.each.shape == (len(MODELS),)
     assert measured.costs.each.min() >= 0
     assert second.compile_seconds < first.compile_seconds
-
-
-def test_costs_that_are_shipped_make_the_same_choices_every_time():
-    steps = [RoadDriver(PLANNING, PricedRungs(300.0)).step(SCENE) for _ in range(3)]
-    assert len({step.models for step in steps}) == 1
-    np.testing.assert_array_equal(steps[0].control, steps[2].control)
 
 
 def test_a_plan_beyond_its_budget_is_followed_a_step_later():
@@ -105,7 +85,7 @@ def test_nothing_compiles_after_the_first_step(caplog):
     driver(PricedRungs(1.0)).step(SCENE)
     caplog.clear()
     with jax.log_compiles():
-        for choice in (*map(FixedRung, PACKAGE_MODELS), PricedRungs(0.0), BudgetedRungs(20.0)):
+        for choice in (*map(FixedRung, MODELS), PricedRungs(0.0), BudgetedRungs(20.0)):
             planning = replace(PLANNING, desired_speed=22.0, grip=4.0)
             other = RoadDriver(planning, choice, RoadWeights(speed=2.0), COSTS)
             other.step(scene_of(cars=[(20.0, 0, 10.0)]))
@@ -113,16 +93,11 @@ def test_nothing_compiles_after_the_first_step(caplog):
     assert not [record for record in caplog.records if "compilation" in record.getMessage()]
 
 
-@pytest.mark.parametrize(
-    "blind",
-    [BLIND, replace(SCENE, states=np.where(np.arange(TRAFFIC)[:, None] == 0, np.float32(np.nan), SCENE.states))],
-    ids=["robot", "other car"],
-)
-def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_brakes(blind):
+def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_brakes():
+    unknown = np.where(np.arange(TRAFFIC)[:, None] == 0, np.float32(np.nan), SCENE.states)
     robot = driver()
     first = robot.step(SCENE)
-    steps = [robot.step(blind) for _ in range(PLANNING.steps + 2)]
-    assert first.source in PLANS
+    steps = [robot.step(blind) for blind in (*[BLIND] * PLANNING.steps, *[replace(SCENE, states=unknown)] * 2)]
     assert [step.source for step in steps] == ["last plan"] * (PLANNING.steps - 1) + ["braking"] * 3
     assert not first.failed
     assert all(step.failed and not any(step.models) and len(step.path) == 0 for step in steps)
@@ -132,7 +107,6 @@ def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_bra
     again = robot.step(SCENE)
     assert again.source in PLANS
     assert np.isfinite(again.control).all()
-    assert robot.step(blind).source == "last plan"
 
 
 def test_the_next_plan_has_the_rest_of_the_last_one_also_where_one_between_them_failed():
@@ -163,28 +137,3 @@ def test_before_a_wall_of_cars_the_robot_brakes_hardest_and_says_that_no_plan_ho
     assert step.broken
     assert not step.failed
     assert step.control[1] < -0.95 * PLANNING.grip
-
-
-def test_a_driver_with_a_belief_counts_on_nobody_who_has_not_shown_that_it_makes_way():
-    steps = {belief: driver(FixedRung("tom"), belief=belief).step(SCENE) for belief in (False, True)}
-    assert steps[False].belief is None
-    assert set(steps[False].models[:3]) == {"tom"}
-    np.testing.assert_allclose(steps[True].belief, 1 / len(PACKAGE_MODELS))
-    assert set(steps[True].models[:3]) == {"idm"}
-
-
-def test_traits_are_learned_from_step_to_step():
-    slower = replace(SCENE, states=SCENE.states - np.array([0, 0, 0, 0.3], np.float32))
-    path = np.zeros((PLANNING.steps, 3), np.float32)
-    seen = DriversSeen(traits=True, belief=False, time_step=0.2)
-    seen.prepare(SCENE, PLANNING.steps)
-    first, _ = seen.look(SCENE)
-    seen.planned(first, path)
-    second, _ = seen.look(slower)
-    assert first.traits.speed[1] == pytest.approx(0.75 * 30.0)
-    assert second.traits.speed[1] < first.traits.speed[1] - 0.3
-    seen.planned(second, path)
-    third, _ = seen.look(slower)  # learned from what was learned
-    assert third.traits.speed[1] != second.traits.speed[1]
-    seen.planned(third, path[:0])  # a plan that failed
-    np.testing.assert_array_equal(seen.look(SCENE)[0].traits.speed, first.traits.speed)

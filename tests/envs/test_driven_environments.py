@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import registry
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.controller import MDPVehicle
-from highway_env.vehicle.kinematics import Vehicle
 
 import ms_highway
 from ms_highway.envs.graphics import PAPER, model_color
-from ms_highway.envs.road.driven import Twin, action_done
 from ms_highway.envs.road.graphics import PANEL
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -40,30 +37,21 @@ def pixels(picture, color):
 
 
 @pytest.mark.parametrize("name", STOCK)
-def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the_rest_as_it_is(name):
+def test_the_robot_drives_every_stock_environment_and_leaves_the_rest_as_it_is(name):
     stock, env = gym.make(name), ms_highway.drive(gym.make(name))
     assert (env.action_space, env.observation_space) == (stock.action_space, stock.observation_space)
     observation, info = env.reset(seed=1)
     np.testing.assert_equal(observation, stock.reset(seed=1)[0])
     assert info["road"]["decisions"] == []
-    base, accelerations = env.unwrapped, []
-    vehicle, move = base.vehicle, base.road.step
-
-    def watched(dt):
-        before = vehicle.velocity
-        move(dt)
-        accelerations.append(np.linalg.norm(vehicle.velocity - before) / dt)
-
-    base.road.step = watched
     observation, reward, terminated, _, info = env.step(env.action_space.sample())
-    road = info["road"]
+    road, rates = info["road"], env.unwrapped.config
     assert env.observation_space.contains(observation)
-    assert env.action_space.contains(road["action"])
+    assert road["action"] is None or env.action_space.contains(road["action"])
     assert np.isfinite([road["planning_seconds"], road["decision_seconds"], road["jerk"], *np.atleast_1d(reward)]).all()
     assert not np.any(terminated)
     assert road["source"] in ("proposal", "last plan", "braking")
-    assert len(accelerations) == int(base.config["simulation_frequency"] // base.config["policy_frequency"])
-    assert max(accelerations) <= min(road["acceleration"] + 1e-9, 5.0)
+    assert len(env.robots[0].actions) == int(rates["simulation_frequency"] // rates["policy_frequency"])
+    assert road["acceleration"] <= 5.0
 
 
 @pytest.mark.slow
@@ -111,12 +99,6 @@ def test_a_budget_that_no_plan_keeps_makes_all_plans_late_and_says_so():
     assert roads[1]["source"] == "last plan"
 
 
-@pytest.mark.parametrize("frequency", [1, 5])
-def test_it_plans_five_times_a_second_whatever_the_policy_frequency_is(frequency):
-    env = driven("merge-v0", config={"policy_frequency": frequency})
-    assert [len(env.step(0)[4]["road"]["decisions"]) for _ in range(2)] == [5 // frequency] * 2
-
-
 def test_actions_change_nothing_and_a_time_limit_in_steps_is_kept():
     one, other = driven("two-way-v0"), driven("two-way-v0")
     for step in range(15):
@@ -126,40 +108,19 @@ def test_actions_change_nothing_and_a_time_limit_in_steps_is_kept():
         assert outcome[2:4] == (False, step == 14)
 
 
-@pytest.mark.parametrize("config", [{"policy_frequency": 5}, CONTINUOUS])
-def test_who_imitates_what_is_told_of_the_robot_drives_as_it_did(config):
-    env, stock = driven("highway-fast-v0", config=config), gym.make("highway-fast-v0", config=config)
+def test_imitating_the_continuous_actions_told_of_the_robot_drives_as_it_did():
+    env, stock = driven("highway-fast-v0", config=CONTINUOUS), gym.make("highway-fast-v0", config=CONTINUOUS)
     stock.reset(seed=0)
     assert env.reset(seed=0)[1]["road"]["action"] is None
     for _ in range(15):
         stock.step(env.step(None)[4]["road"]["action"])
         own, other = env.unwrapped.vehicle, stock.unwrapped.vehicle
-        assert np.linalg.norm(own.position - other.position) < (1e-3 if config is CONTINUOUS else 3.0)
+        assert np.linalg.norm(own.position - other.position) < 1e-3
     assert own.speed != 25.0
 
 
-@pytest.mark.parametrize("name", ["LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER"])
-def test_a_robot_that_drove_like_highway_envs_own_car_did_its_meta_action(name):
-    env = driven("highway-v0", config={"initial_lane_id": 1})
-    robot, kind = env.robots[0], env.unwrapped.action_type
-    start = Twin.of(robot, robot.lane_index)
-    car = MDPVehicle(robot.road, robot.position, robot.heading, robot.speed)
-    car.act(name)
-    for _ in range(15):
-        car.act()
-        car.step(1 / 15)
-        robot.actions.append(car.action)
-    robot.frame, robot.position, robot.heading, robot.speed = 1 / 15, car.position, car.heading, car.speed
-    done, aim = action_done(kind, robot, start)
-    assert (kind.actions[done], aim) == (name, car.target_lane_index)
-
-
-@pytest.mark.parametrize("config", [{}, CONTINUOUS])
-def test_a_reset_below_the_wrapper_leaves_no_robot_in_the_car_and_the_error_says_so(config):
-    env = ms_highway.drive(gym.make("highway-fast-v0", config=config))
-    with pytest.raises(gym.error.ResetNeeded):
-        env.step(None)
-    env.reset(seed=0)
+def test_a_reset_below_the_wrapper_leaves_no_robot_in_the_car_and_the_error_says_so():
+    env = driven("highway-fast-v0")
     env.env.reset(seed=1)
     with pytest.raises(gym.error.ResetNeeded, match="call reset of the driven environment"):
         env.step(None)
@@ -182,9 +143,8 @@ def test_a_driven_environment_can_be_made_again_from_its_specification():
     env.step(1)
 
 
-@pytest.mark.parametrize("name", ["highway-fast-v0", "roundabout-v0"])
-def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensive_model(name):
-    env = driven(name, "fixed:idm", render_mode="rgb_array")
+def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensive_model():
+    env = driven("roundabout-v0", "fixed:idm", render_mode="rgb_array")
     before = env.render()
     env.step(1)
     last, frame, height = env.robots[0].last_step, env.render(), env.unwrapped.config["screen_height"]
@@ -210,44 +170,23 @@ def test_a_plan_that_is_none_is_not_drawn():
     env.close()
 
 
-@pytest.mark.parametrize("outside", [True, False])
-@pytest.mark.parametrize(("video", "count"), [(False, 2), (True, 16)])  # one per step, or every frame of the simulation
-def test_pictures_and_videos_are_made_inside_and_outside_of_the_wrapper(outside, video, count, tmp_path):
+@pytest.mark.parametrize(("outside", "count"), [(False, 2), (True, 16)])  # per step, or per frame of the simulation
+def test_pictures_and_videos_are_made_inside_and_outside_of_the_wrapper(outside, count, tmp_path):
     env = gym.make("merge-v0", render_mode="rgb_array")
-    wrapper, options = gym.wrappers.RenderCollection, {}
-    if video:
+    if outside:
         pytest.importorskip("moviepy", reason="moviepy, which Gymnasium records with, is not installed")
-        wrapper, options = (
-            gym.wrappers.RecordVideo,
-            {"video_folder": str(tmp_path / "films"), "episode_trigger": lambda _: True},
-        )
-    env = ms_highway.drive(env if outside else wrapper(env, **options), {"driver": "fixed:naive"})
-    env = wrapper(env, **options) if outside else env
-    recorder = env if outside else env.env
-    if video:
-        env.unwrapped.set_record_video_wrapper(recorder)
+        env = ms_highway.drive(env, {"driver": "fixed:naive"})
+        env = gym.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda _: True)
+        env.unwrapped.set_record_video_wrapper(env)
+    else:
+        env = ms_highway.drive(gym.wrappers.RenderCollection(env), {"driver": "fixed:naive"})
     env.reset(seed=0)
     env.step(1)
-    frames = recorder.recorded_frames if video else env.render()
+    frames = env.recorded_frames if outside else env.render()
     assert {frame.shape for frame in frames} == {(150 + PANEL, 600, 3)}
     assert len(frames) == count
     env.close()
-    assert bool(list(tmp_path.glob("films/*.mp4"))) == video
-
-
-@pytest.mark.slow
-def test_belief_and_traits_are_told_and_shown_where_they_are_configured():
-    config = {"driver": "fixed:idm", "belief": True, "traits": True}
-    env = ms_highway.drive(gym.make("merge-v0", render_mode="rgb_array"), config)
-    env.reset(seed=0)
-    road = env.step(0)[4]["road"]
-    present = np.array(road["models"]) != ""
-    np.testing.assert_allclose(road["belief"].sum(axis=1), 1.0, atol=1e-6)
-    assert (np.abs(road["belief"][present] - 0.25) > 0.01).any()
-    assert ((road["traits"].speed > 1) & (road["traits"].headway > 0.2)).all()
-    robot, believed = env.unwrapped.vehicle, env.render()
-    robot.last_step = replace(robot.last_step, belief=None)
-    assert (believed != env.render()).any()
+    assert bool(list(tmp_path.glob("films/*.mp4"))) == outside
 
 
 def test_vector_environments_are_driven():
@@ -294,67 +233,3 @@ def test_spawned_workers_drive_and_forked_ones_say_how_to_start_them_instead_of_
     done = subprocess.run([sys.executable, script], timeout=600, capture_output=True, text=True)
     assert done.returncode == 0
     assert "start it with context='forkserver' or 'spawn'" in done.stdout
-
-
-def test_a_policy_drives_an_environment_that_stays_stock():
-    env = gym.make("highway-fast-v0", config=CONTINUOUS)
-    policy = ms_highway.RoadPolicy(env, {"driver": "fixed:idm"})
-    for seed in (0, 1):
-        observation, _ = env.reset(seed=seed)
-        vehicle = env.unwrapped.vehicle
-        for _ in range(10):
-            action, state = policy.predict(observation, deterministic=True)
-            assert env.action_space.contains(action)
-            observation, *_ = env.step(action)
-            assert vehicle.action["acceleration"] == pytest.approx(policy.steps[0].control[1], abs=0.2)
-        assert (type(vehicle), state, vehicle.on_road, vehicle.crashed) == (Vehicle, None, True, False)
-    assert policy.predict(observation[None], episode_start=np.ones(1, dtype=bool))[0].shape == (1, 2)
-
-
-def test_a_policy_of_several_environments_answers_with_one_action_each():
-    envs = gym.vector.SyncVectorEnv([lambda: gym.make("highway-fast-v0", config=CONTINUOUS)] * 2)
-    policy = ms_highway.RoadPolicy(envs, {"driver": "fixed:naive"})
-    observations, _ = envs.reset(seed=[5, 5])
-    for _ in range(2):
-        actions, _ = policy.predict(observations, episode_start=np.zeros(2, dtype=bool))
-        np.testing.assert_array_equal(*actions)
-        observations, *_ = envs.step(actions)
-
-
-def first_step_of_a_robot(env, config):
-    robot = ms_highway.drive(env, config)
-    robot.reset(seed=3)
-    robot.step(robot.action_space.sample())
-    return robot.unwrapped.vehicle.steps[0]
-
-
-def first_step_of_a_policy(env, config):
-    policy = ms_highway.RoadPolicy(env, config)
-    observation, _ = env.reset(seed=3)
-    policy.predict(observation)
-    return policy.steps[0]
-
-
-@pytest.mark.parametrize("first_step", [first_step_of_a_robot, first_step_of_a_policy])
-def test_others_who_keep_their_lane_and_show_which_way_they_take_have_one_way_each(first_step):
-    steps = (
-        first_step(gym.make("intersection-v1", config=CONTINUOUS), {"driver": "fixed:naive", "intentions": intentions})
-        for intentions in (False, True)
-    )
-    unknown, shown = (step.owners[step.owners >= 0].tolist() for step in steps)
-    assert len(unknown) > len(set(unknown)) == len(shown) == len(set(shown))
-
-
-@pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        ({"policy_frequency": 5}, "needs continuous actions, not DiscreteMetaAction; make it with"),
-        ({**CONTINUOUS, "policy_frequency": 1}, "needs 4 actions per second or more, not 1; make it with"),
-        ({**CONTINUOUS, "action": {"type": "ContinuousAction", "longitudinal": False}}, "longitudinal and lateral"),
-    ],
-)
-def test_a_policy_refuses_what_it_cannot_drive_and_says_how_to_make_it(config, message):
-    with pytest.raises(ValueError, match=message):
-        ms_highway.RoadPolicy(gym.make("highway-fast-v0", config=config))
-    with pytest.raises(ValueError, match="str is neither an environment"):
-        ms_highway.RoadPolicy("highway-fast-v0")

@@ -38,18 +38,6 @@ def wild(number, largest=(0.3, 12.0)):
     return (np.random.default_rng(0).uniform(-1, 1, (number, 2)) * largest).astype(np.float32)
 
 
-def test_on_a_straight_road_a_step_is_highway_envs_step():
-    """Its rear axle gains ``length / 2 (1 - cos(yaw))`` per step, as it moves its centre along the old heading."""
-    controls = wild(PLANNING.steps, (0.02, 4.0))
-    states, held, centres = driven(scene_of(robot=(0.0, 0.0, 0.0, 12.0)), PLANNING, controls)
-    theirs = of_highway_env(12.0, held, PLANNING.time_step)
-    np.testing.assert_allclose(centres[:, 2], theirs[:, 2], atol=1e-5)
-    np.testing.assert_allclose(states[:, 3], theirs[:, 3], atol=1e-4)
-    yaw = np.diff(theirs[:, 2], prepend=0.0)
-    apart = np.hypot(*(np.asarray(centres) - theirs[:, :3]).T[:2])
-    assert (apart <= LENGTH / 4 * np.cumsum(yaw**2) + 1e-3).all()
-
-
 @pytest.mark.parametrize("bend", [0.0, 1 / 20, -1 / 60])
 def test_in_fine_steps_the_robot_goes_where_highway_envs_car_goes_on_any_road(bend):
     often = replace(PLANNING, time_step=0.005)
@@ -69,10 +57,3 @@ def test_controls_are_held_within_the_friction_circle_and_the_sharpest_curve_at_
     assert np.hypot(speed**2 * curvature, acceleration).max() <= GRIP + 1e-5
     assert np.abs(curvature).max() <= PLANNING.curvature
     assert (speed + acceleration * PLANNING.time_step).min() >= -1e-5
-
-
-def test_a_braking_robot_stops_and_stays():
-    states, held, _ = driven(scene_of(robot=(0.0, 0.0, 0.0, 8.0)), PLANNING, np.tile([0.0, -9.0], (20, 1)))
-    assert np.min(states[:, 3]) > -1e-6
-    np.testing.assert_allclose(states[-5:], np.tile(states[-1], (5, 1)))
-    assert float(held[0, 1]) == -GRIP

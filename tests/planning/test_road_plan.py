@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
@@ -11,18 +10,17 @@ from roads import PLANNING, WEIGHTS, crossing, execute, proposals_of, scene_of
 from ms_highway.control.road import answered_by, proposed_for
 from ms_highway.control.road import plan_of as planned
 from ms_highway.game.road import BEHIND, SPACING, TRAFFIC
-from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.motion import bodies
-from ms_highway.planning.road.plan import LastPlan, no_plan
-from ms_highway.planning.road.proposals import LAST_PLAN
+from ms_highway.planning.road.plan import no_plan
+from ms_highway.planning.road.settings import MODELS
 
-GRIP, STEPS = float(PLANNING.grip), PLANNING.steps
+STEPS = PLANNING.steps
 MEMORY = no_plan(PLANNING)
 ZERO = round(BEHIND / SPACING)  # knot of paths at s = 0
 
 
 def everybody(name):
-    return np.full(TRAFFIC, PACKAGE_MODELS.index(name), np.int32)
+    return np.full(TRAFFIC, MODELS.index(name), np.int32)
 
 
 def plan_of(scene, name="naive", memory=MEMORY):
@@ -50,16 +48,13 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 def test_under_every_model_a_plan_is_finite_and_within_limits(name):
     scene = SCENES[name]
-    for rung in PACKAGE_MODELS:
+    for rung in MODELS:
         plan = plan_of(scene, rung)
         assert np.isfinite(plan.path).all()
         assert np.isfinite(plan.predictions).all()
         states, held = execute(scene, PLANNING, plan.controls)
         np.testing.assert_allclose(plan.controls, held, atol=1e-3)
         np.testing.assert_allclose(plan.path, jnp.stack(bodies(scene, states), axis=-1), atol=0.05)
-        before = np.concatenate([scene.robot[None, 3], states[:-1, 3]])
-        assert np.hypot(before**2 * plan.controls[:, 0], plan.controls[:, 1]).max() <= GRIP + 1e-3
-        assert np.abs(plan.controls[:, 0]).max() <= PLANNING.curvature
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -71,19 +66,15 @@ def test_a_plan_breaks_no_constraint_where_some_proposal_breaks_none(seed):
         assert not plan_of(scene, name).broken
 
 
-def test_without_answers_the_best_proposal_drives():
+def test_where_nobody_optimises_the_best_proposal_drives_before_and_after_answers():
     for scene in (*SCENES.values(), busy(1), busy(2), busy(3)):
-        proposals, plan = proposals_of(scene, PLANNING, everybody("naive"), MEMORY), plan_of(scene)
+        rungs = everybody("idm")
+        proposals = proposals_of(scene, PLANNING, rungs, MEMORY)
+        found = proposed_for(scene, PLANNING, WEIGHTS, rungs, MEMORY)
         best = int(np.argmax(proposals.scores.preference))
-        assert plan.chosen == best
-        np.testing.assert_allclose(plan.controls, proposals.driven.controls[best], atol=1e-4)
-
-
-def test_the_rest_of_the_last_plan_is_among_the_proposals():
-    last = (np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.001, 0.5]).astype(np.float32)
-    memory = LastPlan(last, np.array([80.0, 4.0], np.float32), np.int32(0))
-    proposals = proposals_of(SCENES["free"], PLANNING, everybody("naive"), memory)
-    np.testing.assert_allclose(proposals.driven.controls[LAST_PLAN], last, atol=1e-5)
+        for plan in (found.plan, answered_by(found, rungs)):
+            assert plan.chosen == best
+            np.testing.assert_allclose(plan.controls, proposals.driven.controls[best], atol=1e-4)
 
 
 CUT_IN = scene_of(robot=(0.0, 2.5, 0.06, 20.0), cars=[(-14.0, 1, 26.0)])
@@ -97,15 +88,10 @@ def final_place(scene, name):
 def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_in():
     kept = -14.0 + 26.0 * STEPS * PLANNING.time_step
     assert final_place(CUT_IN, "naive") == pytest.approx(kept, abs=0.05)
-    assert final_place(CUT_IN, "tom") < kept - 1.0
+    braking = final_place(accelerating(CUT_IN, -6.0), "tom")  # as its model says
+    assert braking < kept - 1.0
     beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
-    assert final_place(beside, "tom") > final_place(CUT_IN, "tom") + 1.0
-
-
-def test_obstacles_stay_where_they_are_under_every_model():
-    scene = replace(SCENES["standing car ahead"], moving=np.zeros(TRAFFIC, bool))
-    for name in PACKAGE_MODELS:
-        assert final_place(scene, name) == pytest.approx(45.0, abs=1e-3)
+    assert final_place(beside, "tom") > braking + 1.0
 
 
 def accelerating(scene, *accelerations):
@@ -126,15 +112,6 @@ def test_who_brakes_hard_ahead_is_expected_to_stop_and_nobody_else():
     assert covered(ahead, -2.0) > 22.0
     assert covered(behind, -6.0) > 12.0
     assert covered(far_aside, -6.0) > 12.0
-
-
-def test_the_plan_of_proposals_is_the_one_after_answers_where_nobody_optimises():
-    for scene in (*SCENES.values(), busy(1)):
-        rungs = everybody("idm")
-        found = proposed_for(scene, PLANNING, WEIGHTS, rungs, MEMORY)
-        jax.tree.map(
-            lambda one, other: np.testing.assert_allclose(one, other, atol=1e-4), found.plan, answered_by(found, rungs)
-        )
 
 
 def test_who_may_cross_is_expected_to_keep_its_speed_and_not_to_follow_a_car_on_one_of_its_ways():

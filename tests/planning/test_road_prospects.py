@@ -3,15 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from roads import NOBODY, PLANNING, PLANS, WEIGHTS, coming, proposals_of, scene_of
+from roads import NOBODY, PLANNING, PLANS, coming, now_in, proposals_of, scene_of
 
 from ms_highway.game.road import KNOTS, TRAFFIC
 from ms_highway.planning.road.plan import no_plan
 from ms_highway.planning.road.proposals import ALL
 from ms_highway.planning.road.prospects import missing_room, prospects
 from ms_highway.planning.road.settings import IDM
-from ms_highway.planning.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 MEMORY = no_plan(PLANNING)
@@ -22,11 +20,6 @@ FOLLOWING, CLOSING_UP, BRAKING, KEEPING_SPEED = (
 
 lost_after = jit_quickly(lambda now, rollouts: prospects(now, rollouts, PLANS.lane)[0])
 room_missing = jit_quickly(missing_room)
-
-
-@jit_quickly
-def now_in(scene):
-    return situation_of(scene, PLANNING, WEIGHTS)
 
 
 def proposed(scene):
@@ -41,17 +34,6 @@ def lost(scene):
 def missing(scene, goals=(-4.0, 0.0, 4.0)):
     found = proposed(scene)
     return np.asarray(room_missing(now_in(scene), found.driven, np.asarray(goals, np.float32)[PLANS.lane]))
-
-
-@pytest.mark.slow
-def test_on_a_free_road_no_speed_is_lost_after_a_plan_at_the_desired_speed():
-    assert lost(scene_of(robot=(0.0, 0.0, 0.0, 30.0)))[KEEPING_SPEED] < 0.01
-
-
-def test_behind_a_wall_of_slow_cars_more_speed_is_lost_than_behind_a_single_one():
-    wall = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(80.0, lane, 18.0) for lane in (-1, 0, 1)])
-    single = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(80.0, 0, 18.0)])
-    assert lost(wall)[CLOSING_UP] > lost(single)[CLOSING_UP] + 3.0
 
 
 def test_a_gap_beside_that_opens_later_is_foreseen():

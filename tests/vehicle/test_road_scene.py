@@ -20,10 +20,8 @@ from ms_highway.vehicle.traffic_paths import _ways
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
 
-GOALS = {"roundabout-v0": "nxs", "roundabout-generic-v0": "nxs", "exit-v0": "exit", "u-turn-v0": "d"}
-GOALS |= {"intersection-v0": "o1", "intersection-v2": "o1"}
-NAMES = ["highway", "highway-fast", "merge", "merge-generic", "two-way", "racetrack", "lane-keeping"]
-SCENES = [*GOALS, *(f"{name}-v0" for name in NAMES)]
+GOALS = {"roundabout-v0": "nxs", "exit-v0": "exit", "u-turn-v0": "d", "intersection-v2": "o1"}
+SCENES = [*GOALS, *(f"{name}-v0" for name in ("highway", "merge", "two-way", "racetrack", "lane-keeping"))]
 BEHIND_KNOTS = round(BEHIND / SPACING)
 KINDS = {"leaders": np.int32, "owners": np.int32, "names": np.int32}
 KINDS |= dict.fromkeys(("open", "present", "moving"), bool)
@@ -55,7 +53,7 @@ def among(ego, *others, speed=8.0):
 
 
 @cache
-def drive(scene, steps=30):
+def drive(scene, steps=80):
     """What the ego sees of the road in every frame, its rear axle's pose, its lane, and the positions of all."""
     ego, goal, frames = with_ego(scene), GOALS.get(scene), []
     if goal:
@@ -71,7 +69,7 @@ def drive(scene, steps=30):
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_in_all_scenes_routes_can_be_driven_cars_are_where_they_are_and_arrays_have_the_same_shapes(scene):
-    for seen, pose, _, positions in drive(scene):
+    for seen, pose, _, positions in drive(scene)[::3]:
         route, edges = seen.route, seen.edges
         assert (route.x.shape, edges.shape, seen.paths.x.shape) == ((KNOTS,), (2, KNOTS), (TRAFFIC, TRAFFIC_KNOTS))
         assert seen.lanes.shape == seen.open.shape == (LANES, KNOTS)
@@ -92,21 +90,13 @@ def test_in_all_scenes_routes_can_be_driven_cars_are_where_they_are_and_arrays_h
         assert (np.hypot(*found.T).min(axis=0, initial=np.inf) < 0.1).all()
 
 
-@pytest.mark.parametrize("scene", ["roundabout-v0", "intersection-v0", "racetrack-v0", "u-turn-v0", "merge-v0"])
+@pytest.mark.parametrize("scene", ["roundabout-v0", "intersection-v2", "racetrack-v0", "u-turn-v0", "merge-v0"])
 def test_a_route_does_not_wobble_while_it_is_driven(scene):
-    for (before, _, last, _), (seen, _, lane, _) in pairwise(drive(scene, 100)):
+    for (before, _, last, _), (seen, _, lane, _) in pairwise(drive(scene)):
         if lane == last or lane[:2] != last[:2]:
             route = before.route
             _, aside, _ = located(seen.route, route.x[8:60], route.y[8:60], route.heading[8:60])
             assert np.abs(aside).max() < 0.05
-
-
-def test_straight_lanes_stay_straight_and_circles_round():
-    for seen, *_ in drive("highway-v0"):
-        route = seen.route
-        assert max(np.abs(route.curvature).max(), np.ptp(route.heading), np.ptp(route.y) / 100) < 1e-6
-    bend = seen_from("u-turn-v0", ("b", "c", 0), 28.0, "d").route.curvature[7:20]
-    assert bend == pytest.approx(-1 / 20, rel=0.01)
 
 
 def test_the_way_into_a_roundabout_and_out_of_it_is_one_smooth_curve():
@@ -122,8 +112,6 @@ def test_the_way_into_a_roundabout_and_out_of_it_is_one_smooth_curve():
     ("lane", "at", "changes", "room"),
     [
         (("0", "1", 0), 100.0, [7, 6, 5], 400.0),
-        (("0", "1", 5), 380.0, [2, 1, 0], 120.0),
-        (("1", "2", 5), 50.0, [2, 1, 0], 50.0),
         (("1", "2", 6), 50.0, [1, 0, -1], 50.0),
     ],
 )
@@ -156,13 +144,6 @@ def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_cl
     assert beside.edges[1] == pytest.approx(2.0, abs=0.01)
 
 
-def test_the_left_lane_of_a_two_way_road_is_open():
-    seen = seen_from("two-way-v0", ("a", "b", 1), 100.0)
-    assert seen.open.all(axis=1).tolist() == [True, True, False]
-    assert seen.lanes[0] == pytest.approx(-4.0, abs=0.01)
-    assert seen.edges[0] == pytest.approx(-6.0, abs=0.01)
-
-
 def test_lanes_of_those_who_come_are_paved_and_no_part_of_the_robots_road():
     seen = seen_from("intersection-v0", ("o0", "ir0", 0), 60.0, "o1")
     here = slice(BEHIND_KNOTS, BEHIND_KNOTS + 10)
@@ -172,19 +153,16 @@ def test_lanes_of_those_who_come_are_paved_and_no_part_of_the_robots_road():
     np.testing.assert_allclose(highway.paved, highway.edges, atol=0.3)
 
 
-@pytest.mark.parametrize("widths", [(3.0, 3.0), (3.0, 6.0), (6.0, 3.0)])
-def test_lanes_of_any_width_pave_all_between_their_edges_and_nothing_before_or_after_them(widths):
-    network, (one, other) = RoadNetwork(), widths
+@pytest.mark.parametrize(("one", "other"), [(3.0, 3.0), (3.0, 6.0), (6.0, 3.0)])
+def test_lanes_of_any_width_pave_all_between_their_edges_and_nothing_before_or_after_them(one, other):
+    network = RoadNetwork()
     network.add_lane("a", "b", StraightLane([0, 0], [200, 0], width=one, forbidden=True))
     network.add_lane("c", "d", StraightLane([120, -(one + other) / 2], [20, -(one + other) / 2], width=other))
-    ego = Vehicle(Road(network), [62.5, 0.0], 0.0, 8.0)
-    seen = observe_road(ego)
-    left, right = seen.paved[:, seen.route.x > 0]
-    x = seen.route.x[seen.route.x > 0]
-    np.testing.assert_allclose(right, one / 2, atol=0.51)
-    beside = (x >= 22.0) & (x <= 118.0)
-    np.testing.assert_allclose(left[beside], -one / 2 - other, atol=0.51)
-    np.testing.assert_allclose(left[(x < 18.0) | (x >= 121.0)], -one / 2, atol=0.51)
+    seen = observe_road(Vehicle(Road(network), [62.5, 0.0], 0.0, 8.0))
+    x, (left, right) = seen.route.x, seen.paved
+    np.testing.assert_allclose(right[x > 0], one / 2, atol=0.51)
+    np.testing.assert_allclose(left[(x >= 22.0) & (x <= 118.0)], -one / 2 - other, atol=0.51)
+    np.testing.assert_allclose(left[(x > 0) & (x < 18.0) | (x >= 121.0)], -one / 2, atol=0.51)
 
 
 def test_a_robot_on_the_lane_of_those_who_come_still_follows_its_own():
@@ -212,23 +190,23 @@ def test_cars_before_an_intersection_may_go_several_ways():
     (other,) = among(ego, (("o2", "ir2", 0), 85.0))
     other.plan_route_to("o1")
     seen = observe_road(ego, "o1")
-    assert seen.present.sum() == 3
-    assert seen.owners[:3].tolist() == [0, 0, 0]
+    assert seen.owners[seen.present].tolist() == [0, 0, 0]
     ends = np.stack([seen.paths.x[:3, -1], seen.paths.y[:3, -1]], axis=-1)
     assert len(np.unique(ends.round(-1), axis=0)) == 3
     shown = observe_road(ego, "o1", intentions=True)
     assert shown.present.sum() == 1
-    assert shown.paths.x[0, -1] < -50.0
-    assert shown.paths.y[0, -1] == pytest.approx(-2.0, abs=0.1)
+    assert [shown.paths.x[0, -1] < -50.0, shown.paths.y[0, -1]] == [True, pytest.approx(-2.0, abs=0.1)]
+    among(ego, (("ir2", "il3", 0), 10.0))
+    assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
+
+
+def test_a_car_that_shows_its_route_has_one_way_also_farther_than_branches():
+    ego = with_ego("intersection-v0", ("o0", "ir0", 0), 80.0)
     (far,) = among(ego, (("o3", "ir3", 0), 5.0))
     for goal in ("o0", "o1", "o2"):
         far.plan_route_to(goal)
         (way,) = _ways(far, 0, road_map(far.road.network), True)
-        assert [lane.index[:2] for lane in way.chain.lanes[:3]] == [leg[:2] for leg in far.route], (
-            "farther than branches"
-        )
-    among(ego, (("ir2", "il3", 0), 10.0))
-    assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
+        assert [lane.index[:2] for lane in way.chain.lanes[:3]] == [leg[:2] for leg in far.route]
 
 
 def test_a_car_that_changes_lanes_has_a_way_along_both_also_where_it_shows_its_route():
@@ -242,16 +220,6 @@ def test_a_car_that_changes_lanes_has_a_way_along_both_also_where_it_shows_its_r
         assert not shows or all(way.chain.lanes[1].index[:2] == other.route[1][:2] for way in ways)
 
 
-def test_a_car_that_changes_lane_has_a_way_along_both_lanes():
-    ego = with_ego("highway-v0", ("0", "1", 1), 100.0)
-    (other,) = among(ego, (("0", "1", 2), 120.0), speed=20.0)
-    assert observe_road(ego).present.sum() == 1
-    other.heading = -0.15
-    seen = observe_road(ego)
-    assert seen.states[:2, 1] == pytest.approx([0.0, 4.0], abs=0.01)
-    assert seen.owners[:3].tolist() == [0, 0, -1]
-
-
 def test_leaders_are_the_nearest_cars_ahead_on_the_same_path():
     ego = with_ego("highway-v0", ("0", "1", 1), 100.0)
     among(ego, *(((*"01", lane), at) for lane, at in [(1, 110.0), (1, 140.0), (2, 130.0)]), speed=20.0)
@@ -260,10 +228,3 @@ def test_leaders_are_the_nearest_cars_ahead_on_the_same_path():
     assert seen.leaders[[near, middle, far]].tolist() == [far, -1, -1]
     assert seen.gaps[near] == pytest.approx(30.0, abs=0.01)
     assert seen.moving[[near, middle, far]].all()
-
-
-def test_obstacles_stand_still():
-    seen = seen_from("merge-v0", ("b", "c", 2), 10.0)
-    (standing,) = np.flatnonzero(seen.present & ~seen.moving)
-    assert seen.sizes[standing].tolist() == [2.0, 2.0]
-    assert seen.states[standing, 3] == 0

@@ -23,8 +23,8 @@ RECORDED_ID = "ms_highway:ms-highway/recorded-v0"
 RECORDED_TRAFFIC = ("learned", "replay", "idm")
 EGOS = ("problem", "changing")
 
-KNOWN = "traits", "belief", "intentions"
-"""What a driver of this package may know of others, in the names of drivers after a plus each."""
+INTENTIONS = "+intentions"
+"""End of the names of drivers that see which way others take."""
 
 HUMAN = "human"
 """The driver that goes as the vehicle was recorded to whose place the ego takes."""
@@ -32,7 +32,7 @@ HUMAN = "human"
 PEERS = ("idm", "idle", "random")
 """Drivers that are not this package's."""
 
-DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:turn", "fixed:tom", *PEERS)
+DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:tom", *PEERS)
 """Drivers that are measured by default."""
 
 TRAFFIC = {
@@ -63,10 +63,8 @@ def known_scenes(names: Iterable[str]) -> list[str]:
 
 
 def driver_config(name: str) -> dict[str, Any]:
-    """Return the configuration, for `ms_highway.drive`, of a driver of this package, such as ``priced:2+traits``."""
-    suffix = re.compile(rf"\+({'|'.join(KNOWN)})(?=\+|$)")
-    found = suffix.findall(name)
-    return {"driver": suffix.sub("", name)} | {known: known in found for known in KNOWN}
+    """Return the configuration for `ms_highway.drive` of a driver of this package, such as ``priced:2+intentions``."""
+    return {"driver": name.removesuffix(INTENTIONS), "intentions": name.endswith(INTENTIONS)}
 
 
 def is_agent(driver: str) -> bool:

@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
-from ms_highway.benchmarks.road import HUMAN, KNOWN, RECORDED, RECORDED_ID, TRAFFIC, driver_config, is_agent
+from ms_highway.benchmarks.road import HUMAN, INTENTIONS, RECORDED, RECORDED_ID, TRAFFIC, driver_config, is_agent
 from ms_highway.benchmarks.road.export import Drive
 from ms_highway.benchmarks.road.measures import Watch
 from ms_highway.benchmarks.road.peers import Agent, Idle, Idm, Peer, Random, policy_of
@@ -115,8 +115,7 @@ def check_driver(name: str) -> None:
         try:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
-            suffixed = "DRIVER" + "".join(f"[+{known}]" for known in KNOWN)
-            known = ", ".join([*OTHERS, *DRIVERS, suffixed, "AGENT.zip"])
+            known = ", ".join([*OTHERS, *DRIVERS, f"DRIVER[{INTENTIONS}]", "AGENT.zip"])
             raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
 
 

@@ -50,7 +50,7 @@ class Commuter:
         path: of the human.
         state: of the human on it.
         size: length and width of all cars [m].
-        reward: the commuters', with the speed and the headway that this human desires.
+        reward: the commuters', with the speed limit of this human.
         others: fields of their `ms_highway.game.dynamics.Motion` after each step, None before it looks.
     """
 
@@ -74,7 +74,8 @@ class Commuter:
         motion, effects, comfort = self.move(scaled), self._effects, self._comfort
         bent = jnp.sum(by_fields(self._slopes, motion)[..., None] * effects, axis=1)
         hessian = jnp.tensordot(effects, bent, ((0, 1), (0, 1)))
-        return self.pull(self._slopes(motion)) - comfort * scaled, hessian - comfort * jnp.eye(len(scaled))
+        gradient = jnp.tensordot(self._slopes(motion), effects, 2)
+        return gradient - comfort * scaled, hessian - comfort * jnp.eye(len(scaled))
 
     def answer(self) -> Vector:
         """Return the best accelerations, by damped Newton steps from steady braking.
@@ -107,7 +108,8 @@ class Commuter:
     def move(self, scaled: Vector) -> Steps:
         """Return s and speed after each step [2, steps]."""
         s, _, _, speed = self.state
-        return jnp.stack([s + speed * self.planning.times, jnp.full_like(scaled, speed)]) + self.push(scaled)
+        kept = jnp.stack([s + speed * self.planning.times, jnp.full_like(scaled, speed)])
+        return kept + jnp.sum(self._effects * scaled, axis=-1)
 
     def see(self, trajectories: World) -> Steps:
         """Return the motions [5, cars, steps] of trajectories [4, cars, steps] in the coordinates of the path."""
@@ -115,14 +117,6 @@ class Commuter:
         s, d, relative = locate(self.path, x, y, heading)
         cosine, sine = jnp.cos(relative), jnp.sin(relative)
         return jnp.stack([s, d, cosine, sine, speed * cosine])
-
-    def push(self, scaled: Vector) -> Steps:
-        """Return the changes of s and speed after each step by a change of accelerations."""
-        return jnp.sum(self._effects * scaled, axis=-1)
-
-    def pull(self, slopes: Steps) -> Vector:
-        """Return a slope in accelerations from those in s and speed after each step: the transpose of `push`."""
-        return jnp.tensordot(slopes, self._effects, 2)
 
     @property
     def aside(self) -> Steps:
@@ -176,16 +170,11 @@ def commuter_of(scene: RoadScene, planning: RoadPlanning, i: Index) -> Commuter:
     """Return other car i as a commuter that has not looked at others yet."""
     path, state, size = jax.tree.map(lambda field: field[i], (scene.paths, scene.states, scene.sizes))
     reward = replace(_reward(), speed_limit=scene.limits[i])
-    if scene.traits is not None:
-        reward = replace(reward, speed_limit=scene.traits.speed[i], headway=scene.traits.headway[i])
     return Commuter(planning, path, state, size, reward)
 
 
 def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: World, others: World) -> Commuter:
     """Return other car i as a commuter among the robot and the `NEAREST` others.
-
-    With the trajectory of `ms_highway.planning.road.motion.cruise`, the robot keeps its velocity, which is what the
-    model turn assumes.
 
     Args:
         scene: the road.

@@ -45,15 +45,6 @@ def advance(scene: RoadScene, planning: RoadPlanning, state: Car, control: Contr
     return state + jnp.stack(changes) * planning.time_step
 
 
-def cruise(scene: RoadScene, planning: RoadPlanning) -> World:
-    """Return the trajectory of the robot's centre if it keeps its speed and lateral position along its route."""
-    s, d, _, speed = jnp.asarray(scene.robot)
-    pace = speed / jnp.maximum(1 - d * interpolate(scene.route.curvature, s), 0.2)
-    s = s + scene.size[0] / 2 + pace * planning.times
-    d, speed = (jnp.broadcast_to(number, s.shape) for number in (d, speed))
-    return jnp.stack([*place(scene.route, s, d), speed])
-
-
 def bodies(scene: RoadScene, states: States) -> Pose:
     """Return x, y and heading of the robot's centre in world coordinates, half a length ahead of its rear axle."""
     x, y, along = place(scene.route, states[..., 0], states[..., 1])

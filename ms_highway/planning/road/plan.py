@@ -1,9 +1,8 @@
 """Plan on a road: propose, let others answer, check.
 
 All proposals are judged with others who keep their speed or follow by the Intelligent Driver Model. If some plan for
-their reward, they answer the best few of these proposals (theory of mind) or a robot that keeps its velocity (turn),
-and these proposals are judged again. Answers make plans better, not safe: what hits somebody who only follows does not
-drive where anything else holds.
+their reward (theory of mind), they answer the best few of these proposals, and these are judged again. Answers make
+plans better, not safe: reject a plan that collides if others merely follow, when a safe plan exists.
 """
 
 from typing import NamedTuple
@@ -15,7 +14,7 @@ from jax import numpy as jnp
 from ms_highway.game.road import Flags, Places, RoadScene, Traffic
 from ms_highway.planning.road.answers import UNIT, commuter_among
 from ms_highway.planning.road.arrays import EachStep
-from ms_highway.planning.road.motion import centres, cruise
+from ms_highway.planning.road.motion import centres
 from ms_highway.planning.road.proposals import (
     PROPOSALS,
     DrivenPlans,
@@ -26,13 +25,12 @@ from ms_highway.planning.road.proposals import (
     simulate_plans,
 )
 from ms_highway.planning.road.scoring import UNSOUND, Scores, score
-from ms_highway.planning.road.settings import IDM, LANE, TOM, TURN, RoadPlanning, RoadWeights
-from ms_highway.planning.road.traffic import Situation, assumed_traits, leads, situation_of
-from ms_highway.planning.road.traits import followed, jointly
+from ms_highway.planning.road.settings import IDM, LANE, TOM, RoadPlanning, RoadWeights
+from ms_highway.planning.road.traffic import Situation, accelerations_now, leads, situation_of
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, Vector, for_each
 
 ANSWERED = 4  # best proposals that others answer
-HARD = 3.0  # m/s^2, from which who brakes ahead is expected to go on so
+HARD = 3.0  # m/s^2, of braking ahead, from which it is expected to go on
 BESIDE = 1.5  # lanes aside, up to which that matters
 
 
@@ -110,8 +108,8 @@ def no_plan(planning: RoadPlanning) -> LastPlan:
     return LastPlan(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32), np.int32(0))
 
 
-def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
-    """Simulate and judge all proposals while others keep their speed, or follow from the model `IDM` on.
+def proposals(now: Situation, rungs: Places, last: LastPlan) -> tuple[Profiles, Manners]:
+    """Return all proposals, and the manners of others who keep their speed, or follow from the model `IDM` on.
 
     Args:
         now: the situation.
@@ -120,7 +118,7 @@ def propose(now: Situation, rungs: Places, last: LastPlan) -> Judged:
     """
     side = jnp.where(now.obstruction.exists, last.side, 0)  # also where the plan leads back already
     lane = jnp.where(side == 0, nearest_lane(now.scene, *last.goal), 1)
-    return _judged(now, profiles(last.controls, lane, side), _following(now, rungs, PROPOSALS))
+    return profiles(last.controls, lane, side), _following(now, rungs, PROPOSALS)
 
 
 def propose_road(
@@ -132,11 +130,11 @@ def propose_road(
         scene: the road.
         planning: limits and wishes.
         weights: what counts.
-        rungs: see `propose`.
+        rungs: see `proposals`.
         last: plan.
     """
     now = situation_of(scene, planning, weights)
-    judged = propose(now, rungs, last)
+    judged = _judged(now, *proposals(now, rungs, last))
     total = judged.scores.total
     worth = (total[:, None] + judged.scores.answerable).max(axis=0) - total.max()
     _, numbers = jax.lax.top_k(judged.scores.preference, ANSWERED)
@@ -152,15 +150,15 @@ def answer_road(proposed: Proposed, rungs: Places) -> RoadPlan:
         rungs: number of the model of each of the others.
     """
     now, few = proposed.now, proposed.few
-    optimises = (rungs >= TURN) & now.scene.moving & now.scene.present
+    optimises = (rungs == TOM) & now.scene.moving & now.scene.present
     manners = _following(now, rungs, ANSWERED)._replace(
-        given=optimises, accelerations=_answers(now, rungs, optimises, few.driven)
+        given=optimises, accelerations=_answers(now, optimises, few.driven)
     )
     return _best(now, few, _judged(now, few.plans, manners), proposed.numbers)
 
 
 def _best(now: Situation, few: Judged, answered: Judged, numbers: Places) -> RoadPlan:
-    """Return the best plan; one that hits somebody who makes no way ranks behind those that do not."""
+    """Return the best plan; one that collides if others merely follow ranks behind those that do not."""
     relies = few.scores.collides & ~answered.scores.broken
     best = jnp.argmax(answered.scores.preference - UNSOUND * relies)
     driven = answered.driven
@@ -179,32 +177,30 @@ def _judged(now: Situation, plans: Profiles, manners: Manners) -> Judged:
 def _following(now: Situation, rungs: Places, plans: int) -> Manners:
     """Return the manners of others who keep their speed, or follow.
 
-    Who may cross the robot's way keeps its speed, as it stops and starts there for others than the car ahead. What
-    accelerations are beyond models fades; braking hard ahead of the robot goes on.
+    Vehicles that may cross the robot's way keep their speed: there they stop and start for others than the car ahead.
+    The part of an acceleration that the model does not explain fades; hard braking ahead of the robot goes on.
     """
     scene, planning = now.scene, now.planning
     follows = (rungs >= IDM) & scene.moving & ~now.crossings.exist
-    expected = follows | ((rungs >= TURN) & scene.moving)
-    manners = Manners(follows, jnp.zeros_like(follows), jnp.zeros((plans, len(rungs), planning.steps)))
-    if scene.accelerations is None:
-        return manners
-    modelled = jointly(scene, followed(scene, assumed_traits(scene)), planning.time_step)
+    expected = follows | ((rungs == TOM) & scene.moving)
+    modelled = accelerations_now(scene, now.ways, planning.time_step)
     brakes = leads(scene, now.ways, BESIDE * LANE) & (scene.accelerations < -HARD)
-    return manners._replace(
+    return Manners(
+        follows,
+        given=jnp.zeros_like(follows),
+        accelerations=jnp.zeros((plans, len(rungs), planning.steps)),
         surprise=scene.accelerations - jnp.where(expected, modelled, 0.0),
         held=jnp.where(brakes, scene.accelerations, jnp.inf),
     )
 
 
-def _answers(now: Situation, rungs: Places, optimises: Flags, driven: DrivenPlans) -> EachStep:
+def _answers(now: Situation, optimises: Flags, driven: DrivenPlans) -> EachStep:
     """Return the accelerations of those who optimise their reward, under each of some plans."""
     scene, planning = now.scene, now.planning
     robots, others = centres(scene, driven.states), driven.world
-    kept = jnp.broadcast_to(cruise(scene, planning), robots.shape)
 
     def one(car: Places, found: EachStep) -> EachStep:
-        seen = jnp.where(rungs[car] == TOM, robots, kept)
         answer = jax.vmap(lambda *all_others: commuter_among(scene, planning, car, *all_others).answer())
-        return found.at[:, car].set(UNIT * answer(seen, others))
+        return found.at[:, car].set(UNIT * answer(robots, others))
 
-    return for_each(optimises, one, jnp.zeros((len(robots), len(rungs), planning.steps)))
+    return for_each(optimises, one, jnp.zeros((len(robots), len(optimises), planning.steps)))

@@ -16,7 +16,7 @@ from ms_highway.planning.road.traffic import (
     WAITING,
     Situation,
     aside,
-    assumed_traits,
+    desired_speeds,
     follow_all,
     on_route,
 )
@@ -73,15 +73,15 @@ class Manners(NamedTuple):
         follows: whether each follows by the Intelligent Driver Model.
         given: whether its accelerations are given.
         accelerations: those, for every plan [m/s^2].
-        surprise: what its last acceleration was above what its model says, which fades [m/s^2]; none by default.
-        held: its acceleration at most for `HELD` seconds [m/s^2]; any by default.
+        surprise: what its last acceleration was above what its model says, which fades [m/s^2].
+        held: its acceleration at most for `HELD` seconds [m/s^2].
     """
 
     follows: Flags
     given: Flags
     accelerations: EachStep
-    surprise: Traffic = np.zeros(1, np.float32)
-    held: Traffic = np.full(1, np.inf, np.float32)
+    surprise: Traffic
+    held: Traffic
 
 
 class Profiles(NamedTuple):
@@ -155,7 +155,7 @@ def nearest_lane(scene: RoadScene, x: Scalar, y: Scalar) -> Index:
 def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:
     """Drive plans among others who answer each of them."""
     scene, planning, dt = now.scene, now.planning, now.planning.time_step
-    half, traits = scene.size[0] / 2, assumed_traits(scene)
+    half, wanted = scene.size[0] / 2, desired_speeds(scene)
     along, _, heading, speeds = jnp.asarray(scene.states).T
     speeds = speeds * jnp.where(scene.moving, 1.0, jnp.cos(heading))  # along the paths
     across, start = aside(scene, planning.times), (scene.robot, along, speeds)
@@ -170,7 +170,7 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
             control = jnp.where(plan.given, held, _control(now, plan, car, along, where, speeds))
             control = within_tyres(planning, car[3], control, RESERVED)
             gaps = scene.gaps + along[scene.leaders] - along
-            answer = follow_all(scene, traits, where, speeds, gaps, (car[0] + half, car[1:2], car[3]))
+            answer = follow_all(scene, wanted, where, speeds, gaps, (car[0] + half, car[1], car[3]))
             modelled = jnp.where(manners.given, ordered, jnp.where(manners.follows, answer, 0.0))
             acceleration = jnp.clip(jnp.minimum(modelled + surprise, limit), -HARDEST, HARDEST)
             acceleration = jnp.where(scene.moving, acceleration, -speeds)  # who has crashed slides to a stop

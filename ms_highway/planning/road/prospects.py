@@ -44,8 +44,8 @@ def urgency(scene: RoadScene, lanes: Lane) -> Plans:
 def missing_room(now: Situation, driven: DrivenPlans, goal: Plans) -> EachCar:
     """Return what is missing to stop behind each car ahead after a plan, or to the least gap within it [m].
 
-    A car that joins the road, and those near it, may change to the next lane at once, without looking. What is missing
-    to the least gap when a plan begins does not count, nor that to what cannot move: there is no gap to keep.
+    A car that joins the road, and those near it, may change to the next lane at once, without looking. Ignore gap
+    violations that exist at the start, and static obstacles: there is no gap to keep.
     """
     scene, (s, d, _, speed) = now.scene, driven.robot
     reach, apart = scene.reach[:, 0], scene.reach[:, 1] + 0.2

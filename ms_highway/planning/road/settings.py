@@ -5,14 +5,15 @@ from dataclasses import dataclass, field
 import jax
 from jax import numpy as jnp
 
-from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.road.arrays import Steps
 from ms_highway.runtime.arrays import Scalar
 
-NAIVE, IDM, TURN, TOM = range(len(PACKAGE_MODELS))
-"""Numbers of the models that predict traffic: keep the velocity along the lane; follow by IDM, but keep the velocity on
-ways that cross the robot's; optimise the own reward while the robot keeps its velocity; answer the robot's plan
-optimally (theory of mind)."""
+MODELS = "naive", "idm", "tom"
+"""Models that predict traffic, cheapest first: keep the velocity along the lane; follow by IDM, but keep the velocity
+on ways that cross the robot's; answer the robot's plan optimally (theory of mind)."""
+
+NAIVE, IDM, TOM = range(len(MODELS))
+"""Numbers of these models."""
 
 LANE = 4.0
 """Width of lanes [m]."""

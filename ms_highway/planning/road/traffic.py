@@ -8,24 +8,13 @@ from typing import NamedTuple
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.road import (
-    BEHIND,
-    SPACING,
-    Flags,
-    Knots,
-    Pose,
-    RoadScene,
-    Traffic,
-    Traits,
-    interpolate,
-    locate,
-)
-from ms_highway.planning.car_following import FAR, HEADWAY, highest, idm_acceleration, lowest
+from ms_highway.game.road import BEHIND, SPACING, Flags, Knots, Pose, RoadScene, Traffic, interpolate, locate
+from ms_highway.planning.car_following import FAR, highest, idm_acceleration, lowest
 from ms_highway.planning.road.arrays import EachFlag, EachStep, Steps
 from ms_highway.planning.road.motion import speed_caps
 from ms_highway.planning.road.obstruction import Obstruction, obstruction_of
 from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
-from ms_highway.runtime.arrays import Numbers, Scalar
+from ms_highway.runtime.arrays import Scalar
 
 STANDING = 1.0
 """Speed up to which a car stands [m/s]."""
@@ -60,8 +49,8 @@ class Crossings(NamedTuple):
     """Where paths of traffic cross the robot's route.
 
     Attributes:
-        aslant: at which knots they go at an angle to the route, from the robot on, but for who comes towards it.
-        come: who comes towards the robot in its lane.
+        aslant: at which knots they go at an angle to the route, from the robot on, oncoming vehicles left out.
+        come: which vehicles come towards the robot in its lane.
         line: position on the route where the front of the robot waits for those who cross it [m].
         begin, last: positions on the path where they begin and end to [m]; far away where they never do.
     """
@@ -116,8 +105,8 @@ def ways_of(scene: RoadScene) -> Ways:
 def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     """Find where paths of traffic cross the robot's route.
 
-    Who is in the robot's lane, or joins it behind the robot, does not cross it where their ways part: one of them
-    follows the other. Nobody crosses it behind the robot.
+    Vehicles in the robot's lane, and those that merge behind the robot, are not crossing traffic where their ways part:
+    one of them follows the other. Nothing crosses behind the robot.
     """
     now, inside = int(BEHIND / SPACING), jnp.abs(ways.d) < CORRIDOR
     along = inside & (ways.cosine > SHARING)
@@ -132,7 +121,7 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
 
 
 def leads(scene: RoadScene, ways: Ways, reach: Scalar) -> Flags:
-    """Return who is ahead of the robot's rear axle, goes its way, and is less than this far aside of it [m]."""
+    """Return which vehicles are ahead of the robot's rear axle, go its way, and are less than this far aside [m]."""
     s, d, cosine = on_route(ways, scene.states[:, 0], scene.states[:, 1])
     return (s > scene.robot[0]) & (jnp.abs(d - scene.robot[1]) < reach) & (cosine > CROSSING)
 
@@ -143,43 +132,46 @@ def way_knots(ways: Ways) -> Knots:
 
 
 def follow_all(
-    scene: RoadScene, traits: Traits, where: Pose, speeds: Traffic, gaps: Traffic, robot: tuple[Scalar, Numbers, Scalar]
+    scene: RoadScene, wanted: Traffic, where: Pose, speeds: Traffic, gaps: Traffic, robot: tuple[Scalar, Scalar, Scalar]
 ) -> Traffic:
     """Return the accelerations of others that follow the car ahead on their path, and the robot in their lane.
 
     Args:
         scene: the road.
-        traits: of the drivers.
+        wanted: speeds that the drivers desire, see `desired_speeds` [m/s].
         where: the others are, see `on_route`.
         speeds: of the others [m/s].
         gaps: distances of centres to the car ahead on their path, where there is one [m].
-        robot: s of its centre, all d at which it is followed, and its speed.
+        robot: s of its centre, its d and its speed.
     """
     s, d, speed = robot
     gaps = jnp.where((scene.leaders >= 0) & scene.present, gaps, FAR)
-    in_lane = (jnp.abs(where[1] - d[:, None]) < scene.reach[:, 1] + ROOM).any(axis=0)
+    in_lane = jnp.abs(where[1] - d) < scene.reach[:, 1] + ROOM
     behind = jnp.where((where[0] < s) & in_lane & (where[2] > FOLLOWED), s - where[0], FAR)
-    by_leader = idm_acceleration(speeds, traits.speed, gaps, speeds[scene.leaders], traits.headway)
-    return jnp.minimum(by_leader, idm_acceleration(speeds, traits.speed, behind, speed, traits.headway))
+    by_leader = idm_acceleration(speeds, wanted, gaps, speeds[scene.leaders])
+    return jnp.minimum(by_leader, idm_acceleration(speeds, wanted, behind, speed))
 
 
-def assumed_traits(scene: RoadScene) -> Traits:
-    """Return what drivers are like.
-
-    Where nothing is known of them, they desire the present speeds, or the limit if they are much slower, and
-    highway-env's headway.
-    """
-    if scene.traits is not None:
-        return scene.traits
+def desired_speeds(scene: RoadScene) -> Traffic:
+    """Return the speeds that others desire: the present ones, or the limit if they are much slower [m/s]."""
     speed = scene.states[:, 3]
-    wanted = jnp.where(speed < SLOWLY * scene.limits, scene.limits, speed)
-    return Traits(wanted, jnp.full_like(wanted, HEADWAY))
+    return jnp.where(speed < SLOWLY * scene.limits, scene.limits, speed)
+
+
+def accelerations_now(scene: RoadScene, ways: Ways, time_step: Scalar) -> Traffic:
+    """Return the accelerations now by the Intelligent Driver Model: the least on all ways of a car, never backwards."""
+    s, d, _, speed = jnp.asarray(scene.robot)
+    speeds = jnp.asarray(scene.states)[:, 3]
+    where = on_route(ways, scene.states[:, 0], scene.states[:, 1])
+    each = follow_all(scene, desired_speeds(scene), where, speeds, scene.gaps, (s + scene.size[0] / 2, d, speed))
+    same = scene.names[:, None] == scene.names
+    return jnp.maximum(jnp.where(same, each, jnp.inf).min(axis=1), -speeds / time_step)
 
 
 def aside(scene: RoadScene, times: Steps) -> EachStep:
     """Return the lateral positions of others on their paths, to the middle of which they settle if they drive.
 
-    Who has crashed slides where it heads, more slowly from second to second: ``v' = -v``.
+    A crashed car slides where it heads, more slowly from second to second: ``v' = -v``.
     """
     _, now, heading, speed = scene.states.T[..., None]
     sideways = speed * jnp.sin(heading)
