@@ -48,6 +48,7 @@ def add_values(commands: Any) -> None:
     parser = add_command(commands, "values learn", "learn values of computation: when it pays to think", HELP, EXAMPLES)
     add_scenarios(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the values, such as values.npz")
+    add_number(parser, "--generated", 0, "random scenes to be learned on as well", 0, 1000)
     states = "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; "
     add_number(parser, "--states", None, states + "among several humans 100 in every round)")
     add_number(parser, "--rounds", None, "of rollouts and fits (default: 5; among several humans 2)", most=100)
@@ -98,10 +99,13 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     Raises:
         ValueError: naming what cannot be learned.
     """
+    from dataclasses import replace
+
     from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, environment_id
     from ms_highway.experiments.batch import make_batch
     from ms_highway.experiments.comparison import Comparison
     from ms_highway.experiments.directory import this_run
+    from ms_highway.experiments.values.generator import generated_courses
     from ms_highway.experiments.values.learning import Learning
     from ms_highway.experiments.values.rollouts import Course
     from ms_highway.metareasoning.rule import SHIPPED_COSTS
@@ -116,6 +120,8 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     if 0 < len(alone) < len(names):
         raise ValueError(f"{alone[0]} has one human, other scenarios several; learn them in a file each")
     if not alone:
+        if options.generated:
+            raise ValueError("--generated is for scenarios with one human")
         given = config.get("costs", {})
         config["costs"] = given if isinstance(given, str) else {**SHIPPED_COSTS, **given}
     solvers = [{"solver": solver} for solver in dict.fromkeys(options.solvers or [])]
@@ -146,11 +152,20 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         own["states"] = options.states, -(-options.states * 5 // 8) if alone else options.states
     settings = batches[0].comparison.common_config() | {"versions": this_run()["versions"]}
     settings |= {"solver": [each["solver"] for each in solvers]} if solvers else {}
-    settings |= {"scenarios": names, "seed": options.seed}
+    settings |= {name: getattr(options, name) for name in ("scenarios", "generated", "seed")}
     learning = Learning(
         {name: costs[name] for name in models},
         seed=options.seed,
-        settings=settings,
+        settings=settings | {"scenarios": names},
         **({} if alone else SEVERAL) | {name: value for name, value in own.items() if value},
     )
+    if options.generated:
+        game = batches[0].environment.settings.game
+        generated = generated_courses(
+            lambda scenario: replace(batches[0].loop, game=game(scenario)),
+            tuple(range(len(models))),
+            options.generated,
+            learning.stream(0),
+        )
+        courses += generated
     return learning, courses

@@ -1,6 +1,7 @@
 """Learning values of computation, with one human and among several: `ms-highway values`."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 
 import jax
@@ -10,8 +11,10 @@ from commands import run
 
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.values.generator import draw_scenario
 from ms_highway.experiments.values.learning import Learning, learn
 from ms_highway.experiments.values.rollouts import Course, Rollouts, noisy_starts
+from ms_highway.game.scenario import build_game
 from ms_highway.metareasoning.values import load_values
 from ms_highway.simulation.devices import device_mesh, use_devices
 
@@ -65,6 +68,16 @@ def test_starts_are_noisier_than_those_of_the_scenario_around_the_same_mean(cour
     ratio = noisy.std(axis=0) / own.std(axis=0)
     assert (ratio > 2).all()
     assert (ratio < 5).all()
+
+
+def test_generated_scenes_begin_without_a_collision_and_share_their_shapes():
+    scenarios = list(map(draw_scenario, [np.random.default_rng(0)] * 50))
+    games = map(partial(build_game, semantics="paper"), scenarios)
+    assert len({tuple(np.shape(leaf) for leaf in jax.tree.leaves(game)) for game in games}) == 1
+    for scenario in scenarios:
+        for place, (x, y) in enumerate(scenario.cars):
+            assert y in scenario.lanes
+            assert all(abs(x - other) > 0.15 for other, lane in scenario.cars[:place] if lane == y)
 
 
 @pytest.mark.slow

@@ -105,7 +105,7 @@ class Progress(NamedTuple):
         round: from 1.
         course: its name; empty after the fit that ends a round.
         values: after a fit.
-        regrets: held-out regret per step of each course with one human, by its name, after a fit: means over
+        regrets: held-out regret per step of each whole course with one human, by its name, after a fit: means over
             `HELD_OUT_STARTS` starts and `HELD_OUT_PRICES`, to the best of simple orders and of the rule itself.
     """
 
@@ -136,7 +136,7 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
     settings = {**asdict(learning), "courses": games}
     ResultsDirectory(kept).take_up(settings)
     ResultsDirectory(kept).write_settings(settings)
-    held_out = [_HeldOut(learning, course, mesh) for course in courses if not course.several]
+    held_out = [_HeldOut(learning, course, mesh) for course in courses if course.share == 1 and not course.several]
     values, done = None, list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, course in enumerate(courses):
@@ -148,7 +148,7 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
             else:
                 random, states = learning.stream(number, COURSE, place), learning.states[values is not None]
                 driving = learning.driving(course, values, mesh)
-                rollouts = driving.roll_out(random, states, len(learning.costs))
+                rollouts = driving.roll_out(random, max(1, round(course.share * states)), len(learning.costs))
                 with replacing(file) as path:
                     np.savez(path, **rollouts._asdict())
             done.append(rollouts)
