@@ -8,7 +8,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
@@ -17,6 +17,8 @@ import numpy as np
 
 PART = ".part."
 """How the names of files begin that are being written, or were when a process was killed."""
+
+LOCK = f"{PART}lock"
 
 LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # names of `part_of`, and of nobody else
 
@@ -73,35 +75,27 @@ def tidy(*directories: Path) -> None:
 def held(directory: Path) -> Iterator[None]:
     """Let no other command write to a directory while the block runs; make it, and remove it if it stays empty.
 
-    Windows and some shared disks have no such locks: there, the user has to take care.
+    A lock that a killed command has left does not hold: the system has released it.
 
     Raises:
         ValueError: if it is a file, or another command is writing to it.
     """
+    from filelock import FileLock, Timeout
+
     if directory.exists() and not directory.is_dir():
         raise ValueError(f"results cannot go to {directory}, which is a file; name a new or existing directory")
     made = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
+    file = directory / LOCK
     try:
-        with ExitStack() as holding:
-            with suppress(ImportError, OSError):
-                _lock(directory, holding)
+        with FileLock(file, timeout=0), temporary(file):  # removed while it is held
             yield
+    except Timeout as error:
+        raise ValueError(f"another command is writing to {directory}; wait for its end, or choose another") from error
     finally:
         if made:
             with suppress(OSError):
                 directory.rmdir()
-
-
-def _lock(directory: Path, holding: ExitStack) -> None:
-    import fcntl
-
-    lock = os.open(directory, os.O_RDONLY)
-    holding.callback(os.close, lock)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError) as error:
-        raise ValueError(f"another command is writing to {directory}; wait for its end, or choose another") from error
 
 
 def append(path: Path, text: str) -> None:
