@@ -21,7 +21,8 @@ Results go to --out, as parts of --part episodes each, which are written as they
 started again with the same --out, the sweep computes the missing parts. pandas.read_parquet("OUT/episodes") reads all
 parts at once: a row per episode; with --steps, pandas.read_parquet("OUT/steps") reads a row per step. There are a
 summary.csv and the figure SCENARIO_curve.png as well (reward against computation, with 90 % intervals); settings.json
-and provenance.json say what they were made with. To resume, all options but --devices and --scheduler have to be the same.
+and provenance.json say what they were made with. To resume, all options but --devices and --scheduler have to be the
+same.
 
 Episodes are shared by all devices (on CPUs, by default one per core), or, with --scheduler, by the workers of a cluster
 of dask.distributed, which return their rows: they need the same versions, and the modules of --import and the files
@@ -88,8 +89,7 @@ def _sweep(options: argparse.Namespace) -> None:
             compute = stack.enter_context(connected(options.scheduler, options.modules))
         else:
             compute = partial(module.compute_here, mesh=use_devices(options.devices))
-        kinds = [options.out / kind for kind in (module.EPISODES, module.STEPS)]
-        record = stack.enter_context(own_results(options, job.settings(), *kinds))
+        record = stack.enter_context(own_results(options, job.settings()))
         counts = module.run_sweep(job, compute)
         already = next(counts)
         if already < job.episodes:

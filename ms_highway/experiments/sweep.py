@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import jax
 import pandas as pd
 from jax.sharding import Mesh
-from pyarrow import parquet
 
 from ms_highway.experiments.batch import Batch, make_batch
-from ms_highway.experiments.comparison import Comparison, episode_steps
+from ms_highway.experiments.comparison import Comparison
 from ms_highway.runtime.files import reading, replacing
+from ms_highway.simulation.records import Records
 
 EPISODES, STEPS = "episodes", "steps"
 """Directories of a sweep's parts, with a row per episode and per step."""
@@ -118,14 +117,12 @@ def run_sweep(sweep: Sweep, compute: Compute) -> Iterator[int]:
 
 def _check(sweep: Sweep, batch: Batch, part: int) -> None:
     """Check that the files of a part hold its episodes."""
-    keys = batch.keys(*sweep.places(part))
     for file in sweep.files(part):
-        steps = episode_steps(sweep.scenario, sweep.comparison.config) if file.parent.name == STEPS else 1
+        steps = batch.steps if file.parent.name == STEPS else 1
+        expected = [key for key in batch.keys(*sweep.places(part)) for _ in range(steps)]
         with reading(file, "remove it, to have it computed again"):
-            if (found := parquet.read_metadata(file).num_rows) != len(keys) * steps:
-                raise ValueError(f"it has {found} rows and should have {len(keys) * steps}")
-            held = pd.read_parquet(file, columns=["controller", "seed"]).drop_duplicates()
-            if [*held.itertuples(index=False, name=None)] != keys:
+            rows = pd.read_parquet(file, columns=["controller", "seed"])
+            if [*rows.itertuples(index=False, name=None)] != expected:
                 raise ValueError("it holds other episodes than its number says")
 
 
@@ -138,13 +135,13 @@ def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -
         mesh: devices, see `ms_highway.simulation.devices.device_mesh`; by default, the first device.
     """
     batch, together = make_batch(sweep.comparison, sweep.scenario), 1 if mesh is None else mesh.size
-    for first in range(0, len(parts), together):
-        now = parts[first : first + together]
+    for place in range(0, len(parts), together):
+        now = parts[place : place + together]
         shares = [batch.keys(*sweep.places(part)) for part in now]
         records = batch.simulate([key for share in shares for key in share], mesh)
-        start = 0
+        first = 0
         for part, keys in zip(now, shares, strict=True):
-            own = jax.tree.map(lambda column, start=start, end=start + len(keys): column[start:end], records)
+            own = Records(*(column[first : first + len(keys)] for column in records))
+            first += len(keys)
             steps = [batch.steps_table(keys, own)] if sweep.steps else []
             yield part, [*steps, batch.episodes_table(keys, own)]
-            start += len(keys)

@@ -64,11 +64,10 @@ def part_of(path: Path) -> Path:
     return path.with_name(f"{PART}{token_hex(8)}.{path.name}")
 
 
-def tidy(*directories: Path) -> None:
-    """Remove what killed commands left half written in directories that are `held`."""
-    for directory in directories:
-        for part in directory.glob(LEFT_BEHIND):
-            _remove(part)
+def tidy(directory: Path) -> None:
+    """Remove what killed commands left half written in a directory that is `held`, and below it."""
+    for part in directory.rglob(LEFT_BEHIND):
+        _remove(part)
 
 
 @contextmanager
@@ -96,23 +95,6 @@ def held(directory: Path) -> Iterator[None]:
         if made:
             with suppress(OSError):
                 directory.rmdir()
-
-
-def append(path: Path, text: str) -> None:
-    """Write at the end of a file and wait until the disk has it; all, or, where that fails, nothing.
-
-    Raises:
-        OSError: naming the file, if it cannot be written.
-    """
-    with naming(path), path.open("rb+", buffering=0) as file:
-        before, rest = file.seek(0, os.SEEK_END), text.encode()
-        try:
-            while rest:  # a disk may take a part, and say at the next that it is full
-                rest = rest[file.write(rest) :]
-            os.fsync(file.fileno())
-        except OSError:
-            file.truncate(before)
-            raise
 
 
 @contextmanager
