@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -9,6 +10,7 @@ import pandas as pd
 import pytest
 from commands import run
 
+from ms_highway.cli.main import main
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS
 from ms_highway.envs.controllers import CONTROLLERS
 from ms_highway.envs.short_names import SHORT_NAMES
@@ -89,30 +91,28 @@ def test_a_command_knows_the_scenarios_of_a_module_that_it_imports(tmp_path, mon
 
 
 @pytest.mark.slow
-def test_commands_know_the_rules_and_models_of_a_module_that_they_import(tmp_path, monkeypatch):
+def test_a_sweep_knows_the_rules_and_models_of_a_module_that_it_imports(tmp_path, monkeypatch):
     monkeypatch.chdir(Path(__file__).parents[2])
     monkeypatch.setattr(sys, "path", list(sys.path))
-    asked = "--set ladder=coasting,tom --controllers coasting near:6"
+    asked = "merger --set costs=coasting=0.09,tom=0.37 --set ladder=coasting,tom --controllers coasting near:6"
     try:
-        for command in ("compare merger --set costs=measured", "sweep merger --set costs=coasting=0.09,tom=0.37"):
-            out = tmp_path / command.partition(" ")[0]
-            run(f"--import notebooks.examples.rule {command} {asked} --seeds 2 --out {out}")
-            summary = pd.read_csv(out / "summary.csv").set_index("controller")
-            assert (summary["counted_ms"] > 0).all()
-            assert summary["kind"]["near:6"] == "near"
-            assert 0 < summary["share_tom"]["near:6"] < 1
+        run(f"--import notebooks.examples.rule sweep {asked} --seeds 2 --out {tmp_path}")
     finally:
         del MODELS["coasting"], CONTROLLERS["near"], SHORT_NAMES["near"]
+    summary = pd.read_csv(tmp_path / "summary.csv").set_index("controller")
+    assert summary["kind"]["near:6"] == "near"
+    assert 0 < summary["share_tom"]["near:6"] < 1
 
 
-def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_path):
-    """In a process of its own, as the tests turn warnings into errors."""
-    command = f"-m ms_highway {NAIVE} {tmp_path} --set step_size=0.5"
-    said = subprocess.run([sys.executable, *command.split()], check=True, capture_output=True, text=True).stderr
-    (line,) = {line for line in said.splitlines() if "overshoot" in line}
-    assert line.startswith("ms-highway: config['step_size'] is 0.5")
-    assert "warn(" not in said
-    assert ".py" not in said
+def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_path, capsys):
+    (tmp_path / "other").touch()
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert main(f"{NAIVE} {tmp_path} --set step_size=0.5".split()) == 2
+    warning, refusal = capsys.readouterr().err.splitlines()
+    assert warning.startswith("ms-highway: config['step_size'] is 0.5")
+    assert ".py" not in warning
+    assert "is not empty" in refusal
 
 
 @pytest.mark.slow
