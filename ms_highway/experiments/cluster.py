@@ -4,6 +4,7 @@ A part whose worker is lost is computed again on another one. Workers need no di
 same versions, as these decide the last digits.
 """
 
+import logging
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -47,6 +48,7 @@ def connected(address: str, modules: Sequence[str] = ()) -> Iterator[Compute]:
     Raises:
         ValueError: if there is no scheduler, or a worker has other versions or cannot be set up.
     """
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors are raised as well
     keeps = jax.config.values["jax_compilation_cache_dir"] is not None
     setup = Setup(tuple(modules), _versions(), os.environ.get("XLA_FLAGS", ""), keeps)
     try:
@@ -129,5 +131,6 @@ def _compute(
         try:
             yield next(running).result()
         except (distributed.KilledWorker, CancelledError) as error:
+            reason = " ".join(str(error).split())
             remedy = "see the logs of its workers and scheduler, and start the sweep again to resume it"
-            raise ValueError(f"{address} gave a part up ({error}); {remedy}") from error
+            raise ValueError(f"{address} gave a part up ({reason}); {remedy}") from error

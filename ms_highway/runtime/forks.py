@@ -20,8 +20,7 @@ def _note_fork() -> None:
     _forked = _forked or jax_has_begun()
 
 
-if hasattr(os, "register_at_fork"):  # Windows forks nothing
-    os.register_at_fork(after_in_child=_note_fork)
+os.register_at_fork(after_in_child=_note_fork)
 
 
 def refuse_after_fork() -> None:

@@ -30,9 +30,6 @@ def watch() -> None:
     """Let interrupts end this process, if it is the command ``ms-highway`` and does not ignore them."""
     if not is_command() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
-    if not hasattr(signal, "sigwait"):  # Windows, where the main thread has to come between two lines
-        signal.signal(signal.SIGINT, lambda *_: _end())
-        return
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # in threads and processes that are started from now on
     from threading import Thread
 

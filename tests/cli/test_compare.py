@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from commands import run
 
+from ms_highway.cli.compare import _with_learned
 from ms_highway.cli.main import build_parser
 from ms_highway.cli.options import comparison, configuration
 from ms_highway.experiments.records import columns
@@ -78,14 +79,13 @@ def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun, 
 @pytest.mark.parametrize(
     ("options", "learned", "said"),
     [
-        ("--first-seed 1", ["learned:1"], ""),
+        ("", ["learned:1"], ""),
         ("--set costs=naive=0.1,turn=0.2,tom=0.3", [], "stay_back is compared without learned:1: "),
     ],
 )
-def test_learned_values_are_compared_by_default_where_they_suit_the_costs(options, learned, said, tmp_path, capsys):
-    run(f"compare stay_back --seeds 1 {options} --out {tmp_path}")
-    found = pd.read_csv(tmp_path / "summary.csv")["controller"].tolist()
-    assert found == ["naive", "turn", *learned, "switching:5", "switching:0.4"]
+def test_learned_values_are_compared_by_default_where_they_suit_the_costs(options, learned, said, capsys):
+    asked = _with_learned(comparison(build_parser().parse_args(f"compare stay_back {options}".split())))
+    assert asked.controllers["stay_back"] == ["naive", "turn", *learned, "switching:5", "switching:0.4"]
     assert said in capsys.readouterr().err
 
 
