@@ -1,8 +1,6 @@
 """The command ``ms-highway``."""
 
 import argparse
-import importlib
-import os
 import shlex
 import sys
 import warnings
@@ -22,6 +20,7 @@ from ms_highway.cli.sweep import add_sweep
 from ms_highway.cli.validate import add_validate
 from ms_highway.cli.values import add_values
 from ms_highway.cli.video import add_video
+from ms_highway.runtime.extras import import_modules
 from ms_highway.runtime.interrupt import INTERRUPTED, STOPPED
 
 
@@ -39,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with warnings.catch_warnings():
             warnings.showwarning = _show_in_one_line
             _set_jax_up(options)
-            _import(options.modules)
+            import_modules(options.modules)
             options.run(options)
         with printing():
             sys.stdout.flush()
@@ -55,19 +54,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _show_in_one_line(message: Warning | str, *_: Any, **__: Any) -> None:
     """Print a warning as this command's message, without the place in its source that it comes from."""
     print(f"ms-highway: {message}", file=sys.stderr)
-
-
-def _import(modules: Sequence[str]) -> None:
-    """Import the modules that a user has named."""
-    if modules:
-        sys.path.insert(0, os.getcwd())
-    for name in modules:
-        if name.endswith(".py") or not all(part.isidentifier() for part in name.split(".")):
-            raise ImportError(f"--import {name}: give the name of a module, such as brief for brief.py here")
-        try:
-            importlib.import_module(name)
-        except Exception as error:  # a user's module may fail in any way
-            raise ImportError(f"--import {name}: {type(error).__name__}: {error}") from error
 
 
 def _set_jax_up(options: argparse.Namespace) -> None:

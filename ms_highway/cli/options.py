@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 MOST = 1_000_000
 """Upper bound on episodes, parts and other counts; more would take years or all memory."""
 
+MOST_PROCESSES = 1000
+"""Processes at once."""
+
 MOST_LAMBDAS = 10_000
 """Lambdas of switching in a sweep."""
 
 MOST_SEEDS = 2**63 - 1 - MOST
 """First seed of as many as possible that Parquet's integers hold."""
-
-MOST_PROCESSES = 1000
-"""Processes that share a sweep."""
 
 SCENARIO_NAMES = ("stay_back", "merger", "give_way", "dense_merge", "crossing_crowd")
 """Keys of `ms_highway.envs.ENVIRONMENTS`, for help texts, which need no JAX."""
@@ -145,7 +145,7 @@ def add_keys(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--set", dest="keys", action="append", default=[], metavar="KEY=VALUE", help="see above")
 
 
-def add_devices(parser: argparse.ArgumentParser) -> None:
+def add_devices(parser: Any) -> None:
     """Add ``--devices``, see `ms_highway.simulation.devices.use_devices`, to a command."""
     add_number(parser, "--devices", None, "how many devices to use (default: all, or one per core)")
 

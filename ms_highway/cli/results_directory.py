@@ -18,15 +18,12 @@ DPI = 110
 
 
 @contextmanager
-def own_results(
-    options: argparse.Namespace, settings: Mapping[str, Any] | None = None, *parts: Path
-) -> Iterator[Callable[[], None]]:
+def own_results(options: argparse.Namespace, settings: Mapping[str, Any] | None = None) -> Iterator[Callable[[], None]]:
     """Let only this run write to the directory ``--out`` while the block runs.
 
     Args:
         options: of the command.
         settings: of the results; without, the block checks and writes them.
-        parts: directories below ``--out`` that may hold files of a killed run.
 
     Yields:
         A function that records settings and provenance, to be called once the results are begun or there.
@@ -39,7 +36,7 @@ def own_results(
         if settings is not None:
             results.take_up(settings)
         results.runs()
-        tidy(options.out, *parts)
+        tidy(options.out)
 
         def record() -> None:
             if settings is not None:

@@ -55,10 +55,8 @@ class ResultsDirectory:
         """Return the settings of results that can begin here, or be resumed: these, or those that are known.
 
         Raises:
-            ValueError: if it is a file, or holds results of settings that differ beyond `EXTENDED`, or other things.
+            ValueError: if it holds results of settings that differ beyond `EXTENDED`, or other things.
         """
-        if self.path.exists() and not self.path.is_dir():
-            raise ValueError(f"--out is {self.path}, which is a file; name a new or existing directory")
         remedy = "choose another directory with --out"
         if not (self.path / SETTINGS_FILE).exists():
             if self.path.exists() and any(not file.name.startswith(PART) for file in self.path.iterdir()):

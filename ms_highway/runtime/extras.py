@@ -1,6 +1,9 @@
-"""Packages that only some commands need."""
+"""Packages that only some commands need, and modules of the user's own."""
 
-from collections.abc import Iterator
+import importlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 
@@ -15,3 +18,20 @@ def needing(extra: str) -> Iterator[None]:
         yield
     except ImportError as error:
         raise ImportError(f"{error}; it comes with an extra: pip install 'ms-highway[{extra}]'") from error
+
+
+def import_modules(names: Sequence[str]) -> None:
+    """Import the modules that a user has named, also from the current directory.
+
+    Raises:
+        ImportError: naming the module, whatever fails in it.
+    """
+    if names:
+        sys.path.insert(0, os.getcwd())
+    for name in names:
+        if name.endswith(".py") or not all(part.isidentifier() for part in name.split(".")):
+            raise ImportError(f"--import {name}: give the name of a module, such as brief for brief.py here")
+        try:
+            importlib.import_module(name)
+        except Exception as error:
+            raise ImportError(f"--import {name}: {type(error).__name__}: {error}") from error

@@ -8,7 +8,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
@@ -17,6 +17,8 @@ import numpy as np
 
 PART = ".part."
 """How the names of files begin that are being written, or were when a process was killed."""
+
+LOCK = f"{PART}lock"
 
 LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # names of `part_of`, and of nobody else
 
@@ -62,63 +64,37 @@ def part_of(path: Path) -> Path:
     return path.with_name(f"{PART}{token_hex(8)}.{path.name}")
 
 
-def tidy(*directories: Path) -> None:
-    """Remove what killed commands left half written in directories that are `held`."""
-    for directory in directories:
-        for part in directory.glob(LEFT_BEHIND):
-            _remove(part)
+def tidy(directory: Path) -> None:
+    """Remove what killed commands left half written in a directory that is `held`, and below it."""
+    for part in directory.rglob(LEFT_BEHIND):
+        _remove(part)
 
 
 @contextmanager
 def held(directory: Path) -> Iterator[None]:
     """Let no other command write to a directory while the block runs; make it, and remove it if it stays empty.
 
-    Windows and some shared disks have no such locks: there, the user has to take care.
+    A lock that a killed command has left does not hold: the system has released it.
 
     Raises:
         ValueError: if it is a file, or another command is writing to it.
     """
+    from filelock import FileLock, Timeout
+
     if directory.exists() and not directory.is_dir():
         raise ValueError(f"results cannot go to {directory}, which is a file; name a new or existing directory")
     made = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
+    file = directory / LOCK
     try:
-        with ExitStack() as holding:
-            with suppress(ImportError, OSError):
-                _lock(directory, holding)
+        with FileLock(file, timeout=0), temporary(file):  # removed while it is held
             yield
+    except Timeout as error:
+        raise ValueError(f"another command is writing to {directory}; wait for its end, or choose another") from error
     finally:
         if made:
             with suppress(OSError):
                 directory.rmdir()
-
-
-def _lock(directory: Path, holding: ExitStack) -> None:
-    import fcntl
-
-    lock = os.open(directory, os.O_RDONLY)
-    holding.callback(os.close, lock)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError) as error:
-        raise ValueError(f"another command is writing to {directory}; wait for its end, or choose another") from error
-
-
-def append(path: Path, text: str) -> None:
-    """Write at the end of a file and wait until the disk has it; all, or, where that fails, nothing.
-
-    Raises:
-        OSError: naming the file, if it cannot be written.
-    """
-    with naming(path), path.open("rb+", buffering=0) as file:
-        before, rest = file.seek(0, os.SEEK_END), text.encode()
-        try:
-            while rest:  # a disk may take a part, and say at the next that it is full
-                rest = rest[file.write(rest) :]
-            os.fsync(file.fileno())
-        except OSError:
-            file.truncate(before)
-            raise
 
 
 @contextmanager

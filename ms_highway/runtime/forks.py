@@ -9,14 +9,18 @@ import sys
 _forked = False  # whether this process was forked from one in which JAX had begun
 
 
+def jax_has_begun() -> bool:
+    """Return whether JAX has begun to compute in this process, or has looked for devices."""
+    bridge = sys.modules.get("jax._src.xla_bridge")  # JAX tells it nowhere else
+    return bridge is not None and bridge.backends_are_initialized()
+
+
 def _note_fork() -> None:
     global _forked
-    bridge = sys.modules.get("jax._src.xla_bridge")  # JAX tells it nowhere else
-    _forked = _forked or (bridge is not None and bridge.backends_are_initialized())
+    _forked = _forked or jax_has_begun()
 
 
-if hasattr(os, "register_at_fork"):  # Windows forks nothing
-    os.register_at_fork(after_in_child=_note_fork)
+os.register_at_fork(after_in_child=_note_fork)
 
 
 def refuse_after_fork() -> None:

@@ -30,23 +30,20 @@ def watch() -> None:
     """Let interrupts end this process, if it is the command ``ms-highway`` and does not ignore them."""
     if not is_command() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
-    if not hasattr(signal, "sigwait"):  # Windows, where the main thread has to come between two lines
-        signal.signal(signal.SIGINT, lambda *_: end(STOPPED, INTERRUPTED))
-        return
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # in threads and processes that are started from now on
     from threading import Thread
 
-    import ms_highway.runtime.files  # noqa: F401  # `end` needs it, and would wait for imports of the main thread
+    import ms_highway.runtime.files  # noqa: F401  # `_end` needs it, and would wait for imports of the main thread
 
     Thread(target=_wait, daemon=True).start()
 
 
 def _wait() -> NoReturn:
     signal.sigwait({signal.SIGINT})
-    end(STOPPED, INTERRUPTED)
+    _end()
 
 
-def end(message: str, status: int) -> NoReturn:
+def _end() -> NoReturn:
     """End this process from any thread, at once: with a line on standard error, and without temporary files."""
     from threading import Thread
 
@@ -54,7 +51,7 @@ def end(message: str, status: int) -> NoReturn:
 
     after_a_bar = f"{SHOW_CURSOR}\n" if sys.stderr.isatty() else ""
     with suppress(OSError):
-        os.write(sys.stderr.fileno(), f"{after_a_bar}{message}\n".encode())
+        os.write(sys.stderr.fileno(), f"{after_a_bar}{STOPPED}\n".encode())
     if "multiprocessing" in sys.modules:
         for worker in sys.modules["multiprocessing"].active_children():
             worker.terminate()
@@ -62,7 +59,7 @@ def end(message: str, status: int) -> NoReturn:
     flushing.start()
     flushing.join(FLUSHING)
     remove_temporary()
-    os._exit(status)
+    os._exit(INTERRUPTED)
 
 
 def is_command() -> bool:

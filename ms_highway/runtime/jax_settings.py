@@ -97,8 +97,8 @@ def cores() -> int:
 def keep_compilations(directory: Path | str | None = None) -> Path:
     """Keep compiled functions in a directory for later runs, in JAX's persistent cache; return the directory.
 
-    They are machine code and run unverified, so that nobody else may write to it. Nothing limits its size; JAX's option
-    ``jax_compilation_cache_max_size`` does, where filelock is installed.
+    They are machine code and run unverified, so that nobody else may write to it. Nothing limits its size, unless
+    JAX's option ``jax_compilation_cache_max_size`` does.
 
     Args:
         directory: by default that of the environment variable ``JAX_COMPILATION_CACHE_DIR``, or else

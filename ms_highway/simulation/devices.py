@@ -4,11 +4,12 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from itertools import cycle
 from typing import Any
 
 import jax
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh
 
 from ms_highway.runtime.jax_settings import cores, single_precision
 
@@ -62,27 +63,18 @@ def share_among(mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, chu
     Returns:
         A pytree of NumPy arrays [n, ...].
     """
-    count = len(jax.tree.leaves(items)[0])
+    count, size = len(jax.tree.leaves(items)[0]), chunk * CHUNKS
     share = chunk * min(CHUNKS, -(-count // (chunk * mesh.size)))
-    shares = np.split(np.arange(count), range(share, count, share))
-    results = []
-    for first in range(0, len(shares), mesh.size):
-        results += _compute(mesh, function, items, shares[first : first + mesh.size], chunk * CHUNKS)
+
+    def compute(device: jax.Device, first: int) -> Any:
+        places = np.arange(first, min(first + share, count))
+        padded = np.pad(places, (0, size - len(places)), mode="edge")
+        with single_precision():
+            own = jax.tree.map(lambda part: np.asarray(part)[padded], items)
+            results = function(*jax.device_put((own, np.array([len(places)])), device))
+        return jax.tree.map(lambda part: part[: len(places)], jax.device_get(results))
+
+    with ThreadPoolExecutor(mesh.size) as threads:  # a device's first computation compiles its program
+        each = threads.map(compute, cycle(mesh.devices), range(0, count, share))
+        results = list(each)  # wait here: Python 3.11 forgets a thread if it is interrupted while it waits for its end
     return jax.tree.map(lambda *parts: np.concatenate(parts), *results)
-
-
-def _compute(
-    mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, shares: Sequence[np.ndarray], size: int
-) -> list[Any]:
-    """Compute shares of the items, given by their indices and padded to a size, one on each of the first devices."""
-    counts = np.array([len(share) for share in shares])
-    indices = np.concatenate([np.pad(share, (0, size - len(share)), mode="edge") for share in shares])
-    used = NamedSharding(Mesh(mesh.devices[: len(shares)], mesh.axis_names), PartitionSpec(AXIS))
-    with single_precision():
-        given = jax.device_put((jax.tree.map(lambda part: np.asarray(part)[indices], items), counts), used)
-    leaves, structure = jax.tree.flatten(given)
-    own = zip(*([shard.data for shard in leaf.addressable_shards] for leaf in leaves), strict=True)
-    with ThreadPoolExecutor(len(shares)) as threads:  # a device's first computation compiles its program
-        each = threads.map(lambda parts: jax.device_get(function(*jax.tree.unflatten(structure, parts))), own)
-        done = list(each)  # wait here: Python 3.11 forgets a thread if it is interrupted while it waits for its end
-    return [jax.tree.map(lambda part, n=n: part[:n], result) for result, n in zip(done, counts, strict=True)]

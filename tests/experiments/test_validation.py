@@ -27,23 +27,16 @@ def test_rewards_and_human_controls_are_the_logged_ones(replayed):
         assert file["human_error"]["q99"] < 1e-4, name
 
 
-@pytest.mark.parametrize("model", ["naive", "turn"])
-def test_naive_and_turn_plan_the_logged_controls(replayed, model):
+def test_models_plan_the_logged_controls_where_the_reference_is_not_chaotic(replayed):
     scenario, kinds = replayed
-    error = kinds[model]["action_error"]
-    if scenario == "stay_back":
-        assert error["q90"] < 1e-5
-        assert model == "turn" or error["q99"] < 1e-4
-    else:
-        assert error["q50"] < 1e-6
-        assert error["q99"] < 1e-4
-
-
-def test_theory_of_mind_plans_the_logged_controls_where_the_reference_is_not_chaotic(replayed):
-    scenario, kinds = replayed
-    if scenario != "stay_back":
-        assert kinds["tom"]["action_error"]["q50"] < 1e-6
-        assert kinds["tom"]["action_error"]["q90"] < 1e-4
+    for model, chaotic in (("naive", False), ("turn", False), ("tom", True)):
+        error = kinds[model]["action_error"]
+        if scenario == "stay_back":
+            assert chaotic or error["q90"] < 1e-5
+            assert model != "turn" or error["q99"] < 1e-4
+        else:
+            assert error["q50"] < 1e-6
+            assert error["q90" if chaotic else "q99"] < 1e-4
 
 
 def test_every_switching_decision_agrees(replayed):
@@ -73,48 +66,33 @@ def test_validate_prints_json_for_any_directory_of_such_files(reference, tmp_pat
 
 
 def test_files_that_are_no_reference_files_are_refused_by_name(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"there is no directory .*absent"):
-        validate(tmp_path / "absent")
     with pytest.raises(FileNotFoundError, match="no reference episodes"):
         validate(tmp_path)
-    (tmp_path / "merger__naive.npz").write_bytes(b"not an archive")
+    file = tmp_path / "merger__naive.npz"
+    file.write_bytes(b"not an archive")
     with pytest.raises(ValueError, match=r"merger__naive\.npz cannot be read as a reference file"):
         validate(tmp_path)
-    for name in ("highway__naive", "merger__switching_aggressive"):
-        np.savez(tmp_path / f"{name}.npz")
-        with pytest.raises(ValueError, match="SCENARIO__KIND"):
-            read_episodes(tmp_path / f"{name}.npz")
+    np.savez(tmp_path / "highway__naive.npz")
+    with pytest.raises(ValueError, match="SCENARIO__KIND"):
+        read_episodes(tmp_path / "highway__naive.npz")
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("states.npy", bytes(140_000_000))
+    with pytest.raises(ValueError, match="it unpacks to 140000000 bytes"):
+        validate_file(file)
 
 
 def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
     with np.load(reference / "merger__tom.npz") as archive:
         arrays = dict(archive)
-    file, robot, states = tmp_path / "merger__tom.npz", arrays["robot_controls"], arrays["states"]
+    file = tmp_path / "merger__tom.npz"
     for change, message in (
         ({"models": arrays["models"] + 5}, "no places in naive, turn, tom"),
-        ({"ladder": np.array([0])}, "no places in naive, turn, tom"),
-        ({"ladder": np.repeat(arrays["ladder"], 2)}, "no places in naive, turn, tom"),
         ({"states": np.zeros(3)}, "states has shape"),
-        ({"rewards": arrays["rewards"][:, 1:]}, "rewards has shape"),
-        ({"robot_controls": robot * np.nan}, "robot_controls is not finite"),
-        ({"states": states * 1e300}, "states is not finite, in single precision"),
-        ({"states": states > 0}, "states holds bool; it must hold numbers"),
-        ({"robot_controls": robot.astype("M8[s]")}, "robot_controls holds datetime64"),
+        ({"states": arrays["states"] * 1e300}, "states is not finite, in single precision"),
+        ({"states": arrays["states"] > 0}, "states holds bool; it must hold numbers"),
         ({"models": arrays["models"] * 1.0}, "models holds float64; it must hold integers"),
         ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, "of two steps or more"),
     ):
         np.savez(file, **{**arrays, **change})
         with pytest.raises(ValueError, match=message):
             validate_file(file)
-
-
-def test_files_that_are_endless_or_unpack_without_end_are_refused(tmp_path):
-    file = tmp_path / "merger__naive.npz"
-    file.symlink_to("/dev/zero")
-    with pytest.raises(ValueError, match="a directory or a device"):
-        validate_file(file)
-    file.unlink()
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        archive.writestr("states.npy", bytes(140_000_000))
-    with pytest.raises(ValueError, match="it unpacks to 140000000 bytes"):
-        validate_file(file)

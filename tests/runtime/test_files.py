@@ -1,12 +1,11 @@
 """Files that are either whole or not there, whatever happens, and whoever else writes."""
 
 import resource
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import pytest
 
-from ms_highway.runtime.files import append, held, reading, remove_temporary, replacing, temporary_directory, tidy
+from ms_highway.runtime.files import LOCK, held, reading, remove_temporary, replacing, temporary_directory, tidy
 
 SIZE = 20_000  # bytes
 
@@ -32,32 +31,6 @@ def test_a_file_that_does_not_fit_is_named_and_leaves_what_was_there(tmp_path):
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_rows_are_appended_all_or_none(tmp_path):
-    file = tmp_path / "steps.csv"
-    file.write_text("header\n")
-    append(file, "1,2\n")
-    with room_for(1000), pytest.raises(OSError, match=r"steps\.csv cannot be written: File too large"):
-        append(file, "3,4\n" * SIZE)
-    append(file, "5,6\n")
-    assert file.read_text() == "header\n1,2\n5,6\n"
-
-
-def test_several_may_write_the_same_file_and_whoever_reads_finds_it_whole(tmp_path):
-    file = tmp_path / "report.html"
-
-    def write(letter):
-        for _ in range(100):
-            with replacing(file) as path:
-                path.write_text(letter * SIZE)
-
-    with ThreadPoolExecutor(2) as threads:
-        writers = [threads.submit(write, letter) for letter in "ab"]
-        while not all(writer.done() for writer in writers):
-            assert not file.exists() or file.read_text() in ("a" * SIZE, "b" * SIZE)
-    assert [writer.exception() for writer in writers] == [None, None]
-    assert list(tmp_path.iterdir()) == [file]
-
-
 def test_a_link_that_somebody_has_planted_is_not_followed(tmp_path):
     victim, file = tmp_path / "victim", tmp_path / "settings.json"
     victim.write_text("precious")
@@ -75,18 +48,17 @@ def test_devices_and_directories_are_not_replaced(tmp_path):
 
 def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands_left(tmp_path):
     directory = tmp_path / "out"
-    directory.mkdir()
-    names = {f".part.{16 * 'a'}.settings.json", ".part.notes.txt", "download.part"}
-    for name in names:
-        (directory / name).touch()
+    (directory / "steps").mkdir(parents=True)
+    for name in (LOCK, f"steps/.part.{16 * 'a'}.settings.json", ".part.notes.txt", "download.part"):
+        (directory / name).touch()  # the lock of a killed command holds nothing
     with held(directory):
-        tidy(directory, directory / "steps")
-        assert {path.name for path in directory.iterdir()} == {".part.notes.txt", "download.part"}
-        with pytest.raises(ValueError, match="another command is writing to"), held(directory):
+        tidy(directory)
+        assert not list((directory / "steps").iterdir())
+        with pytest.raises(ValueError, match=f"another command is writing to {directory}; wait"), held(directory):
             pass
     with held(directory), held(tmp_path / "other"):
         pass
-    assert directory.exists()
+    assert {path.name for path in directory.iterdir()} == {"steps", ".part.notes.txt", "download.part"}
     assert not (tmp_path / "other").exists()
 
 
