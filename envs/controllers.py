@@ -19,6 +19,7 @@ from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switchi
 from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, human_model, is_model, model_names
+from ms_highway.runtime.retired import replacement
 
 PLACE = "config['controller']"
 ONE_STEP = "one_step"  # name of the gains of budgets that Algorithm 1 estimates
@@ -307,5 +308,6 @@ def controller_settings(config: Any) -> Any:
     """
     kind = config.get("type") if isinstance(config, Mapping) else None
     if kind not in list(CONTROLLERS):
-        raise ValueError(f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
+        gone = replacement(str(kind))
+        raise ValueError(gone or f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
     return read(CONTROLLERS[kind], PLACE, config)

@@ -9,6 +9,7 @@ from msgspec.structs import FieldInfo, fields
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.controllers import CHOOSING, CONTROLLERS, ControllerSettings, controller_settings
 from ms_highway.planning.human_models import is_model, model_names
+from ms_highway.runtime.retired import replacement
 
 BELIEF = "+belief"
 MOST_DIGITS = 5  # of a number of steps
@@ -99,7 +100,10 @@ def controller_config(text: str) -> Config:
     if not is_model(name):
         if kind not in SHORT_NAMES:
             examples = ", ".join(example for _, example in SHORT_NAMES.values())
-            raise ValueError(f"unknown controller {text!r}; name a model ({model_names()}), or one like {examples}")
+            gone = replacement(kind)
+            raise ValueError(
+                gone or f"unknown controller {text!r}; name a model ({model_names()}), or one like {examples}"
+            )
         key, example = SHORT_NAMES[kind]
         try:
             config = {"type": kind} | _parts(kind, key, rest)

@@ -34,11 +34,25 @@ import lazy_loader  # noqa: E402
 from gymnasium.envs.registration import register as _register_environment  # noqa: E402
 from gymnasium.envs.registration import registry as _registry  # noqa: E402
 
+from ms_highway.runtime.retired import replacement  # noqa: E402
+
 if not interrupt.is_command():  # which loads it when it needs it
     import highway_env  # noqa: F401  # whose own environments are expected beside ours
 
 __version__ = version("ms-highway")
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    """Load a public name when it is first used.
+
+    Raises:
+        AttributeError: for an unknown name, and for a retired one, which says what to use instead.
+    """
+    if gone := replacement(name):
+        raise AttributeError(gone)
+    return _load(name)
+
 
 _ENVIRONMENTS = {
     "stay-back": "StayBackEnv",

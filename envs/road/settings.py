@@ -11,6 +11,7 @@ from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_un
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RungChoice
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.road.settings import MODELS, RoadPlanning
+from ms_highway.runtime.retired import replacement
 from ms_highway.vehicle.road_robot import MARGIN
 
 DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
@@ -64,7 +65,10 @@ class RoadSettings(Struct, frozen=True):
         Raises:
             ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
         """
-        return read(cls, "config", {} if config is None else config)
+        config = {} if config is None else config
+        if gone := replacement(*config, str(config.get("driver"))):
+            raise ValueError(gone)
+        return read(cls, "config", config)
 
     def __post_init__(self) -> None:
         refuse_unknown("config['costs']", self.costs if isinstance(self.costs, dict) else (), MODELS)

@@ -3,12 +3,14 @@
 import argparse
 import os
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise
 from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any, NoReturn
+
+from ms_highway.runtime.retired import replacement
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -22,13 +24,15 @@ class Command(argparse.ArgumentParser):
 
     Attributes:
         names: of all commands, where this parser is that of several.
+        words: of the arguments.
     """
 
     names: Collection[str] = ()
+    words: Sequence[str] = ()
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse arguments; two words that name a command become one."""
-        words = list(args)
+        self.words = words = list(args)
         for place, pair in enumerate(pairwise(words)):
             if " ".join(pair) in self.names:
                 words[place : place + 2] = [" ".join(pair)]
@@ -41,6 +45,9 @@ class Command(argparse.ArgumentParser):
         Raises:
             ValueError: always.
         """
+        command = next((word for word in self.words if word in self.names), self.prog.removeprefix("ms-highway "))
+        if gone := replacement(*(f"{command} {word.partition('=')[0]}" for word in self.words)):
+            raise ValueError(gone)
         misplaced = message.startswith("unrecognized") and "--import" in message
         remedy = "--import MODULE goes before the command" if misplaced else f"see {self.prog} --help"
         raise ValueError(f"{message}; {remedy}")

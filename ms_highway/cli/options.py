@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 MOST = 1_000_000
 """Upper bound on episodes, parts and other counts; more would take years or all memory."""
 
-MOST_PROCESSES = 1000
-"""Processes at once."""
-
 MOST_LAMBDAS = 10_000
 """Lambdas of switching in a sweep."""
 

@@ -22,6 +22,7 @@ from ms_highway.envs.road import drive
 from ms_highway.envs.road.graphics import show
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
 from ms_highway.envs.road.stock import success
+from ms_highway.runtime.retired import replacement
 
 UNPHYSICAL = 10.0
 """Acceleration [m/s^2] that no tyres hold."""
@@ -109,6 +110,8 @@ def check_driver(name: str) -> None:
         ModuleNotFoundError: if an agent needs what is not installed.
         ValueError: naming those that are.
     """
+    if gone := replacement(*name.split("+")):
+        raise ValueError(gone)
     if is_agent(name):
         policy_of(name)
     elif name not in OTHERS:
