@@ -2,7 +2,6 @@
 
 import csv
 import io
-import os
 from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import count, groupby
@@ -19,7 +18,7 @@ from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.comparison import Comparison, episode_steps
 from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
 from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns, whole_steps
-from ms_highway.runtime.files import naming, reading, replacing
+from ms_highway.runtime.files import append, reading, replacing
 
 STEPS_FILE = "steps.csv"
 
@@ -90,10 +89,7 @@ def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
             writer = csv.DictWriter(text, comparison.columns(), lineterminator="\n")
             for record in episode(env, seed):
                 writer.writerow({"scenario": scenario, "controller": controller, "seed": seed, **record})
-            with naming(steps), steps.open("a") as file:
-                file.write(text.getvalue())
-                file.flush()
-                os.fsync(file.fileno())
+            append(steps, text.getvalue())
             number += 1
             yield number
         env.close()
