@@ -154,8 +154,6 @@ def test_windows_at_a_kink_or_at_a_limit_are_not_learned_from(demonstrated):
     ("learned", "given", "message"),
     [
         ("sped", "comfort_acceleration", "'sped' cannot be learned"),
-        ("collision", "comfort_acceleration", "'collision' cannot be learned"),
-        ("speed speed", "comfort_acceleration", "named twice"),
         ("speed", "speed comfort_acceleration", "named twice"),
         ("speed", "", "sets the scale"),
     ],

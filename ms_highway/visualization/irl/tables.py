@@ -1,20 +1,15 @@
-"""Tabulate and report learned rewards and evaluations."""
+"""Tabulate learned rewards and evaluations."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from rich.table import Table
 
 from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import LearnedReward, named
-from ms_highway.irl.evaluation import LEVELS, Evaluation, load_evaluation
+from ms_highway.game.learned_reward import LearnedReward
+from ms_highway.irl.evaluation import LEVELS, Evaluation
 from ms_highway.irl.moments import HORIZONS
-from ms_highway.irl.predictors import PREDICTORS, check_drivers
-from ms_highway.irl.recordings.commonroad import read_directory
-from ms_highway.runtime.progress import Progress, silent
-from ms_highway.visualization.irl import prediction
-from ms_highway.visualization.section import Section
+from ms_highway.irl.predictors import PREDICTORS
 from ms_highway.visualization.tables import grid
 
 MEASURES = {
@@ -86,55 +81,3 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
     names = {"model": "learned reward", "constant_velocity": PREDICTORS["constant_velocity"]}
     rows = [{"predicted by": label, "log p per window": f"{likely[name]:.2f}"} for name, label in names.items()]
     return [*tables, grid(f"controls of {likely['windows']:g} windows", rows)]
-
-
-def evaluation_section(path: Path) -> Section:
-    """Return the section of an evaluation: how well drivers were predicted.
-
-    Args:
-        path: file of what ``ms-highway irl evaluate --json`` prints.
-
-    Raises:
-        ValueError: if it cannot be read.
-    """
-    found = load_evaluation(path)
-    errors = {name: found.predictors[name]["fde"] for name in PREDICTORS}
-    if not errors["constant_velocity"]:
-        raise ValueError(f"{path} holds no predictions; write it again with `ms-highway irl evaluate --json`")
-    last = list(errors["constant_velocity"])[-1]
-    off = ", ".join(f"{label} {errors[name][last]:.2f}" for name, label in PREDICTORS.items() if last in errors[name])
-    return Section(
-        "Drivers learned from recordings",
-        "How well are recorded drivers predicted?",
-        f"After {last} s, predictions are off by, in metres: {off} ({found.windows} predictions of {found.tracks} "
-        "drivers).",
-        evaluation_tables(found),
-        {
-            "errors": (prediction.errors_figure(found), "Errors of predictions against the horizon."),
-            "likelihood": (prediction.likelihood_figure(found), "Mean log density of recorded positions."),
-            "calibration": (prediction.calibration_figure(found), "How often drivers are in the predicted regions."),
-        },
-    )
-
-
-def drivers_section(path: Path, theta: str, data: str, progress: Progress = silent) -> Section:
-    """Return the section of an evaluation with the learned reward, and the paths of a few drivers.
-
-    Args:
-        path: see `evaluation_section`.
-        theta: the learned reward, a file of ``ms-highway irl fit``, or ``us101``.
-        data: a directory of recordings.
-        progress: called with a message before everything that takes time.
-
-    Raises:
-        ValueError: if a file cannot be read, the reward has no drivers, or nobody was recorded for 5 s.
-    """
-    section, learned = evaluation_section(path), named(theta)
-    drivers = check_drivers(learned.drivers, theta)
-    recordings = read_directory(Path(data))
-    progress("predicting")
-    more = {
-        "paths": (prediction.paths_figure(recordings, drivers), "Predicted and recorded paths of a few drivers."),
-        "counts": (prediction.counts_figure(learned), "Feature counts: recorded, and expected under the reward."),
-    }
-    return section._replace(figures={**section.figures, **more})
