@@ -80,7 +80,7 @@ in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the
 --horizon steps of controls, see irl fit.
 
 With --figures, errors.png, likelihood.png and calibration.png are written to a directory; with --theta also paths.png,
-predicted and recorded paths of a few drivers, and counts.png, feature counts."""
+predicted and recorded paths of all drivers at one moment."""
 
 EVALUATE_EXAMPLES = """\
 examples:
@@ -120,7 +120,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     from ms_highway.game.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
     from ms_highway.irl.predictors import check_drivers
-    from ms_highway.visualization.irl.prediction import counts_figure, evaluation_figures, paths_figure
+    from ms_highway.visualization.irl.prediction import evaluation_figures, paths_figure
     from ms_highway.visualization.irl.tables import evaluation_tables
 
     learned = named(options.theta) if options.theta else None
@@ -136,8 +136,8 @@ def _evaluate(options: argparse.Namespace) -> None:
             found = evaluate(recordings, chosen, options.others, horizon=steps, parts=options.folds, progress=tell)
         if options.figures:
             figures = evaluation_figures(found)
-            if learned and drivers:
-                figures |= {"paths": paths_figure(recordings, drivers), "counts": counts_figure(learned)}
+            if drivers:
+                figures["paths"] = paths_figure(recordings, drivers)
             save_figures(figures, options.figures)
     if options.json:
         print(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())

@@ -19,7 +19,7 @@ from ms_highway.benchmarks.road.recorded import starts_of
 from ms_highway.envs.recorded.commonroad import open_commonroad
 from ms_highway.envs.recorded.network import SampledLane
 from ms_highway.envs.recorded.problem import Task, inside
-from ms_highway.envs.recorded.scenario import GoalRegion, Problem, open_recording, pack, unpacked
+from ms_highway.envs.recorded.scenario import GoalRegion, Problem, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import overlap
 from ms_highway.vehicle.appointment import Appointment
@@ -508,19 +508,6 @@ def test_lanes_are_as_wide_and_go_where_the_file_says(merge):
         found = [lanes[best].width_at(along) for along in places[best]]
         np.testing.assert_allclose(found, widths, rtol=0, atol=0.05)
     assert len(taken) == len(lanes) == len(env.scenario.lanelets)
-
-
-def test_a_recording_is_the_same_to_a_millimetre_after_it_was_packed_and_in_the_same_bytes(us, tmp_path):
-    recording = open_recording(str(us("17_1")))
-    for name in ("one", "two"):
-        pack(recording, tmp_path / name)
-    packed = (tmp_path / "one").read_bytes()
-    assert packed == (tmp_path / "two").read_bytes()
-    again = unpacked(packed)
-    assert [track.number for track in again.tracks] == [track.number for track in recording.tracks]
-    for new, old in zip(again.tracks, recording.tracks, strict=True):
-        np.testing.assert_allclose(new.samples, old.samples, rtol=0, atol=5.1e-4)
-    assert again.problems[0].goals[0].times == recording.problems[0].goals[0].times
 
 
 def test_the_recording_of_the_package_is_driven_without_any_file():

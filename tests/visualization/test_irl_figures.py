@@ -8,11 +8,8 @@ from rich.console import Console
 
 from ms_highway.game.learned_reward import shipped
 from ms_highway.irl.evaluation import LEVELS, Evaluation
-from ms_highway.irl.moments import cut_moments
-from ms_highway.irl.outlook import expected_path
-from ms_highway.irl.peers import steady_motion
 from ms_highway.irl.predictors import PREDICTORS
-from ms_highway.visualization.irl.prediction import counts_figure, evaluation_figures, examples, paths_figure
+from ms_highway.visualization.irl.prediction import evaluation_figures, paths_figure
 from ms_highway.visualization.irl.tables import evaluation_tables, learned_tables
 
 KINDS = ("fde", "ade", "rmse", "miss", "log_p", *(f"inside {level}" for level in LEVELS))
@@ -51,30 +48,14 @@ def test_measures_are_drawn_against_the_horizon_for_all_predictors():
     assert list(predictors[1].get_ydata()) == pytest.approx([0.89] * 4)
 
 
-def test_examples_are_distinct_and_their_recorded_paths_are_drawn(us101):
-    moments = cut_moments(us101[:1])
-    off = np.linalg.norm(expected_path(steady_motion(moments)) - moments.recorded, axis=-1)
-    chosen = examples(moments, off)
-    assert len(chosen) == len(set(chosen.values())) == 4
-    faster = moments.tracks(moments.future)[:, -1, 3] - moments.drivers(moments.now)[:, 3]
-    assert faster[chosen["the strongest braking"]] == np.nanmin(faster)
-    figure = paths_figure(us101[:1], shipped("us101").drivers)
-    for axes, driver in zip(figure.axes, chosen.values(), strict=True):
-        drawn = [line.get_xydata() for line in axes.lines if len(line.get_xydata()) == 51]
-        recorded = moments.recorded[driver] - moments.drivers(moments.now)[driver, :1] * [1, 0]
-        assert any(np.allclose(line[1:], recorded) for line in drawn)
-        low, high = axes.get_ylim()
-        assert low > high  # the driver's left is up
-
-
-def test_feature_counts_are_drawn_in_shares_of_the_larger_one():
-    counts = shipped("demonstrations").feature_counts
-    human, model = (
-        [bar.get_width() for bar in bars] for bars in counts_figure(shipped("demonstrations")).axes[0].containers
-    )
-    assert np.abs([human, model]).max(axis=0) == pytest.approx(np.ones(len(human)))
-    for name, ours, theirs in zip(counts["human"], human, model, strict=True):
-        assert ours * counts["model"][name] == pytest.approx(theirs * counts["human"][name], abs=1e-9)
+def test_recorded_and_predicted_paths_of_a_moment_are_drawn(us101):
+    (axes,) = paths_figure(us101[:1], shipped("us101").drivers).axes
+    drawn = [line.get_xydata() for line in axes.lines if len(line.get_xydata()) == 51]
+    assert len(drawn) % 4 == 0
+    tracks = us101[0].states[..., :2]
+    for path in drawn[: len(drawn) // 4]:
+        step, car = np.argwhere((tracks == path[0]).all(axis=-1))[0]
+        np.testing.assert_array_equal(path, tracks[step : step + 51, car])
 
 
 def test_tables_show_what_was_found():
@@ -85,5 +66,5 @@ def test_tables_show_what_was_found():
     assert printed(evaluation_tables(evaluation())[1:2]).count("1.50") == len(PREDICTORS)
     assert "25.00" in printed([last])
     text = printed(learned_tables(shipped("us101"), {"headway": 0.5}))
-    for shown in ("learned from 6856 windows", "0.5 ", "patiences", "headway while changing lanes"):
+    for shown in ("learned from 6856 windows", "0.5 ", "feature expected", "patiences", "headway while changing lanes"):
         assert shown in text

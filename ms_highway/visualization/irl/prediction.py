@@ -1,19 +1,15 @@
-"""Draw predicted drivers: errors, likelihood, calibration, paths in examples, and feature counts."""
+"""Draw predicted drivers: errors, likelihood, calibration, and paths."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import PercentFormatter
 
 from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.irl.arrays import Steps
 from ms_highway.irl.evaluation import LEVELS, MISS, Evaluation
-from ms_highway.irl.moments import HORIZONS, STEPS, Moments, cut_moments
+from ms_highway.irl.moments import HORIZONS, cut_moments
 from ms_highway.irl.outlook import expected_path
 from ms_highway.irl.predictors import PREDICTORS, prediction
 from ms_highway.irl.recordings.recording import Recording
@@ -27,9 +23,8 @@ STYLES = {
 }
 """Colour and marker of each predictor, and of the recorded path."""
 
-RECORDED, OTHERS = STYLES["recorded"][0], "#c4c9d1"
+RECORDED = STYLES["recorded"][0]
 DRAWN = ("model", "constant_velocity", "fitted_idm")  # of the predictors, in paths
-BEFORE, AFTER = 15.0, 25.0  # m of road drawn behind and ahead of where cars drive
 NEAR = 0.05  # of the right share, in calibrations
 LIKELY = 0.05  # probability from which on a mode is drawn
 
@@ -75,125 +70,39 @@ def _against_horizon(evaluation: Evaluation, labels: Mapping[str, str]) -> Figur
     return figure
 
 
-def examples(moments: Moments, off: Steps) -> dict[str, int]:
-    """Choose example drivers, by what is special about them; each was recorded for the whole 5 s.
+def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Figure:
+    """Draw predicted and recorded paths at one moment, seen from above; marks are a second apart.
 
-    The typical one has the median error of constant velocity. None is chosen by the model's error.
-
-    Args:
-        moments: of the drivers.
-        off: distance between each driver and its prediction at constant velocity [m].
-
-    Returns:
-        The number of each among the predicted drivers.
+    It is the moment with most drivers that were recorded for the 3 s before and the 5 s after. Of the learned drivers,
+    all modes of 5 % or more are drawn, bolder with their probability; of the others, the expected path.
 
     Raises:
-        ValueError: if no driver was recorded for 5 s.
-    """
-    recorded, start = moments.tracks(moments.future), moments.drivers(moments.now)
-    whole = np.flatnonzero(np.isfinite(recorded).all(axis=(1, 2)))
-    if not len(whole):
-        raise ValueError(f"no driver was recorded for {STEPS / 10:g} s on end; there is no example to be drawn")
-    faster = recorded[whole, -1, 3] - start[whole, 3]
-    kinds = {
-        "a typical case": np.abs(off[whole, -1] - np.median(off[whole, -1])),
-        "the strongest braking": faster,
-        "the strongest acceleration": -faster,
-        "the largest lateral motion": -np.abs(recorded[whole, -1, 1] - start[whole, 1]),
-    }
-    chosen: dict[str, int] = {}
-    for kind, order in kinds.items():
-        rest = [place for place in whole[np.argsort(order)].tolist() if place not in chosen.values()]
-        chosen |= {kind: rest[0]} if rest else {}
-    return chosen
-
-
-def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Figure:
-    """Draw predicted and recorded paths of `examples` over the lanes, a row for each; dots are a second apart.
-
-    Seen from above, the driver's left is up. Of the learned drivers, all modes of 5 % or more are drawn, bolder with
-    their probability, of the others the expected path. Cars are drawn at the start; grey paths are those of the others,
-    as recorded.
+        ValueError: if no driver was recorded for as long.
     """
     moments = cut_moments(recordings)
-    modes = {name: prediction(name, moments, drivers).modes for name in DRAWN}
-    paths = {"recorded": moments.recorded, **{name: expected_path(found) for name, found in modes.items()}}
-    off = {name: np.linalg.norm(path - moments.recorded, axis=-1) for name, path in paths.items()}
-    chosen, starts = examples(moments, off["constant_velocity"]), moments.drivers(moments.now)
-    numbers = list(chosen.values())
-    farthest = max(np.max(path[numbers, :, 0] - starts[numbers, :1]) for path in paths.values())
-    across = float(np.ptp(moments.lanes, axis=1).max() + 2 * np.max(moments.lane_width))
-    height = 10 * across / (BEFORE + farthest + AFTER) + 0.6  # inches, at one scale along and across
-    figure = Figure(figsize=(11, 0.6 + height * len(chosen)), layout="constrained")
-    panels = figure.subplots(len(chosen), squeeze=False)[:, 0]
-    for axes, (title, number) in zip(panels, chosen.items(), strict=True):
-        _draw_moment(axes, moments, number, farthest)
-        origin = starts[number, :2] * [1, 0]
-        for name, path in paths.items():
-            color, marker = STYLES[name]
-            line = np.concatenate([starts[number, None, :2], path[number]]) - origin
-            axes.plot(*line.T, color=color, linewidth=1.3, marker=marker, markersize=4, markevery=10, zorder=4)
-        for chance, mode in zip(*(np.asarray(part)[number] for part in modes["model"]), strict=True):
-            if chance >= LIKELY:
-                style = {"color": STYLES["model"][0], "linewidth": 1 + 5 * chance, "alpha": 0.25, "zorder": 3}
-                axes.plot(*(mode - origin).T, **style)
-        misses = ", ".join(f"{PREDICTORS[name]} {off[name][number, -1]:.1f} m" for name in DRAWN)
-        text = f"{title}, {starts[number, 3]:.1f} m/s; off after {STEPS / 10:g} s: {misses}"
-        axes.set_title(text, loc="left", fontsize="medium")
-    panels[-1].set_xlabel("along the road [m]")
-    handles = [
-        Line2D([], [], color=STYLES[name][0], marker=STYLES[name][1], markersize=4, label=PREDICTORS.get(name, name))
-        for name in paths
-    ]
-    handles.append(Line2D([], [], color=OTHERS, label="others, as recorded"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-    return figure
-
-
-def _draw_moment(axes: Axes, moments: Moments, number: int, farthest: float) -> None:
-    """Draw the lanes and all cars at the moment of a predicted driver, with x measured from that driver."""
-    moment, car = np.argwhere(moments.predicted)[number]
-    now, sizes, lanes = moments.now[moment], moments.sizes[moment], np.unique(moments.lanes[moment])
-    origin, half = now[car, :2] * [1, 0], float(moments.lane_width[moment]) / 2
-    left, right = lanes[0] - half, lanes[-1] + half
-    axes.axhspan(left, right, color="#f1f2f4", zorder=0)
-    for edge in (left, right):
-        axes.axhline(edge, color="#555b66", linewidth=1.2, zorder=1)
-    for marking in (lanes[1:] + lanes[:-1]) / 2:
-        axes.axhline(marking, color="#b4b9c2", linewidth=0.8, linestyle=(0, (8, 8)), zorder=1)
-    axes.set(xlim=(-BEFORE, farthest + AFTER), ylim=(right + half, left - half), aspect="equal")
-    axes.set_yticks(lanes, [f"{round(y, 1) + 0.0:.1f}" for y in lanes], fontsize="x-small")
-    axes.set_ylabel("to the\nright [m]")
-    for other in np.flatnonzero(np.isfinite(now).all(axis=1)):
-        position = now[other, :2] - origin
-        if not -BEFORE - 5 < position[0] < farthest + AFTER + 5:
-            continue
-        if other != car:
-            axes.plot(*(moments.future[moment, :, other, :2] - origin).T, color=OTHERS, linewidth=1, zorder=2)
-        edge, face = (RECORDED, "#ffffff") if other == car else ("#8a93a5", "#d9dce2")
-        style = {"angle": np.degrees(now[other, 2]), "rotation_point": "center", "edgecolor": edge, "facecolor": face}
-        axes.add_patch(Rectangle(position - sizes[other] / 2, *sizes[other], zorder=3, **style))
-
-
-def counts_figure(learned: LearnedReward) -> Figure:
-    """Draw mean sums of the features over a window: the drivers', and those expected under the reward."""
-    names = list(learned.feature_counts["human"])
-    human, model = (np.array([learned.feature_counts[side][name] for name in names]) for side in ("human", "model"))
-    sizes, places = np.maximum(np.abs(human), np.abs(model)), np.arange(len(names))
-    figure = Figure(figsize=(8.5, 1.4 + 0.5 * len(names)), layout="constrained")
+    whole = np.isfinite(np.concatenate([moments.past, moments.future], axis=1)).all(axis=(1, 3)) & moments.predicted
+    most = int(whole.sum(axis=1).argmax())
+    if not whole[most].any():
+        raise ValueError("no driver was recorded for 8 s on end; there are no paths to be drawn")
+    moment = replace(moments, predicted=whole).of(np.arange(len(moments)) == most)
+    modes = {name: prediction(name, moment, drivers).modes for name in DRAWN}
+    paths = {"recorded": moment.recorded, **{name: expected_path(found) for name, found in modes.items()}}
+    start, lanes, width = moment.drivers(moment.now)[:, None, :2], np.unique(moment.lanes), float(moment.lane_width[0])
+    figure = Figure(figsize=(11, 6), layout="constrained")
     axes = figure.subplots()
-    for shift, label, values, color in (
-        (-0.2, "drivers", human, RECORDED),
-        (0.2, "expected under the reward", model, STYLES["model"][0]),
-    ):
-        shares = values / np.where(sizes == 0, 1.0, sizes)
-        bars = axes.barh(places + shift, shares, height=0.38, color=color, label=label)
-        axes.bar_label(bars, [f"{value:.3g}" for value in values], padding=3, fontsize="small")
-    axes.axvline(0, color="black", linewidth=0.8)
-    axes.set_yticks(places, [name.replace("_", " ") for name in names])
-    axes.invert_yaxis()
-    axes.margins(x=0.15)
-    axes.set(xlabel="mean sum over a window, relative to the larger of the two; labels are the sums")
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside upper center", ncols=2, frameon=False)
+    for edge in (lanes[0] - width / 2, *(lanes + width / 2)):
+        axes.axhline(edge, color="#b4b9c2", linewidth=0.8)
+    for chances, ways in zip(*map(np.asarray, modes["model"]), strict=True):
+        for chance, way in zip(chances, ways, strict=True):
+            if chance >= LIKELY:
+                axes.plot(*way.T, color=STYLES["model"][0], linewidth=1 + 5 * chance, alpha=0.25)
+    for name, path in paths.items():
+        color, marker = STYLES[name]
+        lines = axes.plot(*np.concatenate([start, path], axis=1).T, color=color, marker=marker, markevery=10)
+        for line in lines:
+            line.set(linewidth=1.3, markersize=4)
+        lines[0].set_label(PREDICTORS.get(name, name))
+    axes.set(xlabel="along the road [m]", ylabel="to the right [m]", yticks=lanes.round(1))
+    axes.invert_yaxis()  # the driver's left is up
+    figure.legend(loc="outside lower center", ncols=len(paths), frameon=False)
     return figure
