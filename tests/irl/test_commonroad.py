@@ -55,19 +55,17 @@ def test_ramps_and_the_opposite_direction_are_no_lanes(tmp_path):
 @pytest.mark.parametrize("beside", [True, False])
 def test_reading_takes_about_as_many_times_more_calls_as_there_are_more_lanelets(beside, tmp_path):
     calls = []
-    for directory, number in ((tmp_path / str(number), number) for number in (2, 50, 250)):
+    for number in (2, 50, 250):  # the first call also imports
         side_by_side = [lanelet(1000 + lane, 3.5 * lane, straight(0, 200)) for lane in range(number)]
         links = [f'<predecessor ref="{999 + place}"/><successor ref="{1001 + place}"/>' for place in range(number)]
         in_a_row = [lanelet(1000 + n, 0, straight(9 * n, 9 * n + 9), link) for n, link in enumerate(links)]
-        directory.mkdir()
         made, before = count(), sys.getprofile()
         sys.setprofile(lambda *_, made=made: next(made))
         try:
-            (recording,) = read(directory, scenario(lanelets="".join(side_by_side if beside else in_a_row)))
+            read(tmp_path, scenario(lanelets="".join(side_by_side if beside else in_a_row)))
         finally:
             sys.setprofile(before)
         calls.append(next(made))
-        assert len(recording.lanes) == (number if beside else 1)
     assert calls[2] < 2 * 250 / 50 * calls[1]
 
 
@@ -111,19 +109,6 @@ def test_the_extra_is_named_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "commonroad.common.reader.file_reader_xml", None)
     with pytest.raises(ImportError, match=re.escape("pip install 'ms-highway[commonroad]'")):
         read(tmp_path, scenario())
-
-
-@pytest.mark.parametrize(("seconds", "mean"), [(3, 2.317), (5, 5.37)])
-def test_constant_velocity_on_us101_errs_as_is_known_from_the_starts_of_tracks(us101, seconds, mean):
-    errors = []
-    for recording in us101:
-        for driver in recording.drivers:
-            track = recording.states[recording.seen[:, driver], driver]
-            if len(track) > seconds * 10:
-                x, y, heading, speed = track[0]
-                guess = [x + speed * seconds * np.cos(heading), y + speed * seconds * np.sin(heading)]
-                errors.append(np.linalg.norm(track[seconds * 10, :2] - guess))
-    assert np.mean(errors) == pytest.approx(mean, rel=0.02)
 
 
 def test_the_first_files_are_read_where_that_is_asked_for(tmp_path):
