@@ -71,13 +71,3 @@ def test_drivers_made_by_idm_are_predicted_by_its_fit_whose_parameters_are_plain
     )
     assert fitted < min(0.2, 0.1 * first)
     assert all(type(value) is float for value in structs.astuple(found))
-
-
-def test_real_drivers_are_predicted_better_by_fitted_parameters(us101):
-    moments = cut_moments(us101[::8])
-
-    def error(modes):
-        return np.nanmean(np.linalg.norm(expected_path(modes)[:, 29] - moments.recorded[:, 29], axis=-1))
-
-    fitted = error(idm(moments, fit_idm(moments, evaluations=20)))
-    assert fitted < error(steady_motion(moments)) < error(idm(moments, HIGHWAY_ENV_IDM))

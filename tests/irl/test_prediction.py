@@ -232,8 +232,8 @@ def test_a_moment_is_predicted_as_it_would_be_in_a_recording(predictor):
 
 
 def test_half_of_the_drivers_are_within_the_ellipse_of_a_covariance_that_holds_half():
-    random, scene = np.random.default_rng(0), ([[0.0, 0.0, 0.0, 20.0]], [0.0], 30.0)
-    found, spread = ms_highway.predict(*scene, predictor="constant_velocity"), DRIVERS.peers["constant_velocity"].spread
+    found = ms_highway.predict([[0.0, 0.0, 0.0, 20.0]], [0.0], 30.0, predictor="constant_velocity")
+    random, spread = np.random.default_rng(0), DRIVERS.peers["constant_velocity"].spread
     scales, freedom = np.asarray(spread.scales(1, 50))[0, -1], float(spread.freedom(50)[-1])
     drawn = scales * random.standard_normal((20000, 2)) / np.sqrt(random.chisquare(freedom, (20000, 1)) / freedom)
     far = np.einsum("ni,ij,nj->n", drawn, np.linalg.inv(found.covariances[0, -1]), drawn)
