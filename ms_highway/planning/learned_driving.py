@@ -128,11 +128,11 @@ def shown_traits(drivers: Drivers, around: Surroundings, past: Float[Any, "times
     def update(traits: Estimate, speed: Cars, leader: Leader, gained: Cars, seen: jax.Array) -> Estimate:
         mean, covariance = traits
         predicted, slope = jax.value_and_grad(expected)(mean, speed, leader)
-        along = covariance @ slope
-        variance = slope @ along + prior.noise**2
+        along = jnp.sum(covariance * slope, axis=1)
+        variance = jnp.sum(slope * along) + prior.noise**2
         reach, gain = CLIPPED * jnp.sqrt(variance), along / variance
         moved = mean + gain * jnp.clip(gained - predicted, -reach, reach)
-        after = jnp.clip(moved, -FARTHEST, FARTHEST), covariance - jnp.outer(gain, along)
+        after = jnp.clip(moved, -FARTHEST, FARTHEST), covariance - gain[:, None] * along
         return jax.tree.map(partial(jnp.where, seen), after, traits)
 
     for first in range(0, PAST, SECOND):

@@ -54,8 +54,8 @@ def test_recorded_and_predicted_paths_of_a_moment_are_drawn(us101):
     assert len(drawn) % 4 == 0
     tracks = us101[0].states[..., :2]
     for path in drawn[: len(drawn) // 4]:
-        step, car = np.argwhere((tracks == path[0]).all(axis=-1))[0]
-        np.testing.assert_array_equal(path, tracks[step : step + 51, car])
+        starts = np.argwhere((tracks == path[0]).all(axis=-1)).tolist()  # several, of a car that stands
+        assert any(np.array_equal(path, tracks[step : step + 51, car]) for step, car in starts)
 
 
 def test_tables_show_what_was_found():
