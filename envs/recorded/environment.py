@@ -138,8 +138,8 @@ class RecordedEnv(ConfiguredEnv):
         vehicle.check_collisions = False
         sized(vehicle, task.size)
         road.vehicles = [vehicle]
-        road.traffic = TRAFFIC[self.settings.traffic](scenario, shape.straight, axes, road, task.track)
-        road.traffic.begin(task.problem.time)
+        begin = task.problem.time
+        road.traffic = TRAFFIC[self.settings.traffic](scenario, shape.straight, axes, road, task.track, begin)
         self.scenario, self.task, self.road, self._shape = scenario, task, road, shape
         self.appointment = task.appointment(road.network, axes)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0

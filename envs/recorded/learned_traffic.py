@@ -47,9 +47,9 @@ class Learned(Traffic):
     as it was recorded at that place: those ahead of it were not recorded.
     """
 
-    def begin(self, step: int) -> None:
-        """Put those on the road who are there at a step."""
-        super().begin(step)
+    def __init__(self, *given: Any) -> None:
+        """Prepare traffic, see `Traffic`."""
+        super().__init__(*given)
         drivers = shipped("us101").drivers
         assert drivers is not None  # the package's own file
         self.drivers = drivers.bare
@@ -73,14 +73,14 @@ class Learned(Traffic):
         Not before the first step: no environment computes before that.
         """
         traits = np.zeros((self.count, 3), np.float32)
-        for first in {int(track.samples[0, 0]) for track in self.tracks}:
+        for first in {track.first for track in self.tracks}:
             past = np.full((PAST + 1, self.count, 4), np.nan, np.float32)
             for place, (track, path) in enumerate(zip(self._everyone, self._paths, strict=True)):
                 steps = track.samples[:, 0].astype(int) - first
                 then = (steps >= 0) & (steps <= SECOND)
                 past[PAST - SECOND + steps[then], place] = path[then]
             shown = np.asarray(_shown(self.drivers, self.surroundings, past))
-            begun = [place for place, track in enumerate(self.tracks) if int(track.samples[0, 0]) == first]
+            begun = [place for place, track in enumerate(self.tracks) if track.first == first]
             traits[begun] = shown[begun]
         return traits
 

@@ -77,9 +77,9 @@ class SampledLane(AbstractLane):
             line_types: of its left and its right edge, highway-env's.
             speed_limit: [m/s].
         """
-        self.centres, self.widths = centres, widths
-        self.places = np.r_[0.0, np.cumsum(np.hypot(*np.diff(centres, axis=0).T))]
-        tangents = np.gradient(centres, self.places, axis=0)
+        self.centres, self.widths = np.asarray(centres, dtype=float), np.asarray(widths, dtype=float)  # JSON has lists
+        self.places = np.r_[0.0, np.cumsum(np.hypot(*np.diff(self.centres, axis=0).T))]
+        tangents = np.gradient(self.centres, self.places, axis=0)
         self.headings = np.unwrap(np.arctan2(tangents[:, 1], tangents[:, 0]))
         self.bends = np.gradient(self.headings, self.places)
         self.length, self.speed_limit = float(self.places[-1]), speed_limit
@@ -114,8 +114,7 @@ class SampledLane(AbstractLane):
     @classmethod
     def from_config(cls, config: dict) -> "SampledLane":
         """Return the lane that ``config`` of `to_config` describes."""
-        arrays = {name: np.array(config[name], dtype=float) for name in ("centres", "widths")}
-        return cls(**{**config, **arrays})
+        return cls(**config)
 
     def to_config(self) -> dict:
         """Return what describes the lane, for JSON."""

@@ -57,7 +57,7 @@ class Task:
             raise ValueError(f"config['ego'] is {ego}, which is not there; choose one of {known}")
         if len(track.samples) < 2:
             raise ValueError(f"config['ego'] is {ego}, which was seen only once; choose another")
-        return cls(Problem(ego, *_start(track), (_last_position(track),)), track.size, ego)
+        return cls(_as_recorded(track), track.size, ego)
 
     @property
     def last(self) -> int:
@@ -96,31 +96,24 @@ def _problem(scenario: TrafficRecording, number: str) -> Problem:
     return scenario.problems[known.index(number) if number else 0]
 
 
-def _start(track: RecordedTrack) -> tuple[tuple[float, float, float, float], int]:
-    time, x, y, orientation, speed = track.samples[0].tolist()
-    return (x, y, orientation, speed), int(time)
-
-
-def _last_position(track: RecordedTrack) -> GoalRegion:
-    first, (last, x, y, orientation, _) = track.samples[0, 0], track.samples[-1]
-    ahead = np.array([np.cos(orientation), np.sin(orientation)]) * LENGTH_OF_GOAL / 2
-    aside = np.array([-np.sin(orientation), np.cos(orientation)]) * SAME_LANE / 2
-    middle = np.array([x, y])
+def _as_recorded(track: RecordedTrack) -> Problem:
+    """Return the task to be where a vehicle was seen last."""
+    x, y, orientation, speed = track.samples[0, 1:].tolist()
+    middle, last = track.samples[-1, 1:3], track.samples[-1, 3]
+    ahead = np.array([np.cos(last), np.sin(last)]) * LENGTH_OF_GOAL / 2
+    aside = np.array([-np.sin(last), np.cos(last)]) * SAME_LANE / 2
     corners = [middle + ahead + aside, middle - ahead + aside, middle - ahead - aside, middle + ahead - aside]
-    return GoalRegion((int(first), int(last) + LATE), np.array(corners))
+    goal = GoalRegion((track.first, track.last + LATE), np.array(corners))
+    return Problem(track.number, (x, y, orientation, speed), track.first, (goal,))
 
 
 def _is_in(goal: GoalRegion, step: int, point: Points, orientation: float, speed: float) -> bool:
-    if not goal.times[0] <= step <= goal.times[1]:
-        return False
-    if goal.area is not None and not inside(goal.area, np.asarray(point)[None])[0]:
-        return False
-    if (
-        goal.headings is not None
-        and (orientation - goal.headings[0]) % FULL_TURN > (goal.headings[1] - goal.headings[0]) % FULL_TURN
-    ):
-        return False
-    return goal.speeds is None or goal.speeds[0] <= speed <= goal.speeds[1]
+    low, high = goal.headings or (0.0, 0.0)
+    slowest, fastest = goal.speeds or (speed, speed)
+    in_time, as_fast = goal.times[0] <= step <= goal.times[1], slowest <= speed <= fastest
+    heads = not goal.headings or (orientation - low) % FULL_TURN <= (high - low) % FULL_TURN
+    there = goal.area is None or bool(inside(goal.area, np.asarray(point)[None])[0])
+    return in_time and as_fast and heads and there
 
 
 def inside(polygon: Points, points: Points) -> np.ndarray:

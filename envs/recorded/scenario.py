@@ -66,6 +66,16 @@ class RecordedTrack(msgspec.Struct, frozen=True):
     size: tuple[float, float]
     samples: np.ndarray
 
+    @property
+    def first(self) -> int:
+        """The first step at which it was seen."""
+        return int(self.samples[0, 0])
+
+    @property
+    def last(self) -> int:
+        """The last step at which it was seen."""
+        return int(self.samples[-1, 0])
+
 
 class Obstacle(msgspec.Struct, frozen=True):
     """Something that stands.
@@ -141,25 +151,14 @@ class TrafficRecording(msgspec.Struct, frozen=True):
     @property
     def steps(self) -> int:
         """Number of the last step at which a vehicle was seen."""
-        return max(int(track.samples[-1, 0]) for track in self.tracks)
-
-
-def pack(scenario: TrafficRecording, path: Path) -> None:
-    """Write a scenario to a file of this package's own, packed JSON in millimetres, the same bytes each time."""
-    content = msgspec.json.encode(scenario, enc_hook=lambda array: np.round(array, 3).tolist())
-    path.write_bytes(gzip.compress(content, mtime=0))
+        return max(track.last for track in self.tracks)
 
 
 @cache
 def shipped() -> TrafficRecording:
     """Return the recording that comes with the package, which needs no other package to be read."""
     file = resources.files("ms_highway") / "data" / f"{SHIPPED}_traffic.json.gz"
-    return unpacked(file.read_bytes())
-
-
-def unpacked(packed: bytes) -> TrafficRecording:
-    """Return what `pack` has written."""
-    return msgspec.json.decode(gzip.decompress(packed), type=TrafficRecording, dec_hook=_array)
+    return msgspec.json.decode(gzip.decompress(file.read_bytes()), type=TrafficRecording, dec_hook=_array)
 
 
 def _array(kind: type, content: Any) -> np.ndarray:

@@ -37,12 +37,6 @@ class RecordedVehicle(Vehicle):
         self.on_state_update()
 
 
-class IdmDriver(IDMVehicle):
-    """A vehicle that highway-env's IDM and MOBIL drive."""
-
-    number: int
-
-
 class Traffic(ABC):
     """The others on a road, from a step of a recording on.
 
@@ -51,12 +45,18 @@ class Traffic(ABC):
         waiting: numbers of those that should have entered, but found somebody in their place.
     """
 
-    vehicle_type: ClassVar[type[Vehicle]] = RecordedVehicle
+    vehicle_type: ClassVar[type] = RecordedVehicle
 
     def __init__(
-        self, scenario: TrafficRecording, straight: StraightRoad, axes: Axes, road: Road, left_out: int | None
+        self,
+        scenario: TrafficRecording,
+        straight: StraightRoad,
+        axes: Axes,
+        road: Road,
+        left_out: int | None,
+        step: int,
     ) -> None:
-        """Prepare traffic.
+        """Put those on the road who are there at a step.
 
         Args:
             scenario: the recording.
@@ -64,13 +64,20 @@ class Traffic(ABC):
             axes: of the road in highway-env.
             road: of highway-env.
             left_out: number of the track whose place the ego takes; None for all.
+            step: of the recording.
         """
+        self.step = step
         self.straight, self.axes, self.road = straight, axes, road
         self.tracks = tuple(track for track in scenario.tracks if track.number != left_out)
         self._left_out = tuple(track for track in scenario.tracks if track.number == left_out)
         self.vehicles: dict[int, Vehicle] = {}  # by the place of their track
         self.waiting: tuple[int, ...] = ()
         self._entered: set[int] = set()
+        for place, track in enumerate(self.tracks):
+            if track.first <= step <= track.last:
+                self._enter(place, step)
+            elif track.last < step:
+                self._entered.add(place)
 
     @property
     def egos(self) -> list[Vehicle]:
@@ -83,15 +90,6 @@ class Traffic(ABC):
         """Where cars leave the road, along it [m]."""
         return self.straight.coordinates.length + BEYOND
 
-    def begin(self, step: int) -> None:
-        """Put those on the road who are there at a step."""
-        self.step = step
-        for place, track in enumerate(self.tracks):
-            if track.samples[0, 0] <= step <= track.samples[-1, 0]:
-                self._enter(place, step)
-            elif track.samples[-1, 0] < step:
-                self._entered.add(place)
-
     @abstractmethod
     def move(self) -> None:
         """Move those on the road for a step, let those leave who have reached its end, and others enter."""
@@ -103,7 +101,7 @@ class Traffic(ABC):
             self.road.vehicles.remove(self.vehicles.pop(place))
         waiting = []
         for place, track in enumerate(self.tracks):
-            if place not in self._entered and track.samples[0, 0] <= self.step:
+            if place not in self._entered and track.first <= self.step:
                 if self._is_free(track):
                     self._enter(place)
                 else:
@@ -123,7 +121,7 @@ class Traffic(ABC):
     def _enter(self, place: int, step: float | None = None) -> None:
         """Put the vehicle of a track on the road where it was at a step, by default the first of the track."""
         track = self.tracks[place]
-        x, y, orientation, speed = sampled(track, float(track.samples[0, 0]) if step is None else step)
+        x, y, orientation, speed = sampled(track, track.first if step is None else step)
         position, heading = self.axes.positions([x, y]), float(self.axes.headings(orientation))
         vehicle = self.vehicle_type(self.road, position, heading, speed)
         vehicle.number, vehicle.check_collisions = track.number, False
@@ -150,7 +148,7 @@ class Replay(Traffic):
 
     def move(self) -> None:
         """Move those on the road for a step, and let others leave and enter as they were recorded to."""
-        self._move_on(lambda place: self.tracks[place].samples[-1, 0] <= self.step - 1)
+        self._move_on(lambda place: self.tracks[place].last < self.step)
         for place, vehicle in self.vehicles.items():
             x, y, orientation, speed = sampled(self.tracks[place], self.step)
             vehicle.put(self.axes.positions([x, y]), self.axes.headings(orientation), speed)
@@ -162,7 +160,7 @@ class Replay(Traffic):
 class Idm(Traffic):
     """highway-env's IDM and MOBIL drive, each at most as fast as it was recorded."""
 
-    vehicle_type = IdmDriver
+    vehicle_type = IDMVehicle
 
     def move(self) -> None:
         """Let those leave who have reached the end of the road, and others enter; vehicles move by themselves."""

@@ -71,17 +71,20 @@ def model(options: argparse.Namespace, recordings: "list[Recording]") -> "tuple[
 
 
 EVALUATE_HELP = """\
-Predict recorded drivers for up to 5 s and compare with where they went, beside constant velocity, constant turn rate
-and acceleration (CTRA), highway-env's IDM, a fitted IDM and a Kalman filter over lanes. All predict every driver, from
-the same moments, once a second.
+Predict recorded drivers for up to 5 s and compare with where they went, beside constant velocity, highway-env's IDM
+and a fitted IDM. All predict every driver, from the same moments, once a second.
 
 With --folds instead of --theta, everything is learned from the other recordings, fold after fold. FDE, the distance at
 the horizon, and RMSE are in metres; a miss is more than 2 m off; log p is the mean log density of the recorded position
 in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the predicted probability. Windows are
---horizon steps of controls, see irl fit."""
+--horizon steps of controls, see irl fit.
+
+With --figures, errors.png, likelihood.png and calibration.png are written to a directory; with --theta also paths.png,
+predicted and recorded paths of all drivers at one moment."""
 
 EVALUATE_EXAMPLES = """\
 examples:
+  ms-highway irl evaluate --theta us101 --data recordings --figures results/us101
   ms-highway irl evaluate --theta us101 --data recordings --json
   ms-highway irl evaluate --folds 4 --data recordings"""
 
@@ -105,6 +108,7 @@ def add_evaluate(commands: Any) -> None:
         "future is known (default); the others where they were recorded to be, a leak of the future; or the others at "
         "constant velocity",
     )
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="a directory for figures, *.png")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.set_defaults(run=_evaluate)
 
@@ -112,23 +116,29 @@ def add_evaluate(commands: Any) -> None:
 def _evaluate(options: argparse.Namespace) -> None:
     import msgspec
 
+    from ms_highway.cli.results_directory import save_figures
     from ms_highway.game.learned_reward import named
-    from ms_highway.irl.evaluation import cross_validate, evaluate_reward
+    from ms_highway.irl.evaluation import evaluate
     from ms_highway.irl.predictors import check_drivers
+    from ms_highway.visualization.irl.prediction import evaluation_figures, paths_figure
     from ms_highway.visualization.irl.tables import evaluation_tables
 
-    if options.theta:
-        if options.learn or options.horizon:
-            raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
-        learned = named(options.theta)
-        check_drivers(learned.drivers, f"--theta {options.theta}")
+    learned = named(options.theta) if options.theta else None
+    if learned and (options.learn or options.horizon):
+        raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
+    drivers = check_drivers(learned.drivers, f"--theta {options.theta}") if learned else None
     with telling() as tell:
         recordings = read(options.data)
-        if options.theta:
-            found = evaluate_reward(recordings, learned, options.others, progress=tell)
+        if learned:
+            found = evaluate(recordings, learned, options.others, progress=tell)
         else:
-            chosen = model(options, recordings)
-            found = cross_validate(recordings, *chosen, options.folds, options.others, progress=tell)
+            chosen, steps = model(options, recordings)
+            found = evaluate(recordings, chosen, options.others, horizon=steps, parts=options.folds, progress=tell)
+        if options.figures:
+            figures = evaluation_figures(found)
+            if drivers:
+                figures["paths"] = paths_figure(recordings, drivers)
+            save_figures(figures, options.figures)
     if options.json:
         print(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
     else:
@@ -182,8 +192,8 @@ RECORD_HELP = """\
 Record episodes of driving on a highway (ms-highway/demonstration-v0) as a Minari data set, in $MINARI_DATASETS_PATH or
 ~/.minari/datasets.
 
-Every episode is on disk when the next begins; stopped and started again with the same data set and settings, it goes
-on where it was. With --driver keyboard the arrow keys drive: up and down for speed, left and right to steer."""
+Every episode is on disk when the next begins; started again with the same data set and settings, recording goes on
+after the last one. With --driver keyboard the arrow keys drive: up and down for speed, left and right to steer."""
 
 RECORD_EXAMPLES = """\
 examples:

@@ -1,14 +1,14 @@
 """Evaluate learned drivers on recordings, beside the predictors of `ms_highway.irl.predictors`."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
-from msgspec import structs
 from scipy import optimize, stats
 
 from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.neighbours import leaders
 from ms_highway.game.reward import RewardModel
@@ -16,16 +16,14 @@ from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl import Others
 from ms_highway.irl.arrays import Flags, Parameters, Paths, Steps, Values
 from ms_highway.irl.learning import folds
-from ms_highway.irl.maximum_entropy import differentiate, fit_weights, window_log_likelihoods
+from ms_highway.irl.maximum_entropy import Fit, differentiate, fit_weights, window_log_likelihoods
 from ms_highway.irl.moments import AT, HORIZONS, Moments, cut_moments
 from ms_highway.irl.outlook import expected_path, log_density, region_level
-from ms_highway.irl.predictors import PREDICTORS, Prediction, check_drivers, predictions
+from ms_highway.irl.predictors import PREDICTORS, Prediction, check_drivers, prediction
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.windows import Windows, driver_game, regular_windows
-from ms_highway.runtime.files import read_json, reading
 from ms_highway.runtime.progress import Progress, silent
-from ms_highway.runtime.structures import Structure, read
 
 MISS = 2.0  # m
 LEVELS = (50, 90, 99)
@@ -40,11 +38,10 @@ LEADER = 50.0  # m ahead, from centre to centre
 LEAST_DEVIATION, MOST = 1e-6, 1e3  # of scaled controls; and of tails
 
 ByHorizon = dict[str, float]
-KINDS = ("fde", "ade", "rmse", "miss", "log_p", *(f"inside {level}" for level in LEVELS))
 SITUATIONS = ("distance", "log_p")
 
 
-class Evaluation(Structure, omit_defaults=True):
+class Evaluation(msgspec.Struct, frozen=True, omit_defaults=True):
     """How well drivers were predicted: plain numbers, by horizon in seconds.
 
     Attributes:
@@ -67,14 +64,6 @@ class Evaluation(Structure, omit_defaults=True):
     tracks: int
     others: Others
     folds: Sequence[dict[str, Any]] = ()
-
-    def __post_init__(self) -> None:
-        wanted = {"predictors": PREDICTORS, "situations": SITUATIONS, "likelihood": ("model", "constant_velocity")}
-        lacking = [f"{part}.{name}" for part in wanted for name in wanted[part] if name not in getattr(self, part)]
-        for name, row in self.predictors.items():
-            lacking += [f"predictors.{name}.{kind}" for kind in KINDS if kind not in row]
-        if lacking:
-            raise ValueError(f"it lacks {', '.join(lacking)}")
 
 
 class Judged(NamedTuple):
@@ -122,110 +111,73 @@ def measures(found: Judged) -> dict[str, ByHorizon]:
     return rows
 
 
-def evaluate_reward(
+def evaluate(
     recordings: Sequence[Recording],
-    learned: LearnedReward,
+    reward: LearnedReward | RewardModel,
     others: Others = "predicted",
     *,
+    horizon: int = 5,
+    parts: int = 4,
     progress: Progress = silent,
 ) -> Evaluation:
-    """Evaluate a learned reward on recordings; ``progress`` is called with a message when a part begins.
-
-    Raises:
-        ValueError: if no driver was seen for long enough, or the reward has no drivers learned seconds ahead.
-    """
-    drivers = check_drivers(learned.drivers)
-    progress("cutting windows")
-    moments, windows = cut_moments(recordings), regular_windows(recordings, learned.horizon)
-    progress(f"predicting {len(moments.which)} drivers")
-    predicted = predictions(moments, drivers, others)
-    progress(f"differentiating {len(windows)} windows")
-    likely = window_log_likelihoods(differentiate(windows, learned.model.names), learned)
-    progress("measuring")
-    found = {name: outcomes(part, moments.recorded) for name, part in predicted.items()}
-    return _evaluation(moments, found, windows, likely, others)
-
-
-def cross_validate(
-    recordings: Sequence[Recording],
-    model: RewardModel,
-    horizon: int,
-    parts: int,
-    others: Others = "predicted",
-    *,
-    progress: Progress = silent,
-) -> Evaluation:
-    """Evaluate by cross-validation: each fold is predicted by what is learned from the other folds.
+    """Evaluate a learned reward on recordings; or cross-validate: predict each fold by what the other folds teach.
 
     Args:
-        recordings: all recordings, split into folds by group, and so by driver.
-        model: the weights to learn and those given.
-        horizon: K, the length of windows in steps.
-        parts: the number of folds.
+        recordings: all recordings; for a cross-validation, they are split by group, and so by driver.
+        reward: that was learned; for a cross-validation, the weights to learn and those given.
         others: motion of the other cars in predictions, see `ms_highway.irl.Others`.
+        horizon: K, the length of windows in steps; a learned reward has its own.
+        parts: the number of folds of a cross-validation.
         progress: called with a message when a part begins.
 
     Raises:
-        ValueError: if there is one group only, no driver was seen for long enough, or a fit does not converge.
+        ValueError: if a learned reward has no drivers, a cross-validation has one fold only, no driver was seen for
+            long enough, or a fit does not converge.
     """
+    given: tuple[LearnedReward, LearnedDrivers] | None = None
+    if isinstance(reward, LearnedReward):
+        given, model, horizon = (reward, check_drivers(reward.drivers)), reward.model, reward.horizon
+    else:
+        model = reward
     progress("cutting windows")
     moments, windows = cut_moments(recordings), regular_windows(recordings, horizon)
-    if len(np.unique(windows.group)) < 2 or parts < 2:
+    groups = np.union1d(windows.group, moments.group)
+    if not given and min(parts, len(groups)) < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
+    held_out = [groups] if given else folds(groups, parts)
     progress(f"differentiating {len(windows)} windows")
     derivatives = differentiate(windows, model.names)
-    likely, fold, found = np.empty(len(windows)), np.zeros(len(moments), dtype=int), None
-    held_out, weights = folds(np.union1d(windows.group, moments.group), parts), []
-    predicted: dict[str, list[Judged]] = {}
+    likely, fold = np.empty(len(windows)), np.zeros(len(moments), dtype=int)
+    judged: dict[str, list[Judged]] = {name: [] for name in PREDICTORS}
+    weights: list[dict[str, Any]] = []
+    fit: Fit | None = None
+    known: Fit | LearnedReward
     for number, names in enumerate(held_out):
         held, driven = np.isin(windows.group, names), np.isin(moments.group, names)
-        progress(f"learning, fold {number + 1} of {len(held_out)}")
-        found = fit_weights(derivatives.of(~held), model, found)
-        likely[held], fold[driven] = window_log_likelihoods(derivatives.of(held), found), number
-        drivers = learn_drivers(moments, ~driven, intervals=False)
-        weights.append({"weights": found.weights, "temperature": found.temperature, "drivers": drivers.weights})
-        for name, part in predictions(moments, drivers, others).items():
-            predicted.setdefault(name, []).append(outcomes(part, moments.recorded))
-    progress("measuring")
-    own = {name: moments.by_fold(fold, each) for name, each in predicted.items()}
-    return structs.replace(_evaluation(moments, own, windows, likely, others), folds=weights)
-
-
-def _evaluation(
-    moments: Moments, found: Mapping[str, Judged], windows: Windows, likely: Values, others: Others
-) -> Evaluation:
+        if given:
+            known, drivers = given
+        else:
+            progress(f"learning, fold {number + 1} of {len(held_out)}")
+            known = fit = fit_weights(derivatives.of(~held), model, fit)
+            drivers = learn_drivers(moments, ~driven, intervals=False)
+            weights.append({"weights": fit.weights, "temperature": fit.temperature, "drivers": drivers.weights})
+        progress(f"predicting {driven[moments.which].sum()} drivers")
+        likely[held], fold[driven] = window_log_likelihoods(derivatives.of(held), known), number
+        for name, outcome in judged.items():
+            outcome.append(outcomes(prediction(name, moments, drivers, others), moments.recorded))
+    found = {name: moments.by_fold(fold, outcome) for name, outcome in judged.items()}
     likelihood = {"model": likely, "constant_velocity": kept_log_likelihoods(windows)}
     return Evaluation(
-        predictors={name: measures(part) for name, part in found.items()},
+        predictors={name: measures(outcome) for name, outcome in found.items()},
         situations=by_regime(found, moments),
         likelihood={name: float(values.mean()) for name, values in likelihood.items()} | {"windows": len(windows)},
         windows=len(moments.which),
         tracks=len(np.unique(moments.drivers(moments.track))),
         others=others,
+        folds=tuple(weights),
     )
-
-
-def load_evaluation(path: Path) -> Evaluation:
-    """Read what ``ms-highway irl evaluate --json`` prints.
-
-    Raises:
-        ValueError: if the file cannot be read or is no evaluation; the message names what is wrong.
-    """
-    with reading(path, "write it again with `ms-highway irl evaluate --json`", " as an evaluation"):
-        return read(read_json(path), Evaluation)
-
-
-def is_evaluation(path: Path) -> bool:
-    """Return whether a JSON file looks like an evaluation.
-
-    Raises:
-        ValueError: if it cannot be read.
-    """
-    with reading(path, "name a file that this package wrote", " as JSON"):
-        content = read_json(path)
-    return isinstance(content, dict) and "predictors" in content
 
 
 def driving_regimes(moments: Moments) -> dict[str, Flags]:

@@ -62,7 +62,7 @@ def predict(
         speed_limit: of the road, which drivers' desired speeds follow [m/s].
         seconds: how far ahead, from 0.1 to 5 s.
         predictor: of `ms_highway.irl.predictors.PREDICTORS`: ``"model"``, the learned drivers; ``"idm"``, highway-env's
-            Intelligent Driver Model; ``"constant_velocity"``; and others of the literature.
+            Intelligent Driver Model; ``"fitted_idm"``, that model fitted to the same drivers; ``"constant_velocity"``.
         sizes: length and width of all cars, or of each [cars, 2] [m].
         lane_width: of a lane [m].
         learned: drivers, or the reward that has them, and how far off every predictor is; by default those of US-101
@@ -89,14 +89,13 @@ def predict(
     if not TIME_STEP <= seconds <= STEPS * TIME_STEP:
         raise ValueError(f"seconds are {seconds!r}; give a number from {TIME_STEP:g} to {STEPS * TIME_STEP:g}")
     moment = _moment(past, np.sort(centres), np.broadcast_to(bodies, (cars, 2)), lane_width, speed_limit)
-    steps = round(seconds / TIME_STEP)
     learned = learned or shipped("us101")
     drivers = check_drivers(learned.drivers if isinstance(learned, LearnedReward) else learned)
     modes, spread = prediction(predictor, moment, drivers)
+    steps = round(seconds / TIME_STEP)
     weights, means = np.asarray(modes.probability)[:cars], np.asarray(modes.path)[:cars, :, :steps]
-    freedom, number = np.asarray(spread.freedom(STEPS))[:steps], means.shape[1]
+    freedom, scales = np.asarray(spread.freedom(steps)), np.asarray(spread.scales(means.shape[1], steps))
     wider = freedom * np.expm1(-2 / freedom * np.log1p(-WITHIN)) / (-2 * np.log1p(-WITHIN))  # squares at the edge
-    scales = np.asarray(spread.scales(number, STEPS))[:, :steps]
     covariances = (wider[:, None] * scales**2)[..., None] * np.eye(2)
     mean = expected_path(modes)[:cars, :steps]
     off = means - mean[:, None]
@@ -106,11 +105,10 @@ def predict(
 
 
 def _moment(past: np.ndarray, lanes: np.ndarray, sizes: np.ndarray, lane_width: float, speed_limit: float) -> Moments:
-    """Return the moment of these cars, and of others that nobody sees, all of them to be predicted."""
-    more = -past.shape[1] % ROOM
-    cars, before = past.shape[1] + more, PAST + 1 - len(past)
+    """Return the moment of these cars, and of unseen ones that fill the arrays, all of them to be predicted."""
+    more, before = -past.shape[1] % ROOM, PAST + 1 - len(past)
     seen = np.pad(past, ((before, 0), (0, more), (0, 0)), constant_values=np.nan)
-    whole = np.pad(sizes, ((0, more), (0, 0)), constant_values=1.0)
-    future, numbers = np.full((STEPS, cars, 4), np.nan), np.arange(cars)
-    parts = seen, future, whole, lanes, lane_width, speed_limit, np.ones(cars, bool), numbers, 0
+    whole, numbers = np.pad(sizes, ((0, more), (0, 0)), constant_values=1.0), np.arange(seen.shape[1])
+    future = np.full((STEPS, *seen.shape[1:]), np.nan)
+    parts = seen, future, whole, lanes, lane_width, speed_limit, np.ones(len(numbers), bool), numbers, 0
     return Moments(*(np.asarray(part)[None] for part in parts))

@@ -7,7 +7,6 @@ from importlib.metadata import version
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from ms_highway.game.dynamics import observe
 from ms_highway.game.game import Game
@@ -16,7 +15,7 @@ from ms_highway.game.reward import COMFORT, RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS
 from ms_highway.irl.arrays import Controls, Numbers, Values
-from ms_highway.irl.maximum_entropy import FeatureDerivatives, Fit, differentiate, fit_weights, window_log_likelihoods
+from ms_highway.irl.maximum_entropy import Fit, differentiate, fit_weights, window_log_likelihoods
 from ms_highway.irl.moments import cut_moments
 from ms_highway.irl.recordings.demonstrators import optimal
 from ms_highway.irl.recordings.recording import Recording
@@ -129,13 +128,6 @@ def _best_controls(game: Game, window: Windows) -> Controls:
     return best.controls * game.planner.control_scale
 
 
-def curvatures(derivatives: FeatureDerivatives, found: Fit) -> tuple[Float[np.ndarray, "n d"], np.ndarray]:
-    """Return eigenvalues of -H / T, bounded from below as in the fit, and eigenvectors [n, d, d]."""
-    theta = np.array([found.weights[name] for name in found.model.names])
-    values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, derivatives.hessians) / found.temperature)
-    return np.maximum(values, found.model.floor / found.temperature), vectors
-
-
 def expected_features(windows: Windows, found: Fit) -> Values:
     """Return the features' expected sums over a window under the fit's distribution of controls, mean over windows.
 
@@ -145,6 +137,8 @@ def expected_features(windows: Windows, found: Fit) -> Values:
     sharp = {name: weight / found.temperature for name, weight in found.weights.items()}
     best = replace(windows, controls=best_controls(windows, sharp))
     derivatives = differentiate(best, found.model.names)
-    values, vectors = curvatures(derivatives, found)
+    theta = np.array([found.weights[name] for name in found.model.names])
+    values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, derivatives.hessians) / found.temperature)
+    values = np.maximum(values, found.model.floor / found.temperature)
     spread = np.einsum("nde,ne,nfe->ndf", vectors, 1 / values, vectors)
     return np.mean(derivatives.features + np.einsum("nfde,nde->nf", derivatives.hessians, spread) / 2, axis=0)

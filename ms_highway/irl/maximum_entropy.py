@@ -33,13 +33,13 @@ from jax.scipy.special import gammaln
 from jaxtyping import Float
 from scipy import optimize
 
-from ms_highway.game.game import Game, move
+from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT, RewardModel
 from ms_highway.irl.arrays import Flags, Numbers, Parameters, Scalar, Values
-from ms_highway.irl.windows import Windows, control_deviation, driver_game, features_along, path_features
+from ms_highway.irl.windows import Windows, driver_game, features_along
 from ms_highway.optimization.estimation import grouped_covariance, slope_differences
-from ms_highway.optimization.second_derivatives import floored, second_order_expansion
+from ms_highway.optimization.second_derivatives import floored
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
 
@@ -95,7 +95,7 @@ class Fit:
 
 
 def differentiate(windows: Windows, names: tuple[str, ...]) -> FeatureDerivatives:
-    """Return the derivatives of these features in every window, each by `second_order_expansion`.
+    """Return the derivatives of these features in every window.
 
     Raises:
         ValueError: if a derivative is not finite.
@@ -116,20 +116,12 @@ def differentiate(windows: Windows, names: tuple[str, ...]) -> FeatureDerivative
 @partial(jax.vmap, in_axes=(None, 0))
 def _differentiate(game: Game, window: Windows) -> FeatureDerivatives:
     """Return the derivatives of all features and of `COMFORT`, so that one compilation serves any choice of them."""
-    controls = window.controls / game.planner.control_scale
 
-    def of_one(weights: jax.Array) -> tuple[jax.Array, jax.Array]:
-        def reward(path: jax.Array) -> Scalar:
-            return weights[:-2] @ path_features(game, window, path).sum(axis=0)
+    def along(controls: jax.Array) -> jax.Array:
+        return features_along(game, window, controls.reshape(-1, 2))
 
-        def cost(controls: jax.Array) -> Scalar:
-            return weights[-2:] @ jnp.sum(control_deviation(game, window, controls) ** 2, axis=0) / 2
-
-        expansion = second_order_expansion(partial(move, game, window.start), reward, controls, cost)
-        return expansion.gradient, expansion.hessian
-
-    features = features_along(game, window, controls)
-    return FeatureDerivatives(features, *jax.vmap(of_one)(jnp.eye(len(features))))
+    controls, slope = (window.controls / game.planner.control_scale).ravel(), jax.jacrev(along)
+    return FeatureDerivatives(along(controls), slope(controls), jax.jacfwd(slope)(controls))
 
 
 @jax.jit

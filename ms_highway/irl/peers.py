@@ -1,11 +1,10 @@
-"""Predictors of the literature: drivers who keep their motion, and those of the Intelligent Driver Model (IDM).
+"""Predictors of the literature: constant velocity, and the Intelligent Driver Model (IDM).
 
 Under IDM, cars steer to the centre of the lane that they are in at first, as highway-env's do. The part of the desired
 gap that depends on speeds is at least 0 (Treiber et al. 2000); highway-env squares a negative one, of who falls behind.
 """
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import numpy as np
@@ -20,12 +19,6 @@ from ms_highway.optimization.estimation import minimum
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.structures import Finite, Structure, pytree
 
-WINDOW = 3.0
-"""Seconds of the past from which acceleration and turn rate are estimated."""
-
-FADING = (0.5, 0.25)
-"""Seconds, time constants with which acceleration and turn rate fade: those with the least error on NGSIM."""
-
 EXPONENT = 4.0  # of the speed
 STRONGEST = 6.0  # m/s^2, acceleration
 AXLES = 2.5  # m, half the length from which highway-env steers
@@ -35,44 +28,10 @@ EVALUATIONS = 50
 
 
 def steady_motion(moments: Moments) -> Modes:
-    """Predict drivers who keep their speed and heading."""
-    now = moments.drivers(moments.now)
-    still = np.zeros(len(now))
-    return one_mode(_arc(now, still, still, *FADING))
-
-
-def turn_and_accelerate(moments: Moments, fading: tuple[float, float] = FADING) -> Modes:
-    """Predict drivers by constant turn rate and acceleration (CTRA).
-
-    Both are slopes fitted by least squares to the `WINDOW` before, and 0 where less of it was recorded. Measured slopes
-    are noisy and drivers soon correct them, so both fade exponentially.
-
-    Args:
-        moments: to predict.
-        fading: time constants of acceleration and turn rate [s]; as they grow, the prediction becomes exact CTRA.
-    """
-    steps = round(WINDOW / TIME_STEP)
-    past = moments.tracks(moments.past)[:, -steps - 1 :]
-    times = TIME_STEP * (np.arange(steps + 1) - steps / 2)
-    slopes = np.nan_to_num(np.einsum("t,ntc->nc", times, past[..., 2:]) / np.sum(times**2))
-    return one_mode(_arc(past[:, -1], slopes[:, 1], slopes[:, 0], *fading))
-
-
-@jax.jit
-@partial(jnp.vectorize, signature="(c),(),(),(),()->(t,d)")
-def _arc(now: jax.Array, acceleration: Scalar, turn_rate: Scalar, slowing: Scalar, straightening: Scalar) -> jax.Array:
-    """Return positions [50, 2] after each step, with an acceleration and a turn rate that fade at these constants."""
-    x, y, heading, speed = now
-    middles = TIME_STEP * (jnp.arange(STEPS) + 0.5)
-
-    def effect(fading: Scalar) -> jax.Array:
-        """Return the integral until each time of what begins at 1 and fades."""
-        return -fading * jnp.expm1(-middles / fading)
-
-    distance = TIME_STEP * jnp.maximum(speed + acceleration * effect(slowing), 0.0)
-    direction = heading + turn_rate * effect(straightening)
-    along, across = jnp.cumsum(distance * jnp.cos(direction)), jnp.cumsum(distance * jnp.sin(direction))
-    return jnp.stack([x + along, y + across], axis=-1)
+    """Predict drivers that keep their speed and heading."""
+    x, y, heading, speed = moments.drivers(moments.now).T[..., None]
+    distance = speed * TIME_STEP * np.arange(1, STEPS + 1)
+    return one_mode(np.stack([x + distance * np.cos(heading), y + distance * np.sin(heading)], axis=-1))
 
 
 @pytree

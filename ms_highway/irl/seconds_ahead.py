@@ -74,7 +74,7 @@ def learn_drivers(
     known = _afterwards(moments).among(chosen)
     if not known.counts.any():
         raise ValueError(f"no driver was seen for {SURE / 10:g} s on end; nothing can be learned seconds ahead")
-    found, drivers = _fit_drivers(moments, known, lambda step: progress(f"fitting drivers seconds ahead, {step}"))
+    found, drivers = _fit_drivers(moments, known, progress)
     modes = _predict_unknown(moments, known, found, chosen, progress) or predict(moments, drivers)
     spread = fit_spread(modes, np.where(chosen[moments.which][:, None, None], moments.recorded, np.nan))
     deviations = dict(zip(NAMES, _deviations(found, moments, known), strict=True)) if intervals else {}
@@ -103,7 +103,7 @@ def _fit_drivers(
     given, evaluations = _in_single_precision(moments), count(1)
 
     def value(logarithms: Parameters) -> tuple[Scalar, Parameters]:
-        progress(f"evaluation {next(evaluations)}")
+        progress(f"fitting {known.counts.any(axis=1).sum()} moments seconds ahead, evaluation {next(evaluations)}")
         off, slope = _mean_off(logarithms, given, known)
         far = (logarithms - first) / DEVIATIONS
         return float(off) + far @ far / (2 * number), np.asarray(slope, dtype=float) + far / DEVIATIONS / number
@@ -171,10 +171,7 @@ def _predict_unknown(
     fold = np.searchsorted(names, moments.group) % FOLDS
 
     def without(number: int) -> Modes:
-        def tell(step: str) -> None:
-            progress(f"fitting the spread around other drivers, part {number + 1} of {FOLDS}, {step}")
-
-        return predict(moments, _fit_drivers(moments, known.among(fold != number), tell, begin, REFIT)[1])
+        return predict(moments, _fit_drivers(moments, known.among(fold != number), progress, begin, REFIT)[1])
 
     return moments.by_fold(fold, list(map(without, range(FOLDS))))
 

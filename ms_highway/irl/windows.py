@@ -65,15 +65,15 @@ def padded_lanes(recordings: Sequence[Recording]) -> list[Values]:
     return [np.pad(np.asarray(item.lanes, float), (0, most - len(item.lanes)), mode="edge") for item in recordings]
 
 
-def cut_windows(recordings: Sequence[Recording], steps: int) -> Windows:
-    """Cut the drivers' tracks into consecutive windows without overlap.
+def regular_windows(recordings: Sequence[Recording], steps: int) -> Windows:
+    """Cut the drivers' tracks into consecutive windows without overlap, of which the `regular` ones are returned.
 
     Args:
         recordings: the recordings to cut.
         steps: K, the length of a window.
 
     Raises:
-        ValueError: if there is no window.
+        ValueError: if no window is regular.
     """
     groups, rows, numbers = number_groups(recordings), [], itertools.count()
     for recording, lanes in zip(recordings, padded_lanes(recordings), strict=True):
@@ -98,9 +98,13 @@ def cut_windows(recordings: Sequence[Recording], steps: int) -> Windows:
                 others = np.where(taken[:, None, None], paths, far_behind(start))
                 controls = track.controls[first : first + steps]
                 rows.append(Windows(scene, recording.speed_limit, start, controls, others, *marks))
-    if not rows:
-        raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {steps + 1} samples on end")
-    return jax.tree.map(lambda *parts: np.stack(parts), *rows)
+    windows = jax.tree.map(lambda *parts: np.stack(parts), *rows) if rows else None
+    if windows is None or not (chosen := regular(windows)).any():
+        raise ValueError(
+            f"nothing can be learned from the {len(recordings)} recordings: no driver was seen for {steps + 1} samples "
+            "on end, or all are at the limits of control or at the edge of the road"
+        )
+    return windows.of(chosen)
 
 
 def _coasting(states: CarStates) -> CarStates:
@@ -112,22 +116,6 @@ def _coasting(states: CarStates) -> CarStates:
         kept = np.stack([x + distance * np.cos(heading), y + distance * np.sin(heading), heading, speed], axis=-1)
         after[:] = np.where(np.isnan(after).any(axis=-1, keepdims=True), kept, after)
     return states
-
-
-def regular_windows(recordings: Sequence[Recording], steps: int) -> Windows:
-    """Return the `regular` windows of recordings, see `cut_windows`.
-
-    Raises:
-        ValueError: if no window is regular.
-    """
-    windows = cut_windows(recordings, steps)
-    windows = windows.of(regular(windows))
-    if not len(windows):
-        raise ValueError(
-            f"nothing can be learned from the {len(recordings)} recordings: in all windows of {steps} steps, drivers "
-            "are at the limits of control or at the edge of the road"
-        )
-    return windows
 
 
 def regular(windows: Windows) -> Flags:
@@ -177,13 +165,12 @@ def path_features(game: Game, window: Windows, path: Trajectory) -> Float[jax.Ar
     return jax.vmap(at_step, in_axes=(1, 1))(path, window.others)
 
 
-def control_deviation(game: Game, window: Windows, controls: Controls) -> Controls:
-    """Return scaled controls minus those that keep the velocity; comfort's features are ``-sum deviation^2 / 2``."""
-    return controls - keep_velocity(game.dynamics, jnp.asarray(window.start)) / game.planner.control_scale
-
-
 def features_along(game: Game, window: Windows, controls: Controls) -> Float[jax.Array, "features"]:
-    """Return the game's features, then those of comfort, summed over a window's steps under scaled controls."""
-    path = move(game, jnp.asarray(window.start), controls)
-    paid = path_features(game, window, path).sum(axis=0)
-    return jnp.concatenate([paid, -jnp.sum(control_deviation(game, window, controls) ** 2, axis=0) / 2])
+    """Return the game's features, then those of comfort, summed over a window's steps under scaled controls.
+
+    Comfort's are ``-sum deviation^2 / 2``, of the deviation from the controls that keep the velocity.
+    """
+    start = jnp.asarray(window.start)
+    paid = path_features(game, window, move(game, start, controls)).sum(axis=0)
+    deviation = controls - keep_velocity(game.dynamics, start) / game.planner.control_scale
+    return jnp.concatenate([paid, -jnp.sum(deviation**2, axis=0) / 2])

@@ -10,7 +10,6 @@ from jaxtyping import Float, Int
 from ms_highway.game.learned_drivers import Drivers, RewardTraits
 from ms_highway.game.neighbours import Leader, leaders
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.optimization.kalman import Gaussian, updated
 from ms_highway.planning.held_control import held_acceleration, held_curvature
 
 PAST = 30
@@ -30,6 +29,7 @@ FAR = 1e4  # m behind, where cars are that are not seen
 Cars = Float[Any, "cars"]
 States = Float[Any, "cars 4"]
 TraitLogarithms = Float[Any, "cars 3"]
+Estimate = tuple[Float[Any, "3"], Float[Any, "3 3"]]  # mean and covariance
 
 
 class Surroundings(Protocol):
@@ -118,16 +118,21 @@ def shown_traits(drivers: Drivers, around: Surroundings, past: Float[Any, "times
     speeds = past[..., 3]
     leader = jax.vmap(lambda states: leader_of(around, states, states, states[:, 1]))(past)
     cars = past.shape[1]
-    traits = Gaussian(jnp.zeros((cars, 3)), jnp.tile(jnp.diag(jnp.asarray(prior.deviations) ** 2), (cars, 1, 1)))
+    covariance = jnp.tile(jnp.diag(jnp.asarray(prior.deviations) ** 2), (cars, 1, 1))
+    traits = jnp.zeros((cars, 3)), covariance
 
     def expected(logarithms: TraitLogarithms, speed: Cars, leader: Leader) -> Float[Any, ""]:
         usual = prior.traits(logarithms, around.speed_limit)
         return held_acceleration(drivers.weights, usual, speed, leader).mean()
 
-    def update(traits: Gaussian, speed: Cars, leader: Leader, gained: Cars, seen: jax.Array) -> Gaussian:
-        predicted, slope = jax.value_and_grad(expected)(traits.mean, speed, leader)
-        after, _ = updated(traits, slope, gained - predicted, prior.noise**2, CLIPPED)
-        after = after._replace(mean=jnp.clip(after.mean, -FARTHEST, FARTHEST))
+    def update(traits: Estimate, speed: Cars, leader: Leader, gained: Cars, seen: jax.Array) -> Estimate:
+        mean, covariance = traits
+        predicted, slope = jax.value_and_grad(expected)(mean, speed, leader)
+        along = jnp.sum(covariance * slope, axis=1)
+        variance = jnp.sum(slope * along) + prior.noise**2
+        reach, gain = CLIPPED * jnp.sqrt(variance), along / variance
+        moved = mean + gain * jnp.clip(gained - predicted, -reach, reach)
+        after = jnp.clip(moved, -FARTHEST, FARTHEST), covariance - gain[:, None] * along
         return jax.tree.map(partial(jnp.where, seen), after, traits)
 
     for first in range(0, PAST, SECOND):
@@ -135,4 +140,4 @@ def shown_traits(drivers: Drivers, around: Surroundings, past: Float[Any, "times
         gained = (speeds[last] - speeds[first]) / (SECOND * TIME_STEP)
         led = Leader(*(part[then].T for part in leader))
         traits = jax.vmap(update)(traits, speeds[then].T, led, gained, seen[first : last + 1].all(axis=0))
-    return traits.mean
+    return traits[0]

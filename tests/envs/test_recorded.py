@@ -12,14 +12,14 @@ from gymnasium.utils.env_checker import check_env
 from highway_env.road.lane import StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
-from recordings import SPEED, TURN, car, lanelet, linked_lanes, place, problem, scenario, straight
+from recordings import SPEED, TURN, car, linked_lanes, place, problem, scenario
 
 import ms_highway
 from ms_highway.benchmarks.road.recorded import starts_of
 from ms_highway.envs.recorded.commonroad import open_commonroad
 from ms_highway.envs.recorded.network import SampledLane
 from ms_highway.envs.recorded.problem import Task, inside
-from ms_highway.envs.recorded.scenario import GoalRegion, Problem, open_recording, pack, unpacked
+from ms_highway.envs.recorded.scenario import GoalRegion, Problem, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import overlap
 from ms_highway.vehicle.appointment import Appointment
@@ -113,25 +113,13 @@ def stood(us):
     return found
 
 
-@pytest.mark.parametrize("action", [None, "ContinuousAction", "DiscreteAction"])
+@pytest.mark.parametrize("action", [None, "DiscreteAction"])
 def test_gymnasiums_checker_passes_without_a_warning(action, tmp_path):
     config = {"recording": written(tmp_path), **({"action": {"type": action}} if action else {})}
     env = gym.make("ms-highway/recorded-v0", render_mode="rgb_array", config=config)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env.unwrapped)
-
-
-def test_the_same_seed_and_file_give_the_same_observations_byte_for_byte(us):
-    seen = []
-    for _ in range(2):
-        env = make(us("17_1"), "learned", "DiscreteMetaAction")
-        env.action_space.seed(3)
-        first, _ = env.reset(seed=5)
-        later = [env.step(env.action_space.sample())[0] for _ in range(20)]
-        seen.append([observation.tobytes() for observation in (first, *later)])
-    assert seen[0] == seen[1]
-    assert len(set(seen[0])) == 21
 
 
 def test_a_robot_in_learned_traffic_drives_the_same_trajectory_twice(us):
@@ -166,16 +154,6 @@ def test_in_replay_everybody_is_where_it_was_recorded_at_each_step(us):
     assert len(there) < len(tracks) > 30
 
 
-def test_in_replay_vehicles_enter_and_leave_when_they_were_recorded_to(tmp_path):
-    cars = CARS + car(102, 0, 3.5, samples=10, first=7)
-    env = make(written(tmp_path, cars, problem(times=(35, 40), goal=190)))
-    env.reset(seed=0)
-    seen = [set(others(env))]
-    seen += [set(others(env)) for _ in steps(env)]
-    assert [102 in numbers for numbers in seen] == [7 <= step <= 16 for step in range(41)]
-    assert [100 in numbers for numbers in seen] == [step <= 19 for step in range(41)]
-
-
 def test_who_is_behind_an_ego_that_stands_is_hit_in_replay_and_brakes_in_learned_traffic(stood):
     (replayed, went, _, hit), (learned, drove, _, unhurt) = stood["replay"], stood["learned"]
     assert (replayed["collision"], learned["collision"]) == (True, False)
@@ -191,17 +169,11 @@ def test_learned_drivers_do_not_drive_through_each_other(stood):
     assert not stood["learned"][2] - stood["replay"][2]
 
 
-ASTRIDE = pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="who starts astride of a line minds one lane only"
-)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param("11_4", marks=ASTRIDE), "10_4"])
-def test_learned_drivers_do_not_drive_through_each_other_on_other_roads(name, us):
+def test_learned_drivers_do_not_drive_through_each_other_on_another_road(us):
     pairs = {}
     for traffic in ("replay", "learned"):
-        env = make(us(name), traffic)
+        env = make(us("10_4"), traffic)
         env.reset(seed=0)
         pairs[traffic] = overlapping(env)
         for _ in range(env.unwrapped.task.last):
@@ -220,7 +192,7 @@ def test_learned_drivers_do_not_hit_an_ego_that_brakes_gently(name, us):
 
 
 @pytest.mark.parametrize("traffic", ["learned", "idm"])
-def test_who_finds_somebody_in_its_place_waits_and_info_says_so(traffic, tmp_path):
+def test_a_car_whose_place_is_taken_waits_and_enters_there_later(traffic, tmp_path):
     late = car(102, 20, 0, samples=60, first=5)
     env = make(written(tmp_path, CARS + late, problem(speed=0.0, goal=190, times=(0, 60))), traffic)
     _, info = env.reset(seed=0)
@@ -236,61 +208,21 @@ def test_who_finds_somebody_in_its_place_waits_and_info_says_so(traffic, tmp_pat
             break
     assert gap > 4.5
     assert info["recorded"]["waiting"] == ()
-
-
-def test_in_replay_nobody_waits(tmp_path):
-    cars = CARS + car(102, 20, 0, first=5)
-    env = make(written(tmp_path, cars, problem(speed=0.0, goal=190, times=(0, 60))))
-    env.reset(seed=0)
-    *_, (_, _, terminated, _, info) = steps(env)
-    assert (info["recorded"]["step"], info["recorded"]["waiting"], terminated) == (5, (), True)
-    assert info["recorded"]["collision"]
-
-
-@pytest.mark.parametrize("traffic", ["learned", "idm"])
-def test_who_waited_enters_where_it_was_to_enter(traffic, tmp_path):
-    late = car(102, 20, 0, samples=60, first=5)
-    env = make(written(tmp_path, CARS + late, problem(speed=0.0, goal=190, times=(0, 60))), traffic)
-    env.reset(seed=0)
-    for _ in steps(env, starting):
-        if 102 in others(env):
-            break
-    entered = env.unwrapped.axes.points(others(env)[102].position)
-    np.testing.assert_allclose(entered, place(20, 0), atol=0.1)
+    np.testing.assert_allclose(env.unwrapped.axes.points(others(env)[102].position), place(20, 0), atol=0.1)
 
 
 SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 4.0], [0.0, 4.0]])
 
 
-def reached(step=15, point=(5.0, 2.0), orientation=0.0, speed=10.0, **goal):
-    """Whether a goal is reached; by default, anywhere within steps 10 to 20."""
-    goal = GoalRegion(**({"times": (10, 20)} | goal))
-    return Task(Problem(1, (0.0, 0.0, 0.0, 0.0), 0, (goal,)), (4.5, 1.8)).is_reached(step, point, orientation, speed)
-
-
-def test_a_goal_counts_from_its_first_to_its_last_step():
-    assert [step for step in range(30) if reached(step)] == list(range(10, 21))
-
-
-def test_a_goal_counts_from_its_lowest_to_its_highest_speed():
-    speeds = [4.99, 5.0, 6.5, 8.0, 8.01]
-    assert [reached(speed=speed, speeds=(5.0, 8.0)) for speed in speeds] == [False, True, True, True, False]
-
-
 @pytest.mark.parametrize("turns", [-2, 0, 1])
-@pytest.mark.parametrize("low", [-0.8, 0.0, 3.0, -np.pi, 2 * np.pi - 0.1])
+@pytest.mark.parametrize("low", [-0.8, 3.0, 2 * np.pi - 0.1])
 def test_a_goal_counts_from_its_first_heading_to_the_left_to_its_last_whatever_the_number_of_turns(low, turns):
     for last in (low + 0.3, low + 0.3 - 2 * np.pi):
+        goal = GoalRegion((10, 20), headings=(low, last))
+        task = Task(Problem(1, (0.0, 0.0, 0.0, 0.0), 0, (goal,)), (4.5, 1.8))
         given = [low + turns * 2 * np.pi + more for more in (-0.001, 0.001, 0.15, 0.299, 0.301, np.pi)]
-        assert [reached(orientation=orientation, headings=(low, last)) for orientation in given] == [
-            *(False, True, True, True, False, False)
-        ]
-
-
-def test_a_goal_counts_inside_its_area():
-    eps = 1e-9
-    points = [(eps, eps), (10 - eps, 4 - eps), (-eps, 2.0), (10 + eps, 2.0), (5.0, 4 + eps), (5.0, -eps)]
-    assert [reached(point=point, area=SQUARE) for point in points] == [True, True, False, False, False, False]
+        found = [task.is_reached(15, (5.0, 2.0), orientation, 10.0) for orientation in given]
+        assert found == [False, True, True, True, False, False]
 
 
 def test_one_of_several_goals_is_enough_and_the_last_step_is_that_of_all():
@@ -330,10 +262,8 @@ def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
     [
         ({}, 17),  # at 20 m + 17 1.2 m = 40.4 m, the first step in the region from 40 m to 60 m
         ({"times": (25, 40)}, 25),
-        ({"times": (5, 16)}, None),
         ({"speeds": (11.0, 13.0), "headings": (TURN - 0.1, TURN + 0.1)}, 17),
         ({"speeds": (12.5, 13.0)}, None),
-        ({"headings": (TURN + 0.1, TURN + 0.3)}, None),
         ({"goal_right": WIDTH}, None),
     ],
 )
@@ -359,19 +289,9 @@ def test_each_of_several_planning_problems_can_be_driven(tmp_path):
         starts[ego] = env.unwrapped.vehicle.position[0]
     assert starts["problem"] == starts["problem:7"] == pytest.approx(starts["problem:8"] - 10)
     assert [start.ego for start in starts_of(tmp_path, "problem")] == ["problem:7", "problem:8"]
-    assert len({start.name for start in starts_of(tmp_path, "problem")}) == 2
 
 
-def test_an_episode_that_starts_later_ends_with_the_last_goals_step_of_the_recording(tmp_path):
-    env = make(written(tmp_path, problems=problem(time=12, times=(15, 30), goal=190)))
-    _, info = env.reset(seed=0)
-    assert info["recorded"]["step"] == 12
-    np.testing.assert_allclose(poses(env, others(env)[100])[:2], place(60 + 12 * SPEED * 0.1, 0), atol=1e-6)
-    outcomes = list(steps(env))
-    assert (len(outcomes), *outcomes[-1][2:4]) == (18, False, True)
-
-
-@pytest.mark.parametrize("traffic", ["replay", "learned", "idm"])
+@pytest.mark.parametrize("traffic", ["replay", "learned"])
 def test_a_collision_ends_the_episode_without_success(traffic, tmp_path):
     cars = car(100, 27, 0, samples=60)
     env = make(written(tmp_path, cars, problem(speed=25.0, goal=32.0, times=(2, 40))), traffic)
@@ -411,11 +331,8 @@ def test_the_ego_in_the_place_of_a_recorded_vehicle_goes_to_its_last_position(us
     np.testing.assert_allclose(poses(env, base.vehicle), first[1:], atol=1e-6)
     assert track.size == (base.vehicle.LENGTH, base.vehicle.WIDTH)
     assert info["recorded"]["step"] == first[0]
-    assert 278 not in others(env)
-    assert len(others(env)) == len([t for t in base.scenario.tracks if t.samples[0, 0] == first[0]]) - 1
     for step, right in ((last[0], True), (last[0] + 20, True), (last[0] + 21, False)):
         assert base.task.is_reached(int(step), last[1:3], last[3], last[4]) == right
-    assert not base.task.is_reached(int(last[0]), first[1:3], first[3], first[4])
     assert base.appointment.spot.lane == base.road.network.get_closest_lane_index(base.axes.positions(last[1:3]))
     for _ in range(5):
         env.step(idle())
@@ -430,101 +347,34 @@ def test_who_drives_as_the_recorded_vehicle_did_has_success(tmp_path):
     assert info["recorded"]["step"] == 18  # 1.2 m before its last position, of a region 4 m long
 
 
-def test_a_driven_robot_keeps_the_size_of_the_recorded_vehicle(tmp_path):
-    env = ms_highway.drive(make(written(tmp_path, problems=""), ego=100))
-    env.reset(seed=0)
-    assert (env.unwrapped.vehicle.LENGTH, env.unwrapped.vehicle.WIDTH) == (4.5, 1.8)
-
-
-def on_one_line(error):
-    return str(error.value).count("\n") == 0
-
-
 @pytest.mark.parametrize(
     ("file", "config", "message"),
     [
-        ({"problems": ""}, {}, r"small.xml: there is no planning problem; drive .* config\['ego'\], such as 100"),
         ({"problems": problem(right=40.0)}, {}, r"small.xml: there is no lanelet under the start, \(39.1, -21.7\)"),
-        ({"time_step": 0.2}, {}, r"small.xml: the time step is 0.2 s; it must be 0.1 s"),
         ({"lanelets": linked_lanes("opposite")}, {}, r"small.xml: lanelet 1 .* only roads of one direction can be dr"),
-        ({"lanelets": ""}, {}, r"small.xml: there are no lanelets"),
-        ({"lanelets": linked_lanes() + lanelet(9, 8, straight(200, 0))}, {}, "lanelet 9 goes against the others; only"),
         ({"lanelets": linked_lanes().replace('ref="4" driv', 'ref="2" driv')}, {}, "lanelet 2 is beside itself"),
-        ({"cars": ""}, {}, r"small.xml: there is no dynamic obstacle with two samples"),
-        ({}, {"ego": 7}, r"small.xml: config\['ego'\] is 7, which is not there; choose one of 100, 101"),
         ({"cars": CARS + car(103, 5, 0, 1)}, {"ego": 103}, r"config\['ego'\] is 103, which was seen only once"),
         ({}, {"ego": "problem:8"}, r"small.xml: there is no planning problem 8, config\['ego'\]; choose one of 7"),
-        ({}, {"ego": "nobody"}, r"config\['ego'\] is 'nobody'; say 'problem'"),
         ({}, {"recording": "us102"}, r"config\['recording'\] is 'us102', which is no file; give .* or 'us101'"),
-        ({}, {"recording": 101}, r"config\['recording'\] is 101; give the file of a CommonRoad scenario"),
-        ({}, {"traffic": "real"}, r"config\['traffic'\] is 'real'; choose one of 'learned', 'replay', 'idm'"),
-        ({}, {"trafic": "idm"}, r"unknown key 'trafic' in config; did you mean 'traffic'"),
-        ({}, {"goal_reward": float("nan")}, r"config\['goal_reward'\] is nan; it must be a number"),
-        ({}, {"policy_frequency": 5}, r"config\['policy_frequency'\] is 5; .* it must be 10"),
         ({}, {"observation": {"type": "CarStates"}}, r"config\['observation'\] is .*; its 'type' must be one of"),
-        ({}, {"action": {"type": "Autopilot"}}, r"config\['action'\] is .*; its 'type' must be one of"),
     ],
 )
 def test_what_cannot_be_driven_is_refused_by_name_with_what_to_do(file, config, message, tmp_path):
     path = written(tmp_path, **file)
     with pytest.raises(ValueError, match=message) as error:
         make(path, **config).reset(seed=0)
-    assert on_one_line(error)
+    assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("kept", [0, 2500])
-def test_a_damaged_file_is_refused_by_name(kept, tmp_path):
-    path = written(tmp_path)
-    with open(path, "r+") as file:
-        file.truncate(kept)
-    with pytest.raises(
-        ValueError, match=r"small.xml cannot be read as a CommonRoad scenario .*fetch it again"
-    ) as error:
-        make(path).reset(seed=0)
-    assert on_one_line(error)
-
-
-@pytest.mark.parametrize(
-    "problems", [problem(speed=float("nan")), problem().split("<goalState>")[0] + "</planningProblem>"]
-)
-def test_a_damaged_planning_problem_is_refused_by_name(problems, tmp_path):
-    with pytest.raises(ValueError, match=r"small\.xml: planning problem 7 "):
-        make(written(tmp_path, problems=problems))
-
-
-BAD = {
-    "ego": lambda directory: {"ego": 7},
-    "key": lambda directory: {"trafic": "idm"},
-    "file": lambda directory: {"recording": str(directory / "missing.xml")},
-    "start": lambda directory: {"recording": written(directory, problems=problem(right=40.0))},
-}
-
-
-@pytest.mark.parametrize("kind", BAD)
-def test_after_a_failed_reset_the_configuration_is_that_of_before(kind, tmp_path):
-    directory = tmp_path / "bad"
-    directory.mkdir()
+@pytest.mark.parametrize("change", [{"ego": 7}, {"trafic": "idm"}, {"recording": "missing.xml"}])
+def test_after_a_failed_reset_the_old_episode_goes_on(change, tmp_path):
     env = make(written(tmp_path))
     env.reset(seed=0)
     env.step(idle())
     before = dict(env.unwrapped.config)
     with pytest.raises(ValueError, match=r"small\.xml|missing\.xml|trafic"):
-        env.reset(options={"config": {"traffic": "idm", **BAD[kind](directory)}})
+        env.reset(options={"config": {"traffic": "idm", **change}})
     assert env.unwrapped.config == before
-    assert (env.unwrapped.settings.traffic, env.unwrapped.steps) == ("replay", 1)
-    _, info = env.reset(seed=0)
-    assert (info["recorded"]["step"], set(others(env))) == (0, {100, 101})
-    assert [type(vehicle).__name__ for vehicle in others(env).values()] == ["RecordedVehicle"] * 2
-
-
-def test_after_a_failed_reset_the_old_episode_goes_on(tmp_path):
-    directory = tmp_path / "bad"
-    directory.mkdir()
-    env = make(written(tmp_path))
-    env.reset(seed=0)
-    env.step(idle())
-    with pytest.raises(ValueError, match="no lanelet under the start"):
-        env.reset(options={"config": BAD["start"](directory)})
     assert env.step(idle())[4]["recorded"]["step"] == 2
 
 
@@ -549,31 +399,21 @@ def lanes_by_road(network):
     return {(start, end): len(lanes) for start, ends in network.graph.items() for end, lanes in ends.items()}
 
 
-def test_the_roads_of_a_merge_lead_into_one_node_and_its_lanes_into_each_other(merge):
-    network, _ = merge
-    roads = lanes_by_road(network)
-    (after,) = [road for road, lanes in roads.items() if lanes == 6]
-    before = {road: lanes for road, lanes in roads.items() if road != after}
-    assert sorted(before.values()) == [1, 5]
-    assert {end for _, end in before} == {after[0]}
-    lanes = road_map(network).lanes
-    leads = [lane.following()[0].number for lane in lanes.values() if lane.end == after[0] and lane.following()]
-    assert sorted(leads) == [0, 1, 2, 3, 4, 5]
-    (ramp,) = [lane for lane in lanes.values() if roads[lane.index[:2]] == 1]
-    assert ramp.following()[0].number == 5
-
-
-def test_the_roads_of_an_exit_come_from_one_node(exits):
-    network, _ = exits
-    roads = lanes_by_road(network)
-    (before,) = [road for road, lanes in roads.items() if lanes == 6]
-    after = {road: lanes for road, lanes in roads.items() if road != before}
-    assert sorted(after.values()) == [1, 5]
-    assert {start for start, _ in after} == {before[1]}
-    lanes = road_map(network).lanes
-    follow = [lanes[*before, number].following()[0] for number in range(6)]
-    assert [roads[lane.index[:2]] for lane in follow] == [5] * 5 + [1]
-    assert [lane.number for lane in follow] == [0, 1, 2, 3, 4, 0]
+@pytest.mark.parametrize(("kind", "joint"), [("merge", 1), ("exits", 0)])
+def test_the_roads_of_a_merge_and_of_an_exit_share_a_node_and_their_lanes_lead_into_each_other(kind, joint, request):
+    network, _ = request.getfixturevalue(kind)
+    roads = {(start, end): len(lanes) for start, ends in network.graph.items() for end, lanes in ends.items()}
+    (whole,) = [road for road, lanes in roads.items() if lanes == 6]
+    parts = {road: lanes for road, lanes in roads.items() if road != whole}
+    assert sorted(parts.values()) == [1, 5]
+    assert {road[joint] for road in parts} == {whole[1 - joint]}
+    led = {lane.index: lane.following()[0] for lane in road_map(network).lanes.values() if lane.following()}
+    if kind == "merge":
+        assert sorted(lane.number for index, lane in led.items() if index[:2] in parts) == [0, 1, 2, 3, 4, 5]
+        assert [lane.number for index, lane in led.items() if roads[index[:2]] == 1] == [5]
+    else:
+        follow = [led[*whole, number] for number in range(6)]
+        assert [(roads[lane.index[:2]], lane.number) for lane in follow] == [*((5, n) for n in range(5)), (1, 0)]
 
 
 def test_lanes_go_on_smoothly_over_joints_and_within_themselves(merge, exits):
@@ -590,8 +430,8 @@ def test_lanes_go_on_smoothly_over_joints_and_within_themselves(merge, exits):
 def test_lane_coordinates_lead_back_to_positions(merge, exits):
     for network, _ in (merge, exits):
         for lane in network.lanes_list():
-            for along in np.linspace(-20.0, lane.length + 20.0, 60):
-                for right in (-2.0, 0.0, 1.5):
+            for along in np.linspace(-20.0, lane.length + 20.0, 30):
+                for right in (-2.0, 1.5):
                     found = lane.local_coordinates(lane.position(along, right))
                     np.testing.assert_allclose(found, (along, right), rtol=0, atol=0.01)
 
@@ -599,35 +439,18 @@ def test_lane_coordinates_lead_back_to_positions(merge, exits):
 def test_lanes_are_as_wide_and_go_where_the_file_says(merge):
     network, env = merge
     lanes = network.lanes_list()
-    taken = set()
+    assert len(lanes) == len(env.scenario.lanelets)
     for piece in env.scenario.lanelets:
         middles = env.axes.positions(piece.centre)
-        offsets = [np.abs([lane.local_coordinates(point) for point in middles]) for lane in lanes]
-        places = [np.array([lane.local_coordinates(point)[0] for point in middles]) for lane in lanes]
-        beside = [
-            part[:, 1].max() + max(0, -x.min()) + max(0, x.max() - lane.length)
-            for lane, part, x in zip(lanes, offsets, places, strict=True)
-        ]
-        best = int(np.argmin(beside))
-        taken.add(best)
-        assert beside[best] < 0.25
-        widths = np.linalg.norm(piece.left - piece.right, axis=-1)
-        found = [lanes[best].width_at(along) for along in places[best]]
-        np.testing.assert_allclose(found, widths, rtol=0, atol=0.05)
-    assert len(taken) == len(lanes) == len(env.scenario.lanelets)
-
-
-def test_a_recording_is_the_same_to_a_millimetre_after_it_was_packed_and_in_the_same_bytes(us, tmp_path):
-    recording = open_recording(str(us("17_1")))
-    for name in ("one", "two"):
-        pack(recording, tmp_path / name)
-    packed = (tmp_path / "one").read_bytes()
-    assert packed == (tmp_path / "two").read_bytes()
-    again = unpacked(packed)
-    assert [track.number for track in again.tracks] == [track.number for track in recording.tracks]
-    for new, old in zip(again.tracks, recording.tracks, strict=True):
-        np.testing.assert_allclose(new.samples, old.samples, rtol=0, atol=5.1e-4)
-    assert again.problems[0].goals[0].times == recording.problems[0].goals[0].times
+        places = {lane: np.array([lane.local_coordinates(point) for point in middles]) for lane in lanes}
+        beyond = {
+            lane: abs(y).max() + max(0, -x.min()) + max(0, x.max() - lane.length)
+            for lane, (x, y) in ((lane, found.T) for lane, found in places.items())
+        }
+        lane = min(lanes, key=beyond.get)
+        assert beyond[lane] < 0.25
+        found = [lane.width_at(along) for along, _ in places[lane]]
+        np.testing.assert_allclose(found, np.linalg.norm(piece.left - piece.right, axis=-1), rtol=0, atol=0.05)
 
 
 def test_the_recording_of_the_package_is_driven_without_any_file():
@@ -638,50 +461,25 @@ def test_the_recording_of_the_package_is_driven_without_any_file():
     assert info["recorded"]["step"] > 40
 
 
-def test_a_lane_is_the_same_after_json(exits):
-    network, _ = exits
-    for lane in network.lanes_list():
-        copy = SampledLane.from_config(json.loads(json.dumps(lane.to_config()))["config"])
-        assert copy.to_config() == lane.to_config()
-        np.testing.assert_array_equal(copy.position(17.3, 0.4), lane.position(17.3, 0.4))
-        assert (copy.length, copy.width_at(30.0)) == (lane.length, lane.width_at(30.0))
-
-
-def test_a_network_is_the_same_after_json(exits):
+def test_lanes_and_networks_are_the_same_after_json(exits):
     network, _ = exits
     again = RoadNetwork.from_config(json.loads(json.dumps(network.to_config())))
     assert again.lanes_dict().keys() == network.lanes_dict().keys()
-    assert all(isinstance(lane, SampledLane) for lane in again.lanes_list())
+    for lane, copy in zip(network.lanes_list(), again.lanes_list(), strict=True):
+        assert isinstance(copy, SampledLane)
+        assert copy.to_config() == lane.to_config()
+        np.testing.assert_array_equal(copy.position(17.3, 0.4), lane.position(17.3, 0.4))
 
 
-def straightened(us, name):
-    recording = open_recording(str(us(name)))
+def test_on_the_straight_road_cars_move_where_they_head_and_bending_leads_back(us):
+    recording = open_recording(str(us("17_1")))
     road = StraightRoad.of(recording.lanelets)
-    return road, [
-        (track.samples, road.straighten(track.samples[:, 1:3], *track.samples[:, 3:].T)) for track in recording.tracks
-    ]
-
-
-def test_recorded_states_are_the_same_after_the_road_was_straightened_and_bent(us):
-    road, tracks = straightened(us, "17_1")
-    assert len(tracks) > 30
-    for samples, states in tracks:
+    for track in recording.tracks:
+        states = road.path(track)
         points, orientations = road.bend(states)
-        np.testing.assert_allclose(points, samples[:, 1:3], rtol=0, atol=1e-6)
-        assert np.abs(np.exp(1j * orientations) - np.exp(1j * samples[:, 3])).max() < 1e-6
-        np.testing.assert_array_equal(states[:, 3], samples[:, 4])
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "17_1",
-        "10_4",
-    ],
-)
-def test_on_the_straight_road_cars_move_where_they_head(name, us):
-    _, tracks = straightened(us, name)
-    for _, states in tracks:
+        np.testing.assert_allclose(points, track.samples[:, 1:3], rtol=0, atol=1e-6)
+        assert np.abs(np.exp(1j * orientations) - np.exp(1j * track.samples[:, 3])).max() < 1e-6
+        np.testing.assert_array_equal(states[:, 3], track.samples[:, 4])
         moves = np.diff(states[:, :2], axis=0)
         went = np.hypot(*moves.T) > 0.3
         courses = np.arctan2(moves[:, 1], moves[:, 0])
@@ -697,12 +495,6 @@ STRAIGHT.add_lane("a", "b", StraightLane([0, 0], [400, 0], width=4.0))
     [
         (15.0, 120.0, (7.0, 8.0), (0.0, np.inf)),
         (10.0, 120.0, (7.0, 8.0), (15.0, 25.0)),
-        (20.0, 100.0, (7.0, 8.0), (5.0, 12.0)),
-        (12.0, 60.0, (9.0, 10.0), (0.0, 3.0)),
-        (5.0, 30.0, (9.0, 10.0), (0.0, 3.0)),
-        (15.0, 150.0, (10.0, 10.0), (0.0, np.inf)),
-        (12.0, 100.0, (0.0, 16.0), (0.0, np.inf)),
-        (13.0, 130.0, (7.0, 8.0), (18.0, 24.0)),
         (15.0, 120.0, (7.0, 8.0), (9.8, 15.8)),  # who just goes on is there after 8 s
         (20.0, 150.0, (9.0, 10.0), (5.0, 11.0)),  # as is who brakes by 1 m/s^2, after 10 s
     ],
@@ -729,8 +521,6 @@ def test_who_goes_as_fast_as_is_desired_keeps_its_appointment(speed, distance, t
     ("name", "traffic"),
     [
         ("17_1", "learned"),
-        pytest.param("17_1", "replay", marks=pytest.mark.slow),
-        pytest.param("28_1", "learned", marks=pytest.mark.slow),
         pytest.param("28_1", "replay", marks=pytest.mark.slow),
     ],
 )
@@ -739,6 +529,7 @@ def test_the_robot_keeps_appointments_on_us101(name, traffic, us):
     env.reset(seed=0)
     *_, (*_, info) = steps(env, lambda _: None)
     told = info["recorded"]
+    assert env.unwrapped.task.size == (env.unwrapped.vehicle.LENGTH, env.unwrapped.vehicle.WIDTH)
     (goal,) = env.unwrapped.task.problem.goals
     assert (told["success"], told["collision"], told["off_road"]) == (True, False, False)
     assert info["road"]["success"]

@@ -2,7 +2,6 @@
 
 import gzip
 import re
-import subprocess
 import sys
 from itertools import count
 
@@ -56,19 +55,17 @@ def test_ramps_and_the_opposite_direction_are_no_lanes(tmp_path):
 @pytest.mark.parametrize("beside", [True, False])
 def test_reading_takes_about_as_many_times_more_calls_as_there_are_more_lanelets(beside, tmp_path):
     calls = []
-    for directory, number in ((tmp_path / str(number), number) for number in (2, 50, 250)):
+    for number in (2, 50, 250):  # the first call also imports
         side_by_side = [lanelet(1000 + lane, 3.5 * lane, straight(0, 200)) for lane in range(number)]
         links = [f'<predecessor ref="{999 + place}"/><successor ref="{1001 + place}"/>' for place in range(number)]
         in_a_row = [lanelet(1000 + n, 0, straight(9 * n, 9 * n + 9), link) for n, link in enumerate(links)]
-        directory.mkdir()
         made, before = count(), sys.getprofile()
         sys.setprofile(lambda *_, made=made: next(made))
         try:
-            (recording,) = read(directory, scenario(lanelets="".join(side_by_side if beside else in_a_row)))
+            read(tmp_path, scenario(lanelets="".join(side_by_side if beside else in_a_row)))
         finally:
             sys.setprofile(before)
         calls.append(next(made))
-        assert len(recording.lanes) == (number if beside else 1)
     assert calls[2] < 2 * 250 / 50 * calls[1]
 
 
@@ -89,21 +86,12 @@ def test_cars_seen_once_are_neighbours_but_no_drivers(tmp_path):
     ("text", "problem"),
     [
         (scenario()[:3000], "cannot be read as a CommonRoad scenario .*; fetch it again"),
-        ("", "cannot be read as a CommonRoad scenario .*; fetch it again"),
-        ("<html/>", "cannot be read as a CommonRoad scenario .*; fetch it again"),
-        (scenario(lanelets=""), "there are no lanelets from which lanes start"),
-        (scenario(cars=""), "there is no dynamic obstacle with two samples"),
-        (scenario(cars=car(100, 20, 0, samples=1)), "there is no dynamic obstacle with two samples"),
         (scenario(time_step=0.2), "the time step is 0.2 s; it must be 0.1 s"),
-        (scenario(lanelets=lanelet(1, 0.0, straight(0, 1e9))), "lanelets are not finite, or more than 100000 m apart"),
         (scenario(lanelets=re.sub("<x>[^<]*", "<x>inf", two_lanes(), count=1)), "lanelets are not finite"),
         (scenario(cars=ALONE.replace(f"<exact>{TURN}", "<exact>inf")), "an orientation of inf rad"),
-        (scenario(cars=ALONE.replace(f"<exact>{TURN}", "<exact>1e15")), "an orientation of 1e15 rad"),
-        (scenario(cars=ALONE.replace("<length>4.5", "<length>inf")), "is longer than 100 m"),
-        (scenario(cars=ALONE.replace(f"<exact>{SPEED}", "<exact>1e9")), "faster than any car"),
-        (scenario(cars=ALONE + car(101, 1e9, 0)), "nowhere on Earth"),
+        (scenario(cars=ALONE + car(101, 1e9, 0)), "at no time or place on Earth"),
         (scenario(cars=ALONE.replace("<exact>3<", "<exact>9<")), "times of obstacle 100 do not follow each other"),
-        (scenario(cars=ALONE.replace("<exact>19<", "<exact>1000000000<")), "in 1000000001 time steps"),
+        (scenario(cars=ALONE.replace("<exact>19<", "<exact>1000000000<")), "at no time or place on Earth"),
     ],
 )
 def test_bad_files_are_refused_by_name(tmp_path, text, problem):
@@ -112,30 +100,15 @@ def test_bad_files_are_refused_by_name(tmp_path, text, problem):
 
 
 def test_a_directory_without_scenarios_is_refused_by_name(tmp_path):
-    with pytest.raises(ValueError, match=re.escape(str(tmp_path)) + " holds no CommonRoad scenarios"):
-        read_directory(tmp_path)
-    missing = tmp_path / "missing"
-    with pytest.raises(ValueError, match=re.escape(str(missing)) + " is not a directory"):
-        read_directory(missing)
+    for directory, problem in ((tmp_path, "holds no CommonRoad scenarios"), (tmp_path / "none", "is not a directory")):
+        with pytest.raises(ValueError, match=f"{re.escape(str(directory))} {problem}"):
+            read_directory(directory)
 
 
 def test_the_extra_is_named_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "commonroad.common.reader.file_reader_xml", None)
     with pytest.raises(ImportError, match=re.escape("pip install 'ms-highway[commonroad]'")):
         read(tmp_path, scenario())
-
-
-@pytest.mark.parametrize(("seconds", "mean"), [(3, 2.317), (5, 5.37)])
-def test_constant_velocity_on_us101_errs_as_is_known_from_the_starts_of_tracks(us101, seconds, mean):
-    errors = []
-    for recording in us101:
-        for driver in recording.drivers:
-            track = recording.states[recording.seen[:, driver], driver]
-            if len(track) > seconds * 10:
-                x, y, heading, speed = track[0]
-                guess = [x + speed * seconds * np.cos(heading), y + speed * seconds * np.sin(heading)]
-                errors.append(np.linalg.norm(track[seconds * 10, :2] - guess))
-    assert np.mean(errors) == pytest.approx(mean, rel=0.02)
 
 
 def test_the_first_files_are_read_where_that_is_asked_for(tmp_path):
@@ -157,15 +130,8 @@ def test_a_scenario_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
         read_directory(tmp_path)
 
 
-WITHOUT_PROTOBUF = """
-import pathlib, sys
-sys.modules["google.protobuf"] = None
-from ms_highway.irl.recordings.commonroad import read_directory
-print(len(read_directory(pathlib.Path(sys.argv[1]))))
-"""
-
-
-def test_reading_needs_no_protobuf(tmp_path):
-    (tmp_path / "one.xml").write_text(scenario())
-    run = subprocess.run([sys.executable, "-c", WITHOUT_PROTOBUF, str(tmp_path)], capture_output=True, text=True)
-    assert run.stdout == "1\n", run.stderr
+def test_reading_needs_no_protobuf(tmp_path, monkeypatch):
+    for name in [name for name in sys.modules if name.startswith(("commonroad", "google.protobuf"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "google.protobuf", None)
+    assert len(read(tmp_path, scenario())) == 1

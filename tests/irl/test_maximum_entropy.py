@@ -6,25 +6,22 @@ import gymnasium as gym
 import jax
 import numpy as np
 import pytest
-from jax import numpy as jnp
-from scipy import special, stats
+from scipy import stats
 
 from ms_highway.envs import DEMONSTRATION_ID
-from ms_highway.game.reward import COMFORT, FEATURES, NO_GRADIENT, OWN_FEATURES, RewardModel
-from ms_highway.irl.learning import SIMULATED, best_controls, curvatures, expected_features
+from ms_highway.game.reward import RewardModel
+from ms_highway.irl.learning import SIMULATED, expected_features
 from ms_highway.irl.maximum_entropy import (
     FeatureDerivatives,
     differentiate,
     fit_weights,
     log_likelihoods,
-    window_log_likelihoods,
 )
 from ms_highway.irl.recordings import TEMPERATURE
 from ms_highway.irl.recordings.demonstrations import actions
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.windows import cut_windows, driver_game, features_along, regular, regular_windows
-from ms_highway.runtime.compilation import in_batches, jit_quickly
+from ms_highway.irl.windows import regular, regular_windows
 
 DENSITIES = ("sparse", "medium", "dense")
 WIDER = 1.3  # than Laplace's approximation, so that candidates cover the distribution's tails
@@ -56,29 +53,6 @@ def some(windows, every):
     return windows.of(np.arange(len(windows)) % every == 0)
 
 
-@pytest.mark.slow
-def test_slopes_of_features_also_of_ones_own_are_those_of_automatic_differentiation(demonstrated, monkeypatch):
-    monkeypatch.setitem(OWN_FEATURES, "crowd", lambda scene, own, others: jnp.sum(jnp.cos((own.x - others.x) / 20)))
-    computed = (*FEATURES, "crowd", *COMFORT)
-    names = RewardModel(tuple(name for name in computed[:-1] if name not in NO_GRADIENT), {COMFORT[1]: 0.1}).names
-    places, few = np.array([computed.index(name) for name in names]), some(demonstrated, 60)
-    slopes, game = differentiate(few, names), driver_game(few, {}, names)
-    single = jax.tree.map(lambda numbers: jnp.asarray(numbers, dtype=jnp.float32), few)
-
-    def along(window, controls):
-        return features_along(game, window, controls.reshape(-1, 2))[places]
-
-    def quickly(function):
-        return jit_quickly(jax.vmap(function))
-
-    controls = (single.controls / game.planner.control_scale).reshape(len(few), -1)
-    np.testing.assert_allclose(slopes.features, quickly(along)(single, controls), rtol=1e-5, atol=1e-6)
-    first = quickly(jax.jacrev(along, argnums=1))(single, controls)
-    np.testing.assert_allclose(slopes.gradients, first, rtol=1e-4, atol=1e-5 * np.abs(first).max())
-    second = quickly(jax.jacfwd(jax.jacfwd(along, argnums=1), argnums=1))(single, controls)
-    np.testing.assert_allclose(slopes.hessians, second, rtol=1e-3, atol=1e-5 * np.abs(second).max())
-
-
 def test_the_likelihood_of_a_driver_after_comfort_alone_is_that_of_a_normal_or_a_student_distribution():
     uneasy = np.random.default_rng(0).normal(size=(7, 6))
     hessians = np.broadcast_to(-np.eye(6), (7, 1, 6, 6))
@@ -89,36 +63,8 @@ def test_the_likelihood_of_a_driver_after_comfort_alone_is_that_of_a_normal_or_a
     np.testing.assert_allclose(student, stats.multivariate_t.logpdf(uneasy, shape=np.eye(6) / 4, df=3), rtol=1e-12)
 
 
-def sampled_log_likelihoods(windows, found, number=256):
-    """Log p of the controls in windows, with the integral of maximum entropy estimated by importance sampling.
-
-    Ziebart et al. (2008) normalise over all trajectories; over continuous ones, with M candidates u_j from a density q
-    around the best controls (Finn et al. 2016): log p(u) = R(u) / T - log (1 / M) sum_j exp(R(u_j) / T) / q(u_j).
-    """
-    model, game = found.model, driver_game(windows, {}, found.model.names)
-    columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in model.names])
-    sharp = np.array([found.weights[name] / found.temperature for name in model.names])
-    best = best_controls(windows, dict(zip(model.names, sharp, strict=True)))
-    values, vectors = curvatures(differentiate(replace(windows, controls=best), model.names), found)
-    normal = np.random.default_rng(0).normal(size=(len(windows), number, values.shape[-1]))
-    deviations, scale = WIDER / np.sqrt(values), np.asarray(game.planner.control_scale)
-    done, centres = ((controls / scale).reshape(len(windows), 1, -1) for controls in (windows.controls, best))
-    candidates = centres + np.einsum("nde,ne,nme->nmd", vectors, deviations, normal)
-    density = -np.sum(normal**2 / 2 + np.log(2 * np.pi) / 2, axis=-1) - np.log(deviations).sum(axis=-1)[:, None]
-
-    @jit_quickly
-    @jax.vmap
-    def features(items):
-        window, controls = items
-        return jax.vmap(lambda u: features_along(game, window, u.reshape(-1, 2)))(controls)
-
-    phi = in_batches(features, (windows, np.concatenate([done, candidates], axis=1)))[..., columns].astype(float)
-    earned = phi @ sharp
-    return earned[:, 0] - special.logsumexp(earned[:, 1:] - density, axis=1) + np.log(number)
-
-
 @pytest.mark.slow
-def test_weights_that_demonstrators_drove_for_are_recovered_with_and_without_derivatives(demonstrated):
+def test_the_weights_of_a_demonstrator_are_recovered(demonstrated):
     derivatives = differentiate(demonstrated, SIMULATED.names)
     found = fit_weights(derivatives, SIMULATED)
     assert found.temperature == pytest.approx(TEMPERATURE, rel=0.15)
@@ -126,10 +72,6 @@ def test_weights_that_demonstrators_drove_for_are_recovered_with_and_without_der
         ratio = found.weights[name] / DRIVER_WEIGHTS[name]
         assert 1 / 1.25 < ratio < 1.25, name
         assert abs(np.log(ratio)) < 3.5 * np.sqrt(found.covariance[place, place]), name
-    for wrong in (0.5, 1.0, 2.0):  # times the temperature; sampling agrees that the fitted one is most likely
-        case = replace(found, temperature=wrong * found.temperature)
-        sampled = sampled_log_likelihoods(demonstrated, case)
-        assert np.median(np.abs(sampled - window_log_likelihoods(derivatives, case))) < 0.1
     human, model = derivatives.features.mean(axis=0), expected_features(demonstrated, found)
     for place, name in enumerate(SIMULATED.names):
         if name not in ("collision_risk", "off_road"):
@@ -154,8 +96,6 @@ def test_windows_at_a_kink_or_at_a_limit_are_not_learned_from(demonstrated):
     ("learned", "given", "message"),
     [
         ("sped", "comfort_acceleration", "'sped' cannot be learned"),
-        ("collision", "comfort_acceleration", "'collision' cannot be learned"),
-        ("speed speed", "comfort_acceleration", "named twice"),
         ("speed", "speed comfort_acceleration", "named twice"),
         ("speed", "", "sets the scale"),
     ],
@@ -176,13 +116,10 @@ def test_weights_that_diverge_and_features_that_are_not_finite_are_refused(demon
 
 
 def test_recordings_of_which_nothing_can_be_learned_are_refused():
-    with pytest.raises(ValueError, match="seen for 6 samples on end"):
-        cut_windows([recorded(np.zeros((3, 2, 4)))], 5)
     aside = np.tile([[0.0, 40.0, 0.0, 20.0], [0.0, 0.0, 0.0, 20.0]], (9, 1, 1))
-    with pytest.raises(ValueError, match="nothing can be learned from the 1 recordings"):
-        regular_windows([recorded(aside)], 5)
-    with pytest.raises(ValueError, match="not a road"):
-        replace(recorded(aside), lanes=np.empty(0))
+    for states in (aside[:3], aside):
+        with pytest.raises(ValueError, match="nothing can be learned from the 1 recordings"):
+            regular_windows([recorded(states)], 5)
     aside[4, 0, 3] = np.nan
     with pytest.raises(ValueError, match="car 0 at step 4 is not finite"):
         recorded(aside)

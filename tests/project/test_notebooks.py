@@ -16,7 +16,6 @@ QUICK = {
     "CONTROLLERS": {"stay_back": "turn", "merger": "tom", "give_way": "turn"},
     "DEMONSTRATIONS": [2],
     "DENSITIES": ["sparse"],
-    "DRIVER": "mpc",
     "EPISODES": 3,
     "FOLDS": 1,
     "HELD_OUT": 1,

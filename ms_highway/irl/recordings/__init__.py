@@ -5,13 +5,12 @@ Imports `ms_highway.envs` and what stands below it.
 
 from typing import Literal, TypeAlias
 
-Driver: TypeAlias = Literal["keyboard", "optimal", "maxent", "mpc"]
+Driver: TypeAlias = Literal["keyboard", "maxent"]
 
 DRIVERS = {
     "keyboard": "a person, with the arrow keys",
-    "optimal": "window by window, the local optimum of the reward among cars whose routes it knows",
-    "maxent": "like optimal, but its controls are drawn from p(u) ~ exp(R(u) / temperature)",
-    "mpc": "the package's planner, which replans every step and expects the others to keep their velocity",
+    "maxent": "knows where the other cars go, and draws its controls, window by window, from "
+    "p(u) ~ exp(R(u) / temperature)",
 }
 """Name and description of each driver."""
 

@@ -9,16 +9,13 @@ import gymnasium as gym
 import jax
 import numpy as np
 
-from ms_highway.control.driver import fixed
 from ms_highway.envs import DEMONSTRATION_ID, DemonstrationEnv
 from ms_highway.envs.demonstration import DENSITIES, KEYBOARD_ACTION, demonstration_game
 from ms_highway.envs.graphics import check_display
-from ms_highway.game.scenario import COMMON_WEIGHTS, TIME_STEP
+from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.recordings import DRIVERS, TEMPERATURE, Driver
-from ms_highway.irl.recordings.datasets import FORMAT, add_episode, check_room, count_recorded, data_directory
-from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
-from ms_highway.planning.human_models import Naive
-from ms_highway.runtime.files import held, tidy
+from ms_highway.irl.recordings.datasets import FORMAT, add_episode, count_episodes
+from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, window
 
 
 def record(
@@ -29,7 +26,7 @@ def record(
     seed: int = 0,
     temperature: float = TEMPERATURE,
 ) -> Iterator[int]:
-    """Record the episodes that a data set lacks; each is on disk, whole, before the next begins.
+    """Record the episodes that a data set lacks; each is on disk before the next begins.
 
     Episode k has the seed ``seed + k`` and the densities in turn. Yields the number of recorded episodes, at the
     start and after every episode.
@@ -40,7 +37,7 @@ def record(
         dataset: its Minari id, such as ``ms-highway/maxent-v0``.
         densities: of the traffic, see `ms_highway.envs.demonstration.DENSITIES`.
         seed: of the first episode.
-        temperature: of the driver ``maxent``, in reward; the others ignore it.
+        temperature: of the driver ``maxent``, in reward; a person has none.
 
     Raises:
         ValueError: for arguments out of range, or if the data set was recorded with other settings.
@@ -48,31 +45,27 @@ def record(
         OSError: if the driver is ``keyboard`` and there is no display.
         KeyboardInterrupt: if the person closes the window; the current episode is discarded.
     """
-    data = data_directory(dataset)
     provenance = _provenance(driver, densities, seed, temperature)
     if episodes < 1:
         raise ValueError(f"{episodes} episodes are to be recorded; there must be at least one")
+    done = count_episodes(dataset, provenance)
     person: dict[str, Any] = {}
     if driver == "keyboard":
         check_display()
         config = {"action": KEYBOARD_ACTION, "manual_control": True, "real_time_rendering": True}
         person = {"render_mode": "human", "config": config}
-    with held(data.parent):
-        done = count_recorded(dataset, data, provenance)
-        tidy(data.parent)
-        yield done
-        if done >= episodes:
-            return
-        env = gym.make(DEMONSTRATION_ID, **person)
-        try:
-            for number in range(done, episodes):
-                check_room(data)
-                density = densities[number % len(densities)]
-                episode = _drive(env, driver, seed + number, {"config": {"density": density}}, temperature)
-                add_episode(episode, dataset, data, env, provenance)
-                yield number + 1
-        finally:
-            env.close()
+    yield done
+    if done >= episodes:
+        return
+    env = gym.make(DEMONSTRATION_ID, **person)
+    try:
+        for number in range(done, episodes):
+            density = densities[number % len(densities)]
+            episode = _drive(env, driver, seed + number, {"config": {"density": density}}, temperature)
+            add_episode(episode, dataset, env, provenance)
+            yield number + 1
+    finally:
+        env.close()
 
 
 def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
@@ -88,18 +81,11 @@ def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float
         while not env.done:  # closing the window ends it
             yield env.action_type.last_action.astype(np.float32)
         raise KeyboardInterrupt
-    if driver == "mpc":
-        controller = fixed(env.game, Naive())
-        while True:
-            yield env.action_for(controller.step(env.car_states).control)
     game = demonstration_game(DRIVER_WEIGHTS)
     horizon, scale = game.planner.horizon, np.asarray(game.planner.control_scale, dtype=float)
     for place in count():
         car, others = window(env.car_states[0], env.routes[:, env.steps + 1 : env.steps + 1 + horizon])
-        if driver == "optimal":
-            controls = optimal(game, car, others).controls
-        else:
-            controls = maxent(game, car, others, jax.random.fold_in(jax.random.key(seed), place), temperature)
+        controls = maxent(game, car, others, jax.random.fold_in(jax.random.key(seed), place), temperature)
         for control in np.asarray(controls, dtype=float) * scale:
             yield env.action_for(control)
 
@@ -116,16 +102,16 @@ def _provenance(driver: Driver, densities: Sequence[str], seed: int, temperature
         raise ValueError(f"densities {list(densities)} of traffic are impossible; choose from {', '.join(DENSITIES)}")
     if seed < 0:
         raise ValueError(f"the seed is {seed}; it must not be negative")
-    if driver == "maxent" and not 0 < temperature < np.inf:
+    if not 0 < temperature < np.inf:
         raise ValueError(f"the temperature is {temperature}; it must be positive")
-    weights = {"keyboard": None, "mpc": COMMON_WEIGHTS}.get(driver, DRIVER_WEIGHTS)
+    drawn = driver == "maxent"
     return {
         "format": FORMAT,
         "version": version("ms-highway"),
         "driver": driver,
-        "temperature": float(temperature) if driver == "maxent" else None,
-        "weights": weights and {name: float(weight) for name, weight in weights.items()},
-        "horizon": None if driver == "keyboard" else demonstration_game().planner.horizon,
+        "temperature": float(temperature) if drawn else None,
+        "weights": {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()} if drawn else None,
+        "horizon": demonstration_game().planner.horizon if drawn else None,
         "time_step": TIME_STEP,
         "densities": list(densities),
         "first_seed": seed,

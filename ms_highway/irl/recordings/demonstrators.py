@@ -1,6 +1,6 @@
-"""Simulated demonstrators, who know the other cars' future motion and maximise a known reward.
+"""The simulated demonstrator, which knows the other cars' future motion and prefers a known reward.
 
-They plan a window of the planner's horizon, execute all of it, and plan the next. A window earns R_H, the sum of the
+It plans a window of the planner's horizon, executes all of it, and plans the next. A window earns R_H, the sum of the
 reward over its steps less the discomfort of its controls, see `rollout_reward`.
 """
 
@@ -62,7 +62,8 @@ def optimal(game: Game, car: States, others: Motion) -> Optimum:
     return find_optimum(Objective(path, reward, cost, within), constant_velocity(game, car), FLOOR)
 
 
-def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature: float) -> Controls:
+@jax.jit
+def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature: Scalar) -> Controls:
     """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum, within the limits.
 
     Returns the last draw of an independence Metropolis-Hastings chain, which starts at the optimum and proposes from
@@ -75,11 +76,7 @@ def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature:
         key: of the random numbers.
         temperature: in reward.
     """
-    return _sample(game, car, others, optimal(game, car, others), key, temperature)
-
-
-@jax.jit
-def _sample(game: Game, car: States, others: Motion, best: Optimum, key: jax.Array, temperature: float) -> Controls:
+    best = optimal(game, car, others)
     values, vectors = eigenpairs(best.hessian)
     spread = vectors * jnp.sqrt(temperature / jnp.maximum(jnp.abs(values), FLOOR))
     proposing, accepting = jax.random.split(key)

@@ -55,28 +55,18 @@ class Recording:
     measured: bool = True
 
     def __post_init__(self) -> None:
-        """Check the recording.
+        """Check that every driver was seen at two consecutive times or more.
 
         Raises:
             ValueError: naming the recording and the problem.
         """
-        shape, problem = np.shape(self.states), ""
-        if len(shape) != 3 or shape[2] != 4:
-            problem = f"states have shape {shape}; they must be [times, cars, 4]"
-        elif not len(self.lanes) or not np.isfinite(self.lanes).all() or not self.lane_width > 0:
-            problem = f"lanes {self.lanes} of width {self.lane_width} are not a road to judge driving on"
-        elif np.shape(self.sizes) != (shape[1], 2) or not (np.asarray(self.sizes) > 0).all():
-            problem = f"every one of its {shape[1]} cars needs a positive length and width"
-        else:
-            for car in self.drivers:
-                times = np.flatnonzero(self.seen[:, car])
-                if len(times) < 2:
-                    problem = f"car {car} was seen {len(times)} times; a track needs two samples"
-                elif np.ptp(times) >= len(times):
-                    lost = times[(np.diff(times) > 1).argmax()] + 1
-                    problem = f"car {car} at step {lost} is not finite: {self.states[lost, car]}"
-        if problem:
-            raise ValueError(f"{self.name}: {problem}")
+        for car in self.drivers:
+            times = np.flatnonzero(self.seen[:, car])
+            if len(times) < 2:
+                raise ValueError(f"{self.name}: car {car} was seen {len(times)} times; a track needs two samples")
+            if np.ptp(times) >= len(times):
+                lost = times[(np.diff(times) > 1).argmax()] + 1
+                raise ValueError(f"{self.name}: car {car} at step {lost} is not finite: {self.states[lost, car]}")
 
     @cached_property
     def seen(self) -> CarFlags:

@@ -1,176 +1,66 @@
-"""Draw predicted drivers: errors, likelihood, calibration, paths in examples, and feature counts."""
+"""Draw predicted drivers: errors, likelihood, calibration, and paths."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import PercentFormatter
 
 from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import LearnedReward
-from ms_highway.irl.arrays import Paths, Steps
 from ms_highway.irl.evaluation import LEVELS, MISS, Evaluation
-from ms_highway.irl.moments import HORIZONS, STEPS, Moments, cut_moments
+from ms_highway.irl.moments import HORIZONS, cut_moments
 from ms_highway.irl.outlook import expected_path
-from ms_highway.irl.predictors import PREDICTORS, predictions
+from ms_highway.irl.predictors import PREDICTORS, prediction
 from ms_highway.irl.recordings.recording import Recording
-from ms_highway.runtime.arrays import Vector
 
-RECORDED, OTHERS = "#111318", "#c4c9d1"
 STYLES = {
     "model": ("#1f5fbf", "o"),
     "constant_velocity": ("#8a93a5", "s"),
-    "turn_and_accelerate": ("#5b8c5a", "v"),
     "idm": ("#d9822b", "^"),
     "fitted_idm": ("#b8433a", "D"),
-    "lane_modes": ("#7d57a8", "P"),
-    "recorded": (RECORDED, "D"),
+    "recorded": ("#111318", "D"),
 }
-"""Colour and marker of each predictor, and of what was recorded."""
+"""Colour and marker of each predictor, and of the recorded path."""
 
+RECORDED = STYLES["recorded"][0]
 DRAWN = ("model", "constant_velocity", "fitted_idm")  # of the predictors, in paths
-BEFORE, AFTER = 15.0, 25.0  # m of road drawn behind and ahead of where cars drive
-NEAR = 0.05  # of what is right, in calibrations
+NEAR = 0.05  # of the right share, in calibrations
 LIKELY = 0.05  # probability from which on a mode is drawn
 
+PANELS = {
+    "errors": {"fde": "mean error at the horizon [m]", "miss": f"share of drivers off by more than {MISS:g} m"},
+    "likelihood": {"log_p": "mean log density of the recorded position [1/m²]"},
+    "calibration": {f"inside {level}": f"share of drivers in the region of {level} %" for level in LEVELS},
+}
+"""What each figure of an evaluation shows, and its label."""
 
-def examples(moments: Moments, off: Steps) -> dict[str, int]:
-    """Choose example drivers, by what is special about them; each was recorded for the whole 5 s.
 
-    The typical one has the median error of constant velocity. None is chosen by the model's error.
+def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
+    """Draw measures of all predictors against the horizon, a figure for each of `PANELS`.
 
-    Args:
-        moments: of the drivers.
-        off: distance between each driver and its prediction at constant velocity [m].
-
-    Returns:
-        The number of each among the predicted drivers.
-
-    Raises:
-        ValueError: if no driver was recorded for 5 s.
+    Calibration is how often drivers are in the predicted regions of 50, 90 and 99 %; the band is five points to each
+    side of the right share.
     """
-    recorded, start = moments.tracks(moments.future), moments.drivers(moments.now)
-    whole = np.flatnonzero(np.isfinite(recorded).all(axis=(1, 2)))
-    if not len(whole):
-        raise ValueError(f"no driver was recorded for {STEPS / 10:g} s on end; there is no example to be drawn")
-    faster = recorded[whole, -1, 3] - start[whole, 3]
-    kinds = {
-        "a typical case": np.abs(off[whole, -1] - np.median(off[whole, -1])),
-        "the strongest braking": faster,
-        "the strongest acceleration": -faster,
-        "the largest lateral motion": -np.abs(recorded[whole, -1, 1] - start[whole, 1]),
-    }
-    chosen: dict[str, int] = {}
-    for kind, order in kinds.items():
-        rest = [place for place in whole[np.argsort(order)].tolist() if place not in chosen.values()]
-        chosen |= {kind: rest[0]} if rest else {}
-    return chosen
-
-
-def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Figure:
-    """Draw predicted and recorded paths of `examples` over the lanes, a row for each; dots are a second apart.
-
-    Seen from above, the driver's left is up. Of the learned drivers, all modes of 5 % or more are drawn, bolder with
-    their probability, of the others the expected path. Cars are drawn at the start; grey paths are those of the others,
-    as recorded.
-    """
-    moments = cut_moments(recordings)
-    found, starts = predictions(moments, drivers), moments.drivers(moments.now)
-    paths = {"recorded": moments.recorded, **{name: expected_path(found[name].modes) for name in DRAWN}}
-    off = {name: np.linalg.norm(path - moments.recorded, axis=-1) for name, path in paths.items()}
-    chosen = examples(moments, off["constant_velocity"])
-    numbers = list(chosen.values())
-    ends = np.concatenate([path[numbers, :, 0] for path in paths.values()], axis=1) - starts[numbers, :1]
-    stretch = -BEFORE, float(ends.max()) + AFTER
-    across = float(np.ptp(moments.lanes, axis=1).max() + 2 * np.max(moments.lane_width))
-    height = 10 * across / (stretch[1] - stretch[0]) + 0.6  # inches, at one scale along and across
-    figure = Figure(figsize=(11, 0.6 + height * len(chosen)), layout="constrained")
-    panels = figure.subplots(len(chosen), squeeze=False)[:, 0]
-    for axes, (title, number) in zip(panels, chosen.items(), strict=True):
-        where = np.argwhere(moments.predicted)[number]
-        _example(axes, moments, where, {name: path[number] for name, path in paths.items()}, stretch)
-        for chance, mode in zip(*(np.asarray(part)[number] for part in found["model"].modes), strict=True):
-            if chance >= LIKELY:
-                style = {"color": STYLES["model"][0], "linewidth": 1 + 5 * chance, "alpha": 0.25, "zorder": 3}
-                axes.plot(mode[:, 0] - starts[number, 0], mode[:, 1], **style)
-        misses = ", ".join(f"{PREDICTORS[name]} {off[name][number, -1]:.1f} m" for name in DRAWN)
-        text = f"{title}, {starts[number, 3]:.1f} m/s; off after {STEPS / 10:g} s: {misses}"
-        axes.set_title(text, loc="left", fontsize="medium")
-    axes.set_xlabel("along the road [m]")
-    handles = [
-        Line2D([], [], color=STYLES[name][0], marker=STYLES[name][1], markersize=4, label=PREDICTORS.get(name, name))
-        for name in paths
-    ]
-    handles.append(Line2D([], [], color=OTHERS, label="others, as recorded"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-    return figure
-
-
-def _example(
-    axes: Axes, moments: Moments, where: np.ndarray, paths: Mapping[str, Paths], stretch: tuple[float, float]
-) -> None:
-    """Draw a moment's road and cars on a stretch of road [m], measured from a driver, and that driver's paths."""
-    moment, car = where
-    draw_road(axes, np.unique(moments.lanes[moment]), float(moments.lane_width[moment]), stretch)
-    now, sizes = moments.now[moment], moments.sizes[moment]
-    origin = np.array([now[car, 0], 0.0, 0.0, 0.0])
-    for other in np.flatnonzero(np.isfinite(now).all(axis=1)):
-        state = now[other] - origin
-        if stretch[0] - 5 < state[0] < stretch[1] + 5:
-            there = np.concatenate([now[None, other], moments.future[moment, :, other]]) - origin
-            if other != car:
-                axes.plot(*there[:, :2].T, color=OTHERS, linewidth=1, zorder=2)
-            edge, face = (RECORDED, "#ffffff") if other == car else ("#8a93a5", "#d9dce2")
-            style = {"angle": np.degrees(state[2]), "rotation_point": "center", "edgecolor": edge, "facecolor": face}
-            axes.add_patch(Rectangle(state[:2] - sizes[other] / 2, *sizes[other], zorder=3, **style))
-    for order, (name, path) in enumerate(paths.items()):
-        color, marker = STYLES[name]
-        line = np.concatenate([now[None, car, :2], path]) - origin[:2]
-        axes.plot(*line.T, color=color, linewidth=1.3, marker=marker, markersize=4, markevery=10, zorder=4 + order)
-    axes.set_ylabel("to the\nright [m]")
-
-
-def errors_figure(evaluation: Evaluation) -> Figure:
-    """Draw final displacement and share of misses against the horizon, for all predictors."""
-    labels = {"fde": "mean error at the horizon [m]", "miss": f"share of drivers off by more than {MISS:g} m"}
-    figure = _against_horizon(evaluation, labels, (9, 4.2))
-    left, right = figure.axes
+    figures = {name: _against_horizon(evaluation, labels) for name, labels in PANELS.items()}
+    left, right = figures["errors"].axes
     left.set_ylim(0, 1.15 * max(evaluation.predictors["constant_velocity"]["fde"].values()))  # without IDM's
     right.set_ylim(bottom=0)
-    figure.suptitle(f"{evaluation.windows} predictions of {evaluation.tracks} drivers")
-    return figure
-
-
-def likelihood_figure(evaluation: Evaluation) -> Figure:
-    """Draw the mean log density of recorded positions against the horizon, for all predictors."""
-    return _against_horizon(evaluation, {"log_p": "mean log density of the recorded position [1/m²]"}, (6, 4.2))
-
-
-def calibration_figure(evaluation: Evaluation) -> Figure:
-    """Draw how often drivers are in the predicted regions of 50, 90 and 99 %, against the horizon, a panel for each.
-
-    The band is five points to each side of what is right.
-    """
-    kinds = {f"inside {level}": f"share of drivers in the region of {level} %" for level in LEVELS}
-    figure = _against_horizon(evaluation, kinds, (11, 3.9))
-    for axes, level in zip(figure.axes, LEVELS, strict=True):
+    figures["errors"].suptitle(f"{evaluation.windows} predictions of {evaluation.tracks} drivers")
+    for axes, level in zip(figures["calibration"].axes, LEVELS, strict=True):
         axes.axhline(level / 100, color=RECORDED, linewidth=1, linestyle="--")
         axes.axhspan(level / 100 - NEAR, min(level / 100 + NEAR, 1.0), color="#f1f2f4", zorder=0)
-    return figure
+    return figures
 
 
-def _against_horizon(evaluation: Evaluation, labels: Mapping[str, str], size: tuple[float, float]) -> Figure:
-    """Draw measures of all predictors, a panel for each."""
-    figure = Figure(figsize=size, layout="constrained")
+def _against_horizon(evaluation: Evaluation, labels: Mapping[str, str]) -> Figure:
+    figure = Figure(figsize=(2.5 + 3 * len(labels), 4.2), layout="constrained")
     panels = figure.subplots(1, len(labels), squeeze=False)[0]
     for axes, (kind, label) in zip(panels, labels.items(), strict=True):
         for name, predictor in PREDICTORS.items():
             color, marker = STYLES[name]
-            values = {int(horizon): value for horizon, value in evaluation.predictors[name][kind].items()}
-            axes.plot(*zip(*sorted(values.items()), strict=True), marker=marker, color=color, label=predictor)
+            values = evaluation.predictors[name][kind]
+            axes.plot(list(map(int, values)), list(values.values()), marker=marker, color=color, label=predictor)
         axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
         if kind not in ("fde", "log_p"):
             axes.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -180,47 +70,39 @@ def _against_horizon(evaluation: Evaluation, labels: Mapping[str, str], size: tu
     return figure
 
 
-def counts_figure(learned: LearnedReward) -> Figure:
-    """Draw mean sums of the features over a window: the drivers', and those expected under the reward."""
-    names = list(learned.feature_counts["human"])
-    human, model = (np.array([learned.feature_counts[who][name] for name in names]) for who in ("human", "model"))
-    sizes, places = np.maximum(np.abs(human), np.abs(model)), np.arange(len(names))
-    figure = Figure(figsize=(8.5, 1.4 + 0.5 * len(names)), layout="constrained")
-    axes = figure.subplots()
-    for shift, label, values, color in (
-        (-0.2, "drivers", human, RECORDED),
-        (0.2, "expected under the reward", model, STYLES["model"][0]),
-    ):
-        shares = values / np.where(sizes == 0, 1.0, sizes)
-        bars = axes.barh(places + shift, shares, height=0.38, color=color, label=label)
-        axes.bar_label(bars, [f"{value:.3g}" for value in values], padding=3, fontsize="small")
-    axes.axvline(0, color="black", linewidth=0.8)
-    axes.set_yticks(places, [name.replace("_", " ") for name in names])
-    axes.invert_yaxis()
-    axes.margins(x=0.15)
-    axes.set(xlabel="mean sum over a window, relative to the larger of the two; labels are the sums")
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside upper center", ncols=2, frameon=False)
-    return figure
+def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Figure:
+    """Draw predicted and recorded paths at one moment, seen from above; marks are a second apart.
 
+    It is the moment with most drivers that were recorded for the 3 s before and the 5 s after. Of the learned drivers,
+    all modes of 5 % or more are drawn, bolder with their probability; of the others, the expected path.
 
-GROUND, EDGE, MARKING = "#f1f2f4", "#555b66", "#b4b9c2"
-
-
-def draw_road(axes: Axes, lanes: Vector, lane_width: float, stretch: tuple[float, float]) -> None:
-    """Draw a stretch of straight road, at one scale along and across, with a tick at every lane's centre.
-
-    Args:
-        axes: where.
-        lanes: lateral position of each lane's centre [m], ascending.
-        lane_width: width of a lane [m]; the road ends half of it beyond the outermost centres.
-        stretch: which part of the road to show, from and to [m].
+    Raises:
+        ValueError: if no driver was recorded for as long.
     """
-    left, right = lanes[0] - lane_width / 2, lanes[-1] + lane_width / 2
-    axes.axhspan(left, right, color=GROUND, zorder=0)
-    for edge in (left, right):
-        axes.axhline(edge, color=EDGE, linewidth=1.2, zorder=1)
-    for edge in (lanes[1:] + lanes[:-1]) / 2:
-        axes.axhline(edge, color=MARKING, linewidth=0.8, linestyle=(0, (8, 8)), zorder=1)
-    axes.set(xlim=stretch, ylim=(right + lane_width / 2, left - lane_width / 2), aspect="equal")
-    axes.set_yticks(lanes, [f"{round(y, 1) + 0.0:.1f}" for y in lanes], fontsize="x-small")
+    moments = cut_moments(recordings)
+    whole = np.isfinite(np.concatenate([moments.past, moments.future], axis=1)).all(axis=(1, 3)) & moments.predicted
+    most = int(whole.sum(axis=1).argmax())
+    if not whole[most].any():
+        raise ValueError("no driver was recorded for 8 s on end; there are no paths to be drawn")
+    moment = replace(moments, predicted=whole).of(np.arange(len(moments)) == most)
+    modes = {name: prediction(name, moment, drivers).modes for name in DRAWN}
+    paths = {"recorded": moment.recorded, **{name: expected_path(found) for name, found in modes.items()}}
+    start, lanes, width = moment.drivers(moment.now)[:, None, :2], np.unique(moment.lanes), float(moment.lane_width[0])
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    axes = figure.subplots()
+    for edge in (lanes[0] - width / 2, *(lanes + width / 2)):
+        axes.axhline(edge, color="#b4b9c2", linewidth=0.8)
+    for chances, ways in zip(*map(np.asarray, modes["model"]), strict=True):
+        for chance, way in zip(chances, ways, strict=True):
+            if chance >= LIKELY:
+                axes.plot(*way.T, color=STYLES["model"][0], linewidth=1 + 5 * chance, alpha=0.25)
+    for name, path in paths.items():
+        color, marker = STYLES[name]
+        lines = axes.plot(*np.concatenate([start, path], axis=1).T, color=color, marker=marker, markevery=10)
+        for line in lines:
+            line.set(linewidth=1.3, markersize=4)
+        lines[0].set_label(PREDICTORS.get(name, name))
+    axes.set(xlabel="along the road [m]", ylabel="to the right [m]", yticks=lanes.round(1))
+    axes.invert_yaxis()  # the driver's left is up
+    figure.legend(loc="outside lower center", ncols=len(paths), frameon=False)
+    return figure

@@ -1,4 +1,4 @@
-"""Tabulate and report learned rewards and evaluations."""
+"""Tabulate learned rewards and evaluations."""
 
 from collections.abc import Mapping
 
@@ -22,7 +22,9 @@ MEASURES = {
 
 
 def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = None) -> list[Table]:
-    """Tabulate a learned reward, with the 90 % intervals of its weights, and what was learned of drivers, if anything.
+    """Tabulate a learned reward, and what was learned of drivers, if anything; 90 % intervals.
+
+    The last columns are mean sums of the features over a window: the drivers', and those expected under the reward.
 
     Args:
         learned: the reward.
@@ -33,9 +35,13 @@ def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = No
         value, ends = learned.weights.get(name) or getattr(learned, name), "given" if name in learned.weights else ""
         if name in learned.learned:
             ends = "{:.3g}, {:.3g}".format(*learned.interval(name))
-        rows.append({"weight": name, "value": f"{value:.4g}", "90 % interval": ends})
+        row = {"weight": name, "value": f"{value:.4g}", "90 % interval": ends}
         if true is not None:
-            rows[-1]["true"] = f"{true[name]:g}" if name in true else ""
+            row["true"] = f"{true[name]:g}" if name in true else ""
+        for side, heading in (("human", "feature of drivers"), ("model", "feature expected")):
+            counts = learned.feature_counts[side]
+            row[heading] = f"{counts[name]:.3g}" if name in counts else ""
+        rows.append(row)
     found = [grid(f"learned from {learned.windows} windows", rows)]
     return [*found, _drivers_table(learned.drivers)] if learned.drivers else found
 
