@@ -5,6 +5,9 @@ RANKING = "use nearest:K, which no other ranking beat"
 PROCESSES = "run a cluster of dask.distributed and give its --scheduler"
 MEASURES = f"leave it out: it earned nothing measurable, and {ON_PAGE}"
 
+MAXENT = f"use the driver maxent; {ON_PAGE}"
+PREDICTOR = f"use fitted_idm or model; {ON_PAGE}"
+
 RETIRED = {
     "bench --peer": "the comparison with CasADi is on the results page",
     "bench road --bound": f"compare drivers from the same --seed and --seeds; {ON_PAGE}",
@@ -25,10 +28,12 @@ RETIRED = {
     "sweep --process": PROCESSES,
     "report --markdown": "compare prints the table and writes summary.csv",
     "report --values": "compare draws what learned values estimate, in SCENARIO_decisions.png",
-    "report --drivers": "irl evaluate prints the tables of predictions",
+    "report --drivers": "irl evaluate prints the tables of predictions, and its --figures DIR draws them",
     "values learn --without": "what inputs of learned values are worth is on the results page",
-    "irl record optimal": "use the driver maxent",
-    "irl record mpc": "use the driver maxent",
+    "irl record optimal": MAXENT,
+    "irl record mpc": MAXENT,
+    "turn_and_accelerate": PREDICTOR,
+    "lane_modes": PREDICTOR,
 }
 """What to use instead, by controller, driver, key and public name; of options, the command comes first."""
 
