@@ -10,6 +10,7 @@ from ms_highway.irl.driving import predict
 from ms_highway.irl.moments import Moments
 from ms_highway.irl.outlook import Modes, fit_spread
 from ms_highway.irl.peers import HIGHWAY_ENV_IDM, IdmParameters, fit_idm, idm, steady_motion
+from ms_highway.runtime.retired import replacement
 from ms_highway.runtime.structures import read
 
 PEERS = {
@@ -65,7 +66,7 @@ def prediction(name: str, moments: Moments, learned: LearnedDrivers, others: Oth
         ValueError: for an unknown name, or motion of the others.
     """
     if name not in PREDICTORS:
-        raise ValueError(f"predictor is {name!r}; choose one of {', '.join(PREDICTORS)}")
+        raise ValueError(replacement(name) or f"predictor is {name!r}; choose one of {', '.join(PREDICTORS)}")
     if name == "model":
         return Prediction(predict(moments, learned, others), learned.spread)
     peer = learned.peers[name]

@@ -1,0 +1,52 @@
+"""What version 2.0.0 retired is refused in one sentence that says what to use instead, and no help text names it."""
+
+import re
+
+import gymnasium as gym
+import pytest
+
+import ms_highway
+from ms_highway.cli.main import build_parser
+from ms_highway.irl.predictors import prediction
+from ms_highway.runtime.retired import RETIRED
+
+HELP = {name: parser.format_help() for name, parser in build_parser().names.items()}
+OPTIONS = [name.rpartition(" ")[::2] for name in RETIRED if " " in name]
+
+
+@pytest.mark.parametrize(
+    ("command", "gone"),
+    [
+        ("bench merger --peer casadi", "bench --peer"),
+        ("bench road merge --judge", "bench road --judge"),
+        ("bench road merge --drivers search", "search"),
+        ("bench road merge --drivers idm priced+traits", "traits"),
+        ("sweep merger --processes=2 --out out", "sweep --processes"),
+        ("report results --markdown", "report --markdown"),
+        ("irl record --driver mpc --episodes 1 --dataset a/b-v0", "irl record mpc"),
+        ("compare merger --controllers ttc:2 --out out", "ttc"),
+        ("sweep dense_merge --controllers risk:1+belief --out out", "risk"),
+    ],
+)
+def test_a_command_that_names_something_retired_says_what_to_use_instead(command, gone, refused):
+    assert refused(command) == f"ms-highway: {gone} is gone since 2.0.0: {RETIRED[gone]}"
+
+
+def test_python_that_names_something_retired_says_what_to_use_instead():
+    with pytest.raises(AttributeError, match=r"RoadPolicy is gone since 2\.0\.0: use ms_highway\.drive"):
+        _ = ms_highway.RoadPolicy
+    with pytest.raises(ValueError, match=r"barrier is gone since 2\.0\.0: use nearest:K"):
+        gym.make("ms-highway/dense-merge-v0", config={"controller": {"type": "barrier", "count": 1}})
+    for config, gone in (({"belief": True}, "belief"), ({"driver": "fixed:turn"}, "fixed:turn")):
+        with pytest.raises(ValueError, match=f"{gone} is gone since"):
+            ms_highway.drive(gym.make("highway-fast-v0"), config)
+    with pytest.raises(ValueError, match="lane_modes is gone since"):
+        prediction("lane_modes", None, None)
+
+
+def test_no_help_text_names_anything_retired():
+    named = [(command, option) for command, option in OPTIONS if re.search(rf"(?<!\S){option}\b", HELP[command])]
+    rankings = [
+        name for name in ("ttc:", "influence:", "barrier:", "risk:") if any(name in text for text in HELP.values())
+    ]
+    assert (named, rankings) == ([], [])
