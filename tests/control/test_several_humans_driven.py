@@ -9,7 +9,7 @@ from driving import move
 from ms_highway.control.driver import Driver, fixed
 from ms_highway.game.game import swap_roles
 from ms_highway.metareasoning.compiled_decision import decide_function
-from ms_highway.metareasoning.rankings import Nearest
+from ms_highway.metareasoning.nearest import Nearest
 from ms_highway.metareasoning.rule import always
 from ms_highway.planning.compiled_plans import Costs, plan_function
 from ms_highway.planning.human_models import MODELS, ladder
@@ -55,18 +55,6 @@ def test_nothing_compiles_after_the_first_step(two):
         driver.game = game
         assert driver.step(state).compile_seconds == 0
     assert compiled == [function.cache_info().currsize for function in (plan_function, decide_function)]
-
-
-def test_plans_that_fail_fall_back_to_the_rest_of_the_last_one_and_then_brake(two):
-    game, state = two
-    driver = fixed(game)
-    first = driver.step(state)
-    driver.game = replace(game, robot=replace(game.robot, weights=game.robot.weights * np.nan))
-    steps = [driver.step(state) for _ in range(6)]
-    assert [step.status for step in steps] == ["previous plan"] * 4 + ["braking"] * 2
-    np.testing.assert_allclose(steps[0].plan, first.plan[1:], rtol=1e-6)
-    np.testing.assert_allclose(steps[3].control, first.plan[4], rtol=1e-6)
-    np.testing.assert_allclose(steps[4].control, [0.0, -8.0], atol=0.01)
 
 
 def test_a_plan_that_is_late_is_followed_from_the_next_step_on(two):
