@@ -9,11 +9,10 @@ import pytest
 from ms_highway.control.driver import fixed
 from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.planning.human_models import MODELS, Naive, register
+from ms_highway.planning.human_models import Naive
 from ms_highway.planning.plans import Plan
 
 GRIP = 8.0  # m/s^2
-STATES = [f"{car}_{number}" for car in ("robot", "human") for number in ("x", "y", "heading", "speed")]
 
 
 @dataclass(frozen=True)
@@ -26,13 +25,6 @@ class Reckless(Naive):
     def plan(self, game, state, start=None):
         plan = super().plan(game, state, start)
         return Plan(plan.robot + self.excess, plan.humans)
-
-
-@pytest.fixture
-def reckless():
-    register(Reckless())
-    yield "reckless"
-    del MODELS["reckless"]
 
 
 @pytest.mark.parametrize("grip", [None, GRIP])

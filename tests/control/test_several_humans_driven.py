@@ -7,11 +7,9 @@ import pytest
 from driving import move
 
 from ms_highway.control.driver import Driver, fixed
-from ms_highway.game.game import swap_roles
-from ms_highway.metareasoning.compiled_decision import decide_function
 from ms_highway.metareasoning.nearest import Nearest
 from ms_highway.metareasoning.rule import always
-from ms_highway.planning.compiled_plans import Costs, plan_function
+from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import MODELS, ladder
 
 RUNGS = ladder(("naive", "turn", "tom"))
@@ -43,34 +41,6 @@ def test_a_step_tells_what_was_planned_for_every_human(two):
     assert np.isnan(step.gains).all()
 
 
-def test_nothing_compiles_after_the_first_step(two):
-    game, state = two
-    driver = Driver(game, nearest(0))
-    driver.step(state)
-    compiled = [function.cache_info().currsize for function in (plan_function, decide_function)]
-    heavier = replace(game, humans=replace(game.humans, weights=np.asarray(game.humans.weights) * 1.5))
-    for count in range(3):
-        driver = Driver(heavier, nearest(count))
-        assert driver.step(state).compile_seconds == 0
-        driver.game = game
-        assert driver.step(state).compile_seconds == 0
-    assert compiled == [function.cache_info().currsize for function in (plan_function, decide_function)]
-
-
-def test_a_plan_that_is_late_is_followed_from_the_next_step_on(two):
-    game, state = two
-    driver, punctual = (Driver(game, always(MODELS["tom"]), budget=limit) for limit in (0.0, None))
-    first, second = driver.step(state), driver.step(state)
-    planned = [punctual.step(state), punctual.step(state)]
-    assert [first.status, second.status] == ["late", "late"]
-    assert first.control[1] < 0  # brakes, as there is no plan yet
-    np.testing.assert_allclose(second.plan, planned[0].plan[1:], rtol=1e-6)
-    driver.budget = None
-    third = driver.step(state)
-    assert third.status == "planned"
-    np.testing.assert_allclose(third.plan, punctual.step(state).plan, rtol=1e-6)
-
-
 def test_an_escape_is_followed_where_the_next_plan_fails_and_plans_go_on_from_the_one_that_it_replaced(played):
     """A human comes from behind, faster than the robot; another one is beside it."""
     game, state = played("dense_merge")
@@ -91,13 +61,3 @@ def test_an_escape_is_followed_where_the_next_plan_fails_and_plans_go_on_from_th
     goes_on = driver.step(now).plan
     np.testing.assert_array_equal(goes_on, bold.step(now).plan)
     assert np.abs(goes_on - fixed(game).step(now).plan).max() > 1e-3
-
-
-def test_humans_drive_by_their_own_rewards(two):
-    game, state = two
-    timid = replace(game, humans=replace(game.humans, weights=game.humans.weights * np.array([[1.0], [0.5]])))
-    others = [2, 0, 1, *range(3, len(state))]
-    plans = [fixed(swap_roles(each, 1)).step(state[others]) for each in (game, timid)]
-    assert [step.status for step in plans] == ["planned"] * 2
-    assert swap_roles(timid, 1).robot.weights == pytest.approx(timid.humans.weights[1])
-    assert abs(plans[0].plan - plans[1].plan).max() > 1e-3

@@ -135,8 +135,8 @@ def test_what_is_configured_during_an_episode_acts_from_the_next_reset_on_all_of
         (lambda env: env.reset(options={"config": CONTINUOUS, "initial_states": [[0]]}), "needs an array"),
         (
             lambda env: env.reset(options={"config": {"action": PARALYSED}}),
-            "control must be enabled",
-        ),  # says highway-env
+            "must be enabled",
+        ),  # highway-env's own words
         (lambda env: env.configure({"duration": 1.0, "semantics": "real"}), "semantics"),
     ],
 )
@@ -243,8 +243,6 @@ def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one():
         ({"top": int}, {"cc:3": {"top": 3}, "cc": None, "cc:3.5": None}),
         ({"top": (float, 2.0), "last": (str, "")}, {"cc:3": {"top": 3.0}, "cc": {}}),
         ({"kind": str}, {"cc:near": {"kind": "near"}, "cc": None}),
-        ({"models": (list[str], [])}, {"cc": {}, "cc:3": None}),
-        ({"top": int, "last": int}, {"cc": None, "cc:3": None}),
     ],
 )
 def test_the_short_name_of_a_rule_of_ones_own_is_read_by_the_type_of_its_first_field(own, known):

@@ -91,16 +91,6 @@ def test_released_semantics_follow_the_logged_cars(reference):
         np.testing.assert_allclose(episode.rewards, rewards[run], atol=1e-2)
 
 
-def test_switching_thinks_harder_to_merge_and_earns_more_than_naive():
-    _, _, rewards, infos = drive(make("merger", "switching:0.1"))
-    assert rewards.mean() > drive(make("merger")).rewards.mean() + 3
-    models = [info["model"] for info in infos]
-    assert set(models) == {"naive", "turn", "tom"}
-    up = [info for before, info in zip(models, infos[1:], strict=False) if info["model"] == "tom" != before]
-    assert up
-    assert all(info["gains"]["tom"] > 0 for info in up)
-
-
 def test_info_holds_the_reward_by_feature_and_measured_times():
     _, _, rewards, infos = drive(make("merger", "turn"))
     for reward, info in zip(rewards, infos, strict=True):

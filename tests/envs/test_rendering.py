@@ -10,8 +10,6 @@ from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PAPER, TEXT_WIDTH,
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.visualization.video import HEADING_HEIGHT, film, scaled, side_by_side, write
 
-ROAD = slice(HEADING_HEIGHT, HEADING_HEIGHT + 200)  # rows of a film's part of the picture that show no measured time
-
 
 @pytest.fixture(scope="module")
 def films():
@@ -53,13 +51,6 @@ def test_texts_are_kerned_and_stand_on_one_line():
 def test_only_where_the_model_is_chosen_the_panel_says_why(controller):
     reason = rendered("merger", controller).render()[-42:, : TEXT_WIDTH - 60]
     assert (reason == PAPER).all() == (controller == "tom")
-
-
-@pytest.mark.parametrize("rows", [slice(-134, -74), slice(-64, None)])
-def test_both_charts_of_the_panel_have_a_scale_beside_them(rows):
-    scale = rendered("merger").render()[rows, TEXT_WIDTH - 40 : TEXT_WIDTH]
-    for half in np.array_split(scale, 2):
-        assert (half != PAPER).any()
 
 
 def test_cones_stand_on_the_road_of_stay_back():

@@ -9,8 +9,8 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.game.features import features
-from ms_highway.game.game import move, total_reward, trajectory_reward
-from ms_highway.game.reward import FEATURES, OWN_FEATURES, PAPER_FEATURES, add_feature, linear_reward, weight_names
+from ms_highway.game.game import total_reward
+from ms_highway.game.reward import OWN_FEATURES, PAPER_FEATURES, add_feature, linear_reward, weight_names
 from ms_highway.game.scenario import build_game, driving_game
 from ms_highway.game.scenarios import MERGER
 from ms_highway.metareasoning.switching import Switching
@@ -86,26 +86,6 @@ def test_decisions_expand_a_feature_that_looks_at_everything_at_once(roomy, clos
     close(expansion.robot_robot, bend[0, :, 0], 5e-3)
     close(expansion.robot_human, bend[0, :, 1], 5e-3)
     close(expansion.human_human, bend[1, :, 1], 5e-3)
-
-
-def test_what_nobody_weighs_is_not_computed(played):
-    def counted(scene, own, others):
-        calls.append(own)
-        return own.speed
-
-    def lowered():
-        game, state = played("merger")
-        own, other = (jax.eval_shape(move, game, car, jnp.zeros((5, 2))) for car in state[:2])
-        others = jax.ShapeDtypeStruct((1, *other.shape), other.dtype)
-        return jax.jit(trajectory_reward.__wrapped__).lower(game, state, own, others).as_text()
-
-    calls, before = [], lowered()
-    add_feature("counted", counted)
-    calls.clear()
-    assert lowered() == before
-    assert linear_reward({"counted": 0.0, "speed": 1.0}, 20.0).names == PAPER_FEATURES
-    assert not calls
-    assert linear_reward({"counted": 1.0, "headway": 1.0}, 20.0).names == (*FEATURES, "counted")
 
 
 def test_a_feature_that_is_added_again_is_computed_anew(played):

@@ -15,11 +15,6 @@ from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
 
 compiled, earned = jit_quickly(features), jit_quickly(reward)
-UNIT = 100 / 3  # m
-
-
-def feature(name, game, state):
-    return float(compiled(game.scene, game.robot, jnp.asarray(state))[PAPER_FEATURES.index(name)])
 
 
 def test_features_take_every_batch_shape(played):
@@ -59,16 +54,6 @@ def test_the_slope_of_every_feature_is_that_of_differences_and_indicators_have_n
         else:
             assert abs(wanted).max() > 0, name
             np.testing.assert_allclose(slopes, wanted, atol=1e-5 * abs(wanted).max(), err_msg=name)
-
-
-def test_a_collision_is_seen_with_cars_and_with_cones_and_risk_grows_before(played):
-    game, state = played("stay_back")
-    assert feature("collision", game, state) == 0
-    for place in (state[1, :2] + 1, game.scene.obstacles[3]):
-        assert feature("collision", game, state.at[0, :2].set(place)) == 1
-    behind = [state.at[0, :2].set(state[1, :2] - jnp.array([gap, 0])) for gap in (20, 9, 7)]
-    risks = [feature("collision_risk", game, each) for each in behind]
-    assert risks[0] < 1e-6 < risks[1] < risks[2]
 
 
 @pytest.mark.parametrize(("human", "order"), [(0, [1, 0, 2, 3]), (1, [2, 0, 1, 3])])

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game.dynamics import Motion, observe
+from ms_highway.game.dynamics import observe
 from ms_highway.game.game import move, swap_roles
 from ms_highway.game.scenario import GRIP, build_game
 from ms_highway.game.scenarios import DENSE_MERGE, STAY_BACK
-from ms_highway.game.stopping import ASIDE, ROOM, stopping_cost, stopping_curvature
+from ms_highway.game.stopping import ASIDE, ROOM, stopping_cost
 from ms_highway.planning.human_models import Naive
 from ms_highway.planning.several import plan_for
 
@@ -22,7 +22,6 @@ CAR, CAR_WIDTH = np.asarray(SCENE.car_size, float)
 LENGTH, TOUCH = (np.asarray(SCENE.car_size, float) + np.asarray(SCENE.obstacle_size, float)) / 2
 WIDTH = TOUCH + ASIDE * CAR_WIDTH  # m, at which an obstacle is out of the way
 SPEED = 20.0
-BRAKING = SPEED**2 / (2 * GRIP)
 STOP = CONE[0] - LENGTH - ROOM * CAR  # m, where a car stands with room
 STEPS, HALF = 20, 9
 
@@ -43,23 +42,6 @@ def test_a_car_that_passes_beside_an_obstacle_or_has_passed_it_pays_nothing():
     assert cost(STOP, CONE[1] - 1.01 * WIDTH) == 0.0
     assert cost(CONE[0] + 0.5 * LENGTH) > 0.0
     assert cost(CONE[0] + 1.01 * LENGTH) == 0.0
-
-
-@pytest.mark.parametrize("late", [0.01, 0.5, 6.0, 30.0])
-def test_the_curvature_is_that_of_squares_and_has_no_jump(late):
-    """At 30 m, the car is passing the obstacle."""
-    own = motion(STOP - BRAKING + late, CONE[1] - 0.4 * WIDTH)
-    moment = np.array([field[HALF] for field in own], float)
-
-    def lateness(fields):
-        path = jnp.asarray(np.stack(own)).at[:, HALF].set(fields)
-        return np.sqrt(float(stopping_cost(SCENE, GRIP, Motion(*path)).sum()))
-
-    bumps = np.diag([0.02, 0.02, 0.02, 0.02, 0.02])
-    slopes = np.array([(lateness(moment + bump) - lateness(moment - bump)) / 0.04 for bump in bumps])
-    bent = np.asarray(stopping_curvature(SCENE, GRIP, own))
-    assert not bent[np.arange(STEPS) != HALF].any()
-    np.testing.assert_allclose(bent[HALF], 2 * np.outer(slopes, slopes), rtol=0.05, atol=2e-3)
 
 
 @pytest.mark.parametrize(("grip", "limit"), [(8.0, 8.0), (None, 8.0), (8.0, 3.0), (None, np.inf)])

@@ -1,6 +1,5 @@
 """Learned values of computation, over the top rung or the cheapest: what they look at, choose, and their files."""
 
-import io
 import json
 import zipfile
 from dataclasses import replace
@@ -176,16 +175,10 @@ def test_a_file_of_values_that_says_or_holds_wrong_things_is_refused_by_them(fil
     refused(file, problem)
 
 
-def test_archives_that_declare_or_unpack_to_more_than_values_have_are_refused_before_they_are_read(file):
+def test_archives_that_unpack_to_more_than_values_have_are_refused_before_they_are_read(file):
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("about.npy", bytes(20_000_000))
     refused(file, "unpacks to 20000000 bytes")
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": (10**13,)})
-    for part, problem in ((header.getvalue(), "allocate|EOF"), (header.getvalue().replace(b"}", b"("), "EOF")):
-        with zipfile.ZipFile(file, "w") as archive:
-            archive.writestr("about.npy", part)
-        refused(file, problem)
 
 
 def over_naive(gains, price=0.0):
