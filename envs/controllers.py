@@ -242,7 +242,7 @@ class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
 
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
-        return Nearest(self.count, start.costs, start.ladder)
+        return Nearest(self.count, start.ladder)
 
 
 CLASSES = (

@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from ms_highway.game.game import Game
 from ms_highway.metareasoning.rule import Decision, Memory, Outcome, unestimated
-from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Index
 
@@ -20,12 +19,10 @@ class Nearest:
 
     Attributes:
         count: number of humans on the top rung.
-        costs: planning time, for records.
         ladder: human models (static).
     """
 
     count: Index
-    costs: Costs
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
 
     def look(self, game: Game, memory: Memory, outcome: Outcome) -> Float[jax.Array, "humans 1"]:

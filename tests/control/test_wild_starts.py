@@ -20,6 +20,11 @@ STARTS = 100
 LIMIT = np.array(PHYSICAL_LIMIT)
 
 
+@pytest.fixture(params=["stay_back", "merger"])
+def scenario(request):
+    return request.param
+
+
 @pytest.fixture
 def wild(scenario, played):
     """The scenario's game and starts: cars off the road, across it, reversing, standing, and one inside another."""

@@ -26,6 +26,7 @@ def test_features_take_every_batch_shape(played):
         np.testing.assert_allclose(earned(game.scene, game.robot, states), np.full(batch, expected), rtol=1e-6)
 
 
+@pytest.mark.parametrize("scenario", ["stay_back", "merger"])
 def test_features_do_not_depend_on_the_unit_of_length(scenario, played):
     games = played(scenario), played(scenario, unit=1.0)
     in_metres, in_units = (compiled(game.scene, game.robot, state) for game, state in games)

@@ -62,7 +62,7 @@ def test_rules_with_the_same_fields_are_not_taken_for_each_other():
 
 @pytest.mark.parametrize(("count", "nearest"), [(0, []), (1, [0]), (2, [0, 3]), (3, [0, 2, 3]), (9, range(4))])
 def test_theory_of_mind_is_for_the_nearest_humans(outcome, count, nearest):
-    rungs = np.asarray(chosen(Nearest(count, COSTS, RUNGS), *outcome).memory.rungs)
+    rungs = np.asarray(chosen(Nearest(count, RUNGS), *outcome).memory.rungs)
     np.testing.assert_array_equal(np.flatnonzero(rungs == TOM), nearest)
     assert (rungs[rungs != TOM] == NAIVE).all()
 

@@ -97,7 +97,7 @@ def rules(humans):
         "learned": values.rule(PAPERS, costs, 1.0),
         "budget": Budget(one_step, costs, seconds=0.6, deciding=0.01),
         "budget of values": Budget(values.rule(PAPERS, costs, 0.0), costs, seconds=0.7, deciding=0.01),
-        "nearest": Nearest(1, costs, PAPERS),
+        "nearest": Nearest(1, PAPERS),
     }
 
 
