@@ -17,7 +17,7 @@ from ms_highway.metareasoning.nearest import Nearest
 from ms_highway.metareasoning.rule import Order, always
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import ladder
+from ms_highway.planning.human_models import MODELS, ladder
 
 
 def test_a_step_tells_what_was_planned_for_every_human(played):
@@ -28,7 +28,7 @@ def test_a_step_tells_what_was_planned_for_every_human(played):
     assert step.plan.shape == (5, 2)
     assert step.humans.shape == (2, 5, 2)
     np.testing.assert_array_equal(step.control, step.plan[0])
-    assert step.humans[1, 0] == pytest.approx([0.0, 0.2 * state[2, 3]], rel=1e-4)  # only makes up for friction
+    assert step.humans[1, 0] == pytest.approx([0.0, 0.2 * float(state[2, 3])], rel=1e-4)  # only makes up for friction
     assert 0 < step.planning_seconds < 1
     assert 0 < step.decision_seconds < 1
     assert np.isnan(step.gains).all()
