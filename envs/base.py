@@ -44,12 +44,10 @@ class InteractionEnv(StageEnv):
       ``"shipped"`` or a file of ``ms-highway values learn``;
       ``{"type": "switching", "lambda": 0.1}``, the paper's Algorithm 1 does; ``{"type": "budget", "milliseconds":
       20}``, what gains most in this time; ``{"type": "nearest", "count": 2}``, the top of the ladder for the two
-      nearest humans; ``{"type": "risk", "count": 2, "threshold": 0.05}``, for two at most of those that collide with
-      the plan with this probability or more; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models":
-      ["tom", "tom", "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom",
-      "naive"]}``, the same repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the
-      episode starts. All of them and their short names: `ms_highway.envs.short_names.controller_config`;
-      `ms_highway.add_rule` adds more.
+      nearest humans; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom",
+      "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
+      repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the episode starts. All of
+      them and their short names: `ms_highway.envs.short_names.controller_config`; `ms_highway.add_rule` adds more.
       Any of them with ``"belief": True`` infers from what a human does which model predicts it
       (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or

@@ -12,8 +12,8 @@ from ms_highway.envs.configuration import NotNegative, Positive, read
 from ms_highway.game.scenario import Semantics
 from ms_highway.metareasoning.budget import Budget, OneStepGains
 from ms_highway.metareasoning.horizon import WholeHorizon
+from ms_highway.metareasoning.nearest import Nearest
 from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE, QuadraticRule
-from ms_highway.metareasoning.rankings import Barrier, Influence, Nearest, Risk, TimeToCollision
 from ms_highway.metareasoning.rule import Order
 from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values
@@ -239,40 +239,11 @@ class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
 class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
     """The top rung for the nearest humans, and the first for all others."""
 
-    ranking: ClassVar[Any] = Nearest
     count: Annotated[int, Meta(ge=0, description="it must be a number of humans, 0 or more")]
 
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
-        return self.ranking(self.count, start.costs, start.ladder)
-
-
-class TimeToCollisionSettings(NearestSettings, frozen=True, tag="ttc"):
-    """The top rung for the humans with the shortest time to collision."""
-
-    ranking = TimeToCollision
-
-
-class InfluenceSettings(NearestSettings, frozen=True, tag="influence"):
-    """The top rung for the humans that influence the robot's plan most."""
-
-    ranking = Influence
-
-
-class BarrierSettings(NearestSettings, frozen=True, tag="barrier"):
-    """The top rung for the humans that constrain the robot most by a control barrier function."""
-
-    ranking = Barrier
-
-
-class RiskSettings(NearestSettings, frozen=True, tag="risk"):
-    """The top rung for the humans with the highest risk of a collision, of those whose risk reaches a threshold."""
-
-    threshold: Annotated[float, Meta(ge=0, le=1, description="it must be a probability")] = Risk.threshold
-
-    def rule(self, start: Start) -> Any:
-        """See `ControllerSettings.rule`."""
-        return Risk(self.count, start.costs, start.ladder, self.threshold)
+        return Nearest(self.count, start.ladder)
 
 
 CLASSES = (
@@ -281,10 +252,6 @@ CLASSES = (
     LearnedSettings,
     BudgetSettings,
     NearestSettings,
-    TimeToCollisionSettings,
-    InfluenceSettings,
-    BarrierSettings,
-    RiskSettings,
     FixedSettings,
     ScheduleSettings,
     PeriodSettings,

@@ -20,10 +20,6 @@ SHORT_NAMES = {
     "learned": ("lambda", "learned:0.1"),
     "budget": ("milliseconds", "budget:20"),
     "nearest": ("count", "nearest:2"),
-    "ttc": ("count", "ttc:2"),
-    "influence": ("count", "influence:2"),
-    "barrier": ("count", "barrier:2"),
-    "risk": ("count", "risk:2"),
     "schedule": ("models", "schedule:tom=6,naive"),
     "period": ("models", "period:tom=1,naive=3"),
     "random": ("shares", "random:naive=0.7,tom=0.3"),
@@ -83,13 +79,10 @@ def controller_config(text: str) -> Config:
     These are the human models, such as ``tom`` or ``tom@8+warm``; ``switching:0.1``, ``horizon:0.1`` and
     ``learned:0.1`` with a lambda, and ``learned:0.1:FILE`` with values of one's own; ``budget:20`` with the
     milliseconds of a cycle and learned gains, ``budget:20:FILE`` with those of a file, and ``budget:20:one_step`` with
-    those of Algorithm 1; ``nearest:2``, ``ttc:2``, ``influence:2`` and ``barrier:2``, theory of mind about the two
-    nearest humans, those with the shortest time to collision, those that influence the plan most, or those that
-    constrain the robot most by a control barrier function; ``risk:2``, about two at most of those that may collide with
-    the plan; ``schedule:tom=6,naive``, tom for six steps and then naive; ``period:tom=1,naive=3``, tom in every fourth
-    step and naive in between; and ``random:naive=0.7,tom=0.3``, for every human and step a model that is drawn with
-    these shares. With ``+belief`` at the end, such as ``tom+belief``, any of them counts on no response that a human
-    does not show.
+    those of Algorithm 1; ``nearest:2``, theory of mind about the two nearest humans; ``schedule:tom=6,naive``, tom for
+    six steps and then naive; ``period:tom=1,naive=3``, tom in every fourth step and naive in between; and
+    ``random:naive=0.7,tom=0.3``, for every human and step a model that is drawn with these shares. With ``+belief`` at
+    the end, such as ``tom+belief``, any of them counts on no response that a human does not show.
 
     Raises:
         ValueError: if it stands for none.

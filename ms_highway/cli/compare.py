@@ -24,10 +24,8 @@ a choice that looks at nothing, which others have to beat. Without scenarios and
 runs: its three scenarios, each with its ladder and the paper's two lambdas, and {LEARNED} beside them.
 
 In {" and ".join(SCENARIO_NAMES[3:])}, a controller chooses a model for each of several humans. A model's name stands
-for all humans; nearest:K, ttc:K, influence:K and barrier:K predict K humans by tom, the nearest, those with the
-smallest time to collision, those with the largest influence on the plan, or those that constrain the robot most by a
-control barrier function, and the others naively; risk:K so predicts K at most of those that may collide with the plan;
-budget:MILLISECONDS chooses what is worth most within this time of planning and deciding per step.
+for all humans; nearest:K predicts the K nearest humans by tom, and the others naively; budget:MILLISECONDS chooses
+what is worth most within this time of planning and deciding per step.
 
 Any controller with +belief at the end, such as tom+belief, infers from what each human does whether it is predicted by
 naive, idm, turn or tom, and plans naively where a model would count on a response that the human does not show.

@@ -28,8 +28,7 @@ SCENARIO_NAMES = ("stay_back", "merger", "give_way", "dense_merge", "crossing_cr
 
 CONTROLLERS = (
     "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA, schedule:MODEL=STEPS,...,MODEL, "
-    "period:MODEL=STEPS,..., random:MODEL=SHARE,..., budget:MILLISECONDS[:FILE], nearest:K, ttc:K, influence:K, "
-    "barrier:K, risk:K"
+    "period:MODEL=STEPS,..., random:MODEL=SHARE,..., budget:MILLISECONDS[:FILE], nearest:K"
 )
 """What controllers are called on the command line, for help texts."""
 

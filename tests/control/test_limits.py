@@ -1,27 +1,18 @@
 """Limits hold for what is executed, whoever planned it: bounds of each control, and what tyres hold in all."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import ClassVar
 
-import jax
 import numpy as np
-import pandas as pd
 import pytest
 
 from ms_highway.control.driver import fixed
-from ms_highway.envs import PAPER_SCENARIOS, MergerEnv
-from ms_highway.envs.configuration import read_own
-from ms_highway.envs.settings import Settings
 from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.planning.human_models import MODELS, Naive, register
-from ms_highway.planning.plans import Plan, within_limits
-from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.planning.human_models import Naive
+from ms_highway.planning.plans import Plan
 
 GRIP = 8.0  # m/s^2
-STATES = [f"{car}_{number}" for car in ("robot", "human") for number in ("x", "y", "heading", "speed")]
 
 
 @dataclass(frozen=True)
@@ -34,13 +25,6 @@ class Reckless(Naive):
     def plan(self, game, state, start=None):
         plan = super().plan(game, state, start)
         return Plan(plan.robot + self.excess, plan.humans)
-
-
-@pytest.fixture
-def reckless():
-    register(Reckless())
-    yield "reckless"
-    del MODELS["reckless"]
 
 
 @pytest.mark.parametrize("grip", [None, GRIP])
@@ -75,26 +59,6 @@ def test_a_users_plan_that_is_not_finite_fails_as_any_other_does(played):
         assert fixed(game, Reckless(excess=excess)).step(np.asarray(state)).status == "braking"
 
 
-@pytest.mark.parametrize("name", ["naive", "turn", pytest.param("tom", marks=pytest.mark.slow)])
-def test_plans_of_the_papers_models_are_left_as_they_are(played, name):
-    game, state = played("merger", control_limit=(0.05, 6.0), grip=GRIP)
-    plan = jit_quickly(MODELS[name].plan)(game, state)
-    held = jit_quickly(within_limits)(game, state, plan)
-    jax.tree.map(partial(np.testing.assert_array_max_ulp, maxulp=1), plan, held)  # scaled and unscaled for the grip
-
-
-@pytest.mark.slow
-def test_batches_keep_to_the_limits_as_environments_do(reckless):
-    costs, controllers = {"naive": 0.1, "reckless": 0.1}, ["naive", "reckless"]
-    config = {"costs": costs, "ladder": ["naive"], "control_limit": [0.05, 6.0], "grip": GRIP}
-    comparison = Comparison({"merger": controllers}, seeds=2, config=config)
-    envs = [make_environment("merger", name, **comparison.config) for name in controllers]
-    expected = pd.DataFrame([record for env in envs for seed in range(2) for record in episode(env, seed)])
-    found = simulated(comparison)
-    np.testing.assert_allclose(found[STATES], expected[STATES], atol=0.05, rtol=0)
-    assert (found["status"].to_numpy() == expected["status"].to_numpy()).all()
-
-
 @pytest.mark.slow
 def test_with_a_grip_no_car_of_the_papers_scenes_leaves_the_friction_circle():
     """From places and speeds: the path's curvature times v^2, and the change of speed."""
@@ -118,14 +82,3 @@ def accelerations(records, car):
 def held_by(control, speed):
     """What tyres hold under a control, with the paper's friction."""
     return np.hypot(speed**2 * control[0], control[1] - 0.2 * speed)
-
-
-def test_the_papers_scenes_do_not_look_at_the_grip_unless_they_are_asked_to():
-    for scenario in PAPER_SCENARIOS:
-        env = make_environment(scenario, "naive").unwrapped
-        assert env.game.planner.grip is None
-    asked = read_own(Settings, MergerEnv.checked_config({"grip": GRIP})).game(MergerEnv.scenario)
-    assert asked.planner.grip == np.float32(GRIP)
-    for wrong in (0, -8, "much", np.nan, True, [8.0]):
-        with pytest.raises(ValueError, match=r"config\['grip'\] is .*such as 8 on a dry road"):
-            MergerEnv.checked_config({"grip": wrong})

@@ -33,7 +33,7 @@ def test_trust_changes_nothing_and_without_a_belief_info_has_none(trusted):
     assert all(info["timing"].decision_seconds > 0 for info in trusted.infos[1:])
 
 
-@pytest.mark.parametrize("controller", ["tom", "learned:1", pytest.param("switching:0.1", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("controller", ["tom", "learned:1"])
 def test_nobody_merges_in_front_of_a_human_who_ignored_the_nudge(controller):
     _, states, _, infos = drive(make("merger", f"{controller}+belief", yielding="never"), SEED)
     assert infos[5]["belief"][0, NAIVE] > 0.95
@@ -45,17 +45,6 @@ def test_nobody_merges_in_front_of_a_human_who_ignored_the_nudge(controller):
 def test_who_counts_on_such_a_human_collides():
     *_, infos = drive(make("merger", "tom", yielding="never"), SEED, steps=15)
     assert any(info["collision"] for info in infos)
-
-
-@pytest.mark.slow
-def test_each_of_several_humans_has_a_belief_of_its_own():
-    *_, infos = drive(make("dense_merge", "tom+belief", yielding="never", way_out=False), SEED, steps=12)
-    belief = infos[-1]["belief"]
-    assert belief.shape == (2, 4)
-    np.testing.assert_allclose(belief.sum(axis=1), 1.0, rtol=1e-5)
-    ignored = belief[:, [TURN, TOM]].sum(axis=1) < 0.2
-    assert ignored.any()
-    assert all(model == "naive" for model, ignores in zip(infos[-1]["models"], ignored, strict=True) if ignores)
 
 
 def test_who_never_yields_keeps_its_velocity_and_who_always_does_brakes_for_a_robot_beside_it():

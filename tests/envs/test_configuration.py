@@ -2,14 +2,13 @@
 
 import re
 from dataclasses import replace
-from typing import Annotated
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from msgspec import Meta, defstruct
+from msgspec import defstruct
 
-from ms_highway import Switching, always
+from ms_highway import always
 from ms_highway.envs import (
     ENVIRONMENTS,
     SCENARIOS,
@@ -27,78 +26,34 @@ PAIR, SEVERAL = "merger", "dense_merge"
 NAN_MODEL = {"type": "fixed", "model": "naive"}
 WRONG = [
     ({"semantic": "paper"}, "unknown key 'semantic' in config; did you mean 'semantics'"),
-    ({"influence": "exact"}, "unknown key 'influence' in config"),
-    ({"semantics": "real"}, "config['semantics'] is 'real'; choose one of 'paper', 'released'"),
-    (
-        {"solver": None},
-        "config['solver'] is None; choose one of 'gradient', 'newton', 'convex_newton'",
-    ),
-    ({"yielding": "sometimes"}, "config['yielding'] is 'sometimes'; choose one of 'usual', 'never', 'always'"),
-    ({"beliefs": "none"}, "config['beliefs'] is 'none'; choose one of 'learned', 'true'"),
+    ({"solver": None}, "config['solver'] is None; choose one of 'gradient', 'newton', 'convex_newton'"),
     ({"way_out": 1}, "config['way_out'] is 1; it must be True or False"),
-    ({"humans": 2.5}, "config['humans'] is 2.5"),
     ({"humans": 21}, "config['humans'] is 21; it must be a whole number from"),
     ({"controller": "tom"}, "config['controller'] is 'tom'; its 'type' must be one of switching, horizon"),
-    ({"controller": {"type": ["fixed"]}}, "its 'type' must be one of"),
     ({"controller": {"lamda": 1}}, "unknown key 'lamda' in config['controller']; did you mean 'lambda'"),
     ({"controller": {"type": "switching", "lambda": -1}}, "config['controller']['lambda'] is -1; it must be a number"),
-    ({"controller": {"type": "switching", "lambda": 1e308}}, "['lambda'] is 1e+308; it must be a number from 0"),
     ({"controller": {"type": "horizon"}}, "config['controller'] needs 'lambda': it must be a number from 0"),
-    ({"controller": {"type": "fixed"}}, "config['controller'] needs 'model'"),
     (
         {"controller": {"type": "fixed", "model": "oracle"}},
         "names 'oracle'; the human models are naive, idm, turn, tom",
     ),
-    ({"controller": {"type": "fixed", "model": "tom", "belief": 1}}, "['belief'] is 1; it must be True or False"),
-    ({"controller": {"type": "fixed", "model": "tom", "beliefs": True}}, "did you mean 'belief'?"),
     ({"controller": {"type": "schedule", "models": []}}, "['models'] is []; give a list of human models"),
-    ({"controller": {"type": "schedule", "models": ["tom", "oracle"]}}, "names 'oracle'"),
-    ({"controller": {"type": "period"}}, "needs 'models': give a list of human models"),
-    ({"controller": {"type": "random", "shares": {"oracle": 1.0}}}, "names 'oracle'; the human models are"),
-    ({"controller": {"type": "random", "shares": {"tom": -0.5, "naive": 1.5}}}, "['shares']['tom'] is -0.5; give the"),
     ({"controller": {"type": "random", "shares": {"tom": np.inf}}}, "['shares']['tom'] is inf"),
     ({"controller": {"type": "random", "shares": {"tom": 0.3, "naive": 0.6}}}, "['shares'] sum to 0.9; change one"),
     ({"controller": {"type": "nearest", "count": -1}}, "['count'] is -1; it must be a number of humans, 0 or more"),
-    ({"controller": {"type": "risk", "count": 1, "threshold": 5}}, "['threshold'] is 5; it must be a probability"),
-    ({"controller": {"type": "budget", "milliseconds": 0}}, "['milliseconds'] is 0; it must be a positive number"),
-    ({"controller": {"type": "learned", "lambda": 1, "values": 3}}, "['values'] is 3; say 'shipped' or name a file"),
     ({"controller": {"type": "learned", "lambda": 1, "values": "none.npz"}}, "none.npz cannot be read"),
     ({"ladder": ["tom", "naive"]}, "cheapest first"),
-    ({"ladder": []}, "impossible ladder"),
-    ({"ladder": "tom"}, "config['ladder'] is 'tom'; give a list of human models"),
-    ({"costs": "free"}, "config['costs'] is 'free'; say 'published', 'shipped', 'measured', or give seconds"),
     ({"costs": {"naive": 0.1}}, "without seconds for 'turn'"),
-    ({"costs": {"naive": -0.1, "turn": 1, "tom": 1}}, "config['costs']['naive'] is -0.1; say 'published'"),
     ({"costs": np.array([0.1, 0.2, 0.3])}, "config['costs'] is [0.1, 0.2, 0.3]"),
-    ({"human_reward": "taught"}, "'taught'; say 'learned', 'published', or give finite weights by name"),
-    ({"human_reward": {"sped": 2.0}}, "'sped' in config['human_reward']; did you mean 'speed'"),
-    ({"human_reward": {"speed": np.nan}}, "config['human_reward']['speed'] is nan"),
-    ({"human_reward": {"speed": "2"}}, "config['human_reward']['speed'] is '2'"),
     ({"human_reward": {"speed": 1e39}}, "config['human_reward']['speed'] is 1e+39"),
-    ({"horizon": 0}, "config['horizon'] is 0; it must be a whole number from 1 to 100"),
-    ({"horizon": 10**6}, "must be a whole number from 1 to 100"),
     ({"horizon": 50}, "need 36385 gradient steps"),
-    ({"iterations": 2.5}, "config['iterations'] is 2.5; it must be a whole number from 1 to 5000"),
-    ({"step_size": -0.1}, "config['step_size'] is -0.1; it must be a positive number, or None"),
     ({"time_step": 1e-320}, "it must be from 0.01 to 1 s"),
-    ({"time_step": 0.05, "policy_frequency": 10}, "steps of 0.05 s, so it must be 20"),
     ({"policy_frequency": 5}, "must be 10"),
-    ({"duration": -1}, "config['duration'] is -1; it must be a positive number"),
     ({"duration": 0.01}, "one time step at least"),
-    ({"control_limit": [1.0]}, "config['control_limit'] is [1.0]; give None for the usual limits"),
-    ({"control_limit": ["a", "b"]}, "or two positive bounds"),
-    ({"control_limit": [0.2, 1e308]}, "'control_limit'"),
-    ({"control_limit": np.array(9.0)}, "'control_limit'"),
     ({"control_limit": (True, 9)}, "'control_limit'"),
-    ({"grip": 0}, "config['grip'] is 0; give what tyres hold in m/s^2"),
-    ({"terminate_on_collision": "no"}, "must be True or False"),
+    ({"grip": 0}, "config['grip'] is 0; give what tyres hold in m/s^2, such as 8 on a dry road"),
     ({"screen_width": -3}, "config['screen_width'] is -3; it must be a positive number"),
-    ({"real_time_rendering": 3}, "config['real_time_rendering'] is 3; it must be True or False"),
-    ({"action": {"type": "Teleport"}}, "config['action'] is {'type': 'Teleport'}; its 'type' must be one of Autopilot"),
-    ({"action": {"type": "HumanModelAction", "lambda": -1}}, "config['action']['lambda'] is -1; it must be a number"),
     ({"action": {"type": "HumanModelAction", "lamda": 1}}, "did you mean 'lambda'"),
-    ({"action": {"type": "ContinuousAction", "clipp": True}}, "did you mean 'clip'"),
-    ({"observation": {"type": "Sonar"}}, "its 'type' must be one of CarStates"),
     ({"observation": {"type": "Kinematics", "absolut": True}}, "did you mean 'absolute'"),
     ([], "the configuration is []; it must be a dictionary"),
     (
@@ -109,6 +64,7 @@ WRONG = [
 
 
 CONTINUOUS = {"action": {"type": "ContinuousAction"}}
+PARALYSED = {"type": "ContinuousAction", "longitudinal": False, "lateral": False}
 UNLEARNED = {"ladder": ["naive", "idm"], "costs": "shipped", "controller": {"type": "learned", "lambda": 1}}
 
 
@@ -153,22 +109,6 @@ def test_nested_configurations_merge_and_a_new_type_replaces():
     assert env.config["human_reward"] == {"speed": 3.0}
 
 
-def test_a_refused_change_leaves_the_environment_as_it_was():
-    env = make(controller=NAN_MODEL)
-    before = dict(env.config)
-    paralysed = {"type": "ContinuousAction", "longitudinal": False, "lateral": False}
-    for config, message in (
-        ({"duration": 1.0, "semantics": "real"}, "semantics"),
-        ({"action": paralysed}, "control must be enabled"),  # says highway-env
-        (UNLEARNED, "were learned on the ladder"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            env.reset(options={"config": config})
-        assert env.config == before
-    env.reset(seed=0)
-    assert env.step(0)[4]["model"] == "naive"
-
-
 def test_what_is_configured_during_an_episode_acts_from_the_next_reset_on_all_of_it():
     env, longer = make(controller=NAN_MODEL, duration=0.3), {"type": "fixed", "model": "turn"}
     env.reset(seed=0)
@@ -191,19 +131,24 @@ def test_what_is_configured_during_an_episode_acts_from_the_next_reset_on_all_of
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda env: env.configure(UNLEARNED), "were learned on the ladder"),
         (lambda env: env.reset(options={"config": UNLEARNED}), "were learned on the ladder"),
         (lambda env: env.reset(options={"config": CONTINUOUS, "initial_states": [[0]]}), "needs an array"),
+        (
+            lambda env: env.reset(options={"config": {"action": PARALYSED}}),
+            "must be enabled",
+        ),  # highway-env's own words
+        (lambda env: env.configure({"duration": 1.0, "semantics": "real"}), "semantics"),
     ],
 )
 def test_a_change_that_is_refused_in_an_episode_leaves_it_as_it_was(change, message):
     env = make(controller=NAN_MODEL)
     env.reset(seed=0)
     env.step(0)
-    cars = env.car_states
+    cars, config = env.car_states, dict(env.config)
     with pytest.raises(ValueError, match=message):
         change(env)
     np.testing.assert_array_equal(env.car_states, cars)
+    assert env.config == config
     assert (env.steps, env.step(0)[4]["model"]) == (1, "naive")
     env.reset(seed=0)
 
@@ -219,15 +164,11 @@ def test_a_controller_that_is_set_in_the_configuration_itself_drives_from_the_ne
     ("text", "config"),
     [
         ("tom", {"type": "fixed", "model": "tom"}),
-        ("tom@8+warm", {"type": "fixed", "model": "tom@8+warm"}),
         ("tom@8+warm+belief", {"type": "fixed", "model": "tom@8+warm", "belief": True}),
         ("switching:0.1", {"type": "switching", "lambda": 0.1}),
         ("learned:1:", {"type": "learned", "lambda": 1.0}),
-        ("learned:1+belief", {"type": "learned", "lambda": 1.0, "belief": True}),
         ("budget:20:one_step", {"type": "budget", "milliseconds": 20.0, "values": "one_step"}),
         ("nearest:2", {"type": "nearest", "count": 2}),
-        ("barrier:2", {"type": "barrier", "count": 2}),
-        ("risk:2+belief", {"type": "risk", "count": 2, "belief": True}),
         ("schedule:tom=2,naive", {"type": "schedule", "models": ["tom", "tom", "naive"]}),
         ("period:tom=1,naive=2", {"type": "period", "models": ["tom", "naive", "naive"]}),
         ("random:naive=0.7,tom=0.3", {"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}),
@@ -242,20 +183,11 @@ def test_a_short_name_stands_for_a_configuration(text, config):
     ("text", "message"),
     [
         ("nobody+belief", "unknown controller 'nobody+belief'; name a model"),
-        ("fixed:tom", "unknown controller 'fixed:tom'"),
-        ("tom:1", "unknown controller 'tom:1'"),
-        ("switching", "controller 'switching' cannot be read; write it like switching:0.1"),
         ("switching:0.1\n", "write it like switching:0.1"),
         ("switching:-1", "controller 'switching:-1': config['controller']['lambda'] is -1.0"),
-        ("nearest:two", "write it like nearest:2"),
-        ("barrier", "write it like barrier:2"),
-        ("risk:2:0.05", "controller 'risk:2:0.05'"),
-        ("schedule:tom=6,naive=2", "write it like schedule:tom=6,naive"),
+        ("nearest:2:0.05", "controller 'nearest:2:0.05'"),
         ("schedule:tom=999999999,naive", "write it like schedule:tom=6,naive"),
-        ("schedule:oracle=6,naive", "names 'oracle'"),
         ("period:tom", "write it like period:tom=1,naive=3"),
-        ("random:tom", "write it like random:naive=0.7,tom=0.3"),
-        ("random:tom=0.4", "sum to 0.4"),
     ],
 )
 def test_what_is_no_short_name_is_refused_with_an_example(text, message):
@@ -263,18 +195,12 @@ def test_what_is_no_short_name_is_refused_with_an_example(text, message):
         controller_config(text)
 
 
-@pytest.mark.parametrize("name", ["merger", "dense_merge", "Zipper", "two words"])
+@pytest.mark.parametrize("name", ["merger", "two words"])
 def test_a_scenario_of_ones_own_needs_a_name_of_its_own(name):
     environment = type("Environment", (MergerEnv,), {"scenario": replace(MergerEnv.scenario, name=name)})
     with pytest.raises(ValueError, match=f"cannot be called '{name}'; choose one word in lower case"):
         add_scenario(environment)
     assert list(SCENARIOS) == ["stay_back", "merger", "give_way", "dense_merge", "crossing_crowd"]
-
-
-def test_a_threshold_of_risk_is_the_rules():
-    env = make("dense_merge", costs="shipped", controller={"type": "risk", "count": 1, "threshold": 0.2})
-    env.reset(seed=0)
-    assert env.robot.controller.rule.limit == -0.2
 
 
 class Plain(ControllerSettings, tag="plain"):
@@ -315,13 +241,8 @@ def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one():
     ("own", "known"),
     [
         ({"top": int}, {"cc:3": {"top": 3}, "cc": None, "cc:3.5": None}),
-        ({"top": Annotated[int, Meta(ge=0)] | None}, {"cc:3": {"top": 3}}),
         ({"top": (float, 2.0), "last": (str, "")}, {"cc:3": {"top": 3.0}, "cc": {}}),
         ({"kind": str}, {"cc:near": {"kind": "near"}, "cc": None}),
-        ({"models": (int, 1)}, {"cc:3": {"models": 3}}),
-        ({"models": (list[str], [])}, {"cc": {}, "cc:3": None}),
-        ({"models": list[str]}, {"cc": None, "cc:3": None}),
-        ({"top": int, "last": int}, {"cc": None, "cc:3": None}),
     ],
 )
 def test_the_short_name_of_a_rule_of_ones_own_is_read_by_the_type_of_its_first_field(own, known):
@@ -339,21 +260,10 @@ def test_the_short_name_of_a_rule_of_ones_own_is_read_by_the_type_of_its_first_f
 @pytest.mark.parametrize(
     ("rule", "message"),
     [
-        (
-            type("Rule", (Plain,), {}, tag="switching"),
-            "cannot be called 'switching'; choose a tag of one word",
-        ),
-        (type("Rule", (Plain,), {}, tag="tom"), "cannot be called 'tom'"),
-        (type("Rule", (Plain,), {}, tag="two words"), "cannot be called 'two words'"),
+        (type("Rule", (Plain,), {}, tag="switching"), "cannot be called 'switching'; choose a tag of one word"),
         (type("Rule", (ControllerSettings,), {}, tag="idle"), "Rule makes no rule; give a ControllerSettings with a"),
-        (Switching, "Switching makes no rule"),
     ],
 )
 def test_a_rule_of_ones_own_needs_a_name_of_its_own_and_makes_a_rule(rule, message):
     with pytest.raises(ValueError, match=message):
         add_rule(rule)
-
-
-def test_an_unknown_scenario_is_refused_by_name():
-    with pytest.raises(ValueError, match="'roundabout'; the scenarios are stay_back, merger, give_way"):
-        environment_id("roundabout")

@@ -1,18 +1,14 @@
 """What a person sees."""
 
-from dataclasses import replace
-
 import imageio.v3 as imageio
 import numpy as np
 import pytest
 from episodes import make
 
 from ms_highway.cli.main import main
-from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PAPER, TEXT_WIDTH, InteractionViewer, words
+from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PAPER, TEXT_WIDTH, words
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.visualization.video import HEADING_HEIGHT, film, scaled, side_by_side, write
-
-ROAD = slice(HEADING_HEIGHT, HEADING_HEIGHT + 200)  # rows of a film's part of the picture that show no measured time
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +41,6 @@ def test_a_frame_shows_cars_plan_and_model_in_their_colours(driver, monkeypatch)
     assert pixels(frame, MODEL_COLORS["tom"]) == 0
 
 
-def test_no_planning_time_is_charted_where_an_agent_drives():
-    env = rendered("merger", action={"type": "ContinuousAction"})
-    chart = env.render()[-InteractionViewer.panel_height : -90, TEXT_WIDTH:]
-    assert (chart == PAPER).all()
-
-
 def test_texts_are_kerned_and_stand_on_one_line():
     apart = sum(words(letter, 26, INK).get_width() for letter in "AV")
     assert words("AV", 26, INK).get_width() < apart
@@ -61,13 +51,6 @@ def test_texts_are_kerned_and_stand_on_one_line():
 def test_only_where_the_model_is_chosen_the_panel_says_why(controller):
     reason = rendered("merger", controller).render()[-42:, : TEXT_WIDTH - 60]
     assert (reason == PAPER).all() == (controller == "tom")
-
-
-@pytest.mark.parametrize("rows", [slice(-134, -74), slice(-64, None)])
-def test_both_charts_of_the_panel_have_a_scale_beside_them(rows):
-    scale = rendered("merger").render()[rows, TEXT_WIDTH - 40 : TEXT_WIDTH]
-    for half in np.array_split(scale, 2):
-        assert (half != PAPER).any()
 
 
 def test_cones_stand_on_the_road_of_stay_back():
@@ -81,50 +64,6 @@ def test_closing_one_environment_leaves_the_others_drawing():
     one.close()
     other.step(0)
     assert other.render().std() > 10
-
-
-def test_the_picture_moves_and_the_history_grows():
-    env = rendered("merger", steps=0)
-    first = env.render()
-    for _ in range(5):
-        env.step(0)
-    later = env.render()
-    assert (first != later).any()
-    assert pixels(later, MODEL_COLORS["naive"]) > pixels(first, MODEL_COLORS["naive"])
-
-
-def halves(picture):
-    return np.split(picture, 2)
-
-
-def test_a_video_of_two_controllers_shows_both_at_the_same_time(films):
-    pictures = side_by_side(films)
-    assert np.shape(pictures) == (40, 2 * (HEADING_HEIGHT + 352), 960, 3)
-    for place in (0, 39):
-        for film_, half in zip(films, halves(pictures[place]), strict=True):
-            np.testing.assert_array_equal(half[HEADING_HEIGHT:], film_.pictures[place])
-    above, below = halves(pictures[39])
-    assert (above[:HEADING_HEIGHT] != below[:HEADING_HEIGHT]).any()
-    assert pixels(above[:HEADING_HEIGHT], MODEL_COLORS["naive"]) > pixels(below[:HEADING_HEIGHT], MODEL_COLORS["naive"])
-    assert pixels(below[:HEADING_HEIGHT], MODEL_COLORS["turn"]) > pixels(above[:HEADING_HEIGHT], MODEL_COLORS["turn"])
-
-
-def test_the_bar_of_computing_time_grows_to_the_full_width_of_the_more_expensive_one(films):
-    seconds = [sum(float(record["planning_seconds"]) for record in film_.records) for film_ in films]
-    early, late = (side_by_side(films)[place] for place in (3, 39))
-    widths = [
-        [pixels(half[HEADING_HEIGHT - 1 : HEADING_HEIGHT], MODEL_COLORS[film_.controller]) for half, film_ in pairs]
-        for pairs in (zip(halves(picture), films, strict=True) for picture in (early, late))
-    ]
-    assert max(widths[1]) == 960
-    assert widths[1][0] / widths[1][1] == pytest.approx(seconds[0] / seconds[1], rel=0.05)
-    assert 0 < widths[0][0] < widths[1][0]
-
-
-def test_films_of_several_sizes_are_not_shown_together(films):
-    small = replace(films[0], pictures=scaled(films[0].pictures, 480))
-    with pytest.raises(ValueError, match="several sizes"):
-        side_by_side([small, films[1]])
 
 
 def test_a_small_gif_keeps_the_colours_of_the_models(films, tmp_path):

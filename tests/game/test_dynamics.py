@@ -22,7 +22,7 @@ RELEASED_PLAN = Dynamics("yaw_rate", "linear", 0.0, 0.1)
 RELEASED_WORLD = Dynamics("yaw_rate", "quadratic", 0.006, 0.1)
 ALL = pytest.mark.parametrize("dynamics", [PAPER, RELEASED_PLAN, RELEASED_WORLD])
 compiled = jax.jit(rollout)
-BATCHES = pytest.mark.parametrize("batch", [(), (3,), (2, 1)])
+BATCHES = pytest.mark.parametrize("batch", [(), (2, 1)])
 
 
 def drawn(batch, seed=0):
@@ -81,11 +81,6 @@ def test_a_rollout_is_as_many_steps(dynamics, batch):
     for field, expected in zip(rolled, observe(np.stack(states[1:], axis=-2)), strict=True):
         assert field.shape == (*batch, 5)
         np.testing.assert_allclose(field, expected, rtol=1e-5, atol=1e-4)
-
-
-def test_a_rollout_refuses_quadratic_friction():
-    with pytest.raises(ValueError, match="linear friction"):
-        rollout(RELEASED_WORLD, jnp.zeros(4), jnp.zeros((5, 2)))
 
 
 @ALL

@@ -6,7 +6,6 @@ from operator import getitem
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from ms_highway.game.learned_reward import SHIPPED, load, save, shipped
 from ms_highway.game.scenario import COMMON_WEIGHTS
@@ -32,29 +31,12 @@ def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
 @pytest.mark.parametrize(
     ("name", "part", "value", "message"),
     [
-        ("demonstrations", ("version",), 1, "of version 1, not 3"),
         ("demonstrations", ("version",), 2, "of version 2, not 3"),
-        ("demonstrations", ("version",), None, "of version None"),
-        ("demonstrations", ("weights",), {"sped": 1.0}, "unknown reward features"),
         ("demonstrations", ("weights", "speed"), float("nan"), "the weight of speed is nan"),
-        ("demonstrations", ("weights",), ["speed"], r"weights is \['speed'\]: Expected `object`"),
-        ("demonstrations", ("temperature",), -1.0, "temperature is -1.0: Expected `float` > 0"),
-        ("demonstrations", ("horizon",), "5", "horizon is '5': Expected `int`"),
-        ("demonstrations", ("feature_counts",), {}, "feature counts"),
         ("demonstrations", ("covariance",), (-np.eye(4)).tolist(), "covariance"),
-        ("demonstrations", ("covariance", 0, 0), 10**400, r"covariance\[0\]\[0\] is 10.*out of range"),
-        ("demonstrations", ("weights", "speed"), 1e300, "the weight of speed is 1e\\+300"),
-        ("demonstrations", ("learned",), ["gap"], "gap"),
         ("demonstrations", ("surprise",), 1, "unknown field `surprise`"),
-        ("us101", ("drivers", "prior", "noise"), None, "drivers.prior: .*missing required field `noise`"),
-        ("us101", ("drivers", "prior", "noise"), -1.0, "drivers.prior.noise is -1.0: Expected `float` > 0"),
         ("us101", ("drivers", "weights", "headway"), None, "weights of drivers lack .* headway"),
-        ("us101", ("drivers", "changing", "sped"), 1.0, "changing of drivers .* unknown sped"),
-        ("us101", ("drivers", "weights", "headway"), 0.0, r"drivers.weights\[...\] is {.*: Expected `float` > 0"),
-        ("us101", ("drivers", "intention", "biases"), [0.0] * 6, "intention.biases is .*length 2, got 6"),
-        ("us101", ("drivers", "spread", "along"), [0.0, float("nan"), 0.0], r"spread.along\[1\] is nan"),
         ("us101", ("drivers", "spread", "tails"), [-1.0, 1.0], r"spread.tails\[0\] is -1.0"),
-        ("us101", ("drivers", "peers", "idm", "spread"), None, "peers.* missing required field `spread`"),
     ],
 )
 def test_a_damaged_file_or_one_of_another_version_is_refused_with_a_remedy(name, part, value, message, tmp_path):
@@ -79,11 +61,3 @@ def test_what_is_no_file_or_no_json_is_refused(tmp_path):
         load(tmp_path / "half.json")
     with pytest.raises(ValueError, match="no learned reward 'us102' comes with ms_highway"):
         shipped("us102")
-
-
-def test_an_interval_is_as_wide_as_its_covariance_says():
-    learned = shipped("demonstrations")
-    wide = structs.replace(learned, covariance=(4 * np.array(learned.covariance)).tolist())
-    narrow_low, narrow_high = learned.interval("speed")
-    wide_low, wide_high = wide.interval("speed")
-    assert np.log(wide_high / wide_low) == pytest.approx(2 * np.log(narrow_high / narrow_low))

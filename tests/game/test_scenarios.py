@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ms_highway.game.learned_reward import shipped
-from ms_highway.game.scenario import CARELESS, CARELESS_FACTOR, GRIP, HUMANS, SPACING, build_game, draw_episode
-from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, MERGER, STAY_BACK
+from ms_highway.game.scenario import CARELESS, CARELESS_FACTOR, HUMANS, SPACING, build_game, draw_episode
+from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, MERGER
 
 EPISODES = 60
 LEARNED = shipped("demonstrations").weights
@@ -18,7 +18,7 @@ def draws(scenario, humans):
     return [draw_episode(scenario, random, game.humans) for _ in range(EPISODES)]
 
 
-@pytest.mark.parametrize("humans", [HUMANS[0], 5, HUMANS[1]])
+@pytest.mark.parametrize("humans", HUMANS)
 @pytest.mark.parametrize("scenario", [DENSE_MERGE, CROSSING_CROWD], ids=lambda scenario: scenario.name)
 def test_humans_start_in_streams_of_short_spacings_with_the_robot_beside_their_middle(scenario, humans):
     shortest, longest = SPACING
@@ -32,11 +32,6 @@ def test_humans_start_in_streams_of_short_spacings_with_the_robot_beside_their_m
             gaps = -np.diff(x)
             assert ((gaps > shortest - 0.2) & (gaps < longest + 0.2)).all()
             assert abs((x > 0).sum() - len(x) / 2) <= 1
-
-
-def test_most_gaps_are_too_short_for_a_car_unless_somebody_yields():
-    gaps = np.concatenate([-np.diff(starts[1:, 0]) for starts, _ in draws(DENSE_MERGE, 8)])
-    assert np.mean(gaps < 2 * 5.0) > 0.9
 
 
 def test_humans_of_streams_differ_in_how_readily_they_yield_and_in_nothing_else():
@@ -53,14 +48,6 @@ def test_humans_of_streams_differ_in_how_readily_they_yield_and_in_nothing_else(
     assert np.log(factors[~careless]).std() == pytest.approx(0.7, abs=0.1)
 
 
-def test_one_human_drives_by_the_weights_of_the_game_from_a_noisy_start():
-    game, random = build_game(MERGER), np.random.default_rng(0)
-    starts, weights = zip(*(draw_episode(MERGER, random, game.humans) for _ in range(100)), strict=True)
-    np.testing.assert_array_equal(weights, np.tile(game.humans.weights, (100, 1, 1)))
-    np.testing.assert_allclose(np.mean(starts, axis=0)[:, 1], np.array(MERGER.cars)[:, 1] * 100 / 3, atol=0.01)
-    np.testing.assert_allclose(np.std(starts, axis=0)[:, 0], [0.33, 0.017, 0.017], rtol=0.3)  # the robot merges
-
-
 @pytest.mark.parametrize("scenario", [MERGER, DENSE_MERGE, replace(MERGER, caution=0.5)])
 def test_humans_drive_for_given_weights_for_their_own_aims_and_more_boldly_in_dense_traffic(scenario):
     game = build_game(scenario, human_driving=LEARNED)
@@ -68,18 +55,3 @@ def test_humans_drive_for_given_weights_for_their_own_aims_and_more_boldly_in_de
     for name, weights in zip(game.humans.names, game.humans.weights.T, strict=True):
         caution = scenario.caution if name == "collision_risk" else 1.0
         np.testing.assert_allclose(weights, caution * {**aims, **LEARNED}.get(name, 0.0), rtol=1e-6)
-
-
-@pytest.mark.parametrize("scenario", [DENSE_MERGE, CROSSING_CROWD], ids=lambda scenario: scenario.name)
-def test_a_robot_that_brakes_at_once_stops_before_the_cones(scenario):
-    scene = build_game(scenario).scene
-    room = float(scene.obstacles[:, 0].min() - (scene.car_size[0] + scene.obstacle_size[0]) / 2)
-    assert 20.0**2 / (2 * GRIP) + 5.0 < room < 5 * 20.0  # the cones are reached within 5 s
-
-
-def test_released_semantics_differ_in_dynamics_and_influence_alone():
-    paper, released = (build_game(STAY_BACK, semantics) for semantics in ("paper", "released"))
-    assert (paper.influence, released.influence) == ("damped", "exact")
-    assert (paper.dynamics.drag, released.dynamics.drag) == (pytest.approx(0.2), 0.0)
-    assert (paper.world.steering, released.world.steering) == ("curvature", "yaw_rate")
-    np.testing.assert_array_equal(paper.humans.weights, released.humans.weights)

@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import jax
 import numpy as np
-import pandas as pd
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import reward
 from ms_highway.game.game import swap_players, total_reward
@@ -69,12 +67,11 @@ def test_the_expansion_is_that_of_the_rewards_of_the_whole_plan(played, influenc
 
     expansion = jit_quickly(made(WholeHorizon).expand)(game, state, both[:10], both[10:])
     slope, bend, humans = (np.asarray(array) for array in jit_quickly(derivatives)(both))
-    scale = 1e-4 * abs(bend).max()
+    mixed = np.asarray(expansion.robot_human)
+    found = np.block([[np.asarray(expansion.robot_robot), mixed], [mixed.T, np.asarray(expansion.human_human)]])
+    np.testing.assert_allclose(found, bend, rtol=1e-3, atol=1e-4 * abs(bend).max())
     found = np.concatenate([expansion.robot, expansion.human])
     np.testing.assert_allclose(found, slope, rtol=1e-3, atol=1e-4 * abs(slope).max())
-    np.testing.assert_allclose(expansion.robot_robot, bend[:10, :10], rtol=1e-3, atol=scale)
-    np.testing.assert_allclose(expansion.robot_human, bend[:10, 10:], rtol=1e-3, atol=scale)
-    np.testing.assert_allclose(expansion.human_human, bend[10:, 10:], rtol=1e-3, atol=scale)
     human_bend = humans[10:, 10:] - np.diag(np.tile(np.asarray(game.humans.comfort), 5))
     expected = response(influence, jnp.asarray(human_bend), jnp.asarray(humans[10:, :10]))
     np.testing.assert_allclose(expansion.influence, expected, rtol=1e-2, atol=1e-3 * abs(expected).max())
@@ -100,26 +97,3 @@ def test_a_gain_pays_for_a_plan_at_every_step_of_the_horizon(played):
     rules = [made(WholeHorizon, price) for price in (0.0, 2.0)]
     free, priced = (decide_quickly(rule, game, on(rule), seen) for rule in rules)
     assert free.gains[0, 2] - priced.gains[0, 2] == pytest.approx(5 * 2.0 * (0.37 - 0.09), rel=1e-3)
-
-
-def test_without_trust_nothing_changes_and_the_gain_is_what_computation_costs(played):
-    game, state = played("merger")
-    rule = made(WholeHorizon, 1.0, trust_radius=1e-6)
-    decision = decide_quickly(rule, game, on(rule), outcome(game, state, any_plan(5)))
-    assert decision.gains[0, 2] == pytest.approx(-5 * (0.37 - 0.09), abs=1e-3)
-
-
-def test_a_wider_trust_region_gains_more_where_the_expansion_is_good(played):
-    game, state = played("merger")
-    rules = [made(WholeHorizon, 0.0, trust_radius=radius) for radius in (0.01, 0.02, 0.04)]
-    seen = outcome(game, state, any_plan(5))
-    gains = [float(decide_quickly(rule, game, on(rule), seen).gains[0, 2]) for rule in rules]
-    assert 0 < gains[0] < gains[1] < gains[2]
-
-
-def test_it_drives_in_the_environment():
-    driven = pd.DataFrame(episode(make_environment("merger", "horizon:0.1"), 0))
-    assert {"naive", "tom"} <= set(driven["model"]) <= {"naive", "turn", "tom"}
-    assert set(driven["status"]) == {"planned"}
-    assert driven["gain_tom"].notna().sum() > 2
-    assert driven["reward"].mean() > 4  # naive earns 1.5

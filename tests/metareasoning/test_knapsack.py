@@ -5,7 +5,6 @@ from itertools import product
 import jax
 import numpy as np
 import pytest
-from scipy.optimize import Bounds, LinearConstraint, milp
 
 from ms_highway.metareasoning.budget import best_rungs
 
@@ -39,19 +38,6 @@ def test_the_choice_is_the_best_of_all_and_the_cheapest_of_the_best(humans, rung
             assert total(values, costs, found) == (most, min(cost for value, cost in fitting if value == most))
 
 
-def test_the_choice_is_as_good_as_that_of_an_integer_programme():
-    random = np.random.default_rng(0)
-    for _ in range(200):
-        values = random.normal(size=(8, 3)).astype(np.float32)
-        costs, capacity = np.array([0.0, *random.random(2)], np.float32), np.float32(8 * random.random())
-        one_each = LinearConstraint(np.kron(np.eye(8), np.ones(3)), 1, 1)
-        fits = LinearConstraint(np.tile(costs, 8), -np.inf, capacity)
-        best = milp(-values.ravel(), integrality=1, bounds=Bounds(0, 1), constraints=[one_each, fits])
-        value, cost = total(values, costs, np.asarray(solve(values, costs, capacity)))
-        assert value == pytest.approx(-best.fun, abs=1e-5)
-        assert cost <= capacity + 1e-5
-
-
 @pytest.mark.parametrize("cost", [np.inf, np.nan])
 def test_a_rung_without_a_cost_is_never_chosen_and_free_ones_fit_into_nothing(cost):
     values = np.array([[0, 1, 9], [0, -1, 9]], np.float32)
@@ -59,10 +45,3 @@ def test_a_rung_without_a_cost_is_never_chosen_and_free_ones_fit_into_nothing(co
     np.testing.assert_array_equal(solve(values, costs, np.float32(0)), [1, 0])
     np.testing.assert_array_equal(solve(values, costs, np.float32(np.inf)), [1, 0])
     np.testing.assert_array_equal(solve(values, costs, np.float32(-1)), [0, 0])
-
-
-def test_many_choices_are_made_at_once():
-    random = np.random.default_rng(1)
-    values, costs, capacities = zip(*[instance(random, 4) for _ in range(5)], strict=True)
-    batch = jax.vmap(best_rungs)(np.stack(values), np.stack(costs), np.stack(capacities))
-    np.testing.assert_array_equal(batch, [solve(*each) for each in zip(values, costs, capacities, strict=True)])

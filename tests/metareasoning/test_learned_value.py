@@ -1,6 +1,5 @@
 """Learned values of computation, over the top rung or the cheapest: what they look at, choose, and their files."""
 
-import io
 import json
 import zipfile
 from dataclasses import replace
@@ -19,7 +18,7 @@ from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.metareasoning.learned_value import LearnedValue
 from ms_highway.metareasoning.rule import PUBLISHED_COSTS, Outcome, decide, first_memory
 from ms_highway.metareasoning.situation import describe, description_names
-from ms_highway.metareasoning.values import Values, load_values, save_values
+from ms_highway.metareasoning.values import load_values, save_values
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import ladder
 from ms_highway.planning.plans import Plan
@@ -49,7 +48,7 @@ def models_of(config, scenario="merger", seed=0):
     return models
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", ["stay_back", "dense_merge"])
 def test_a_description_does_not_know_units_or_places(name):
     scenario = SCENARIOS[name]
     small = build_game(scenario, unit=1.0)
@@ -64,11 +63,6 @@ def test_a_description_does_not_know_units_or_places(name):
     moved = replace(game, scene=replace(game.scene, obstacles=game.scene.obstacles + np.array([50.0, 0.0])))
     further = describe_quickly(moved, metres + np.array([50.0, 0, 0, 0]))
     np.testing.assert_allclose(further, described, rtol=1e-2, atol=2e-2)  # float32 loses digits further out
-
-
-def test_lambda_0_plans_with_the_top_rung_and_a_very_large_one_with_the_cheapest():
-    assert set(models_of(learned(0.0))) == {"tom"}
-    assert set(models_of(learned(1e5))) == {"naive"}
 
 
 def test_it_chooses_from_the_first_step_on_and_thinks_where_it_pays():
@@ -140,11 +134,6 @@ def test_a_part_of_the_ladder_weighs_rewards_as_the_whole_ladder_does(played):
     assert gains[0] == pytest.approx(gains[1], rel=1e-4)  # of turn over naive
 
 
-def test_values_that_are_no_file_are_refused_by_the_key():
-    with pytest.raises(ValueError, match=r"config\['controller'\]\['values'\] is 5"):
-        gym.make("ms-highway/merger-v0", config={"controller": learned(1.0, values=5)})
-
-
 @pytest.fixture
 def file(tmp_path):
     save_values(SHIPPED, tmp_path / "values.npz")
@@ -156,80 +145,40 @@ def refused(file, problem=""):
         make_environment("merger", f"learned:1:{file}")
 
 
-@pytest.mark.parametrize("damage", ["missing", "empty", "text", "cut"])
-def test_what_is_no_file_of_values_is_refused_by_name(file, damage):
-    content = {"missing": b"", "empty": b"", "text": b"values", "cut": file.read_bytes()[:60_000]}[damage]
-    file.write_bytes(content)
-    if damage == "missing":
-        file.unlink()
+def test_a_missing_and_a_cut_file_of_values_are_refused_by_name(file):
+    file.write_bytes(file.read_bytes()[:60_000])
+    refused(file)
+    file.unlink()
     refused(file)
 
 
-@pytest.mark.parametrize(
-    ("change", "problem"),
-    [
-        ({"version": 99}, "version 99"),
-        ({"inputs": ["speed"]}, "another version"),
-        ({"costs": ["0.1", "0.2", "0.3"]}, r"costs\[0\] is '0.1'"),
-        ({"costs": [[0.1], 0.2, 0.3]}, r"costs\[0\] is \[0.1\]"),
-        ({"costs": None}, "costs is None"),
-        ({"costs": [0.1, 0.2, 10**400]}, "out of range"),
-        ({"costs": [0.1, 0.2, -0.3]}, ">= 0"),
-        ({"prices": [10**30, 10**31]}, "beyond 1e"),
-        ({"ladder": 3}, "ladder is 3"),
-        ({"provenance": []}, "provenance is"),
-    ],
-)
-def test_a_file_that_says_wrong_things_of_itself_is_refused_by_them(file, change, problem):
-    with np.load(file) as archive:
-        arrays = dict(archive)
-    np.savez(file, **arrays | {"about": np.array(json.dumps(json.loads(str(arrays["about"])) | change))})
-    refused(file, problem)
+def about(**changes):
+    return lambda told: np.array(json.dumps(json.loads(str(told)) | changes))
 
 
 @pytest.mark.parametrize(
     ("name", "change", "problem"),
     [
-        ("about", lambda about: np.array("[" * 100_000), "recursion"),
+        ("about", about(version=99), "version 99"),
+        ("about", about(inputs=["speed"]), "another version"),
+        ("about", about(costs=[0.1, 0.2, 10**400]), "out of range"),
+        ("about", lambda told: np.array("[" * 100_000), "recursion"),
         ("centre", lambda centre: centre * np.nan, "beyond 1e"),
-        ("centre", lambda centre: centre[:-1], "not as many"),
-        ("spread", lambda spread: spread * np.float32(1e-42), "below 1e-09"),
-        ("biases_2", lambda biases: biases.astype(complex), "complex128; it must hold numbers"),
-        ("biases_2", lambda biases: np.zeros(biases.shape, "M8[s]"), "datetime64"),
         ("biases_2", lambda biases: biases.astype(object), "[Pp]ickle|allow_pickle"),
-        ("biases_2", lambda biases: biases + np.float64(1e300), "beyond 1e"),
         ("biases_1", lambda biases: biases[:1], "shapes"),
-        ("biases_0", lambda biases: biases[0, 0], "shapes"),
     ],
 )
-def test_arrays_that_make_no_network_are_refused(file, name, change, problem):
+def test_a_file_of_values_that_says_or_holds_wrong_things_is_refused_by_them(file, name, change, problem):
     with np.load(file) as archive:
         arrays = dict(archive)
     np.savez(file, **arrays | {name: change(arrays[name])})
     refused(file, problem)
 
 
-def test_networks_of_no_ensemble_are_refused_and_other_orders_of_bytes_are_not(file):
-    with np.load(file) as archive:
-        arrays = dict(archive)
-    layers = [name for name in arrays if name[-1].isdigit()]
-    np.savez(file, **arrays | {name: arrays[name].astype(">f8") for name in layers})
-    for one, other in zip(jax.tree.leaves(load_values(file).network), jax.tree.leaves(SHIPPED.network), strict=True):
-        np.testing.assert_array_equal(one, other)
-    np.savez(file, **arrays | {name: arrays[name][:0] for name in layers})
-    refused(file, "shapes")
-
-
-def test_archives_that_declare_or_unpack_to_more_than_values_have_are_refused_before_they_are_read(file):
+def test_archives_that_unpack_to_more_than_values_have_are_refused_before_they_are_read(file):
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("about.npy", bytes(20_000_000))
     refused(file, "unpacks to 20000000 bytes")
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": (10**13,)})
-    for part, problem in ((header.getvalue(), "allocate|EOF"), (header.getvalue().replace(b"}", b"("), "EOF")):
-        with zipfile.ZipFile(file, "w") as archive:
-            archive.writestr("about.npy", part)
-        refused(file, problem)
 
 
 def over_naive(gains, price=0.0):
@@ -239,12 +188,6 @@ def over_naive(gains, price=0.0):
     standard = np.zeros(len(INPUTS), np.float32), np.ones(len(INPUTS), np.float32)
     prices = np.array([0.0, np.inf])
     return LearnedValue(SEVERAL, price, prices, 0.0, network, *standard, LADDER, "cheapest")
-
-
-def file_of(rule, provenance=None):
-    return Values(
-        rule.network, rule.centre, rule.spread, ("naive", "turn", "tom"), (), (), "cheapest", INPUTS, provenance or {}
-    )
 
 
 @pytest.fixture(scope="module")
@@ -290,15 +233,3 @@ def test_over_the_cheapest_rung_doubts_and_failed_estimates_choose_it(two):
     failed = chosen(rule, game, np.full_like(state, np.nan))
     assert failed.failed
     assert failed.memory.rungs.tolist() == [0, 0]
-
-
-def test_values_over_the_cheapest_rung_are_read_as_they_were_written(tmp_path):
-    rule, file = over_naive((0.5, 1.0)), tmp_path / "values.npz"
-    save_values(file_of(rule, {"rounds": 2}), file)
-    read = load_values(file)
-    assert read.provenance == {"rounds": 2}
-    assert all(jax.tree.leaves(jax.tree.map(np.array_equal, read.rule(LADDER, SEVERAL, 0.0), rule)))
-    with pytest.raises(ValueError, match="over 'naive'; begin the ladder with it"):
-        read.rule(LADDER[1:], SEVERAL, 0.0)
-    with pytest.raises(ValueError, match="shapes"):
-        replace(read, network=rule.network[:0])

@@ -52,16 +52,6 @@ def test_a_car_ends_in_the_gap_ahead_of_each_car_and_behind_the_last_of_each_lan
     np.testing.assert_allclose(own_lane[[1, 3]], [0.0, SPEED], atol=0.01)  # where nobody drives
 
 
-def test_a_car_stays_in_its_lane_until_its_place_in_a_narrow_gap_is_beside_it(game, ways):
-    _, states = ways(traffic(game, [-17.0, -6.0]))
-    into = np.asarray(states[0])
-    middle = SPEED * 0.1 * np.arange(1, 61) - 60.0 - 11.5
-    beside = int(np.argmax(np.abs(into[:, 0] - middle) < 2.5))
-    assert beside > 5
-    assert np.abs(into[:beside, 1]).max() < 0.1
-    assert into[-1, 1] == pytest.approx(float(game.scene.target_lane), abs=0.1)
-
-
 def earned(game, state, robot):
     """What the robot's plan earns where others keep their velocity."""
     others = move_all(game, state[1:], constant_velocity(game, state[1:]))

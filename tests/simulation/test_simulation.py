@@ -10,7 +10,6 @@ import pytest
 from ms_highway.benchmarks.throughput import throughput
 from ms_highway.control.fallback import STATUSES
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
-from ms_highway.experiments.analysis.summary import interval
 from ms_highway.experiments.batch import make_batch, simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import MEASURED
@@ -23,7 +22,7 @@ from ms_highway.simulation.loop import simulate
 KEYS = ["controller", "seed", "step"]
 COIN = "random:naive=0.25,turn=0.75"
 PERIOD = "period:turn=1,naive=2"
-CONTROLLERS = ["naive", "turn", "schedule:turn=5,naive=3,turn", PERIOD, COIN, "tom", "switching:0.1"]
+CONTROLLERS = ["naive", "schedule:turn=5,naive=3,turn", PERIOD, COIN]
 STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
 COMPARISON = Comparison({"merger": CONTROLLERS}, seeds=6)
 
@@ -48,7 +47,7 @@ def test_records_are_those_of_an_experiment_without_measured_times(records):
     assert set(records["status"]) == {"planned"}
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS[:5])
+@pytest.mark.parametrize("controller", CONTROLLERS[1:])
 def test_whole_episodes_agree_with_the_environment_step_by_step(records, controller):
     expected = driven(COMPARISON, "merger", controller)
     found = records.set_index(KEYS).loc[expected.index]
@@ -71,20 +70,6 @@ def test_a_random_controller_draws_the_models_of_each_seed_anew_with_its_shares_
     assert abs((models == "turn").to_numpy().mean() - 0.75) < 3 * np.sqrt(0.75 * 0.25 / 240)
     batch = make_batch(COMPARISON, "merger")
     np.testing.assert_array_equal(*(batch.episodes([(name, 5)]).starts for name in (COIN, "naive")))
-
-
-@pytest.mark.parametrize("controller", CONTROLLERS[5:])
-def test_means_of_theory_of_mind_and_switching_lie_in_the_intervals_of_the_environment(records, controller):
-    expected = driven(COMPARISON, "merger", controller)
-    found = records.set_index(KEYS).loc[expected.index]
-    low, high = interval(expected["reward"].groupby("seed").mean())
-    assert low <= found["reward"].mean() <= high
-    assert abs(found["counted_seconds"].mean() - expected["counted_seconds"].mean()) < 0.01
-    for seed in range(6):  # gains are estimated at the same steps, until a decision differs
-        same = (found["model"] == expected["model"]).loc[(controller, seed)].cumprod().astype(bool).to_numpy()
-        for name in expected.filter(like="gain_"):
-            gains = (table.loc[(controller, seed), name].to_numpy(float)[same] for table in (found, expected))
-            np.testing.assert_allclose(*gains, atol=1e-2)  # NaN where none was estimated
 
 
 @pytest.mark.slow
@@ -162,15 +147,11 @@ def test_a_batch_plans_as_far_ahead_and_as_often_as_the_environment():
     np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
 
 
-def test_a_batch_without_controllers_episodes_known_costs_or_devices_is_refused():
+def test_a_batch_without_controllers_known_costs_or_devices_is_refused():
     with pytest.raises(ValueError, match="no controllers for 'give_way'"):
         make_batch(COMPARISON, "give_way")
-    with pytest.raises(ValueError, match="no episodes to simulate"):
-        make_batch(COMPARISON, "merger").simulate([])
     with pytest.raises(ValueError, match="cannot measure plans"):
         make_batch(Comparison({"merger": ["naive"]}, config={"costs": "measured"}), "merger")
-    with pytest.raises(ValueError, match="the seed is -1"):
-        make_batch(COMPARISON, "merger").episodes([("naive", -1)])
     with pytest.raises(ValueError, match="1000 devices are wanted"):
         use_devices(1000)
 
@@ -190,13 +171,3 @@ def test_a_scenario_whose_environment_ends_early_is_not_simulated(monkeypatch):
     monkeypatch.setattr(ENVIRONMENTS["merger"], "default_config", classmethod(lambda cls: config))
     with pytest.raises(ValueError, match=r"terminate_on_collision True, which a simulation does not do"):
         make_batch(COMPARISON, "merger")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("controller", ["schedule:naive=5,turn@4+warm=30,naive@6", "turn+warm"])
-def test_warm_starts_and_efforts_agree_with_the_environment_step_by_step(controller):
-    comparison = Comparison({"merger": [controller]}, seeds=3, config={"ladder": ["naive", "turn"]})
-    expected, found = driven(comparison, "merger", controller), simulated(comparison).set_index(KEYS)
-    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
-    for name in ("model", "counted_seconds"):
-        assert (found[name] == expected[name]).all()
