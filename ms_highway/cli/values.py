@@ -115,8 +115,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     names, config = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS)), configuration(options)
     for name in names:
         environment_id(name)
-    scenarios = [ENVIRONMENTS[name].scenario for name in names]
-    alone = [scenario.name for scenario in scenarios if not scenario.streams]
+    alone = [name for name in names if not ENVIRONMENTS[name].scenario.streams]
     if 0 < len(alone) < len(names):
         raise ValueError(f"{alone[0]} has one human, other scenarios several; learn them in a file each")
     if not alone:
@@ -126,9 +125,9 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         config["costs"] = given if isinstance(given, str) else {**SHIPPED_COSTS, **given}
     solvers = [{"solver": solver} for solver in dict.fromkeys(options.solvers or [])]
     batches = [
-        make_batch(Comparison({scenario.name: scenario.ladder[:1]}, 1, config={**config, **solver}), scenario.name)
+        make_batch(Comparison({name: ENVIRONMENTS[name].scenario.ladder[:1]}, 1, config={**config, **solver}), name)
         for solver in solvers or [{}]
-        for scenario in scenarios
+        for name in names
     ]
     models = cheapest_first(name for batch in batches for name in batch.rungs)
     if any(starts_warm(human_model(name)) for name in models):
@@ -147,25 +146,22 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         )
         for batch in batches
     ]
-    own = {"rounds": options.rounds, "horizon": options.horizon, "states": None}
+    settings = {
+        **batches[0].comparison.common_config(),
+        "versions": this_run()["versions"],
+        **({"solver": [each["solver"] for each in solvers]} if solvers else {}),
+        "scenarios": names,
+        "generated": options.generated,
+        "seed": options.seed,
+    }
+    own = {} if alone else dict(SEVERAL)
+    own |= {name: getattr(options, name) for name in ("rounds", "horizon") if getattr(options, name)}
     if options.states:
         own["states"] = options.states, -(-options.states * 5 // 8) if alone else options.states
-    settings = batches[0].comparison.common_config() | {"versions": this_run()["versions"]}
-    settings |= {"solver": [each["solver"] for each in solvers]} if solvers else {}
-    settings |= {name: getattr(options, name) for name in ("scenarios", "generated", "seed")}
-    learning = Learning(
-        {name: costs[name] for name in models},
-        seed=options.seed,
-        settings=settings | {"scenarios": names},
-        **({} if alone else SEVERAL) | {name: value for name, value in own.items() if value},
-    )
+    learning = Learning({name: costs[name] for name in models}, seed=options.seed, settings=settings, **own)
     if options.generated:
-        game = batches[0].environment.settings.game
-        generated = generated_courses(
-            lambda scenario: replace(batches[0].loop, game=game(scenario)),
-            tuple(range(len(models))),
-            options.generated,
-            learning.stream(0),
-        )
-        courses += generated
+        loop, game = batches[0].loop, batches[0].environment.settings.game
+        every = tuple(range(len(models)))
+        random = learning.stream(0)
+        courses += generated_courses(lambda each: replace(loop, game=game(each)), every, options.generated, random)
     return learning, courses

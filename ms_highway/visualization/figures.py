@@ -3,8 +3,7 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ms_highway.experiments.analysis.selection import choosing_controllers, main_controllers
-from ms_highway.experiments.analysis.tradeoff import reference
+from ms_highway.experiments.analysis.selection import choosing_controllers, main_controllers, reference
 from ms_highway.experiments.records import common_seeds, one_episode
 from ms_highway.visualization.comparison import bars, timeline
 from ms_highway.visualization.decisions import decisions

@@ -1,7 +1,5 @@
 """What a person sees."""
 
-from dataclasses import replace
-
 import imageio.v3 as imageio
 import numpy as np
 import pytest
@@ -119,12 +117,6 @@ def test_the_bar_of_computing_time_grows_to_the_full_width_of_the_more_expensive
     assert max(widths[1]) == 960
     assert widths[1][0] / widths[1][1] == pytest.approx(seconds[0] / seconds[1], rel=0.05)
     assert 0 < widths[0][0] < widths[1][0]
-
-
-def test_films_of_several_sizes_are_not_shown_together(films):
-    small = replace(films[0], pictures=scaled(films[0].pictures, 480))
-    with pytest.raises(ValueError, match="several sizes"):
-        side_by_side([small, films[1]])
 
 
 def test_a_small_gif_keeps_the_colours_of_the_models(films, tmp_path):

@@ -68,28 +68,22 @@ class Learning:
 
     def values(self, done: Sequence[Rollouts], number: int) -> Values:
         """Fit values to rollouts in round ``number``, from 1."""
-        over_top, names = self.baseline == "top", input_names(self.baseline)
+        over_top, names, costs = self.baseline == "top", input_names(self.baseline), tuple(self.costs.values())
         random = self.stream(number, EVALUATION if over_top else HELD_OUT)
-        costs = tuple(self.costs.values())
-        centre, spread = np.zeros(len(names), np.float32), np.ones(len(names), np.float32)
         shape = len(names), len(costs) - (not over_top)
-        network = new_network(random, *shape)
+        network, centre, spread = new_network(random, *shape), np.zeros(len(names)), np.ones(len(names))
         if done:
             rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
             centre, spread = rollouts.descriptions.mean(axis=0), rollouts.descriptions.std(axis=0)
-            if over_top:
+            if over_top:  # lambda is an input as well
                 logarithms = np.log10(self.prices)
                 centre = np.append(centre, logarithms.mean()).astype(np.float32)
                 spread = np.append(spread, np.ptp(logarithms) / np.sqrt(12)).astype(np.float32)
                 network = new_network(random, *shape)
             spread = spread + LEAST_SPREAD
             network = fit(network, rollouts, np.array(costs), self.prices if over_top else None, centre, spread, random)
-        provenance = {
-            **self.settings,
-            "examples": sum(len(part.descriptions) for part in done),
-            "rounds": number,
-            "horizon": self.horizon,
-        }
+        examples = sum(len(part.descriptions) for part in done)
+        provenance = {**self.settings, "examples": examples, "rounds": number, "horizon": self.horizon}
         costs, prices = (costs, self.prices) if over_top else ((), ())
         return Values(network, centre, spread, tuple(self.costs), costs, prices, self.baseline, names, provenance)
 
@@ -141,17 +135,13 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
     for number in range(1, learning.rounds + 1):
         for place, course in enumerate(courses):
             file = kept / f"{number}-{place}.npz"
-            if file.exists():
-                with reading(file, REMEDY):  # it is not compressed
-                    arrays = read_arrays(file, file.stat().st_size)
-                    rollouts = Rollouts(*map(arrays.__getitem__, Rollouts._fields))
-            else:
-                random, states = learning.stream(number, COURSE, place), learning.states[values is not None]
-                driving = learning.driving(course, values, mesh)
-                rollouts = driving.roll_out(random, max(1, round(course.share * states)), len(learning.costs))
+            if not file.exists():
+                count = max(1, round(course.share * learning.states[number > 1]))
+                driving, random = learning.driving(course, values, mesh), learning.stream(number, COURSE, place)
                 with replacing(file) as path:
-                    np.savez(path, **rollouts._asdict())
-            done.append(rollouts)
+                    np.savez(path, **driving.roll_out(random, count, len(learning.costs))._asdict())
+            with reading(file, REMEDY):  # it is not compressed
+                done.append(Rollouts(**read_arrays(file, file.stat().st_size)))
             yield Progress(number, course.name)
         values = learning.values(done, number)
         yield Progress(number, "", values, {one.course.name: one.regret(values) for one in held_out})
@@ -178,15 +168,19 @@ class _HeldOut:
 
     def regret(self, values: Values) -> float:
         """Return how far the learned rule stays behind the best of the orders, per step."""
-        prices = np.array(HELD_OUT_PRICES)[:, None]
-        reward, seconds = self._outcomes(values, np.full((len(prices), self.course.steps), DECIDES), prices[:, 0])
-        best = np.max([earned - prices * planned for earned, planned in zip(*self.orders, strict=True)], axis=0)
-        return float(np.mean(np.maximum(best - (reward - prices * seconds), 0)))
+        prices = np.array(HELD_OUT_PRICES)
+        reward, seconds = self._outcomes(values, np.full((len(prices), self.course.steps), DECIDES), prices)
+        behind = []
+        for price, *own in zip(prices, reward, seconds, strict=True):
+            earned, best = (gained - price * planned for gained, planned in (own, self.orders))
+            behind.append(np.maximum(best.max(axis=0) - earned, 0))
+        return float(np.mean(behind))
 
     def _outcomes(self, values: Values | None, orders: Array, prices: Array) -> list[Array]:
         """Return what orders earn and plan from every start, means over the steps [orders, starts]."""
-        count, each = len(orders), HELD_OUT_STARTS
+        count = len(orders)
         starts, weights = (np.tile(part, (count, 1, 1)) for part in (self.starts, self.weights))
-        driving, prices = self.learning.driving(self.course, values, self.mesh), np.float32(np.repeat(prices, each))
-        records, planned = driving.drive(starts, weights, np.repeat(orders, each, axis=0), prices)
-        return [np.mean(part, axis=1).reshape(count, each) for part in (records.reward, planned)]
+        schedules, lambdas = (np.repeat(part, HELD_OUT_STARTS, axis=0) for part in (orders[..., None], prices))
+        driving = self.learning.driving(self.course, values, self.mesh)
+        records, planned = driving.drive(starts, weights, schedules, lambdas)
+        return [np.mean(part, axis=1).reshape(count, HELD_OUT_STARTS) for part in (records.reward, planned)]
