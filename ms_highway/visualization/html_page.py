@@ -7,7 +7,6 @@ from typing import Any
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
-from PIL import Image
 
 from ms_highway.envs.graphics import model_meaning
 from ms_highway.experiments.analysis.findings import answer
@@ -21,7 +20,6 @@ from ms_highway.visualization.comparison import cells
 from ms_highway.visualization.figures import CAPTIONS, figures
 
 DPI = 160
-COLORS = 256  # of a figure
 
 
 def page(results: Results, videos: bool = True, progress: Progress = silent) -> str:
@@ -91,10 +89,8 @@ def _film(results: Results, scenario: str) -> dict[str, Any]:
 
 
 def _picture(figure: Figure) -> str:
-    drawn, content = io.BytesIO(), io.BytesIO()
-    figure.savefig(drawn, format="png", dpi=DPI)
-    colors = Image.open(drawn).convert("RGB").quantize(COLORS, dither=Image.Dither.NONE)  # a third of the size
-    colors.save(content, "PNG", optimize=True)
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=DPI)
     return _data("image/png", content.getvalue())
 
 

@@ -20,7 +20,6 @@ Picture = UInt8[np.ndarray, "h w 3"]
 
 FORMATS = (".mp4", ".gif")
 GIF_COLORS = 48  # enough for flat colours and smooth edges
-PALETTE_PICTURES = 5  # of a video, from which the colours of a GIF are taken
 
 
 @dataclass(frozen=True)
@@ -110,8 +109,7 @@ def _imageio() -> Any:
 
 def _gif(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
     """Write a GIF with one palette and no dithering: what stands still costs nothing."""
-    sample = Image.fromarray(np.concatenate(pictures[:: -(-len(pictures) // PALETTE_PICTURES)]))
-    palette = sample.quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)
+    palette = Image.fromarray(pictures[-1]).quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)  # which shows most colours
     images = [Image.fromarray(each).quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures]
     content, duration = io.BytesIO(), 1000 / frames_per_second  # ms
     images[0].save(content, "GIF", save_all=True, append_images=images[1:], duration=duration, loop=0, optimize=True)

@@ -161,12 +161,12 @@ class Driving:
         states, weights = self._visited(random, count)
         described = np.asarray(_describe(self.course.game, states))
         label = self._each_human if self.course.several else self._each_way
-        chosen, rewards, seconds = label(random, states, weights)
-        whole = [np.full((len(rewards), rungs, max(rungs, STRATA + 1)), value) for value in (-np.inf, 0.0)]
-        for part, own in zip(whole, (rewards, seconds), strict=True):
-            part[:, self.course.rungs, : own.shape[-1]] = own
+        chosen, own_rewards, own_seconds = label(random, states, weights)
+        shape = len(own_rewards), rungs, max(rungs, STRATA + 1)
+        rewards, seconds, ways = np.full(shape, -np.inf), np.zeros(shape), own_rewards.shape[-1]
+        rewards[:, self.course.rungs, :ways], seconds[:, self.course.rungs, :ways] = own_rewards, own_seconds
         picked = described[np.arange(len(states))[:, None], chosen]
-        return Rollouts(picked.reshape(len(rewards), -1), *whole)
+        return Rollouts(picked.reshape(len(rewards), -1), rewards, seconds)
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw states that episodes come through, planned by random orders and by the rule, and the humans' weights.
