@@ -20,15 +20,15 @@ to 100.
 Among several humans (dense_merge, crossing_crowd), every human has a value of its own: what the robot earns more with
 this one human predicted by a more expensive model. The file is for learned:LAMBDA:FILE there.
 
-After every round, the regret per step is shown: how far the rule stays behind the best of simple orders of models from
-starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts are drawn anew, not by the numbered seeds
-of environments: all of those are held out. The same --seed gives the same values. Rollouts are kept beside the file
-until it is written: a run that was stopped or killed goes on when it is started again."""
+Starts are drawn anew, not by the numbered seeds of environments: all of those are held out, and `ms-highway frontier`
+shows on them how far learned:LAMBDA:FILE stays behind the best orders of models. The same --seed gives the same values.
+Rollouts are kept beside the file until it is written: a run that was stopped or killed goes on when it is started
+again."""
 
 EXAMPLES = """\
 examples:
   ms-highway values learn merger give_way --out values.npz
-  ms-highway compare merger --controllers tom learned:1:values.npz
+  ms-highway frontier merger --controllers learned:1:values.npz
   ms-highway values learn dense_merge crossing_crowd --out several.npz
   ms-highway --import zipper values learn zipper --out zipper.npz"""
 
@@ -81,13 +81,10 @@ def _learn(options: argparse.Namespace) -> None:
     values, kept = None, rollouts_directory(options.out)
     with telling() as tell:
         tell(f"{courses[0].name}: compiling")
-        for done in learn(learning, courses, kept, use_devices(options.devices)):
-            tell(f"round {done.round} of {learning.rounds}: {done.course or 'fitted'}")
-            values = done.values or values
-            if done.regrets:
-                behind = ", ".join(f"{name} {regret:.3f}" for name, regret in done.regrets.items())
-                print(f"round {done.round}: held-out regret per step: {behind}", flush=True)
-    if values is not None:
+        for message, fitted in learn(learning, courses, kept, use_devices(options.devices)):
+            tell(message)
+            values = fitted or values
+    if values:
         save_values(values, options.out)
     rmtree(kept, ignore_errors=True)
     print(f"values are in {options.out}")

@@ -23,7 +23,8 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
 
     On the left, planning is counted at the seconds T(M) that decisions count; on the right, where they were measured,
     planning and deciding are as on this machine. Controllers that choose online are joined in the order of lambda, a
-    line per kind; the dashed line joins `best_schedules`; crosses are random controllers.
+    line per kind; the dashed line is the most that schedules, periods and fixed models earn with so much computation or
+    less; crosses are random controllers.
     """
     rows = summaries.query("scenario == @scenario")
     measures = {"counted_ms": COUNTED}
@@ -33,31 +34,17 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     figure = Figure(figsize=(4 + 3 * len(measures), 4.4), layout="constrained")
     panels = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
     for axes, (measure, label) in zip(panels, measures.items(), strict=True):
-        orders, best = rows[rows["kind"].isin(("schedule", "period"))], best_schedules(rows, measure)
-        if len(orders):
+        orders = rows[rows["kind"].isin(FIXED_ORDERS)].sort_values(measure)
+        if (orders["kind"] != "fixed").any():
+            best = {"linestyle": "--", "drawstyle": "steps-post", "label": "best fixed schedules"}
             axes.plot(orders[measure], orders["reward"], ".", color=SCHEDULE_COLOR, markersize=5)
-            axes.plot(best[measure], best["reward"], "--", color=SCHEDULE_COLOR, label="best fixed schedules")
+            axes.plot(orders[measure], orders["reward"].cummax(), color=SCHEDULE_COLOR, **best)
         _draw(axes, rows, measure)
         axes.set_xlabel(label)
     panels[0].set_ylabel("reward per step")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
     figure.suptitle(f"{title(scenario)}: reward against computation, {episode_count(rows)}")
     return figure
-
-
-def best_schedules(rows: pd.DataFrame, computation: str = "counted_ms") -> pd.DataFrame:
-    """Return the rows of the fixed models, schedules and periods that no other beats with the same or less computation.
-
-    They are a yardstick for controllers that decide online: what could be had with an order of models that was fixed
-    beforehand.
-
-    Args:
-        rows: of `ms_highway.experiments.analysis.summary.summary`, of one scenario.
-        computation: the column that measures it.
-    """
-    known = rows[rows["kind"].isin(FIXED_ORDERS)].dropna(subset=[computation])
-    known = known.sort_values([computation, "reward"], ascending=[True, False])
-    return known[known["reward"] > known["reward"].cummax().shift(fill_value=float("-inf"))]
 
 
 def frontier(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequence[int]) -> Figure:

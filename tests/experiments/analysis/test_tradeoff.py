@@ -7,7 +7,7 @@ import pytest
 from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.analysis.selection import reference
 from ms_highway.visualization.comparison import episode_count
-from ms_highway.visualization.tradeoff import best_schedules, curve
+from ms_highway.visualization.tradeoff import curve
 
 ROWS = [
     ("naive", 1.0, 90.0),
@@ -45,11 +45,6 @@ def test_a_curve_needs_no_fixed_model(summaries):
     assert reference(summaries, "merger") == "tom"
     assert reference(switching, "merger") is None
     assert len(curve(switching, "merger").axes) == 2
-
-
-def test_the_best_schedules_are_those_that_nothing_fixed_beats_with_less(summaries):
-    best = best_schedules(summaries)
-    assert best["controller"].tolist() == ["naive", "schedule:tom=4,naive", "schedule:tom=6,naive", "tom"]
 
 
 def test_the_curve_shows_every_controller_and_joins_each_kind_that_chooses_online(summaries):
