@@ -41,9 +41,3 @@ def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
     rows = rows.assign(unusual=rows["price"] != usual, late=rows["kind"] != PREFERRED)
     rows = rows.sort_values(["late", "kind", "unusual", "price"], kind="stable")
     return rows.drop_duplicates("kind")["controller"].to_list()
-
-
-def reference(summaries: pd.DataFrame, scenario: str) -> str | None:
-    """Return the most expensive of the fixed models that were compared, by counted planning time; None without any."""
-    fixed = summaries[(summaries["scenario"] == scenario) & (summaries["kind"] == "fixed")].dropna(subset="counted_ms")
-    return None if fixed.empty else str(fixed.set_index("controller")["counted_ms"].idxmax())

@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from ms_highway.envs.short_names import controller_config
-from ms_highway.experiments.analysis.selection import reference
 from ms_highway.visualization.comparison import episode_count
 from ms_highway.visualization.tradeoff import curve
 
@@ -42,8 +41,6 @@ def summaries():
 
 def test_a_curve_needs_no_fixed_model(summaries):
     switching = summaries[summaries["kind"] == "switching"]
-    assert reference(summaries, "merger") == "tom"
-    assert reference(switching, "merger") is None
     assert len(curve(switching, "merger").axes) == 2
 
 
