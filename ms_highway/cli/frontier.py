@@ -89,7 +89,7 @@ def _frontier(options: argparse.Namespace) -> None:
                 behind = pd.concat([behind, own.assign(scenario=scenario, price=price)])
             write_table(orders, out / "orders.csv")
             write_table(behind, out / "regrets.csv")
-            save_figures({f"{scenario}_frontier": frontier(outcomes.table, behind, scenario, seeds)}, out)
+            save_figures({f"{scenario}_frontier": frontier(behind, scenario, options.seeds)}, out)
     for scenario in asked.controllers:
         print_tables(*regret_tables(behind, scenario))
     print(f"results are in {out}")

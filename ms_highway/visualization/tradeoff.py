@@ -1,14 +1,12 @@
 """Figures of reward against computation."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS
-from ms_highway.envs.short_names import controller_config, named_controller
+from ms_highway.envs.short_names import named_controller
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import choosing_shades, color_of, light_grid
 from ms_highway.visualization.comparison import episode_count, whiskers
@@ -47,31 +45,29 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     return figure
 
 
-def frontier(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequence[int]) -> Figure:
+def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
     """Draw reward against counted computation: what a search has found, and the controllers that stay behind it.
 
-    The line joins the means of the best orders of each start at the prices that were searched. Dots are orders that
-    were tried from every start.
+    The line joins the means of the best orders of each start at the prices that were searched. Dots are orders that are
+    the same for all starts.
 
     Args:
-        table: of `ms_highway.experiments.frontier.Outcomes`.
         behind: rows of `ms_highway.experiments.analysis.regret.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
-        seeds: of the starts.
+        starts: their number.
     """
-    rows, figure = behind.query("scenario == @scenario"), Figure(figsize=(7, 4.4), layout="constrained")
-    axes, means = figure.subplots(), ["reward", "counted_seconds"]
-    shared = pd.DataFrame({name: table[name].unstack("seed")[list(seeds)].dropna().mean(axis=1) for name in means})
-    orders = shared[[controller_config(str(name))["type"] in FIXED_ORDERS for name in shared.index]]
-    found = rows.query("kind == 'search'").sort_values("counted_seconds", ascending=False)
-    axes.plot(1e3 * orders["counted_seconds"], orders["reward"], ".", color=SCHEDULE_COLOR, label="other orders")
-    label = "best order of each start"
-    axes.plot(1e3 * found["counted_seconds"], found["reward"], "D-", color=FRONTIER_COLOR, label=label)
-    own = rows.query("kind != 'search'").drop_duplicates("controller")
-    prices = [named_controller(name).price for name in own["controller"]]
-    _draw(axes, own.assign(counted_ms=1e3 * own["counted_seconds"], price=prices), "counted_ms")
+    rows = behind.query("scenario == @scenario").assign(counted_ms=1e3 * behind["counted_seconds"])
+    found, others = (rows[(rows["kind"] == "search") == searched] for searched in (True, False))
+    found, others = found.sort_values("counted_ms", ascending=False), others.drop_duplicates("controller")
+    orders = others[others["kind"].isin(("schedule", "period"))]
+    figure = Figure(figsize=(7, 4.4), layout="constrained")
+    axes, label = figure.subplots(), "best order of each start"
+    axes.plot(orders["counted_ms"], orders["reward"], ".", color=SCHEDULE_COLOR, label="orders for all starts")
+    axes.plot(found["counted_ms"], found["reward"], "D-", color=FRONTIER_COLOR, label=label)
+    prices = [named_controller(name).price for name in others["controller"]]
+    _draw(axes, others.assign(price=prices), "counted_ms")
     axes.set(xlabel=COUNTED, ylabel="reward per step")
-    figure.suptitle(f"{title(scenario)}: the best orders of models, {len(seeds)} starts")
+    figure.suptitle(f"{title(scenario)}: the best orders of models, {starts} starts")
     searched = ", ".join(f"{price:g}" for price in found["price"])
     axes.set_title(f"diamonds, from the right: a second of planning costs {searched}", fontsize="small")
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
