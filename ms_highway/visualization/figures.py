@@ -19,7 +19,8 @@ CAPTIONS = {
     "of every episode of the controllers that choose it online.",
     "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
     "and deciding as measured. Whiskers are the 90 % intervals. Controllers that choose online are labelled by lambda. "
-    "Where schedules were compared, a dashed line is the most that anything fixed earns with so much computation or less, in these episodes. "
+    "Where schedules were compared, a dashed line is the most that anything fixed earns with so much computation or "
+    "less, in these episodes. "
     "Crosses draw their models at random.",
     "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model, before the "
     "step that it is drawn at; one above zero is taken. For learned values, it is what all that follows is worth more "
