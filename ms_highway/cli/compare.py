@@ -88,13 +88,12 @@ def _with_learned(asked: "Comparison") -> "Comparison":
     """Return a comparison with learned values, before switching, where they suit the ladder and the costs."""
     controllers = {}
     for scenario, names in asked.controllers.items():
+        place = next((place for place, name in enumerate(names) if name.startswith("switching")), len(names))
+        controllers[scenario] = [*names[:place], LEARNED, *names[place:]]
         try:
             asked.environment_config(scenario, LEARNED)
         except ValueError as error:
             reason = str(error).partition("; ")[0]
             print(f"ms-highway: {scenario} is compared without {LEARNED}: {reason}", file=sys.stderr)
-            controllers[scenario] = names
-            continue
-        place = next((place for place, name in enumerate(names) if name.startswith("switching")), len(names))
-        controllers[scenario] = [*names[:place], LEARNED, *names[place:]]
+            controllers[scenario] = list(names)
     return replace(asked, controllers=controllers)

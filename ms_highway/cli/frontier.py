@@ -1,16 +1,10 @@
 """The command ``ms-highway frontier``."""
 
 import argparse
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
-from ms_highway.cli.options import MOST, add_comparison, add_devices, add_number, comparison, number
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from ms_highway.experiments.frontier import Outcomes
+from ms_highway.cli.options import add_comparison, add_devices, add_number, comparison, number
 
 HELP = """\
 Search, for each start separately, for the order of human models with the highest meta-reward: the reward less
@@ -62,56 +56,40 @@ def add_frontier(commands: Any) -> None:
 
 
 def _frontier(options: argparse.Namespace) -> None:
-    from ms_highway.cli.results_directory import own_results
+    import pandas as pd
+
+    from ms_highway.cli.results_directory import own_results, save_figures, write_table
+    from ms_highway.experiments.analysis.regret import best, regrets
     from ms_highway.experiments.batch import make_batch
-    from ms_highway.experiments.frontier import Outcomes
+    from ms_highway.experiments.frontier import Outcomes, search
     from ms_highway.simulation.devices import use_devices
     from ms_highway.visualization.tables import regret_tables
+    from ms_highway.visualization.tradeoff import frontier
 
-    if options.seeds * options.population > MOST:
-        product = f"--seeds {options.seeds} times --population {options.population}"
-        orders = options.seeds * options.population
-        raise ValueError(f"{product} is {orders} orders in a round; it must be {MOST} or less")
-    asked, mesh = comparison(options, ["switching"], options.prices), use_devices(options.devices)
+    asked, mesh, out = comparison(options, ["switching"], options.prices), use_devices(options.devices), options.out
     batches = {name: make_batch(asked, name) for name in asked.controllers}
     for name, batch in batches.items():
         if unknown := [model for model in batch.models if model not in batch.costs]:
             remedy = "regrets need it; give its seconds by --set costs=MODEL=SECONDS,..., or leave it out"
             raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
-    with own_results(options, asked.common_config()) as record:
-        every = [Outcomes(batch, options.out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()]
-        record()
-        with telling() as tell:
-            regrets = _search(every, options, tell)
-    for scenario in asked.controllers:
-        print_tables(*regret_tables(regrets, scenario))
-    print(f"results are in {options.out}")
-
-
-def _search(every: Sequence["Outcomes"], options: argparse.Namespace, tell: Callable[[str], None]) -> "pd.DataFrame":
-    """Search in one scenario after the other, and write its results once it is done; return the regrets in all."""
-    import pandas as pd
-
-    from ms_highway.cli.results_directory import save_figures, write_table
-    from ms_highway.experiments.analysis.regret import best, regrets
-    from ms_highway.experiments.frontier import search
-    from ms_highway.visualization.tradeoff import frontier
-
-    orders, behind = pd.DataFrame(), pd.DataFrame()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
-    for outcomes in every:
-        batch = outcomes.batch
-        scenario = batch.scenario
-        tell(f"{scenario}: compiling, and driving fixed models and controllers")
-        outcomes.of(batch.keys())
-        for count in search(outcomes, seeds, options.prices, options.population, options.rounds):
-            tell(f"{scenario}: round {count} of {options.rounds + 1} done, {len(outcomes.table)} episodes")
-        for price in dict.fromkeys(options.prices):
-            place = {"scenario": scenario, "price": price}
-            found = best(outcomes.table, seeds, price).reset_index().assign(**place)
-            own = regrets(outcomes.table, batch.comparison.controllers[scenario], seeds, price)
-            orders, behind = pd.concat([orders, found]), pd.concat([behind, own.reset_index().assign(**place)])
-        write_table(orders, options.out / "orders.csv")
-        write_table(behind, options.out / "regrets.csv")
-        save_figures({f"{scenario}_frontier": frontier(outcomes.table, behind, scenario, seeds)}, options.out)
-    return behind
+    orders, behind = pd.DataFrame(), pd.DataFrame()
+    with own_results(options, asked.common_config()) as record, telling() as tell:
+        every = {name: Outcomes(batch, out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()}
+        record()
+        for scenario, outcomes in every.items():
+            tell(f"{scenario}: compiling, and driving fixed models and controllers")
+            outcomes.of(outcomes.batch.keys())
+            for count in search(outcomes, seeds, options.prices, options.population, options.rounds):
+                tell(f"{scenario}: round {count} of {options.rounds + 1} done, {len(outcomes.table)} episodes")
+            for price in dict.fromkeys(options.prices):
+                found = best(outcomes.table, seeds, price).reset_index()
+                own = regrets(outcomes.table, asked.controllers[scenario], seeds, price)
+                orders = pd.concat([orders, found.assign(scenario=scenario, price=price)])
+                behind = pd.concat([behind, own.assign(scenario=scenario, price=price)])
+            write_table(orders, out / "orders.csv")
+            write_table(behind, out / "regrets.csv")
+            save_figures({f"{scenario}_frontier": frontier(behind, scenario, options.seeds)}, out)
+    for scenario in asked.controllers:
+        print_tables(*regret_tables(behind, scenario))
+    print(f"results are in {out}")

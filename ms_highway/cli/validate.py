@@ -15,6 +15,8 @@ EXAMPLES = """\
 example:
   ms-highway validate reference/episodes --json"""
 
+KINDS = {"action_error": "robot's control", "reward_error": "reward", "human_error": "human's control"}
+
 
 def add_validate(commands: Any) -> None:
     """Add the command ``validate`` to a parser's subparsers."""
@@ -32,11 +34,11 @@ def _validate(options: argparse.Namespace) -> None:
     if options.json:
         print(json.dumps(result, indent=2))
         return
-    kinds = {"action_error": "robot's control", "reward_error": "reward", "human_error": "human's control"}
     rows = []
     for name, errors in result["files"].items():
-        cells = {kinds[kind]: " ".join(f"{value:.0e}" for value in errors[kind].values()) for kind in kinds}
-        decided = errors.get("decisions")
-        agree = f"{decided['agree']} of {decided['all']}" if decided else ""
-        rows.append({"file": name, **cells, "decisions": agree})
+        row = {"file": name}
+        for kind, heading in KINDS.items():
+            row[heading] = " ".join(f"{value:.0e}" for value in errors[kind].values())
+        row["decisions"] = "{agree} of {all}".format(**errors["decisions"]) if "decisions" in errors else ""
+        rows.append(row)
     print_tables(grid("errors against the logs: median, 90 %, 99 %, largest", rows))

@@ -20,15 +20,15 @@ to 100.
 Among several humans (dense_merge, crossing_crowd), every human has a value of its own: what the robot earns more with
 this one human predicted by a more expensive model. The file is for learned:LAMBDA:FILE there.
 
-After every round, the regret per step is shown: how far the rule stays behind the best of simple orders of models from
-starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts are drawn anew, not by the numbered seeds
-of environments: all of those are held out. The same --seed gives the same values. Rollouts are kept beside the file
-until it is written: a run that was stopped or killed goes on when it is started again."""
+Starts are drawn anew, not by the numbered seeds of environments: all of those are held out, and `ms-highway frontier`
+shows on them how far learned:LAMBDA:FILE stays behind the best orders of models. The same --seed gives the same values.
+Rollouts are kept beside the file until it is written: a run that was stopped or killed goes on when it is started
+again."""
 
 EXAMPLES = """\
 examples:
   ms-highway values learn merger give_way --out values.npz
-  ms-highway compare merger --controllers tom learned:1:values.npz
+  ms-highway frontier merger --controllers learned:1:values.npz
   ms-highway values learn dense_merge crossing_crowd --out several.npz
   ms-highway --import zipper values learn zipper --out zipper.npz"""
 
@@ -81,13 +81,10 @@ def _learn(options: argparse.Namespace) -> None:
     values, kept = None, rollouts_directory(options.out)
     with telling() as tell:
         tell(f"{courses[0].name}: compiling")
-        for done in learn(learning, courses, kept, use_devices(options.devices)):
-            tell(f"round {done.round} of {learning.rounds}: {done.course or 'fitted'}")
-            values = done.values or values
-            if done.regrets:
-                behind = ", ".join(f"{name} {regret:.3f}" for name, regret in done.regrets.items())
-                print(f"round {done.round}: held-out regret per step: {behind}", flush=True)
-    if values is not None:
+        for message, fitted in learn(learning, courses, kept, use_devices(options.devices)):
+            tell(message)
+            values = fitted or values
+    if values:
         save_values(values, options.out)
     rmtree(kept, ignore_errors=True)
     print(f"values are in {options.out}")
@@ -115,8 +112,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     names, config = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS)), configuration(options)
     for name in names:
         environment_id(name)
-    scenarios = [ENVIRONMENTS[name].scenario for name in names]
-    alone = [scenario.name for scenario in scenarios if not scenario.streams]
+    alone = [name for name in names if not ENVIRONMENTS[name].scenario.streams]
     if 0 < len(alone) < len(names):
         raise ValueError(f"{alone[0]} has one human, other scenarios several; learn them in a file each")
     if not alone:
@@ -126,9 +122,9 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         config["costs"] = given if isinstance(given, str) else {**SHIPPED_COSTS, **given}
     solvers = [{"solver": solver} for solver in dict.fromkeys(options.solvers or [])]
     batches = [
-        make_batch(Comparison({scenario.name: scenario.ladder[:1]}, 1, config={**config, **solver}), scenario.name)
+        make_batch(Comparison({name: ENVIRONMENTS[name].scenario.ladder[:1]}, 1, config={**config, **solver}), name)
         for solver in solvers or [{}]
-        for scenario in scenarios
+        for name in names
     ]
     models = cheapest_first(name for batch in batches for name in batch.rungs)
     if any(starts_warm(human_model(name)) for name in models):
@@ -147,25 +143,22 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         )
         for batch in batches
     ]
-    own = {"rounds": options.rounds, "horizon": options.horizon, "states": None}
+    settings = {
+        **batches[0].comparison.common_config(),
+        "versions": this_run()["versions"],
+        **({"solver": [each["solver"] for each in solvers]} if solvers else {}),
+        "scenarios": names,
+        "generated": options.generated,
+        "seed": options.seed,
+    }
+    own = {} if alone else dict(SEVERAL)
+    own |= {name: getattr(options, name) for name in ("rounds", "horizon") if getattr(options, name)}
     if options.states:
         own["states"] = options.states, -(-options.states * 5 // 8) if alone else options.states
-    settings = batches[0].comparison.common_config() | {"versions": this_run()["versions"]}
-    settings |= {"solver": [each["solver"] for each in solvers]} if solvers else {}
-    settings |= {name: getattr(options, name) for name in ("scenarios", "generated", "seed")}
-    learning = Learning(
-        {name: costs[name] for name in models},
-        seed=options.seed,
-        settings=settings | {"scenarios": names},
-        **({} if alone else SEVERAL) | {name: value for name, value in own.items() if value},
-    )
+    learning = Learning({name: costs[name] for name in models}, seed=options.seed, settings=settings, **own)
     if options.generated:
-        game = batches[0].environment.settings.game
-        generated = generated_courses(
-            lambda scenario: replace(batches[0].loop, game=game(scenario)),
-            tuple(range(len(models))),
-            options.generated,
-            learning.stream(0),
-        )
-        courses += generated
+        loop, game = batches[0].loop, batches[0].environment.settings.game
+        every = tuple(range(len(models)))
+        random = learning.stream(0)
+        courses += generated_courses(lambda each: replace(loop, game=game(each)), every, options.generated, random)
     return learning, courses

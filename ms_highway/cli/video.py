@@ -30,28 +30,23 @@ def add_video(commands: Any) -> None:
     parser.add_argument("--against", metavar="CONTROLLER", help="a second controller, filmed from the same start")
     add_number(parser, "--seed", 0, "of the episode", 0, MOST_SEEDS)
     add_number(parser, "--speed", 1.0, "1 is true speed, 0.5 slow motion", 0.01, 100)
-    add_number(parser, "--width", None, "scale the video down to this width", metavar="PIXELS")
+    add_number(parser, "--width", None, "scale the video down to this width", 160, 1280, metavar="PIXELS")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4 or .gif file")
     add_keys(parser)
     parser.set_defaults(run=_video)
 
 
 def _video(options: argparse.Namespace) -> None:
-    from ms_highway.envs import ENVIRONMENTS
     from ms_highway.experiments.comparison import Comparison
     from ms_highway.visualization import video
-    from ms_highway.visualization.video import side_by_side
 
-    controllers = [options.controller]
-    controllers += [options.against] if options.against else []
+    controllers = [name for name in (options.controller, options.against) if name]
     config = configuration(options)
     Comparison({options.scenario: controllers}, config=config).check()
-    if options.width is not None:
-        video.check_width(options.width, ENVIRONMENTS[options.scenario].default_config()["screen_width"])
     video.check_format(options.out)
     draw_unseen()
     films = [video.film(options.scenario, controller, options.seed, **config) for controller in controllers]
-    pictures = side_by_side(films) if options.against else films[0].pictures
+    pictures = video.side_by_side(films) if options.against else films[0].pictures
     if options.width is not None:
         pictures = video.scaled(pictures, options.width)
     rate = films[0].frames_per_second * options.speed

@@ -50,7 +50,7 @@ class Outcomes:
             ValueError: if the file is there and holds something else.
         """
         self.batch, self._file, self._mesh = batch, file, mesh
-        self.table = pd.DataFrame(index=pd.MultiIndex.from_tuples([], names=INDEX))
+        self.table = pd.DataFrame(columns=[*INDEX, *KEPT_COLUMNS]).set_index(INDEX)
         if file is not None and file.exists():
             with reading(file, "remove it or choose another directory"):
                 # Python's float gives back the very numbers that were written.
@@ -116,22 +116,19 @@ def search(
         The number of each round that is done, from 1; and one more, when starts have tried each other's best orders.
     """
     random, batch = np.random.default_rng(0), outcomes.batch
-    models, shape = batch.rungs, (batch.steps, batch.humans)
-    even = np.full((shape[0], len(models)), 1 / len(models))
-    tables = {(seed, price): even for seed in seeds for price in prices}
-    orders = dict[str, Array]()
-    tried: dict[int, dict[str, tuple[float, float]]] = {seed: {} for seed in seeds}  # reward, seconds per step
-    leaders: dict[tuple[int, float], list[str]] = {}
+    rungs, shape = len(batch.rungs), (batch.steps, batch.humans)
     ascending = sorted(set(prices))
-    turns = max(1, ceil(len(ascending) / PRICES_AT_ONCE))
+    turns = ceil(len(ascending) / PRICES_AT_ONCE)
+    tables = {(seed, price): np.full((batch.steps, rungs), 1 / rungs) for seed in seeds for price in prices}
+    orders: dict[str, Array] = {}
+    tried: dict[int, dict[str, tuple[float, float]]] = {seed: {} for seed in seeds}  # reward, seconds per step
+    best: dict[tuple[int, float], str] = {}
     for number in range(1, rounds + 1):
         keys = []
-        for seed, price in tables:
+        for (seed, price), table in tables.items():
             if price in ascending[number % turns :: turns]:
-                drawn = _first(shape, len(models))
-                if leaders:
-                    drawn = _next(random, tables[seed, price], orders[leaders[seed, price][0]], population)
-                named = {controller_name(models, order): order for order in drawn}
+                drawn = _next(random, table, orders[best[seed, price]], population) if best else _first(shape, rungs)
+                named = {controller_name(batch.rungs, order): order for order in drawn}
                 orders |= named
                 keys += [(name, seed) for name in named]
         rows = outcomes.of(keys)[["reward", "counted_seconds"]]
@@ -139,14 +136,13 @@ def search(
             tried[seed][name] = outcome
         for (seed, price), table in tables.items():
             own = {name: reward - price * seconds for name, (reward, seconds) in tried[seed].items()}
-            leaders[seed, price] = sorted(own, key=own.__getitem__, reverse=True)
-            elite = [orders[name] for name in leaders[seed, price][: max(2, round(ELITE * population))]]
-            frequencies = np.eye(len(models))[np.array(elite)].mean(axis=(0, 2))
+            leaders = sorted(own, key=own.__getitem__, reverse=True)[: max(2, round(ELITE * population))]
+            best[seed, price] = leaders[0]
+            frequencies = np.eye(rungs)[np.array([orders[name] for name in leaders])].mean(axis=(0, 2))
             mixed = np.maximum(SMOOTHING * table + (1 - SMOOTHING) * frequencies, FLOOR)
             tables[seed, price] = mixed / mixed.sum(axis=-1, keepdims=True)
         yield number
-    exchanged = dict.fromkeys(names[0] for names in leaders.values())
-    outcomes.of([(name, seed) for seed in seeds for name in exchanged])
+    outcomes.of([(name, seed) for seed in seeds for name in dict.fromkeys(best.values())])
     yield rounds + 1
 
 

@@ -33,6 +33,7 @@ QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
 SWITCHING = "switching_lambda_"
 INTEGERS = ("models", "ladder")
 MOST_BYTES = 2**27  # of a file, unpacked
+LARGEST = 1e38  # number, in single precision
 ARRAYS = ("states", "robot_controls", "human_controls", "rewards", *INTEGERS)
 
 
@@ -64,17 +65,17 @@ def validate_file(file: Path) -> dict[str, Any]:
     scenario, episodes = read_episodes(file)
     game = build_game(SCENARIOS[scenario], "released", unit=1.0)
     states, models = episodes["states"].astype(np.float32), episodes["models"]
-    planned = np.full(episodes["robot_controls"].shape, np.nan)
+    robot, human = episodes["robot_controls"], episodes["human_controls"]
+    planned = np.empty(robot.shape)
     for index in np.unique(models):
         planned[models == index] = _first_controls(MODELS[PAPER_MODELS[index]], game, states[models == index])
-    swapped = np.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2).reshape(-1, *states.shape[2:])
-    logged = episodes["human_controls"]
-    human = _first_controls(Naive(), swap_roles(game), swapped).reshape(logged.shape)
-    rewards = _rewards(game.scene, game.robot, states[:, 1:])
+    swapped = np.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2)
+    answered = _first_controls(Naive(), swap_roles(game), swapped.reshape(-1, *states.shape[2:])).reshape(human.shape)
+    rewards = np.asarray(_rewards(game.scene, game.robot, states[:, 1:]))
     report: dict[str, Any] = {
-        "action_error": _quantiles(np.abs(planned - episodes["robot_controls"]).max(axis=-1)),
-        "reward_error": _quantiles(np.abs(np.asarray(rewards) - episodes["rewards"][:, :-1])),
-        "human_error": _quantiles(np.abs(human - logged).max(axis=-1)),
+        "action_error": _quantiles(np.abs(planned - robot).max(axis=-1)),
+        "reward_error": _quantiles(np.abs(rewards - episodes["rewards"][:, :-1])),
+        "human_error": _quantiles(np.abs(answered - human).max(axis=-1)),
     }
     kind = file.stem.partition("__")[2]
     if kind.startswith(SWITCHING):
@@ -97,25 +98,21 @@ def read_episodes(file: Path) -> tuple[str, dict[str, Array]]:
     with reading(file, "name the logs that were released", " as a reference file"):
         arrays = read_arrays(file, MOST_BYTES)
         episodes = {name: arrays[name] for name in ARRAYS}
-    count, steps = (*episodes["states"].shape, 0, 0)[:2]
-    shapes = {
-        "states": (max(count, 1), max(steps, 2), len(SCENARIOS[scenario].cars), 4),
+        count, steps = episodes["rewards"].shape
+    wanted = {
+        "states": (count, steps, len(SCENARIOS[scenario].cars), 4),
         "robot_controls": (count, steps, 2),
         "human_controls": (count, steps - 1, 2),
-        "rewards": (count, steps),
+        "rewards": (max(count, 1), max(steps, 2)),
         "models": (count, steps),
         "ladder": (episodes["ladder"].size,),
     }
-    for name, shape in shapes.items():
-        array, kinds = episodes[name], "iu" if name in INTEGERS else "fiu"
-        if array.dtype.kind not in kinds:
-            wanted = "integers" if name in INTEGERS else "numbers"
-            raise ValueError(f"{file}: {name} holds {array.dtype}; it must hold {wanted}")
-        if array.shape != shape:
-            raise ValueError(f"{file}: {name} has shape {array.shape}; {shape} belongs to it, of two steps or more")
-        with np.errstate(over="ignore"):
-            if not np.isfinite(array.astype(np.float32)).all():
-                raise ValueError(f"{file}: {name} is not finite, in single precision")
+    for name, array in episodes.items():
+        numbers = array.dtype.kind in ("iu" if name in INTEGERS else "fiu") and (np.abs(array) < LARGEST).all()
+        if array.shape != wanted[name] or not numbers:
+            kind = "integers" if name in INTEGERS else "finite numbers"
+            holds = f"{name} holds {array.dtype} of shape {array.shape}, or numbers that are not finite"
+            raise ValueError(f"{file}: {holds}; it must hold {kind} of shape {wanted[name]}")
     rungs = episodes["ladder"].tolist()
     known = set(rungs) <= set(range(len(PAPER_MODELS))) and np.isin(episodes["models"], rungs).all()
     if not known or len(set(rungs)) < len(rungs):

@@ -1,11 +1,10 @@
 """The colours of videos, as Matplotlib takes them, and of what lies below figures."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from itertools import cycle
 from typing import Literal
 
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
 
 from ms_highway.envs.controllers import CHOOSING
 from ms_highway.envs.graphics import model_color
@@ -24,22 +23,19 @@ def color_of(model: str) -> str:
     return "#{:02x}{:02x}{:02x}".format(*model_color(model))
 
 
-def model_colors(models: Sequence[str]) -> ListedColormap:
-    """Return the colours of human models by their places."""
-    return ListedColormap([color_of(model) for model in models])
-
-
 def choosing_shades(kind: str) -> list[str]:
     """Return shades of a colour for controllers that choose models online, by their kind; the last one is for lines."""
     return SHADES.get(kind, OTHER_SHADES)
 
 
-def controller_colors(controllers: Sequence[str]) -> list[str]:
+def controller_colors(controllers: Iterable[str]) -> list[str]:
     """Return a model's own colour for a fixed model, shades of its kind's for one that chooses online, else greys."""
-    kinds = [kind if (kind := controller_config(name)["type"]) in CHOOSING else "switching" for name in controllers]
-    shades = {kind: cycle(choosing_shades(kind)) for kind in kinds}
-    pairs = zip(controllers, kinds, strict=True)
-    return [color_of(name) if is_model(name) else next(shades[kind]) for name, kind in pairs]
+    colors, left = [], dict[str, Iterator[str]]()
+    for name in controllers:
+        kind = controller_config(name)["type"]
+        shades = left.setdefault(kind, cycle(choosing_shades(kind if kind in CHOOSING else "switching")))
+        colors.append(color_of(name) if is_model(name) else next(shades))
+    return colors
 
 
 def light_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:

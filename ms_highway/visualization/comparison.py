@@ -1,21 +1,19 @@
 """Tables and figures of a comparison, from its records of steps and their summary."""
 
 from string import Formatter
-from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from rich.table import Table
 
 from ms_highway.envs.controllers import CHOOSING
+from ms_highway.envs.graphics import model_color
 from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
-from ms_highway.visualization.colors import color_of, controller_colors, model_colors
+from ms_highway.visualization.colors import color_of, controller_colors
 from ms_highway.visualization.tables import grid, two_digits
 
 LEGEND_COLUMNS = 5
@@ -47,23 +45,25 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     are several humans.
     """
     rows = summaries.query("scenario == @scenario")
-    models = [
-        name
-        for name in models_of(summaries, share_column)
-        if name in PAPER_MODELS or summaries[share_column(name)].any()
-    ]
+    models = models_of(summaries, share_column)
+    models = [name for name in models if name in PAPER_MODELS or summaries[share_column(name)].any()]
     percent = [name for name in (*PERCENT, *map(share_column, models)) if name in rows]
     rows = rows.assign(**{name: 100 * rows[name] for name in percent})
     rows["reward_less_t"] = rows["reward"] - 1e-3 * rows["counted_ms"]  # at a price of 1 per second
     filled = {str(name) for name in rows if rows[name].notna().any()} | {"reward_low", "reward_high"}
-    filled -= set() if "success" in filled else {"late", "cycle_ms_p50"}  # of interest where plans take long
-    filled -= set() if rows.get("fallbacks", rows["episodes"]).any() else {"fallbacks"}
-    shares = f"{' / '.join(models)} %", " / ".join(f"{{{share_column(name)}:.0f}}" for name in models)
+    if "success" not in filled:
+        filled -= {"late", "cycle_ms_p50"}  # of interest where plans take long
+    if not rows.get("fallbacks", rows["episodes"]).any():
+        filled.discard("fallbacks")
     rows["counted_ms"] = rows["counted_ms"].map(two_digits)
-    texts = {}
-    for heading, form in ((heading, form) if form else shares for heading, form in FORMS.items()):
-        if {part[1] for part in Formatter().parse(form)} - {None} <= filled:
-            texts[heading] = [form.format(**row) for row in rows.to_dict("records")]
+    shares = " / ".join(models) + " %"
+    forms = {shares if name == "shares" else name: form for name, form in FORMS.items()}
+    forms[shares] = " / ".join(f"{{{share_column(name)}:.0f}}" for name in models)
+    texts = {
+        heading: [form.format(**row) for row in rows.to_dict("records")]
+        for heading, form in forms.items()
+        if {part[1] for part in Formatter().parse(form)} - {None} <= filled
+    }
     return pd.DataFrame(texts).replace({"nan": "", "nan, nan": "one episode"})
 
 
@@ -87,27 +87,26 @@ def episode_count(rows: pd.DataFrame) -> str:
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     """Draw reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
     rows = summaries.query("scenario == @scenario")
-    names = list(rows["controller"])
-    colors, planning = controller_colors(names), rows["planning_ms"]
+    names, colors = rows["controller"], controller_colors(rows["controller"])
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    errors = [np.nan_to_num(rows[end] - rows["reward"]).__abs__() for end in ("reward_low", "reward_high")]
-    left.bar(names, rows["reward"], yerr=errors, color=colors, capsize=4)
+    left.bar(names, rows["reward"], yerr=whiskers(rows), color=colors, capsize=4)
     left.axhline(0, color="black", linewidth=0.8)
     left.set(title="reward", ylabel="mean reward per step")
-    deciding: dict[str, Any] = {"fc": "white", "ec": "black", "hatch": "///"}
-    right.bar(names, planning, color=colors)
-    right.bar(names, rows["decision_ms"], bottom=planning, **deciding)
-    right.use_sticky_edges = False  # else the foot of a last bar without height ends the axes
-    right.margins(y=0.3)  # room for the legend
-    right.set_ylim(bottom=0)
-    right.set(title="computation", ylabel="mean time per step [ms]")
-    right.legend(handles=[Patch(color="grey", label="planning"), Patch(label="deciding", **deciding)])
+    right.bar(names, rows["planning_ms"], color=colors)
+    right.bar(names, rows["decision_ms"], bottom=rows["planning_ms"], fc="white", ec="black", hatch="///")
+    right.set(title="computation: planning, and deciding (hatched)", ylabel="mean time per step [ms]")
     for axes in (left, right):
         axes.tick_params(axis="x", rotation=20)
         axes.spines[["top", "right"]].set_visible(False)
     figure.suptitle(f"{title(scenario)}: {episode_count(rows)}")
     return figure
+
+
+def whiskers(rows: pd.DataFrame) -> list[list[float]]:
+    """Return how far the intervals of the rows of a summary reach below and above their rewards; 0 without any."""
+    reward = rows["reward"]
+    return [(rows.get(end, reward) - reward).abs().fillna(0).to_list() for end in ("reward_low", "reward_high")]
 
 
 def timeline(records: pd.DataFrame, scenario: str) -> Figure:
@@ -117,33 +116,24 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     controller that chooses online shows the model of every step.
     """
     rows = records.query("scenario == @scenario")
-    controllers = list(dict.fromkeys(rows["controller"]))
-    choosing = [name for name in controllers if controller_config(name)["type"] in CHOOSING]
-    figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")
+    rows = rows.assign(ms=1e3 * (rows["planning_seconds"] + rows["decision_seconds"]))
+    episodes = dict(iter(rows.groupby("controller", sort=False)))
+    choosing = [name for name in episodes if controller_config(name)["type"] in CHOOSING]
     heights = [2.5] + [1] * len(choosing)
+    figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")
     above, *panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
-    times = rows.assign(ms=1e3 * (rows["planning_seconds"] + rows["decision_seconds"]))
-    for name, color in zip(controllers, controller_colors(controllers), strict=True):
-        mean = times[times["controller"] == name].groupby("step")["ms"].mean()
-        above.plot(mean, "-" if name in choosing else "--", color=color, label=name, linewidth=2)
-    above.set(
-        title=f"{title(scenario)}: computation along the episode", ylabel="planning + deciding [ms]", yscale="log"
-    )
-    above.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    above.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    above.yaxis.set_minor_formatter(NullFormatter())
-    columns = min(len(controllers), LEGEND_COLUMNS)
-    above.legend(ncols=columns, loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False)
+    for (name, own), color in zip(episodes.items(), controller_colors(episodes), strict=True):
+        line = "-" if name in choosing else "--"
+        above.plot(own.groupby("step")["ms"].mean(), line, color=color, label=name, linewidth=2)
+    above.set(title=f"{title(scenario)}: computation along the episode", ylabel="planning + deciding [ms]")
+    above.set_yscale("log")
     for name, panel in zip(choosing, panels, strict=True):
-        steps = rows[rows["controller"] == name].pivot(index="seed", columns="step", values="model")
-        models = cheapest_first(steps.stack())
-        places = steps.map({model: place for place, model in enumerate(models)}.get).astype(float)
-        panel.imshow(
-            places, model_colors(models), aspect="auto", vmin=-0.5, vmax=len(models) - 0.5, interpolation="nearest"
-        )
+        models = episodes[name].pivot(index="seed", columns="step", values="model")
+        panel.imshow(models.map(model_color).to_numpy().tolist(), aspect="auto", interpolation="nearest")
         panel.set_title(name, loc="left", fontsize="medium")
         panel.set_ylabel("episode")
-        used = [Patch(color=color_of(model), label=model) for model in models]
-        panel.legend(handles=used, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
     figure.axes[-1].set_xlabel("step (0.1 s)")
+    in_use = rows.loc[rows["controller"].isin(choosing), "model"]
+    used = [Patch(color=color_of(model), label=f"{model} in use") for model in cheapest_first(in_use)]
+    figure.legend(handles=[*above.lines, *used], loc="outside lower center", ncols=LEGEND_COLUMNS, frameon=False)
     return figure

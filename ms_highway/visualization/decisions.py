@@ -2,15 +2,11 @@
 
 from collections.abc import Sequence
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
-from matplotlib.ticker import NullLocator, StrMethodFormatter
 
 from ms_highway.experiments.records import gain_column, models_of
 from ms_highway.game.scenario import title
-from ms_highway.planning.human_models import cheapest_first
 from ms_highway.visualization.colors import color_of
 
 SMALL_GAIN = 0.01
@@ -30,35 +26,29 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
     """
     figure = Figure(figsize=(10, 5), layout="constrained")
     panels = figure.subplots(2, len(episodes), sharex=True, sharey="row", squeeze=False, height_ratios=[1.2, 1])
-    estimated, used, handles = {}, set(), []
+    legend = {}
     for (upper, lower), episode in zip(panels.T, episodes, strict=True):
-        first, steps = episode.iloc[0], np.arange(len(episode))
+        first, steps = episode.iloc[0], episode["step"]
         upper.set_title(f"{title(first['scenario'])}, {first['controller']}, seed {first['seed']}", fontsize="medium")
-        upper.grid(axis="y", color="white", linewidth=0.8)
-        upper.set_yscale("symlog", linthresh=SMALL_GAIN, linscale=0.7)
-        upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        upper.yaxis.set_minor_locator(NullLocator())
+        upper.set_yscale("symlog", linthresh=SMALL_GAIN)
         upper.axhline(0, color="black", linewidth=0.8)
         for name in models_of(episode, gain_column):
             gains = episode[gain_column(name)]
             (line,) = upper.plot(steps, gains, "o-", color=color_of(name), markersize=4, linewidth=0.8)
             if gains.notna().any():
-                estimated[name] = line
+                legend[f"gain of switching to {name}"] = line
         lower.plot(steps, episode["reward"], color="black", linewidth=1.5)
         lower.set(xlabel="step (0.1 s)", xlim=(-0.5, len(steps) - 0.5))
         lower.set_title(f"mean reward {episode['reward'].mean():.2f}", loc="right", fontsize="small")
         if reference is not None:
-            label = f"reward of {reference['controller'].iloc[0]}"
-            handles = lower.plot(reference["step"], reference["reward"], ":", color="black", label=label)
+            (line,) = lower.plot(reference["step"], reference["reward"], ":", color="black")
+            legend[f"reward of {reference['controller'].iloc[0]}"] = line
         for axes in (upper, lower):
-            for step, model in enumerate(episode["model"]):
-                axes.axvspan(step - 0.5, step + 0.5, color=color_of(model), alpha=0.25, linewidth=0, zorder=0)
+            for step, model in zip(steps, episode["model"], strict=True):
+                span = axes.axvspan(step - 0.5, step + 0.5, color=color_of(model), alpha=0.25, linewidth=0, zorder=0)
+                legend[f"{model} in use"] = span
             axes.spines[["top", "right"]].set_visible(False)
-        used.update(episode["model"])
     panels[0, 0].set_ylabel("estimated net gain")
     panels[1, 0].set_ylabel("reward per step")
-    for name, line in estimated.items():
-        line.set_label(f"gain of switching to {name}")
-    in_use = [Patch(color=color_of(name), alpha=0.35, label=f"{name} in use") for name in cheapest_first(used)]
-    figure.legend(handles=[*estimated.values(), *in_use, *handles], loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(legend.values(), legend, loc="outside lower center", ncols=4, frameon=False)
     return figure

@@ -3,8 +3,7 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ms_highway.experiments.analysis.selection import choosing_controllers, main_controllers
-from ms_highway.experiments.analysis.tradeoff import reference
+from ms_highway.experiments.analysis.selection import choosing_controllers, main_controllers, most_informative_pair
 from ms_highway.experiments.records import common_seeds, one_episode
 from ms_highway.visualization.comparison import bars, timeline
 from ms_highway.visualization.decisions import decisions
@@ -20,7 +19,8 @@ CAPTIONS = {
     "of every episode of the controllers that choose it online.",
     "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
     "and deciding as measured. Whiskers are the 90 % intervals. Controllers that choose online are labelled by lambda. "
-    "Where schedules were compared, a dashed line joins the best of all that was fixed, chosen by these very episodes. "
+    "Where schedules were compared, a dashed line is the most that anything fixed earns with so much computation or "
+    "less, in these episodes. "
     "Crosses draw their models at random.",
     "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model, before the "
     "step that it is drawn at; one above zero is taken. For learned values, it is what all that follows is worth more "
@@ -33,26 +33,25 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
     """Draw all figures of a scenario, by the names that `CAPTIONS` explains.
 
     Reward and computation are a curve of all controllers where a kind has three lambdas, and else bars. Decisions are
-    those of two controllers that choose online, beside the most expensive fixed model, from the first start that all
-    of them have driven.
+    those of two controllers that choose online, beside the best fixed model, from the first start that all of them have
+    driven.
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`.
         summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
     """
-    main = main_controllers(summaries, scenario)
-    rows = summaries.query("scenario == @scenario")
-    lambdas = rows.groupby("kind")["price"].nunique().max()
+    main, rows = main_controllers(summaries, scenario), summaries.query("scenario == @scenario")
     drawn = {}
-    if lambdas >= FEWEST_LAMBDAS:
+    if rows.groupby("kind")["price"].nunique().max() >= FEWEST_LAMBDAS:
         drawn["curve"] = curve(summaries, scenario)
     else:
         drawn["bars"] = bars(rows[rows["controller"].isin(main)], scenario)
     drawn["timeline"] = timeline(records[records["controller"].isin(main)], scenario)
-    deciding, beside = choosing_controllers(summaries, scenario)[:MOST_DECIDING], reference(summaries, scenario)
-    seeds = common_seeds(records, scenario, [*deciding, *([beside] if beside else [])])
+    deciding = choosing_controllers(summaries, scenario)[:MOST_DECIDING]
+    beside = [name for name in most_informative_pair(summaries, scenario) if name not in deciding][:1]
+    seeds = common_seeds(records, scenario, [*deciding, *beside])
     if deciding and seeds:
-        episodes = [one_episode(records, scenario, name, seeds[0]) for name in deciding]
-        drawn["decisions"] = decisions(episodes, one_episode(records, scenario, beside, seeds[0]) if beside else None)
+        episodes = [one_episode(records, scenario, name, seeds[0]) for name in (*deciding, *beside)]
+        drawn["decisions"] = decisions(episodes[: len(deciding)], *episodes[len(deciding) :])
     return drawn

@@ -7,7 +7,6 @@ from typing import Any
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
-from PIL import Image
 
 from ms_highway.envs.graphics import model_meaning
 from ms_highway.experiments.analysis.findings import answer
@@ -19,11 +18,8 @@ from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization import video
 from ms_highway.visualization.comparison import cells
 from ms_highway.visualization.figures import CAPTIONS, figures
-from ms_highway.visualization.video import side_by_side
 
 DPI = 160
-COLORS = 256  # of a figure
-POSTER = 0.4  # of the video, from which the picture is taken that stands for it
 
 
 def page(results: Results, videos: bool = True, progress: Progress = silent) -> str:
@@ -38,23 +34,21 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
         ImportError: for videos without the packages of the extra ``video``.
         ValueError: if episodes cannot be run again under the settings of the results.
     """
-    sections = []
+    sections, summaries = [], results.summaries
     for scenario in results.scenarios:
         progress(f"drawing {scenario}" + " and filming it" * videos)
-        table = results_table(results, scenario)
-        drawn = figures(results.records, results.summaries, scenario)
+        table, drawn = results_table(results, scenario), figures(results.records, summaries, scenario)
         sections.append(
             {
                 "title": title(scenario),
-                "answer": answer(results.records, results.summaries, scenario),
+                "answer": answer(results.records, summaries, scenario),
                 "headings": list(table),
                 "rows": table.to_numpy().tolist(),
                 "figures": {name: (_picture(figure), CAPTIONS[name]) for name, figure in drawn.items()},
                 "film": _film(results, scenario) if videos else None,
             }
         )
-    summaries = results.summaries
-    used = [name for name in models_of(summaries, share_column) if (summaries[share_column(name)] > 0).any()]
+    used = [name for name in models_of(summaries, share_column) if summaries[share_column(name)].any()]
     environment = Environment(
         loader=PackageLoader("ms_highway", "data"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
@@ -82,26 +76,21 @@ def _film(results: Results, scenario: str) -> dict[str, Any]:
     controllers = most_informative_pair(results.summaries, scenario)
     seed = next(iter(common_seeds(results.records, scenario, controllers)), 0)
     films = [video.film(scenario, name, seed, **results.config(scenario)) for name in controllers]
-    pictures, poster = side_by_side(films), io.BytesIO()
-    content = video.encoded(pictures, ".mp4", films[0].frames_per_second)
-    Image.fromarray(pictures[int(POSTER * len(pictures))]).save(poster, "PNG", optimize=True)
-    places = " above, ".join(controllers) + (" below" if len(controllers) > 1 else "")
-    caption = f"Episode {seed}, at true speed: {places}. Times are as measured while filming; other episodes differ."
+    pictures = video.side_by_side(films)
     height, width, _ = pictures[0].shape
+    places = " above, ".join(controllers) + " below" * (len(controllers) > 1)
     return {
-        "source": _data("video/mp4", content),
-        "poster": _data("image/png", poster.getvalue()),
+        "source": _data("video/mp4", video.encoded(pictures, ".mp4", films[0].frames_per_second)),
         "width": width,
         "height": height,
-        "caption": caption,
+        "caption": f"Episode {seed}, at true speed: {places}. Times are as measured while filming; other episodes "
+        "differ.",
     }
 
 
 def _picture(figure: Figure) -> str:
-    drawn, content = io.BytesIO(), io.BytesIO()
-    figure.savefig(drawn, format="png", dpi=DPI)
-    colors = Image.open(drawn).convert("RGB").quantize(COLORS, dither=Image.Dither.NONE)  # a third of the size
-    colors.save(content, "PNG", optimize=True)
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=DPI)
     return _data("image/png", content.getvalue())
 
 

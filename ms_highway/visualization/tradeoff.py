@@ -1,20 +1,15 @@
 """Figures of reward against computation."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
 
-from ms_highway.envs.controllers import FIXED_ORDERS
-from ms_highway.envs.short_names import controller_config, named_controller
-from ms_highway.experiments.analysis.regret import frontier_curve
-from ms_highway.experiments.analysis.tradeoff import best_schedules, choosing, reference
+from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS
+from ms_highway.envs.short_names import named_controller
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import choosing_shades, color_of, light_grid
-from ms_highway.visualization.comparison import episode_count
+from ms_highway.visualization.comparison import episode_count, whiskers
 
 SCHEDULE_COLOR, RANDOM_COLOR, FRONTIER_COLOR = "#8a93a5", "#2e8b57", "#c2185b"
 LABEL = np.array([0.08, 0.05])  # width and height of a label, as shares of the axes
@@ -26,9 +21,10 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
 
     On the left, planning is counted at the seconds T(M) that decisions count; on the right, where they were measured,
     planning and deciding are as on this machine. Controllers that choose online are joined in the order of lambda, a
-    line per kind; the dashed line joins `best_schedules`; crosses are random controllers.
+    line per kind; the dashed line is the most that schedules, periods and fixed models earn with so much computation or
+    less; crosses are random controllers.
     """
-    rows, name = summaries.query("scenario == @scenario"), reference(summaries, scenario)
+    rows = summaries.query("scenario == @scenario")
     measures = {"counted_ms": COUNTED}
     if {"planning_ms", "decision_ms"} <= set(rows):
         rows = rows.assign(measured_ms=rows["planning_ms"] + rows["decision_ms"])
@@ -36,51 +32,42 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     figure = Figure(figsize=(4 + 3 * len(measures), 4.4), layout="constrained")
     panels = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
     for axes, (measure, label) in zip(panels, measures.items(), strict=True):
-        orders, best = rows[rows["kind"].isin(("schedule", "period"))], best_schedules(rows, scenario, measure)
-        if len(orders):
+        orders = rows[rows["kind"].isin(FIXED_ORDERS)].sort_values(measure)
+        if (orders["kind"] != "fixed").any():
+            best = {"linestyle": "--", "drawstyle": "steps-post", "label": "best fixed schedules"}
             axes.plot(orders[measure], orders["reward"], ".", color=SCHEDULE_COLOR, markersize=5)
-            axes.plot(best[measure], best["reward"], "--", color=SCHEDULE_COLOR, label="best fixed schedules")
+            axes.plot(orders[measure], orders["reward"].cummax(), color=SCHEDULE_COLOR, **best)
         _draw(axes, rows, measure)
         axes.set_xlabel(label)
     panels[0].set_ylabel("reward per step")
-    if name is not None:  # a second scale, in shares of the most expensive fixed model's planning
-        whole = rows.set_index("controller").loc[name, "counted_ms"]
-        top = panels[0].secondary_xaxis("top", functions=(lambda ms: ms / whole, lambda part: part * whole))
-        top.xaxis.set_major_formatter(PercentFormatter(1.0))
-        top.set_xlabel(f"share of {name}'s planning")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
     figure.suptitle(f"{title(scenario)}: reward against computation, {episode_count(rows)}")
     return figure
 
 
-def frontier(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Sequence[int]) -> Figure:
+def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
     """Draw reward against counted computation: what a search has found, and the controllers that stay behind it.
 
-    The line joins the means of the best orders of each start from price to price; at prices that were not searched it
-    is a lower bound all the same. Dots are orders that were tried from every start.
+    The line joins the means of the best orders of each start at the prices that were searched. Dots are orders that are
+    the same for all starts.
 
     Args:
-        table: of `ms_highway.experiments.frontier.Outcomes`.
         behind: rows of `ms_highway.experiments.analysis.regret.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
-        seeds: of the starts.
+        starts: their number.
     """
-    rows, figure = behind.query("scenario == @scenario"), Figure(figsize=(7, 4.4), layout="constrained")
-    axes, means = figure.subplots(), ["reward", "counted_seconds"]
-    shared = pd.DataFrame({name: table[name].unstack("seed")[list(seeds)].dropna().mean(axis=1) for name in means})
-    orders = shared[[controller_config(str(name))["type"] in FIXED_ORDERS for name in shared.index]]
-    found = rows.query("kind == 'search'").sort_values("counted_seconds", ascending=False)
-    for points, form, color, label in (
-        (orders, ".", SCHEDULE_COLOR, "other orders"),
-        (frontier_curve(table, seeds), "-", FRONTIER_COLOR, None),
-        (found, "D", FRONTIER_COLOR, "best order of each start"),
-    ):
-        axes.plot(1e3 * points["counted_seconds"], points["reward"], form, color=color, label=label)
-    own = rows.query("kind != 'search'").drop_duplicates("controller")
-    prices = [named_controller(name).price for name in own["controller"]]
-    _draw(axes, own.assign(counted_ms=1e3 * own["counted_seconds"], price=prices), "counted_ms")
+    rows = behind.query("scenario == @scenario").assign(counted_ms=1e3 * behind["counted_seconds"])
+    found, others = (rows[(rows["kind"] == "search") == searched] for searched in (True, False))
+    found, others = found.sort_values("counted_ms", ascending=False), others.drop_duplicates("controller")
+    orders = others[others["kind"].isin(("schedule", "period"))]
+    figure = Figure(figsize=(7, 4.4), layout="constrained")
+    axes, label = figure.subplots(), "best order of each start"
+    axes.plot(orders["counted_ms"], orders["reward"], ".", color=SCHEDULE_COLOR, label="orders for all starts")
+    axes.plot(found["counted_ms"], found["reward"], "D-", color=FRONTIER_COLOR, label=label)
+    prices = [named_controller(name).price for name in others["controller"]]
+    _draw(axes, others.assign(price=prices), "counted_ms")
     axes.set(xlabel=COUNTED, ylabel="reward per step")
-    figure.suptitle(f"{title(scenario)}: the best orders of models, {len(seeds)} starts")
+    figure.suptitle(f"{title(scenario)}: the best orders of models, {starts} starts")
     searched = ", ".join(f"{price:g}" for price in found["price"])
     axes.set_title(f"diamonds, from the right: a second of planning costs {searched}", fontsize="small")
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
@@ -89,26 +76,26 @@ def frontier(table: pd.DataFrame, behind: pd.DataFrame, scenario: str, seeds: Se
 
 def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
     """Draw the controllers of a summary over a measure of computation: online ones, random ones and fixed models."""
-    online, points = choosing(rows), rows.query("kind == 'random'")
-    for name, own in online.items():
-        _points(axes, own, measure, "o-", choosing_shades(own["kind"].iloc[0])[-1], f"{name}, by lambda")
-    if len(points):
-        _points(axes, points, measure, "x", RANDOM_COLOR, "random")
+
+    def points(own: pd.DataFrame, form: str, color: str, label: str) -> None:
+        reward, errors = own["reward"], whiskers(own)
+        axes.errorbar(own[measure], reward, errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2)
+
+    online = rows[rows["kind"].isin(CHOOSING)].sort_values("price")
+    names = online["controller"].str.replace(r"^(\w+):[^:]*", r"\1", regex=True)  # with the file of values, if any
+    for name, own in online.groupby(names):
+        points(own, "o-", choosing_shades(own["kind"].iloc[0])[-1], f"{name}, by lambda")
+    random = rows.query("kind == 'random'")
+    if len(random):
+        points(random, "x", RANDOM_COLOR, "random")
     for name, own in rows.query("kind == 'fixed'").groupby("controller", sort=False):
-        _points(axes, own, measure, "s", color_of(str(name)), str(name))
+        points(own, "s", color_of(str(name)), str(name))
     axes.set_xlim(left=0)
     light_grid(axes)
     axes.autoscale_view()
     labelled: list[np.ndarray] = []
-    for price, *place in pd.concat([rows[:0], *online.values()])[["price", measure, "reward"]].to_numpy(float):
+    for price, *place in online[["price", measure, "reward"]].to_numpy(float):
         spot = axes.transAxes.inverted().transform(axes.transData.transform(place))  # as shares of the axes
         if all((np.abs(spot - other) > LABEL).any() for other in labelled):  # else labels would cover each other
             labelled.append(spot)
             axes.annotate(f"{price:.3g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
-
-
-def _points(axes: Axes, rows: pd.DataFrame, measure: str, form: str, color: str, label: str) -> None:
-    """Draw controllers, with the intervals of their rewards where they have any."""
-    reward = rows["reward"]
-    errors = [(rows.get(end, reward) - reward).abs().fillna(0).to_list() for end in ("reward_low", "reward_high")]
-    axes.errorbar(rows[measure], reward, errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2)

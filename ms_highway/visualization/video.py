@@ -1,7 +1,7 @@
 """Make videos of episodes, of one controller or of several side by side."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,7 @@ from ms_highway.runtime.files import replacing
 Picture = UInt8[np.ndarray, "h w 3"]
 
 FORMATS = (".mp4", ".gif")
-NARROWEST = 160  # px
 GIF_COLORS = 48  # enough for flat colours and smooth edges
-PALETTE_PICTURES = 5  # of a video, from which the colours of a GIF are taken
 
 
 @dataclass(frozen=True)
@@ -70,38 +68,23 @@ def check_format(path: Path) -> None:
         _imageio()
 
 
-def check_width(width: int, drawn: int) -> None:
-    """Refuse a width [px] to which pictures of the width ``drawn`` cannot be scaled down legibly.
-
-    Raises:
-        ValueError: if it is not from 160 to ``drawn``.
-    """
-    if not NARROWEST <= width <= drawn:
-        raise ValueError(
-            f"the width is {width} px; the pictures are {drawn} px wide, choose from {NARROWEST} to {drawn}"
-        )
-
-
 def scaled(pictures: Sequence[Picture], width: int) -> list[Picture]:
     """Scale pictures to a width [px] in proportion; sides are even numbers, as mp4 requires."""
     height, drawn = pictures[0].shape[:2]
     size = 2 * round(width / 2), 2 * round(height * width / drawn / 2)
-    if size == (drawn, height):
-        return list(pictures)
     return [np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.HAMMING)) for picture in pictures]
 
 
 def write(pictures: Sequence[Picture], path: Path, frames_per_second: float) -> None:
-    """Write a video under a temporary name and move it into place.
+    """Write a video in the format that its name says.
 
     Raises:
         ValueError: if the name does not end in .mp4 or .gif.
         ImportError: for an .mp4 without the packages of the extra ``video``.
     """
     check_format(path)
-    content = encoded(pictures, path.suffix, frames_per_second)
     with replacing(path) as temporary:
-        temporary.write_bytes(content)
+        temporary.write_bytes(encoded(pictures, path.suffix, frames_per_second))
 
 
 def encoded(pictures: Sequence[Picture], suffix: str, frames_per_second: float) -> bytes:
@@ -126,15 +109,10 @@ def _imageio() -> Any:
 
 def _gif(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
     """Write a GIF with one palette and no dithering: what stands still costs nothing."""
-    some = np.linspace(0, len(pictures) - 1, PALETTE_PICTURES).round().astype(int)
-    sample = Image.fromarray(np.concatenate([pictures[place] for place in some]))
-    palette = sample.quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)
-    first, *others = (
-        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures
-    )
-    content = io.BytesIO()
-    duration = 1000 / frames_per_second  # ms
-    first.save(content, "GIF", save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
+    palette = Image.fromarray(pictures[-1]).quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)  # which shows most colours
+    images = [Image.fromarray(each).quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures]
+    content, duration = io.BytesIO(), 1000 / frames_per_second  # ms
+    images[0].save(content, "GIF", save_all=True, append_images=images[1:], duration=duration, loop=0, optimize=True)
     return content.getvalue()
 
 
@@ -144,41 +122,36 @@ NAME_SIZE, NUMBERS_SIZE = 26, 20  # px, of texts
 
 
 def side_by_side(films: Sequence[Film]) -> list[Picture]:
-    """Films that run at the same time, one above the other, since roads are wide and low.
+    """Show films of one scenario at the same time, one above the other, since roads are wide and low.
 
     Above each stands its controller, its mean reward per step and its planning and deciding time so far; a bar shows
     that time, coloured by model, in one scale for all films. The last picture of a shorter film stays.
-
-    Raises:
-        ValueError: if the films differ in size or speed.
     """
-    if len({(film.pictures[0].shape, film.frames_per_second) for film in films}) != 1:
-        raise ValueError("films of several sizes or speeds cannot be shown together; film them in the same way")
-    longest = max(_seconds(film)[-1] for film in films)
+    longest = max(sum(map(_seconds, film.records)) for film in films)
     return [
         np.concatenate([part for film in films for part in _titled(film, min(place, len(film.pictures) - 1), longest)])
         for place in range(max(len(film.pictures) for film in films))
     ]
 
 
-def _seconds(film: Film) -> np.ndarray:
-    """Return the time of planning and deciding from the start to each step [s]."""
-    return np.cumsum([float(record["planning_seconds"] + record["decision_seconds"]) for record in film.records])
+def _seconds(record: Mapping[str, Any]) -> float:
+    """Return the time of planning and deciding in a step [s]."""
+    return float(record["planning_seconds"] + record["decision_seconds"])
 
 
 def _titled(film: Film, place: int, longest: float) -> tuple[Picture, Picture]:
     """Return a heading and the picture of a film below it; ``longest`` [s] is the full length of the bar."""
-    picture = film.pictures[place]
+    picture, records = film.pictures[place], film.records[: place + 1]
     width, middle = picture.shape[1], (HEADING_HEIGHT - BAR_HEIGHT) // 2
-    surface = pygame.Surface((width, HEADING_HEIGHT))
+    surface, end = pygame.Surface((width, HEADING_HEIGHT)), 0.0
     surface.fill(INK)
-    taken, reward = _seconds(film)[: place + 1], np.mean([record["reward"] for record in film.records[: place + 1]])
+    for record in records:
+        start, end = end, end + _seconds(record) / longest * width
+        bar = round(start), HEADING_HEIGHT - BAR_HEIGHT, round(end) - round(start), BAR_HEIGHT
+        surface.fill(model_color(record["model"]), bar)
     name = words(film.controller, NAME_SIZE, PAPER)
     surface.blit(name, name.get_rect(midleft=(MARGIN, middle)))
-    numbers = words(f"reward per step {reward:+.2f}      computing {1e3 * taken[-1]:.1f} ms", NUMBERS_SIZE, PAPER)
+    reward, taken = np.mean([record["reward"] for record in records]), sum(map(_seconds, records))
+    numbers = words(f"reward per step {reward:+.2f}      computing {1e3 * taken:.1f} ms", NUMBERS_SIZE, PAPER)
     surface.blit(numbers, numbers.get_rect(midright=(width - MARGIN, middle)))
-    ends = np.append(0, taken) / longest * width
-    for record, start, end in zip(film.records, ends, ends[1:], strict=False):
-        color = model_color(record["model"])
-        surface.fill(color, (round(start), HEADING_HEIGHT - BAR_HEIGHT, round(end) - round(start), BAR_HEIGHT))
     return pygame.surfarray.array3d(surface).swapaxes(0, 1), picture

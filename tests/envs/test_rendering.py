@@ -66,6 +66,44 @@ def test_closing_one_environment_leaves_the_others_drawing():
     assert other.render().std() > 10
 
 
+def test_the_picture_moves_and_the_history_grows():
+    env = rendered("merger", steps=0)
+    first = env.render()
+    for _ in range(5):
+        env.step(0)
+    later = env.render()
+    assert (first != later).any()
+    assert pixels(later, MODEL_COLORS["naive"]) > pixels(first, MODEL_COLORS["naive"])
+
+
+def halves(picture):
+    return np.split(picture, 2)
+
+
+def test_a_video_of_two_controllers_shows_both_at_the_same_time(films):
+    pictures = side_by_side(films)
+    assert np.shape(pictures) == (40, 2 * (HEADING_HEIGHT + 352), 960, 3)
+    for place in (0, 39):
+        for film_, half in zip(films, halves(pictures[place]), strict=True):
+            np.testing.assert_array_equal(half[HEADING_HEIGHT:], film_.pictures[place])
+    above, below = halves(pictures[39])
+    assert (above[:HEADING_HEIGHT] != below[:HEADING_HEIGHT]).any()
+    assert pixels(above[:HEADING_HEIGHT], MODEL_COLORS["naive"]) > pixels(below[:HEADING_HEIGHT], MODEL_COLORS["naive"])
+    assert pixels(below[:HEADING_HEIGHT], MODEL_COLORS["turn"]) > pixels(above[:HEADING_HEIGHT], MODEL_COLORS["turn"])
+
+
+def test_the_bar_of_computing_time_grows_to_the_full_width_of_the_more_expensive_one(films):
+    seconds = [sum(float(record["planning_seconds"]) for record in film_.records) for film_ in films]
+    early, late = (side_by_side(films)[place] for place in (3, 39))
+    widths = [
+        [pixels(half[HEADING_HEIGHT - 1 : HEADING_HEIGHT], MODEL_COLORS[film_.controller]) for half, film_ in pairs]
+        for pairs in (zip(halves(picture), films, strict=True) for picture in (early, late))
+    ]
+    assert max(widths[1]) == 960
+    assert widths[1][0] / widths[1][1] == pytest.approx(seconds[0] / seconds[1], rel=0.05)
+    assert 0 < widths[0][0] < widths[1][0]
+
+
 def test_a_small_gif_keeps_the_colours_of_the_models(films, tmp_path):
     write(scaled(side_by_side(films), 640), tmp_path / "film.gif", 10)
     assert (tmp_path / "film.gif").stat().st_size < 400_000

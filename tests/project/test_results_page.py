@@ -11,7 +11,6 @@ from test_pages import README, RESULTS, ROOT, TEXTS
 
 from ms_highway.benchmarks.road.episodes import Block, row, run_episode
 from ms_highway.benchmarks.road.recorded import RecordedStart
-from ms_highway.experiments.analysis.tradeoff import meta_rewards
 from ms_highway.experiments.frontier import INDEX, KEPT_COLUMNS
 from ms_highway.experiments.records import columns
 from ms_highway.planning.human_models import PAPER_MODELS
@@ -62,11 +61,15 @@ def test_the_sentences_on_switching_are_those_of_the_summaries_they_come_from():
     assert f"keeps {learned} of what theory of mind gains over `naive`, {spent}" in FLOWING
     assert f"`switching`, keeps {switching} for {effort['switching:0.1']:.0f} % in Merger" in FLOWING
     for scenario in ("merger", "give_way"):
-        table = meta_rewards(COLLECTED.comparison("curve").summaries, scenario)
-        assert (table["learned"] > table["tom"])[[1.0, 3.0, 10.0, 30.0]].all()
-        table = table.dropna(subset="switching")
-        assert (table["tom"] > table["switching"]).all()
-        assert [table.index.min(), table.index.max()] == [0.001, 3]
+        rows = summaries("curve", scenario)
+        tom = rows.loc["tom"]
+        rows["over_tom"] = (
+            rows["reward"] - tom["reward"] - rows["price"] * (rows["counted_ms"] - tom["counted_ms"]) / 1e3
+        )
+        learned, switching = (rows[rows["kind"] == kind].set_index("price") for kind in ("learned", "switching"))
+        assert (learned["over_tom"][[1.0, 3.0, 10.0, 30.0]] > 0).all()
+        assert (switching["over_tom"] < 0).all()
+        assert [switching.index.min(), switching.index.max()] == [0.001, 3]
     assert FLOWING.count("every lambda from 0.001 to 3") == 2
     assert "learned values are better than always-tom at 1, 3, 10 and 30" in FLOWING
 

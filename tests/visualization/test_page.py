@@ -61,8 +61,6 @@ def test_the_page_has_answer_table_figures_film_and_settings(html, compared):
     assert "naive above, switching:0.4 below" in film["aria-label"]
     frames = imageio.imread(content(film["src"], "video/mp4"), plugin="pyav", extension=".mp4")
     assert frames.shape == (35, 816, 960, 3)
-    poster = imageio.imread(content(film["poster"], "image/png"))
-    assert np.abs(poster.astype(int) - frames[14]).mean() < 4
     assert f"ms-highway compare stay_back --controllers naive switching:0.4 --out {compared} --seeds 1" in said
     assert f"jax {version('jax')}" in said
     assert {"human reward", "learned"} <= set(page.texts)
@@ -80,7 +78,7 @@ def test_what_is_filmed_for_the_page_is_the_episode_that_was_recorded(compared):
 def test_the_page_refers_to_nothing_outside_itself(html):
     assert not any(text in html for text in ("http:", "https:", "url(", "@import"))
     for _, attributes in Page(html).elements:
-        for name in ("src", "href", "poster"):
+        for name in ("src", "href"):
             assert attributes.get(name, "#").startswith(("data:", "#"))
 
 
@@ -144,9 +142,7 @@ def test_what_the_paper_published_stands_beside_what_may_be_compared_with_it_onl
     ("words", "message"),
     [
         ("", "a page shows one comparison, not 0; name one directory of `ms-highway compare`"),
-        ("{} {}", "a page shows one comparison, not 2; name one"),
         ("elsewhere", "there is no directory elsewhere; name a directory that `ms-highway compare` wrote"),
-        ("{}/steps.csv", "steps.csv; name a directory that `ms-highway compare` wrote"),
         (".", "has no steps.csv; name a directory that `ms-highway compare` wrote"),
         ("{} --out page.pdf", "--out is page.pdf; name an .html file"),
     ],

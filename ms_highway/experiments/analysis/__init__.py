@@ -1,4 +1,4 @@
-"""Analyse records: summaries, trade-offs, regrets, findings in words, and the selection that is shown.
+"""Analyse records: summaries, regrets, findings in words, and the selection that is shown.
 
 Imports what `ms_highway.experiments` may import.
 """

@@ -13,8 +13,6 @@ from ms_highway.experiments.analysis.summary import interval
 BEST_PER_START = "best order of each start"
 """Name that `regrets` gives to the best order that was found for every start."""
 
-CURVE_PRICES = np.geomspace(1e-3, 1e3, 121)  # reward per second
-
 
 def _meta_reward(episodes: pd.DataFrame, price: float) -> pd.Series:
     """Return the meta-MDP's reward per step, ``r_R - lambda T(M)``, of each row of a table of episodes."""
@@ -46,31 +44,38 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
         price: lambda of the meta-reward [reward per second of planning].
 
     Returns:
-        By controller, `BEST_PER_START` the last: ``kind``; ``reward`` and ``counted_seconds`` per step, means over
-        starts; ``meta_reward``; ``regret``, and ``regret_low`` and ``regret_high``, the 90 % interval of its mean
-        over starts (Student's t), empty where all are equal. Among the controllers is the order with the highest mean
-        meta-reward of those that were tried from every start.
+        A row per ``controller``, `BEST_PER_START` the last: ``kind``; ``reward`` and ``counted_seconds`` per step, as
+        means over starts; ``meta_reward``; ``regret``, and ``regret_low`` and ``regret_high``, the 90 % interval of its
+        mean over starts (Student's t), empty where all are equal. Among the controllers is the order with the highest
+        mean meta-reward of those that were tried from every start.
 
     Raises:
         KeyError: if a controller was not driven from every start.
     """
+    found = best(table, seeds, price)
     earned = _meta_reward(table, price).unstack("seed")[list(seeds)].dropna()
     orders = [name for name in earned.index if controller_config(name)["type"] in FIXED_ORDERS]
     names = dict.fromkeys([*controllers, str(earned.loc[orders].mean(axis=1).idxmax())])
-    driven = {name: table.loc[[(name, seed) for seed in seeds]].droplevel("controller") for name in names}
-    found, rows = best(table, seeds, price), {}
-    for name, own in [*driven.items(), (BEST_PER_START, found)]:
-        behind = found["meta_reward"] - _meta_reward(own, price)
+    rows = []
+    for name in (*names, BEST_PER_START):
+        searched = name == BEST_PER_START
+        own = found if searched else table.loc[[(name, seed) for seed in seeds]].droplevel("controller")
+        net = _meta_reward(own, price)
+        behind = found["meta_reward"] - net
         low, high = interval(behind) if behind.std() > 0 else (np.nan, np.nan)
-        rows[name] = {
-            "kind": controller_config(name)["type"] if name in driven else "search",
-            **own[["reward", "counted_seconds"]].mean(),
-            "meta_reward": _meta_reward(own, price).mean(),
-            "regret": behind.mean(),
-            "regret_low": low,
-            "regret_high": high,
-        }
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("controller")
+        rows.append(
+            {
+                "controller": name,
+                "kind": "search" if searched else controller_config(name)["type"],
+                "reward": own["reward"].mean(),
+                "counted_seconds": own["counted_seconds"].mean(),
+                "meta_reward": net.mean(),
+                "regret": behind.mean(),
+                "regret_low": low,
+                "regret_high": high,
+            }
+        )
+    return pd.DataFrame(rows)
 
 
 def remarks(behind: pd.DataFrame, scenario: str, price: float) -> dict[str, str]:
@@ -84,22 +89,17 @@ def remarks(behind: pd.DataFrame, scenario: str, price: float) -> dict[str, str]
         scenario: its name.
         price: at which they are judged.
     """
-    own = behind.query("scenario == @scenario").set_index("controller")
-    kinds = own["kind"]
-    priced = [kind for kind in CHOOSING if kind in set(kinds)]
-    said: dict[str, list[str]] = {name: [] for name in kinds.index[~kinds.isin([*priced, "search"])]}
-    said[own.loc[kinds.isin(FIXED_ORDERS), "regret"].idxmin()].append("best for all starts")
-    for kind in priced:
-        everywhere = behind.query("kind == @kind").pivot(index="controller", columns="scenario", values="regret")
-        here, common = everywhere[scenario].idxmin(), everywhere.mean(axis=1).idxmin()
-        at_price = [name for name in kinds.index[kinds == kind] if isclose(controller_config(name)["lambda"], price)]
-        chosen = [(name, "lambda = price") for name in at_price]
-        chosen += [(here, "best lambda"), (common, "also common" if common == here else "best common lambda")]
-        for name, remark in chosen:
-            said.setdefault(name, []).append(remark)
-    return {name: ", ".join(parts) for name, parts in said.items()} | {BEST_PER_START: ""}
-
-
-def frontier_curve(table: pd.DataFrame, seeds: Sequence[int]) -> pd.DataFrame:
-    """Return mean ``reward`` and ``counted_seconds`` of the `best` orders, from price to price."""
-    return pd.DataFrame([best(table, seeds, price)[["reward", "counted_seconds"]].mean() for price in CURVE_PRICES])
+    own = behind.query("scenario == @scenario").set_index("controller")["kind"]
+    regret = behind.pivot(index="controller", columns="scenario", values="regret")
+    fixed = own.index[own.isin(FIXED_ORDERS)]
+    said = [(name, "") for name in own.index[~own.isin([*CHOOSING, "search"])]]
+    said.append((regret.loc[fixed, scenario].idxmin(), "best for all starts"))
+    for kind in CHOOSING:
+        names = own.index[own == kind]
+        if len(names):
+            said += [(name, "lambda = price") for name in names if isclose(controller_config(name)["lambda"], price)]
+            everywhere = regret[regret.index.isin(behind.loc[behind["kind"] == kind, "controller"])]
+            here, common = everywhere[scenario].idxmin(), everywhere.mean(axis=1).idxmin()
+            said += [(here, "best lambda"), (common, "also common" if common == here else "best common lambda")]
+    said.append((BEST_PER_START, ""))
+    return {name: ", ".join(text for each, text in said if each == name and text) for name, _ in said}

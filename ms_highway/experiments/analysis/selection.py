@@ -36,7 +36,8 @@ def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
 
     It is the one at the paper's conservative lambda or else at the smallest.
     """
-    rows = summaries[(summaries["scenario"] == scenario) & summaries["kind"].isin(CHOOSING)].set_index("controller")
     usual = named_controller(paper_controllers(scenario)[-1]).price
-    chosen = {kind: (own["price"] != usual) * (1 + own["price"]) for kind, own in rows.groupby("kind")}
-    return [str(chosen[kind].astype(float).idxmin()) for kind in sorted(chosen, key=lambda kind: kind != PREFERRED)]
+    rows = summaries[(summaries["scenario"] == scenario) & summaries["kind"].isin(CHOOSING)]
+    rows = rows.assign(unusual=rows["price"] != usual, late=rows["kind"] != PREFERRED)
+    rows = rows.sort_values(["late", "kind", "unusual", "price"], kind="stable")
+    return rows.drop_duplicates("kind")["controller"].to_list()

@@ -58,18 +58,17 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
             **some[means].mean(),
         }
         if "cycle_ms" in some:
-            row |= {f"cycle_ms_p{share}": some["cycle_ms"].quantile(share / 100) for share in (50, 99)}
+            row["cycle_ms_p50"], row["cycle_ms_p99"] = some["cycle_ms"].quantile([0.5, 0.99])
         rows.append(row)
     return pd.DataFrame(rows)
 
 
 def _marked(steps: pd.DataFrame) -> pd.DataFrame:
     """Return steps with columns whose means and sums a summary has."""
-    statuses = {name: steps["status"] == STATUSES[number] for name, number in (("late", LATE), ("way_out", WAY_OUT))}
-    models = known_models(steps["model"].unique())
     table = steps.assign(
-        **{share_column(model): steps["model"] == model for model in models},
-        **statuses,
+        **{share_column(model): steps["model"] == model for model in known_models(steps["model"].unique())},
+        late=steps["status"] == STATUSES[LATE],
+        way_out=steps["status"] == STATUSES[WAY_OUT],
         fallbacks=steps["status"].isin(FAILED),
         collisions=steps["collision"],
         cycle_ms=1e3 * (steps["planning_seconds"] + steps["decision_seconds"]),

@@ -1,6 +1,5 @@
 """Fit networks that estimate the value of computation to rollouts."""
 
-from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -62,19 +61,12 @@ def fit(
         spread: of the inputs, standard deviations likewise.
         random: draws rollouts and prices.
     """
-    labels = _over_the_cheapest if prices is None else _over_the_top
-    shape = STEPS[prices is not None], NETWORKS, BATCH
+    over_top = prices is not None
+    shape = STEPS[over_top], NETWORKS, BATCH
     chosen = random.integers(len(rollouts.descriptions), size=shape)
     drawn = np.zeros(shape) if prices is None else draw_prices(random, prices, chosen.size).reshape(shape)
     numbers = jax.tree.map(np.float32, (rollouts, costs, centre, spread, drawn))
-    return jax.tree.map(np.asarray, _fit(labels, network, chosen, *numbers))
-
-
-def _over_the_cheapest(means: Array, rollouts: Rollouts, costs: Array, prices: Array) -> tuple[Array, Array]:
-    """Return the errors of gains, and where they count."""
-    gains = rollouts.rewards[..., 1:, 0]
-    known = jnp.isfinite(gains)
-    return means - jnp.where(known, gains, 0), known
+    return jax.tree.map(np.asarray, _fit(over_top, network, chosen, *numbers))
 
 
 def _over_the_top(means: Array, rollouts: Rollouts, costs: Array, prices: Array) -> tuple[Array, Array]:
@@ -90,7 +82,7 @@ def _over_the_top(means: Array, rollouts: Rollouts, costs: Array, prices: Array)
 
 @partial(jax.jit, static_argnums=0)
 def _fit(
-    labels: Callable[..., tuple[Array, Array]],
+    over_top: bool,
     network: Network,
     chosen: Array,
     rollouts: Rollouts,
@@ -107,9 +99,14 @@ def _fit(
     def loss(network: Network, chosen: Array, prices: Array) -> Array:
         picked = Rollouts(*(part[chosen] for part in rollouts))
         described = jnp.asarray(picked.descriptions)
-        inputs = described if labels is _over_the_cheapest else network_inputs(described, prices)
+        inputs = network_inputs(described, prices) if over_top else described
         means, apart = jax.vmap(jax.vmap(one, in_axes=(None, 0)))(network, (inputs - centre) / spread)
-        errors, counts = labels(means, picked, costs, prices)
+        if over_top:
+            errors, counts = _over_the_top(means, picked, costs, prices)
+        else:
+            gains = picked.rewards[..., 1:, 0]
+            counts = jnp.isfinite(gains)
+            errors = means - jnp.where(counts, gains, 0)
         surprise = errors**2 / (2 * apart**2) + jnp.log(apart)
         surprise *= jax.lax.stop_gradient(apart) ** SOFTENING
         return jnp.where(counts, surprise, 0).sum(axis=-1).mean(axis=-1).sum()

@@ -7,9 +7,8 @@ not, and on any number of devices.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from itertools import permutations
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -22,17 +21,12 @@ from ms_highway.metareasoning.learned_value import Baseline
 from ms_highway.metareasoning.values import Values, input_names
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import human_model
-from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import pack
 from ms_highway.runtime.files import read_arrays, reading, replacing
-from ms_highway.simulation.records import DECIDES
 
 REMEDY = "remove it, or choose another --out"
 LEAST_SPREAD = 1e-3  # of an input
-HELD_OUT_STARTS = 8
-HELD_OUT_PRICES = (0.1, 1.0, 10.0)
-SWITCHES = (2, 4, 6, 9, 13, 20)  # steps after which the orders that rules are compared with go over to another rung
-EVALUATION, COURSE, HELD_OUT = 0, 1, 2  # streams of random numbers
+ONE, COURSE, SEVERAL = 0, 1, 2  # streams of random numbers: fits with one human, rollouts, fits among several
 
 
 @dataclass(frozen=True)
@@ -68,28 +62,22 @@ class Learning:
 
     def values(self, done: Sequence[Rollouts], number: int) -> Values:
         """Fit values to rollouts in round ``number``, from 1."""
-        over_top, names = self.baseline == "top", input_names(self.baseline)
-        random = self.stream(number, EVALUATION if over_top else HELD_OUT)
-        costs = tuple(self.costs.values())
-        centre, spread = np.zeros(len(names), np.float32), np.ones(len(names), np.float32)
+        over_top, names, costs = self.baseline == "top", input_names(self.baseline), tuple(self.costs.values())
+        random = self.stream(number, ONE if over_top else SEVERAL)
         shape = len(names), len(costs) - (not over_top)
-        network = new_network(random, *shape)
+        network, centre, spread = new_network(random, *shape), np.zeros(len(names)), np.ones(len(names))
         if done:
             rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
             centre, spread = rollouts.descriptions.mean(axis=0), rollouts.descriptions.std(axis=0)
-            if over_top:
+            if over_top:  # lambda is an input as well
                 logarithms = np.log10(self.prices)
                 centre = np.append(centre, logarithms.mean()).astype(np.float32)
                 spread = np.append(spread, np.ptp(logarithms) / np.sqrt(12)).astype(np.float32)
                 network = new_network(random, *shape)
             spread = spread + LEAST_SPREAD
             network = fit(network, rollouts, np.array(costs), self.prices if over_top else None, centre, spread, random)
-        provenance = {
-            **self.settings,
-            "examples": sum(len(part.descriptions) for part in done),
-            "rounds": number,
-            "horizon": self.horizon,
-        }
+        examples = sum(len(part.descriptions) for part in done)
+        provenance = {**self.settings, "examples": examples, "rounds": number, "horizon": self.horizon}
         costs, prices = (costs, self.prices) if over_top else ((), ())
         return Values(network, centre, spread, tuple(self.costs), costs, prices, self.baseline, names, provenance)
 
@@ -98,24 +86,7 @@ class Learning:
         return np.random.default_rng([self.seed, *place])
 
 
-class Progress(NamedTuple):
-    """What was done last.
-
-    Attributes:
-        round: from 1.
-        course: its name; empty after the fit that ends a round.
-        values: after a fit.
-        regrets: held-out regret per step of each whole course with one human, by its name, after a fit: means over
-            `HELD_OUT_STARTS` starts and `HELD_OUT_PRICES`, to the best of simple orders and of the rule itself.
-    """
-
-    round: int
-    course: str = ""
-    values: Values | None = None
-    regrets: Mapping[str, float] = {}
-
-
-def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh) -> Iterator[Progress]:
+def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh) -> Iterator[tuple[str, Values | None]]:
     """Learn values on some courses.
 
     Args:
@@ -125,7 +96,7 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
         mesh: devices, see `ms_highway.simulation.devices.device_mesh`.
 
     Yields:
-        Progress, after the rollouts of each course and after each fit.
+        A message about what is done, after the rollouts of each course, and with the values, after each fit.
 
     Raises:
         ValueError: if the directory is there and holds something else.
@@ -136,57 +107,22 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
     settings = {**asdict(learning), "courses": games}
     ResultsDirectory(kept).take_up(settings)
     ResultsDirectory(kept).write_settings(settings)
-    held_out = [_HeldOut(learning, course, mesh) for course in courses if course.share == 1 and not course.several]
     values, done = None, list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, course in enumerate(courses):
             file = kept / f"{number}-{place}.npz"
-            if file.exists():
-                with reading(file, REMEDY):  # it is not compressed
-                    arrays = read_arrays(file, file.stat().st_size)
-                    rollouts = Rollouts(*map(arrays.__getitem__, Rollouts._fields))
-            else:
-                random, states = learning.stream(number, COURSE, place), learning.states[values is not None]
-                driving = learning.driving(course, values, mesh)
-                rollouts = driving.roll_out(random, max(1, round(course.share * states)), len(learning.costs))
+            if not file.exists():
+                count = max(1, round(course.share * learning.states[number > 1]))
+                driving, random = learning.driving(course, values, mesh), learning.stream(number, COURSE, place)
                 with replacing(file) as path:
-                    np.savez(path, **rollouts._asdict())
-            done.append(rollouts)
-            yield Progress(number, course.name)
+                    np.savez(path, **driving.roll_out(random, count, len(learning.costs))._asdict())
+            with reading(file, REMEDY):  # it is not compressed
+                done.append(Rollouts(**read_arrays(file, file.stat().st_size)))
+            yield f"round {number} of {learning.rounds}: {course.name}", None
         values = learning.values(done, number)
-        yield Progress(number, "", values, {one.course.name: one.regret(values) for one in held_out})
+        yield f"round {number} of {learning.rounds}: fitted", values
 
 
 def rollouts_directory(out: Path) -> Path:
     """Return the directory that keeps the rollouts of values that will be written to ``out``."""
     return out.with_name(f"{out.name}.rollouts")
-
-
-class _HeldOut:
-    """Held-out starts of a course with one human, and what simple orders earn and plan from them.
-
-    These plan with one rung up to some step and with another one from there on.
-    """
-
-    def __init__(self, learning: Learning, course: Course, mesh: Mesh) -> None:
-        self.learning, self.course, self.mesh = learning, course, mesh
-        self.starts, self.weights = course.starts(learning.stream(EVALUATION, HELD_OUT), HELD_OUT_STARTS)
-        rungs, steps = range(len(course.rungs)), np.arange(course.steps)
-        orders = [np.where(steps < end, *pair) for end in SWITCHES for pair in permutations(rungs, 2)]
-        orders += [np.full(course.steps, rung) for rung in rungs]
-        self.orders = self._outcomes(None, np.array(orders), np.ones(len(orders)))
-
-    def regret(self, values: Values) -> float:
-        """Return how far the learned rule stays behind the best of the orders, per step."""
-        prices = np.array(HELD_OUT_PRICES)[:, None]
-        reward, seconds = self._outcomes(values, np.full((len(prices), self.course.steps), DECIDES), prices[:, 0])
-        best = np.max([earned - prices * planned for earned, planned in zip(*self.orders, strict=True)], axis=0)
-        return float(np.mean(np.maximum(best - (reward - prices * seconds), 0)))
-
-    def _outcomes(self, values: Values | None, orders: Array, prices: Array) -> list[Array]:
-        """Return what orders earn and plan from every start, means over the steps [orders, starts]."""
-        count, each = len(orders), HELD_OUT_STARTS
-        starts, weights = (np.tile(part, (count, 1, 1)) for part in (self.starts, self.weights))
-        driving, prices = self.learning.driving(self.course, values, self.mesh), np.float32(np.repeat(prices, each))
-        records, planned = driving.drive(starts, weights, np.repeat(orders, each, axis=0), prices)
-        return [np.mean(part, axis=1).reshape(count, each) for part in (records.reward, planned)]

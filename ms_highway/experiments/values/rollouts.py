@@ -96,10 +96,10 @@ def noisy_starts(course: Course, random: Random, count: int) -> list[Array]:
     A start is ``a + c (b - a)`` with two draws a and b, which has their mean and ``sqrt(c^2 + (1 - c)^2)`` times their
     standard deviation; c is drawn from 1 to 4.
     """
-    pairs = [(course.draw(random), course.draw(random)) for _ in range(count)]
-    first, second = (np.array([pair[place][0] for pair in pairs]) for place in (0, 1))
-    starts = first + random.uniform(1.0, MOST_NOISE, (count, 1, 1)) * (second - first)
-    return [starts.astype(np.float32), np.array([weights for (_, weights), _ in pairs])]
+    starts, weights = (np.array(part) for part in zip(*(course.draw(random) for _ in range(2 * count)), strict=True))
+    first, second = starts[::2], starts[1::2]
+    noisy = first + random.uniform(1.0, MOST_NOISE, (count, 1, 1)) * (second - first)
+    return [noisy.astype(np.float32), weights[::2]]
 
 
 def draw_prices(random: Random, prices: Sequence[float], count: int) -> Array:
@@ -136,21 +136,21 @@ class Driving:
         Args:
             starts: of all cars [episodes, cars, 4].
             weights: of the humans' rewards [episodes, humans, features].
-            schedules: the rung of all humans [episodes, steps], or of every human [episodes, steps, humans].
+            schedules: the rung of every human [episodes, steps, humans].
             prices: lambdas [episodes], or the same for all.
 
         Returns:
             Records, and the seconds of planning at T(M) [episodes, steps].
         """
-        game, (count, steps, *_) = self.course.game, np.shape(schedules)
-        schedules = np.broadcast_to(np.reshape(schedules, (count, steps, -1)), (count, steps, game.number))
-        lambdas = np.broadcast_to(np.float32(prices), count)
-        robot = np.broadcast_to(np.asarray(game.robot.weights, np.float32), (count, len(game.robot.weights)))
-        own, loop, parts = np.full((count, game.number), USUAL), replace(self.course.loop, rule=self.rule), []
-        for first in range(0, steps, self.horizon):
-            part = np.asarray(schedules[:, first : first + self.horizon], np.int32)
-            part = np.pad(part, ((0, 0), (0, self.horizon - part.shape[1]), (0, 0)), mode="edge")
-            parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, own), self.mesh))
+        game, (count, steps, _) = self.course.game, schedules.shape
+        lambdas = np.full(count, prices, np.float32)
+        robot = np.tile(np.asarray(game.robot.weights, np.float32), (count, 1))
+        usual, loop, parts = np.full((count, game.number), USUAL), replace(self.course.loop, rule=self.rule), []
+        padding = (0, 0), (0, -steps % self.horizon), (0, 0)
+        for part in np.split(
+            np.pad(schedules.astype(np.int32), padding, mode="edge"), -(-steps // self.horizon), axis=1
+        ):
+            parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, usual), self.mesh))
             starts = np.asarray(parts[-1].states[:, -1])
         records = jax.tree.map(lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts)
         costs = self.rule.costs
@@ -161,12 +161,12 @@ class Driving:
         states, weights = self._visited(random, count)
         described = np.asarray(_describe(self.course.game, states))
         label = self._each_human if self.course.several else self._each_way
-        chosen, rewards, seconds = label(random, states, weights)
-        whole = [np.full((len(rewards), rungs, max(rungs, STRATA + 1)), value) for value in (-np.inf, 0.0)]
-        for part, own in zip(whole, (rewards, seconds), strict=True):
-            part[:, self.course.rungs, : own.shape[-1]] = own
+        chosen, own_rewards, own_seconds = label(random, states, weights)
+        shape = len(own_rewards), rungs, max(rungs, STRATA + 1)
+        rewards, seconds, ways = np.full(shape, -np.inf), np.zeros(shape), own_rewards.shape[-1]
+        rewards[:, self.course.rungs, :ways], seconds[:, self.course.rungs, :ways] = own_rewards, own_seconds
         picked = described[np.arange(len(states))[:, None], chosen]
-        return Rollouts(picked.reshape(len(rewards), -1), *whole)
+        return Rollouts(picked.reshape(len(rewards), -1), rewards, seconds)
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw states that episodes come through, planned by random orders and by the rule, and the humans' weights.
@@ -176,7 +176,8 @@ class Driving:
         their lane: measured in Dense Merge, predictions hardly matter in others, which are three of four.
         """
         course, steps, several = self.course, self.course.steps, self.course.several
-        number = -(-count // STATES_OF_AN_EPISODE[several])
+        each = STATES_OF_AN_EPISODE[several]
+        number = -(-count // each)
         starts, weights = course.starts(random, number) if several else noisy_starts(course, random, number)
         orders, prices = _random_orders(random, number, course), self.prices[0]
         if self.learned and several:
@@ -192,26 +193,29 @@ class Driving:
         states, weights, scene = states[finite], weights[finite], course.game.scene
         away = np.abs(states[:, :, 0, 1] - float(scene.target_lane)) > float(scene.lane_width) / 2
         likely = np.maximum(away * states[:, :, 0, 3] / float(course.game.robot.speed_limit), LEAST_LIKELY)
-        pick = partial(random.choice, steps, STATES_OF_AN_EPISODE[several], replace=False)
-        places = np.array([pick(p=own / own.sum() if several else None) for own in likely])
-        visited = states[np.arange(len(states))[:, None], places].reshape(-1, *states.shape[2:])
-        return visited[:count], np.repeat(weights, places.shape[1], axis=0)[:count]
+        visited = []
+        for own, probable in zip(states, likely, strict=True):
+            p = probable / probable.sum() if several else None
+            visited.append(own[random.choice(steps, each, replace=False, p=p)])
+        return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]
 
     def _each_way(self, random: Random, states: Any, weights: Any) -> tuple[Any, Any, Any]:
         """Plan one step with each rung; go on with each rung, or with a learned rule, by the rule or with the top."""
         count, own = len(states), len(self.course.rungs)
-        ways = [(rung, np.ones(count, np.float32)) for rung in range(own)]  # from the second step on, and prices
+        then, prices = list(range(own)), np.ones((count, own), np.float32)  # of each way, from the second step on
         if self.learned:
-            edges = pairwise(np.geomspace(*self.prices, STRATA + 1).tolist())
-            ways = [*((DECIDES, draw_prices(random, pair, count)) for pair in edges), ways[-1]]
-        first, then = np.repeat(np.arange(own), len(ways)), np.tile([rung for rung, _ in ways], own)
-        schedules = np.where(np.arange(self.horizon) == 0, first[:, None], then[:, None])  # [own * ways, steps]
-        prices = np.tile(np.stack([price for _, price in ways], axis=1), (1, own)).ravel()
-        starts, drivers = (np.repeat(part, len(schedules), axis=0) for part in (states, weights))
-        records, planned = self.drive(starts, drivers, np.tile(schedules, (count, 1)), prices)
+            then, prices = [DECIDES] * STRATA + then[-1:], np.ones((count, STRATA + 1), np.float32)
+            for place, pair in enumerate(pairwise(np.geomspace(*self.prices, STRATA + 1).tolist())):
+                prices[:, place] = draw_prices(random, pair, count)
+        schedules = np.empty((count, own, len(then), self.horizon, 1), np.int32)
+        schedules[:, :, :, 0] = np.arange(own)[:, None, None]
+        schedules[:, :, :, 1:] = np.reshape(then, (-1, 1, 1))
+        shape = schedules.shape[:3]
+        starts, drivers = (np.repeat(part, own * len(then), axis=0) for part in (states, weights))
+        lambdas = np.broadcast_to(prices[:, None], shape).ravel()
+        records, planned = self.drive(starts, drivers, schedules.reshape(-1, self.horizon, 1), lambdas)
         earned = np.nan_to_num(np.sum(records.reward, axis=1, dtype=float), nan=-WORST)
         rewards, seconds = np.clip(earned, -WORST, WORST), planned.sum(axis=1)
-        shape = count, own, len(ways)
         return np.zeros((count, 1), int), rewards.reshape(shape), seconds.reshape(shape)
 
     def _each_human(self, random: Random, states: Any, weights: Any) -> tuple[Any, Any, Any]:
@@ -224,14 +228,12 @@ class Driving:
         orders = np.full((*chosen.shape, rungs, humans), DECIDES if self.learned else 0)
         for rung in range(rungs):
             np.put_along_axis(orders[:, :, rung], chosen[..., None], rung, axis=-1)
-        which = np.broadcast_to(np.arange(len(states))[:, None, None, None], (*orders.shape[:-1], 1))
-        every = np.concatenate([which, orders], axis=-1).reshape(-1, 1 + humans)
-        different, places = np.unique(every, axis=0, return_inverse=True)  # all naive is the same for every human
-        own, schedules = different[:, 0], np.repeat(different[:, None, 1:], self.horizon, axis=1)
-        rewards = self.drive(states[own], weights[own], schedules, self.prices[0])[0].reward
+        starts, drivers = (np.repeat(part, chosen.shape[1] * rungs, axis=0) for part in (states, weights))
+        schedules = np.repeat(orders.reshape(-1, 1, humans), self.horizon, axis=1)
+        rewards = self.drive(starts, drivers, schedules, self.prices[0])[0].reward
         earned = np.clip(np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None).mean(axis=1).astype(float)
-        gains = earned[places].reshape(-1, rungs, 1)
-        gains -= gains[:, :1]
+        gains = earned.reshape(-1, rungs, 1)
+        gains -= gains[:, :1].copy()
         return chosen, gains, np.zeros_like(gains)
 
 
@@ -240,15 +242,17 @@ def _random_orders(random: Random, count: int, course: Course) -> Array:
 
     Among several humans, all change at once, each to a rung of its own.
     """
-    rungs, steps, several = len(course.rungs), course.steps, course.several
-    orders = np.zeros((count, steps, course.game.number), np.int32)
-    for order, share in zip(orders, random.dirichlet(np.ones(rungs), count), strict=True):
-        draw = partial(random.choice, rungs, p=share)
-        uniform: Any = None if several else random.random(steps)
-        drawn: Any = None if several else draw(steps)
-        for step in range(steps):
-            stays = step > 0 and (random.random() < STAYS[1] if several else uniform[step] <= STAYS[0])
-            order[step] = order[step - 1] if stays else draw(course.game.number) if several else drawn[step]
+    steps, number = course.steps, course.game.number
+    orders = np.zeros((count, steps, number), np.int32)
+    for order, share in zip(orders, random.dirichlet(np.ones(len(course.rungs)), count), strict=True):
+        draw = partial(random.choice, len(course.rungs), p=share)
+        if course.several:
+            for step in range(steps):
+                stays = step > 0 and random.random() < STAYS[1]
+                order[step] = order[step - 1] if stays else draw(number)
+        else:
+            changes = np.where(random.random(steps) > STAYS[0], np.arange(steps), 0)
+            order[:, 0] = np.take(draw(steps), np.maximum.accumulate(changes))
     return orders
 
 

@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from ms_highway.envs.short_names import controller_config
-from ms_highway.experiments.analysis.tradeoff import best_schedules, meta_rewards, reference
 from ms_highway.visualization.comparison import episode_count
 from ms_highway.visualization.tradeoff import curve
 
@@ -42,27 +41,7 @@ def summaries():
 
 def test_a_curve_needs_no_fixed_model(summaries):
     switching = summaries[summaries["kind"] == "switching"]
-    assert reference(summaries, "merger") == "tom"
-    assert reference(switching, "merger") is None
     assert len(curve(switching, "merger").axes) == 2
-
-
-def test_the_best_schedules_are_those_that_nothing_fixed_beats_with_less(summaries):
-    best = best_schedules(summaries, "merger")
-    assert best["controller"].tolist() == ["naive", "schedule:tom=4,naive", "schedule:tom=6,naive", "tom"]
-
-
-def test_meta_rewards_take_off_the_price_of_planning_a_column_for_each_kind_that_chooses_online(summaries):
-    table = meta_rewards(summaries, "merger")
-    assert table.index.tolist() == [0.01, 0.1, 1.0]
-    assert table.loc[0.1, ["switching", "learned", "learned:own.npz"]].tolist() == pytest.approx(
-        [4.8 - 0.0185, 5.9 - 0.015, 5.5 - 0.016]
-    )
-    assert table["learned"].isna().tolist() == [True, False, False]
-    assert table.loc[1.0, "tom"] == pytest.approx(6.0 - 0.37)
-    assert table["best schedule"][:2].tolist() == table["tom"][:2].tolist()
-    summaries["reward"] -= summaries["counted_ms"] / 50  # now computation is expensive
-    assert meta_rewards(summaries, "merger").loc[0.1, "best schedule"] == pytest.approx(5.7 - 132 / 50 - 0.1 * 0.132)
 
 
 def test_the_curve_shows_every_controller_and_joins_each_kind_that_chooses_online(summaries):
