@@ -89,7 +89,7 @@ def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
         ({"models": arrays["models"] + 5}, "no places in naive, turn, tom"),
         ({"states": np.zeros(3)}, "states holds float64 of shape"),
         ({"states": arrays["states"] * 1e300}, "states holds .*not finite"),
-        ({"states": arrays["states"] > 0}, "states holds bool.*it must hold numbers"),
+        ({"states": arrays["states"] > 0}, "states holds bool.*it must hold finite numbers"),
         ({"models": arrays["models"] * 1.0}, "models holds float64.*it must hold integers"),
         ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, r"rewards holds .*of shape \(0, "),
     ):
