@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from highway_env.road.road import RoadNetwork
+from highway_env.utils import rect_corners
 from highway_env.vehicle.kinematics import Vehicle
+from matplotlib.path import Path
 
 from ms_highway.envs.recorded.network import Axes
 from ms_highway.envs.recorded.scenario import GoalRegion, Lanelet, Points, Problem, RecordedTrack, TrafficRecording
@@ -99,11 +101,8 @@ def _problem(scenario: TrafficRecording, number: str) -> Problem:
 def _as_recorded(track: RecordedTrack) -> Problem:
     """Return the task to be where a vehicle was seen last."""
     x, y, orientation, speed = track.samples[0, 1:].tolist()
-    middle, last = track.samples[-1, 1:3], track.samples[-1, 3]
-    ahead = np.array([np.cos(last), np.sin(last)]) * LENGTH_OF_GOAL / 2
-    aside = np.array([-np.sin(last), np.cos(last)]) * SAME_LANE / 2
-    corners = [middle + ahead + aside, middle - ahead + aside, middle - ahead - aside, middle + ahead - aside]
-    goal = GoalRegion((track.first, track.last + LATE), np.array(corners))
+    area = rect_corners(track.samples[-1, 1:3], LENGTH_OF_GOAL, SAME_LANE, track.samples[-1, 3])
+    goal = GoalRegion((track.first, track.last + LATE), np.array(area))
     return Problem(track.number, (x, y, orientation, speed), track.first, (goal,))
 
 
@@ -112,18 +111,8 @@ def _is_in(goal: GoalRegion, step: int, point: Points, orientation: float, speed
     slowest, fastest = goal.speeds or (speed, speed)
     in_time, as_fast = goal.times[0] <= step <= goal.times[1], slowest <= speed <= fastest
     heads = not goal.headings or (orientation - low) % FULL_TURN <= (high - low) % FULL_TURN
-    there = goal.area is None or bool(inside(goal.area, np.asarray(point)[None])[0])
+    there = goal.area is None or Path(goal.area).contains_point(point)
     return in_time and as_fast and heads and there
-
-
-def inside(polygon: Points, points: Points) -> np.ndarray:
-    """Return which points are inside a polygon: to whose right its edges pass an odd number of times."""
-    x, y = points.T[..., None]
-    (x0, y0), (x1, y1) = polygon.T, np.roll(polygon, -1, axis=0).T
-    crosses = (y0 > y) != (y1 > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = x0 + (y - y0) / (y1 - y0) * (x1 - x0)
-    return (crosses & (x < at)).sum(axis=-1) % 2 == 1
 
 
 class Surface:
@@ -143,12 +132,12 @@ class Surface:
                 left, right = (_extended(line[::-1])[::-1] for line in (left, right))
             if not known & set(lanelet.after):
                 left, right = _extended(left), _extended(right)
-            self._polygons.append(_widened(left, right))
+            self._polygons.append(Path(_widened(left, right)))
 
     def holds(self, vehicle: Vehicle) -> bool:
         """Return whether all corners of a vehicle are on the surface."""
         corners = vehicle.polygon()[:-1]
-        return bool(np.any([inside(polygon, corners) for polygon in self._polygons], axis=0).all())
+        return bool(np.any([polygon.contains_points(corners) for polygon in self._polygons], axis=0).all())
 
 
 def _extended(line: Points) -> Points:

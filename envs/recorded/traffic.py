@@ -5,7 +5,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from highway_env.road.road import Road
-from highway_env.utils import are_polygons_intersecting
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
@@ -17,7 +16,6 @@ from ms_highway.vehicle.lane_paths import from_heading
 
 BEYOND = 30.0  # m behind the end of the road, where cars leave it
 CLEAR = 2.0  # m, to who is where a car enters, and at least between cars in the lane that one changes to
-NO_TIME = np.zeros(2)
 
 
 class RecordedVehicle(Vehicle):
@@ -191,6 +189,4 @@ class RecordedRoad(Road):
 
 def overlap(one: RoadObject, other: RoadObject) -> bool:
     """Return whether the bodies of two things on a road overlap."""
-    if np.linalg.norm(one.position - other.position) > (one.diagonal + other.diagonal) / 2:
-        return False
-    return bool(are_polygons_intersecting(one.polygon(), other.polygon(), NO_TIME, NO_TIME)[0])
+    return bool(RoadObject._is_colliding(one, other, 0.0)[0])
