@@ -52,11 +52,22 @@ class Task:
             ValueError: if there is no such planning problem, or no such vehicle, or it was seen once only.
         """
         if isinstance(ego, str):
-            return cls(_problem(scenario, ego.partition(":")[2]), CAR_SIZE)
+            number = ego.partition(":")[2]
+            known = {str(problem.number): problem for problem in scenario.problems}
+            if not known:
+                instead = scenario.tracks[0].number
+                raise ValueError(
+                    f"there is no planning problem; drive in the place of a vehicle, config['ego'], such as {instead}"
+                )
+            if number and number not in known:
+                raise ValueError(
+                    f"there is no planning problem {number}, config['ego']; choose one of {', '.join(known)}"
+                )
+            return cls(known[number] if number else scenario.problems[0], CAR_SIZE)
         track = scenario.track(ego)
         if track is None:
-            known = ", ".join(str(track.number) for track in scenario.tracks)
-            raise ValueError(f"config['ego'] is {ego}, which is not there; choose one of {known}")
+            numbers = ", ".join(str(track.number) for track in scenario.tracks)
+            raise ValueError(f"config['ego'] is {ego}, which is not there; choose one of {numbers}")
         if len(track.samples) < 2:
             raise ValueError(f"config['ego'] is {ego}, which was seen only once; choose another")
         return cls(_as_recorded(track), track.size, ego)
@@ -85,24 +96,11 @@ class Task:
         return None
 
 
-def _problem(scenario: TrafficRecording, number: str) -> Problem:
-    """Return the planning problem of a number, without one the first."""
-    known = [str(problem.number) for problem in scenario.problems]
-    if not known:
-        instead = scenario.tracks[0].number
-        raise ValueError(
-            f"there is no planning problem; drive in the place of a vehicle, config['ego'], such as {instead}"
-        )
-    if number and number not in known:
-        raise ValueError(f"there is no planning problem {number}, config['ego']; choose one of {', '.join(known)}")
-    return scenario.problems[known.index(number) if number else 0]
-
-
 def _as_recorded(track: RecordedTrack) -> Problem:
     """Return the task to be where a vehicle was seen last."""
     x, y, orientation, speed = track.samples[0, 1:].tolist()
     area = rect_corners(track.samples[-1, 1:3], LENGTH_OF_GOAL, SAME_LANE, track.samples[-1, 3])
-    goal = GoalRegion((track.first, track.last + LATE), np.array(area))
+    goal = GoalRegion((track.first, track.last + LATE), area)
     return Problem(track.number, (x, y, orientation, speed), track.first, (goal,))
 
 

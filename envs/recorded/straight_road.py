@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ms_highway.envs.recorded.lane_coordinates import LaneCoordinates, Values, measure_road
+from ms_highway.envs.recorded.lane_coordinates import LaneCoordinates, Values, measure_road, side_by_side
 from ms_highway.envs.recorded.scenario import Lanelet, Points, RecordedTrack
 from ms_highway.game.road import wrapped
 
 STEP = 2.0  # m, between the places at which lanes are measured
 CLOSEST = 1.5  # m between the middles of two lanes, where they join or part
+BEYOND = 1000.0  # m, beyond the outermost lanes, up to which places are mapped
 NEARBY = 1.0  # m, along the road, to each side of a place, by which the slope of a lane is measured
 
 States = Float[np.ndarray, "cars 4"]
@@ -42,10 +43,9 @@ class StraightRoad:
         Raises:
             ValueError: if it is none, or goes in two directions.
         """
-        road, numbers = measure_road(lanelets), _lane_numbers(lanelets)
+        road, numbers = measure_road(lanelets), _lane_numbers(side_by_side(lanelets))
         places = STEP * np.arange(int(road.coordinates.length / STEP) + 2)
-        count = 1 + max(numbers.values())
-        centres, there = np.full((count, len(places)), np.nan), np.zeros((count, len(places)), dtype=bool)
+        centres = np.full((1 + max(numbers.values()), len(places)), np.nan)
         for lanelet in lanelets:
             located, lane = road.coordinates.locate(lanelet.centre), numbers[lanelet.number]
             if located.x[-1] < located.x[0]:
@@ -55,8 +55,7 @@ class StraightRoad:
             inside = (places >= located.x.min() - STEP) & (places <= located.x.max() + STEP)
             order = np.argsort(located.x, kind="stable")
             centres[lane, inside] = np.interp(places[inside], located.x[order], located.y[order])
-            there[lane, inside] = True
-        return cls(road.coordinates, _spread(centres), there, road.lane_width)
+        return cls(road.coordinates, _spread(centres), np.isfinite(centres), road.lane_width)
 
     @property
     def lanes(self) -> Values:
@@ -65,13 +64,13 @@ class StraightRoad:
 
     def lane_ends(self, lane: int, x: float) -> float:
         """Return how far ahead of a place a lane ends [m]; infinite if it goes on to the end of the road."""
-        ahead = self.there[lane, self._place(np.array([x]))[0] :]
+        ahead = self.there[lane, min(max(round(x / STEP), 0), self.there.shape[1] - 1) :]
         return np.inf if ahead.all() else STEP * float(np.argmin(ahead))
 
     def straighten(self, points: Points, orientations: Values, speeds: Values) -> States:
         """Return states x, y, heading and speed on the straight road of poses in the map."""
         x, across, along = self.coordinates.locate(points)
-        y = self._straight(x, across)
+        y = _mapped(across, self._middles(x), self.lanes[:, None])
         return np.stack([x, y, wrapped(along - orientations - self._slope(x, y)), speeds], axis=-1)
 
     def path(self, track: RecordedTrack) -> States:
@@ -88,9 +87,6 @@ class StraightRoad:
         """Return the place along the road of a point of the map [m]."""
         return float(self.coordinates.locate(np.asarray(point)[None]).x[0])
 
-    def _place(self, x: Values) -> np.ndarray:
-        return np.clip(np.rint(x / STEP).astype(int), 0, self.centres.shape[1] - 1)
-
     def _middles(self, x: Values) -> np.ndarray:
         """Return the lateral positions of all lanes at some places [lanes, places]."""
         place = np.clip(x / STEP, 0.0, self.centres.shape[1] - 1.001)
@@ -98,11 +94,8 @@ class StraightRoad:
         share = place - low
         return self.centres[:, low] * (1 - share) + self.centres[:, low + 1] * share
 
-    def _straight(self, x: Values, across: Values) -> Values:
-        return _mapped(across, self._middles(x), np.repeat(self.lanes[:, None], len(x), axis=1))
-
     def _bent(self, x: Values, y: Values) -> Values:
-        return _mapped(y, np.repeat(self.lanes[:, None], len(x), axis=1), self._middles(x))
+        return _mapped(y, self.lanes[:, None], self._middles(x))
 
     def _slope(self, x: Values, y: Values) -> Values:
         """Return the angle to the road's direction, to the right, of a line along the lanes."""
@@ -111,14 +104,12 @@ class StraightRoad:
 
 def _mapped(values: Values, known: np.ndarray, images: np.ndarray) -> Values:
     """Map each value linearly between known values, ascending in the first axis; beyond the outermost, shift it."""
-    if len(known) == 1:
-        return values - known[0] + images[0]
+    both = np.broadcast_arrays(known, images)
+    known, images = (np.vstack([part[:1] - BEYOND, part, part[-1:] + BEYOND]) for part in both)
     columns = np.arange(len(values))
     low = np.clip((values >= known).sum(axis=0) - 1, 0, len(known) - 2)
     step, image_step = (part[low + 1, columns] - part[low, columns] for part in (known, images))
-    inside = images[low, columns] + (values - known[low, columns]) / step * image_step
-    before, after = values - known[0] + images[0], values - known[-1] + images[-1]
-    return np.where(values < known[0], before, np.where(values > known[-1], after, inside))
+    return images[low, columns] + (values - known[low, columns]) / step * image_step
 
 
 def _spread(centres: np.ndarray) -> np.ndarray:
@@ -131,6 +122,7 @@ def _spread(centres: np.ndarray) -> np.ndarray:
 
     order = np.argsort(-np.isfinite(centres).sum(axis=1), kind="stable")
     done = [int(order[0])]
+    centres = centres.copy()
     centres[done[0]] = filled(centres[done[0]])
     for lane in sorted(order[1:].tolist(), key=lambda other: abs(other - done[0])):
         beside = min(done, key=lambda other: abs(other - lane))
@@ -141,23 +133,18 @@ def _spread(centres: np.ndarray) -> np.ndarray:
     return centres
 
 
-def _lane_numbers(lanelets: tuple[Lanelet, ...]) -> dict[int, int]:
+def _lane_numbers(roads: list[list[Lanelet]]) -> dict[int, int]:
     """Return the number of each lanelet's lane, from 0 at the left; a lanelet that follows another keeps its number."""
-    known = {lanelet.number: lanelet for lanelet in lanelets}
+    places = {lanelet.number: (road, place) for road in roads for place, lanelet in enumerate(road)}
     numbers: dict[int, int] = {}
-    for first in lanelets:
-        queue = [] if first.number in numbers else [(first.number, 0)]
-        for lanelet, number in queue:
-            if lanelet in numbers or lanelet not in known:
+    for first in roads:
+        queue = [(first[0].number, 0)]
+        for found, number in queue:
+            if found in numbers or found not in places:
                 continue
-            for side, step in ((0, -1), (1, 1)):  # all of its road, before those that follow
-                beside, place = known[lanelet].beside[side], number
-                while beside in known and beside not in numbers:
-                    place += step
-                    numbers[beside] = place
-                    queue += [(other, place) for other in (*known[beside].after, *known[beside].before)]
-                    beside = known[beside].beside[side]
-            numbers[lanelet] = number
-            queue += [(other, number) for other in (*known[lanelet].after, *known[lanelet].before)]
+            road, place = places[found]
+            for own, lanelet in enumerate(road, number - place):
+                numbers[lanelet.number] = own
+                queue += [(other, own) for other in (*lanelet.after, *lanelet.before)]
     least = min(numbers.values())
     return {lanelet: number - least for lanelet, number in numbers.items()}
