@@ -126,12 +126,12 @@ class RecordedEnv(ConfiguredEnv):
         shape = self._shape if scenario is getattr(self, "scenario", None) else RoadShape.of(scenario.lanelets)
         axes, road = shape.axes, RecordedRoad(shape.network, np_random=self.np_random)
         x, y, orientation, speed = task.problem.start
-        position, heading = axes.positions([x, y]), float(axes.headings(orientation))
+        position, heading = axes.pose(x, y, orientation)
         lane = road.network.get_lane(road.network.get_closest_lane_index(position, heading))
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
             raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
         for item in scenario.obstacles:
-            stands = RoadObstacle(road, axes.positions(item.pose[:2]), float(axes.headings(item.pose[2])))
+            stands = RoadObstacle(road, *axes.pose(*item.pose))
             sized(stands, item.size)
             road.objects.append(stands)
         vehicle = self.action_type.vehicle_class(road, position, heading=heading, speed=speed)

@@ -53,6 +53,10 @@ class Axes(NamedTuple):
         """Return orientations in the map, of headings in highway-env's axes [rad]."""
         return self.headings(headings)  # a mirror is its own inverse
 
+    def pose(self, x: float, y: float, orientation: float) -> tuple[np.ndarray, float]:
+        """Return position and heading in highway-env's axes, of a point and an orientation in the map."""
+        return self.positions([x, y]), float(self.headings(orientation))
+
     @property
     def _mirror(self) -> np.ndarray:
         cosine, sine = np.cos(self.turn), np.sin(self.turn)

@@ -40,7 +40,7 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
 def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
     """Convert a scenario to a recording; add its drivers to those already counted."""
     road, tracks = measure_road(scenario.lanelets), scenario.tracks
-    states, drivers = np.full((1 + scenario.steps, len(tracks), 4), np.nan), []
+    states, drivers = np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan), []
     for car, track in enumerate(tracks):
         time, position, (orientation, speed) = track.samples[:, 0], track.samples[:, 1:3], track.samples[:, 3:].T
         x, y, along = road.coordinates.locate(position)
