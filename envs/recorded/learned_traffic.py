@@ -113,7 +113,7 @@ class Learned(Traffic):
 
     def _lanes(self, y: np.ndarray) -> np.ndarray:
         """Return the number of the lane at lateral positions, any where nobody is."""
-        return np.rint(np.nan_to_num(y) / self.straight.lane_width).clip(0, len(self.straight.centres) - 1).astype(int)
+        return np.rint(np.nan_to_num(y) / self.straight.lane_width).clip(0, len(self.straight.there) - 1).astype(int)
 
     def _has_room(self, states: States, place: int, lane: int, other: int) -> bool:
         """Return whether there is room for a driver in another lane."""
@@ -121,9 +121,8 @@ class Learned(Traffic):
         inside = np.abs(states[:, 1] - other * self.straight.lane_width) < self.straight.lane_width / 2 + BEGUN
         inside[place] = False
         ahead, lengths = states[:, 0] - x, (self.surroundings.sizes[:, 0] + self.surroundings.sizes[place, 0]) / 2
-        forced = self.straight.lane_ends(lane, x) < FORCED
         closing = np.where(ahead > 0, speed - states[:, 3], states[:, 3] - speed)
-        needed = CLEAR + CLOSING * np.maximum(closing, 0.0) * (0.0 if forced else 1.0)
+        needed = CLEAR + CLOSING * np.maximum(closing, 0.0) * (not self.straight.lane_ends(lane, x, FORCED))
         return not bool((inside & (np.abs(ahead) - lengths < needed)).any())
 
 

@@ -12,7 +12,7 @@ from highway_env.utils import get_class_path
 from ms_highway.envs.recorded.lane_coordinates import Values, fit_lane_coordinates, side_by_side
 from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Lanelet, Points
 from ms_highway.game.road import wrapped
-from ms_highway.vehicle.lane_paths import TIGHTEST, from_heading
+from ms_highway.vehicle.lane_paths import along_bend, from_heading
 
 STEP = 1.0  # m, between samples of a lane
 BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
@@ -106,13 +106,12 @@ class SampledLane(AbstractLane):
 
     def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
         """Return the place along the lane and the distance to the right of its middle [m]."""
-        dx, dy = (position - self.centres).T
-        nearest = int(np.argmin(dx * dx + dy * dy))
-        ahead, aside = from_heading(self.headings[nearest], dx[nearest], dy[nearest])
-        last = len(self.places) - 1
-        bend = 0.0 if (nearest == 0 and ahead < 0) or (nearest == last and ahead > 0) else self.bends[nearest]
-        step = ahead / max(1 - bend * aside, TIGHTEST)
-        return float(self.places[nearest] + step), float(aside - bend * ahead * step / 2)
+        delta = position - self.centres
+        nearest = int(np.argmin((delta**2).sum(axis=1)))
+        ahead, aside = from_heading(self.headings[nearest], *delta[nearest])
+        inside = 0 <= self.places[nearest] + ahead <= self.length
+        step, right = along_bend(self.bends[nearest] if inside else 0.0, ahead, aside)
+        return float(self.places[nearest] + step), float(right)
 
     @classmethod
     def from_config(cls, config: dict) -> "SampledLane":

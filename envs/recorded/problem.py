@@ -109,7 +109,7 @@ def _is_in(goal: GoalRegion, step: int, point: Points, orientation: float, speed
     slowest, fastest = goal.speeds or (speed, speed)
     in_time, as_fast = goal.times[0] <= step <= goal.times[1], slowest <= speed <= fastest
     heads = not goal.headings or (orientation - low) % FULL_TURN <= (high - low) % FULL_TURN
-    there = goal.area is None or Path(goal.area).contains_point(point)
+    there = goal.area is None or bool(Path(goal.area).contains_points([point])[0])
     return in_time and as_fast and heads and there
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.interpolate import BSpline, make_interp_spline
 
 from ms_highway.envs.recorded.lane_coordinates import LaneCoordinates, Values, measure_road, side_by_side
 from ms_highway.envs.recorded.scenario import Lanelet, Points, RecordedTrack
@@ -26,13 +27,13 @@ class StraightRoad:
 
     Attributes:
         coordinates: along the road and across it, in the map.
-        centres: lateral position of each lane in these coordinates, every `STEP` metres [lanes, places].
-        there: where each lane exists.
+        centres: lateral positions of all lanes in these coordinates, from the way along the road [places, lanes].
+        there: whether each lane exists, every `STEP` metres [lanes, places].
         lane_width: [m].
     """
 
     coordinates: LaneCoordinates
-    centres: Float[np.ndarray, "lanes places"]
+    centres: BSpline
     there: Bool[np.ndarray, "lanes places"]
     lane_width: float
 
@@ -55,17 +56,18 @@ class StraightRoad:
             inside = (places >= located.x.min() - STEP) & (places <= located.x.max() + STEP)
             order = np.argsort(located.x, kind="stable")
             centres[lane, inside] = np.interp(places[inside], located.x[order], located.y[order])
-        return cls(road.coordinates, _spread(centres), np.isfinite(centres), road.lane_width)
+        middles = make_interp_spline(places, _spread(centres).T, k=1)
+        return cls(road.coordinates, middles, np.isfinite(centres), road.lane_width)
 
     @property
     def lanes(self) -> Values:
         """Lateral position of the middle of each lane [m]."""
-        return self.lane_width * np.arange(len(self.centres))
+        return self.lane_width * np.arange(len(self.there))
 
-    def lane_ends(self, lane: int, x: float) -> float:
-        """Return how far ahead of a place a lane ends [m]; infinite if it goes on to the end of the road."""
-        ahead = self.there[lane, min(max(round(x / STEP), 0), self.there.shape[1] - 1) :]
-        return np.inf if ahead.all() else STEP * float(np.argmin(ahead))
+    def lane_ends(self, lane: int, x: float, within: float) -> bool:
+        """Return whether a lane ends within a distance ahead of a place [m]."""
+        place = min(max(round(x / STEP), 0), self.there.shape[1] - 1)
+        return not self.there[lane, place : place + round(within / STEP)].all()
 
     def straighten(self, points: Points, orientations: Values, speeds: Values) -> States:
         """Return states x, y, heading and speed on the straight road of poses in the map."""
@@ -89,10 +91,7 @@ class StraightRoad:
 
     def _middles(self, x: Values) -> np.ndarray:
         """Return the lateral positions of all lanes at some places [lanes, places]."""
-        place = np.clip(x / STEP, 0.0, self.centres.shape[1] - 1.001)
-        low = place.astype(int)
-        share = place - low
-        return self.centres[:, low] * (1 - share) + self.centres[:, low + 1] * share
+        return self.centres(np.clip(x, 0.0, STEP * (self.there.shape[1] - 1))).T
 
     def _bent(self, x: Values, y: Values) -> Values:
         return _mapped(y, self.lanes[:, None], self._middles(x))
@@ -120,17 +119,14 @@ def _spread(centres: np.ndarray) -> np.ndarray:
         known = np.isfinite(values)
         return np.interp(places, places[known], values[known])
 
-    order = np.argsort(-np.isfinite(centres).sum(axis=1), kind="stable")
-    done = [int(order[0])]
-    centres = centres.copy()
-    centres[done[0]] = filled(centres[done[0]])
-    for lane in sorted(order[1:].tolist(), key=lambda other: abs(other - done[0])):
-        beside = min(done, key=lambda other: abs(other - lane))
-        centres[lane] = centres[beside] + filled(centres[lane] - centres[beside])
-        done.append(lane)
-    for lane in range(1, len(centres)):
-        centres[lane] = np.maximum(centres[lane], centres[lane - 1] + CLOSEST)
-    return centres
+    longest, whole = int(np.isfinite(centres).sum(axis=1).argmax()), np.empty_like(centres)
+    whole[longest] = filled(centres[longest])
+    for lane in range(longest + 1, len(centres)):
+        whole[lane] = whole[lane - 1] + filled(centres[lane] - whole[lane - 1])
+    for lane in reversed(range(longest)):
+        whole[lane] = whole[lane + 1] + filled(centres[lane] - whole[lane + 1])
+    least = CLOSEST * np.arange(len(centres))[:, None]
+    return np.maximum.accumulate(whole - least) + least
 
 
 def _lane_numbers(roads: list[list[Lanelet]]) -> dict[int, int]:

@@ -104,17 +104,19 @@ def _provenance(driver: Driver, densities: Sequence[str], seed: int, temperature
         raise ValueError(f"the seed is {seed}; it must not be negative")
     if not 0 < temperature < np.inf:
         raise ValueError(f"the temperature is {temperature}; it must be positive")
-    drawn = driver == "maxent"
+    drawn = {
+        "temperature": float(temperature),
+        "weights": {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()},
+        "horizon": demonstration_game().planner.horizon,
+    }
     return {
         "format": FORMAT,
         "version": version("ms-highway"),
         "driver": driver,
-        "temperature": float(temperature) if drawn else None,
-        "weights": {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()} if drawn else None,
-        "horizon": demonstration_game().planner.horizon if drawn else None,
         "time_step": TIME_STEP,
         "densities": list(densities),
         "first_seed": seed,
+        **(drawn if driver == "maxent" else {}),
     }
 
 
