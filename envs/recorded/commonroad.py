@@ -3,6 +3,7 @@
 import gzip
 import warnings
 from collections.abc import Iterable, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -12,7 +13,7 @@ import numpy as np
 from ms_highway.envs.recorded.scenario import GoalRegion, Lanelet, Obstacle, Problem, RecordedTrack, TrafficRecording
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.runtime.extras import needing
-from ms_highway.runtime.files import reading, temporary_directory
+from ms_highway.runtime.files import reading
 
 COMPRESSED = ".xml.gz"
 
@@ -56,6 +57,21 @@ def read_scenario(path: Path, with_problems: bool = True) -> TrafficRecording:
         raise ValueError(f"{path}: {error}") from error
 
 
+def read_xml(path: Path) -> bytes:
+    """Return the XML of a file, unpacked.
+
+    Raises:
+        ValueError: if it is larger than any scenario.
+        OSError: if it cannot be read.
+    """
+    opened = gzip.open if path.name.endswith(COMPRESSED) else open
+    with opened(path, "rb") as file:
+        xml = file.read(MOST_BYTES + 1)
+    if len(xml) > MOST_BYTES:
+        raise ValueError(f"more than {MOST_BYTES} bytes of XML")
+    return xml
+
+
 def open_commonroad(path: Path) -> tuple[Any, Any]:
     """Return the scenario and the planning problems of a file, objects of commonroad-io.
 
@@ -63,25 +79,19 @@ def open_commonroad(path: Path) -> tuple[Any, Any]:
         ValueError: naming the file, if it is damaged, or holds something else.
         ImportError: without the packages of the extra ``commonroad``.
     """
-    with temporary_directory() as directory, warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about irrelevant things, such as unknown locations
         with needing("commonroad"):
             from commonroad.common.reader.file_reader_xml import XMLFileReader  # by itself, without protobuf
         with reading(path, "fetch it again", " as a CommonRoad scenario"):
-            readable = path
-            if path.name.endswith(COMPRESSED):
-                readable = directory / path.name.removesuffix(".gz")
-                with gzip.open(path) as packed:
-                    readable.write_bytes(packed.read(MOST_BYTES + 1))
-            if readable.stat().st_size > MOST_BYTES:
-                raise ValueError(f"more than {MOST_BYTES} bytes of XML")
+            xml = read_xml(path)
             # commonroad-io subtracts one turn after the other from an orientation, which might never end.
-            for orientation in ElementTree.parse(readable).iter("orientation"):
+            for orientation in ElementTree.fromstring(xml).iter("orientation"):
                 for text in orientation.itertext():
                     if text.strip() and not abs(float(text)) <= MOST_RADIANS:
                         raise ValueError(f"an orientation of {text} rad")
             try:
-                return XMLFileReader(readable).open()
+                return XMLFileReader(BytesIO(xml)).open()
             except (AssertionError, AttributeError, TypeError) as error:  # of elements that lack
                 raise ValueError(str(error)) from error
 

@@ -51,13 +51,13 @@ class Learned(Traffic):
 
         Not before the first step: no environment computes before that.
         """
-        traits = np.zeros((self.count, 3), np.float32)
+        traits, last = np.zeros((self.count, 3), np.float32), max(track.last for track in self.everyone)
+        states = np.full((last + SECOND + 1, self.count, 4), np.nan, np.float32)
+        for place, (track, path) in enumerate(zip(self.everyone, self.paths, strict=True)):
+            states[track.samples[:, 0].astype(int), place] = path
         for first in {track.first for track in self.tracks}:
             past = np.full((PAST + 1, self.count, 4), np.nan, np.float32)
-            for place, (track, path) in enumerate(zip(self.everyone, self.paths, strict=True)):
-                steps = track.samples[:, 0].astype(int) - first
-                then = (steps >= 0) & (steps <= SECOND)
-                past[PAST - SECOND + steps[then], place] = path[then]
+            past[PAST - SECOND :] = states[first : first + SECOND + 1]
             shown = np.asarray(_shown(self.drivers, self.surroundings, past))
             begun = [place for place, track in enumerate(self.tracks) if track.first == first]
             traits[begun] = shown[begun]
@@ -80,21 +80,16 @@ class Learned(Traffic):
             usual = np.interp(x, self.ways[place], self.paths[place][:, 3])
             most[place] = speed + (usual - speed) * TIME_STEP / SETTLING
         _slow_down(after, most)
-        points, orientations = self.straight.bend(after[[*self.vehicles]].astype(float))
-        poses = zip(self.axes.positions(points), self.axes.headings(orientations), strict=True)
-        for (place, vehicle), (point, orientation) in zip(self.vehicles.items(), poses, strict=True):
-            vehicle.put(point, orientation, after[place, 3])
+        poses = zip(*self.straight.bend(after[[*self.vehicles]].astype(float)), strict=True)
+        for (place, vehicle), pose in zip(self.vehicles.items(), poses, strict=True):
+            vehicle.put(*pose, after[place, 3])
         self._move_on(lambda place: after[place, 0] > self.end)
 
     def _states(self) -> States:
         """Return the states on the straight road of all cars, the ego's after them; NaN where there is none."""
         states = np.full((self.count, 4), np.nan, np.float32)
         cars = self.vehicles | dict(enumerate(self.egos, len(self.tracks)))
-        states[[*cars]] = self.straight.straighten(
-            self.axes.points([vehicle.position for vehicle in cars.values()]),
-            self.axes.orientations([vehicle.heading for vehicle in cars.values()]),
-            np.array([vehicle.speed for vehicle in cars.values()]),
-        )
+        states[[*cars]] = self.straight.states(cars.values())
         self.surroundings.sizes[[*cars]] = [(vehicle.LENGTH, vehicle.WIDTH) for vehicle in cars.values()]
         return states
 

@@ -53,23 +53,18 @@ class Task:
         """
         if isinstance(ego, str):
             number = ego.partition(":")[2]
-            known = {str(problem.number): problem for problem in scenario.problems}
-            if not known:
-                instead = scenario.tracks[0].number
-                raise ValueError(
-                    f"there is no planning problem; drive in the place of a vehicle, config['ego'], such as {instead}"
-                )
-            if number and number not in known:
-                raise ValueError(
-                    f"there is no planning problem {number}, config['ego']; choose one of {', '.join(known)}"
-                )
-            return cls(known[number] if number else scenario.problems[0], CAR_SIZE)
+            problems = [problem for problem in scenario.problems if number in ("", str(problem.number))]
+            if not problems:
+                known = [f"'problem:{problem.number}'" for problem in scenario.problems]
+                choices = " or ".join([*known, f"a vehicle, such as {scenario.tracks[0].number}"])
+                raise ValueError(f"there is no planning {ego.replace(':', ' ')}, config['ego']; choose {choices}")
+            return cls(problems[0], CAR_SIZE)
         track = scenario.track(ego)
-        if track is None:
-            numbers = ", ".join(str(track.number) for track in scenario.tracks)
-            raise ValueError(f"config['ego'] is {ego}, which is not there; choose one of {numbers}")
-        if len(track.samples) < 2:
-            raise ValueError(f"config['ego'] is {ego}, which was seen only once; choose another")
+        if track is None or len(track.samples) < 2:
+            known = [str(track.number) for track in scenario.tracks if len(track.samples) > 1]
+            raise ValueError(
+                f"config['ego'] is {ego}, which is not there, or was seen only once; choose one of {', '.join(known)}"
+            )
         return cls(_as_recorded(track), track.size, ego)
 
     @property

@@ -1,12 +1,15 @@
 """Straighten a recorded road: lanes become parallel lines of one width, on which learned drivers drive."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
+from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Bool, Float
 from scipy.interpolate import BSpline, make_interp_spline
 
 from ms_highway.envs.recorded.lane_coordinates import LaneCoordinates, Values, measure_road, side_by_side
+from ms_highway.envs.recorded.network import Axes
 from ms_highway.envs.recorded.scenario import Lanelet, Points, RecordedTrack
 from ms_highway.game.road import wrapped
 
@@ -26,12 +29,14 @@ class StraightRoad:
     lanes, y is stretched.
 
     Attributes:
+        axes: of highway-env.
         coordinates: along the road and across it, in the map.
         centres: lateral positions of all lanes in these coordinates, from the way along the road [places, lanes].
         there: whether each lane exists, every `STEP` metres [lanes, places].
         lane_width: [m].
     """
 
+    axes: Axes
     coordinates: LaneCoordinates
     centres: BSpline
     there: Bool[np.ndarray, "lanes places"]
@@ -57,7 +62,7 @@ class StraightRoad:
             order = np.argsort(located.x, kind="stable")
             centres[lane, inside] = np.interp(places[inside], located.x[order], located.y[order])
         middles = make_interp_spline(places, _spread(centres).T, k=1)
-        return cls(road.coordinates, middles, np.isfinite(centres), road.lane_width)
+        return cls(Axes.of(lanelets), road.coordinates, middles, np.isfinite(centres), road.lane_width)
 
     @property
     def lanes(self) -> Values:
@@ -79,15 +84,22 @@ class StraightRoad:
         """Return the states of a track on the straight road."""
         return self.straighten(track.samples[:, 1:3], *track.samples[:, 3:].T)
 
+    def states(self, vehicles: Collection[Vehicle]) -> States:
+        """Return the states of highway-env's vehicles on the straight road."""
+        positions, headings, speeds = zip(
+            *((item.position, item.heading, item.speed) for item in vehicles), strict=True
+        )
+        return self.straighten(self.axes.points(positions), self.axes.orientations(headings), np.array(speeds))
+
     def bend(self, states: States) -> tuple[Points, Values]:
-        """Return points and orientations in the map of states on the straight road."""
+        """Return positions and headings in highway-env of states on the straight road."""
         x, y, heading, _ = states.T
         points, along = self.coordinates.place(x, self._bent(x, y))
-        return points, wrapped(along - heading - self._slope(x, y))
+        return self.axes.positions(points), self.axes.headings(along - heading - self._slope(x, y))
 
-    def along(self, point: Points) -> float:
-        """Return the place along the road of a point of the map [m]."""
-        return float(self.coordinates.locate(np.asarray(point)[None]).x[0])
+    def along(self, vehicle: Vehicle) -> float:
+        """Return the place along the road of a vehicle of highway-env [m]."""
+        return float(self.coordinates.locate(self.axes.points([vehicle.position])).x[0])
 
     def _middles(self, x: Values) -> np.ndarray:
         """Return the lateral positions of all lanes at some places [lanes, places]."""

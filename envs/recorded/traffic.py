@@ -9,7 +9,6 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.envs.recorded.network import Axes
 from ms_highway.envs.recorded.scenario import RecordedTrack, TrafficRecording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.vehicle.lane_paths import from_heading
@@ -49,7 +48,6 @@ class Traffic(ABC):
         self,
         scenario: TrafficRecording,
         straight: StraightRoad,
-        axes: Axes,
         road: Road,
         left_out: int | None,
         step: int,
@@ -59,13 +57,12 @@ class Traffic(ABC):
         Args:
             scenario: the recording.
             straight: its road, straightened.
-            axes: of the road in highway-env.
             road: of highway-env.
             left_out: number of the track whose place the ego takes; None for all.
             step: of the recording.
         """
         self.step = step
-        self.straight, self.axes, self.road = straight, axes, road
+        self.straight, self.axes, self.road = straight, straight.axes, road
         self.tracks = tuple(track for track in scenario.tracks if track.number != left_out)
         self.everyone = *self.tracks, *(track for track in scenario.tracks if track.number == left_out)
         self.vehicles: dict[int, Vehicle] = {}  # by the place of their track
@@ -96,14 +93,13 @@ class Traffic(ABC):
         self.step += 1
         for place in [place for place in self.vehicles if leaves(place)]:
             self.road.vehicles.remove(self.vehicles.pop(place))
-        waiting = []
+        self.waiting = ()
         for place, track in enumerate(self.tracks):
             if place not in self._entered and track.first <= self.step:
                 if self._is_free(track):
                     self._enter(place, track.first)
                 else:
-                    waiting.append(track.number)
-        self.waiting = tuple(waiting)
+                    self.waiting += (track.number,)
 
     def _is_free(self, track: RecordedTrack) -> bool:
         """Return whether nobody is in the place where a track begins, nor right before or behind it."""
@@ -160,7 +156,7 @@ class Idm(Traffic):
 
     def move(self) -> None:
         """Let those leave who have reached the end of the road, and others enter; vehicles move by themselves."""
-        self._move_on(lambda place: self.straight.along(self.axes.points(self.vehicles[place].position)) > self.end)
+        self._move_on(lambda place: self.straight.along(self.vehicles[place]) > self.end)
 
     def _enter(self, place: int, step: int) -> None:
         super()._enter(place, step)

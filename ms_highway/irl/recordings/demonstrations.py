@@ -1,6 +1,7 @@
 """Record demonstrations of driving as Minari data sets."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from importlib.metadata import version
 from itertools import count
 from typing import Any
@@ -57,15 +58,12 @@ def record(
     yield done
     if done >= episodes:
         return
-    env = gym.make(DEMONSTRATION_ID, **person)
-    try:
+    with closing(gym.make(DEMONSTRATION_ID, **person)) as env:
         for number in range(done, episodes):
             density = densities[number % len(densities)]
             episode = _drive(env, driver, seed + number, {"config": {"density": density}}, temperature)
             add_episode(episode, dataset, env, provenance)
             yield number + 1
-    finally:
-        env.close()
 
 
 def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
