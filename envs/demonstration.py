@@ -190,7 +190,7 @@ def draw_routes(
                 routes.append(route)
             if len(routes) == cars:
                 break
-    return np.array(routes).reshape(cars, len(times), 4)
+    return np.array(routes)
 
 
 def _draw_route(random: np.random.Generator, times: Times, lanes: Vector, x: float) -> np.ndarray:

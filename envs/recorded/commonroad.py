@@ -3,6 +3,7 @@
 import gzip
 import warnings
 from collections.abc import Iterable, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -12,13 +13,12 @@ import numpy as np
 from ms_highway.envs.recorded.scenario import GoalRegion, Lanelet, Obstacle, Problem, RecordedTrack, TrafficRecording
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.runtime.extras import needing
-from ms_highway.runtime.files import reading, temporary_directory
+from ms_highway.runtime.files import reading
 
 COMPRESSED = ".xml.gz"
 
 MOST_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
 MOST_METRES = 100_000.0  # from one end of a scenario to the other
-MOST_SIZE = 100.0  # m, of a vehicle
 MOST_RADIANS = 1000.0  # of an orientation
 MOST_SAMPLED = 1e5, 1e8, 1e8, MOST_RADIANS, 200.0  # time step, m, m, rad and m/s, of a vehicle
 
@@ -57,6 +57,21 @@ def read_scenario(path: Path, with_problems: bool = True) -> TrafficRecording:
         raise ValueError(f"{path}: {error}") from error
 
 
+def read_xml(path: Path) -> bytes:
+    """Return the XML of a file, unpacked.
+
+    Raises:
+        ValueError: if it is larger than any scenario.
+        OSError: if it cannot be read.
+    """
+    opened = gzip.open if path.name.endswith(COMPRESSED) else open
+    with opened(path, "rb") as file:
+        xml = file.read(MOST_BYTES + 1)
+    if len(xml) > MOST_BYTES:
+        raise ValueError(f"more than {MOST_BYTES} bytes of XML")
+    return xml
+
+
 def open_commonroad(path: Path) -> tuple[Any, Any]:
     """Return the scenario and the planning problems of a file, objects of commonroad-io.
 
@@ -64,25 +79,19 @@ def open_commonroad(path: Path) -> tuple[Any, Any]:
         ValueError: naming the file, if it is damaged, or holds something else.
         ImportError: without the packages of the extra ``commonroad``.
     """
-    with temporary_directory() as directory, warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about irrelevant things, such as unknown locations
         with needing("commonroad"):
             from commonroad.common.reader.file_reader_xml import XMLFileReader  # by itself, without protobuf
         with reading(path, "fetch it again", " as a CommonRoad scenario"):
-            readable = path
-            if path.name.endswith(COMPRESSED):
-                readable = directory / path.name.removesuffix(".gz")
-                with gzip.open(path) as packed:
-                    readable.write_bytes(packed.read(MOST_BYTES + 1))
-            if readable.stat().st_size > MOST_BYTES:
-                raise ValueError(f"more than {MOST_BYTES} bytes of XML")
+            xml = read_xml(path)
             # commonroad-io subtracts one turn after the other from an orientation, which might never end.
-            for orientation in ElementTree.parse(readable).iter("orientation"):
+            for orientation in ElementTree.fromstring(xml).iter("orientation"):
                 for text in orientation.itertext():
                     if text.strip() and not abs(float(text)) <= MOST_RADIANS:
                         raise ValueError(f"an orientation of {text} rad")
             try:
-                return XMLFileReader(readable).open()
+                return XMLFileReader(BytesIO(xml)).open()
             except (AssertionError, AttributeError, TypeError) as error:  # of elements that lack
                 raise ValueError(str(error)) from error
 
@@ -131,34 +140,37 @@ def _track(obstacle: Any) -> RecordedTrack:
     states = [obstacle.initial_state]
     states += getattr(getattr(obstacle.prediction, "trajectory", None), "state_list", [])
     name = f"obstacle {obstacle.obstacle_id}"
-    try:
-        rows = [(state.time_step, *state.position, state.orientation, state.velocity) for state in states]
-        samples = np.array(rows, dtype=float).reshape(-1, 5)
-    except (AttributeError, TypeError, ValueError) as error:
-        raise ValueError(
-            f"{name} lacks an exact time, position, orientation or velocity; only recorded driving can be read"
-        ) from error
-    usable = (np.abs(samples) <= MOST_SAMPLED).all(axis=1)
-    if not usable.all():
-        sample = samples[~usable][0]
-        raise ValueError(f"{name} is at no time or place on Earth, or faster than any car: {sample}; {MEND}")
-    size = _size(obstacle)
+    samples = np.array([_exact(state, name) for state in states])
     if samples[0, 0] < 0 or not (np.diff(samples[:, 0]) > 0).all():
         raise ValueError(f"the times of {name} do not follow each other from 0 on; {MEND}")
-    return RecordedTrack(obstacle.obstacle_id, size, samples)
+    return RecordedTrack(obstacle.obstacle_id, _size(obstacle), samples)
+
+
+def _exact(state: Any, name: str) -> list[float]:
+    """Return the time step, position, orientation and speed of a state.
+
+    Raises:
+        ValueError: naming whose it is, if one lacks, is an interval, or is not of this world.
+    """
+    try:
+        x, y = state.position
+        sample = [float(part) for part in (state.time_step, x, y, state.orientation, state.velocity)]
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name} lacks an exact time, position, orientation or velocity; only exact ones can be read"
+        ) from error
+    if not (np.abs(sample) <= MOST_SAMPLED).all():
+        raise ValueError(f"{name} is at no time or place on Earth, or faster than any car: {sample}; {MEND}")
+    return sample
 
 
 def _size(obstacle: Any) -> tuple[float, float]:
     """Return length and width of an obstacle's shape."""
     shape = obstacle.obstacle_shape
     if hasattr(shape, "length"):
-        size = float(shape.length), float(shape.width)
-    else:
-        left, low, right, high = shape.shapely_object.bounds
-        size = float(right - left), float(high - low)
-    if not max(size) <= MOST_SIZE:
-        raise ValueError(f"obstacle {obstacle.obstacle_id} is longer than {MOST_SIZE:g} m; {MEND}")
-    return size
+        return float(shape.length), float(shape.width)
+    left, low, right, high = shape.shapely_object.bounds
+    return float(right - left), float(high - low)
 
 
 def _obstacle(obstacle: Any) -> Obstacle:
@@ -168,33 +180,24 @@ def _obstacle(obstacle: Any) -> Obstacle:
 
 
 def _problem(problem: Any) -> Problem:
-    state, name = problem.initial_state, f"planning problem {problem.planning_problem_id}"
-    try:
-        x, y = map(float, state.position)
-        start = x, y, float(state.orientation), float(state.velocity)
-    except (AttributeError, TypeError, ValueError) as error:
-        raise ValueError(f"{name} lacks an exact position, orientation or velocity of its start; {MEND}") from error
-    if not (np.abs(start) <= MOST_SAMPLED[1:]).all() or start[3] < 0:
-        raise ValueError(f"{name} starts nowhere on Earth, backwards or faster than any car: {start}; {MEND}")
+    name = f"planning problem {problem.planning_problem_id}"
+    time, x, y, orientation, speed = _exact(problem.initial_state, name)
     goals = tuple(goal for state in problem.goal.state_list for goal in _goals(state))
-    if not goals or max(goal.times[1] for goal in goals) <= state.time_step:
-        raise ValueError(f"{name} has no goal after its start; {MEND}")
-    return Problem(problem.planning_problem_id, start, int(state.time_step), goals)
+    if speed < 0 or not goals or max(goal.times[1] for goal in goals) <= time:
+        raise ValueError(f"{name} starts backwards, or has no goal after its start; {MEND}")
+    return Problem(problem.planning_problem_id, (x, y, orientation, speed), int(time), goals)
 
 
 def _goals(state: Any) -> Iterator[GoalRegion]:
     """Yield a goal for each of the polygons that a goal's position is made of."""
-
-    def between(name: str) -> tuple[float, float] | None:
-        value = getattr(state, name, None)
-        if value is None:
-            return None
-        return float(getattr(value, "start", value)), float(getattr(value, "end", value))
-
-    times, speeds, headings = map(between, ("time_step", "velocity", "orientation"))
-    if times is None:
-        raise ValueError("a goal has no time; mend the file or leave it out")
+    between: dict[str, tuple[float, float]] = {}
+    for name in ("time_step", "velocity", "orientation"):
+        if (value := getattr(state, name, None)) is not None:
+            between[name] = float(getattr(value, "start", value)), float(getattr(value, "end", value))
+    if "time_step" not in between:
+        raise ValueError(f"a goal has no time; {MEND}")
+    first, last = map(round, between["time_step"])
     position = getattr(state, "position", None)
     for shape in getattr(position, "shapes", [position]):
         area = None if shape is None else np.array(shape.shapely_object.exterior.coords)[:-1]
-        yield GoalRegion((round(times[0]), round(times[1])), area, speeds, headings)
+        yield GoalRegion((first, last), area, between.get("velocity"), between.get("orientation"))

@@ -38,7 +38,6 @@ class RecordedSettings(Struct, frozen=True):
 class RoadShape(NamedTuple):
     """What the lanelets of a recording make, the same in all its episodes."""
 
-    axes: Axes
     network: RoadNetwork
     straight: StraightRoad
     surface: Surface
@@ -50,8 +49,8 @@ class RoadShape(NamedTuple):
         Raises:
             ValueError: for lanelets that cannot be driven, with the reason.
         """
-        straight, axes = StraightRoad.of(lanelets), Axes.of(lanelets)
-        return cls(axes, network_of(lanelets, axes), straight, Surface(lanelets, axes))
+        straight = StraightRoad.of(lanelets)
+        return cls(network_of(lanelets, straight.axes), straight, Surface(lanelets, straight.axes))
 
 
 class RecordedEnv(ConfiguredEnv):
@@ -124,14 +123,14 @@ class RecordedEnv(ConfiguredEnv):
     def _build(self, scenario: TrafficRecording) -> None:
         task = Task.of(scenario, self.settings.ego)
         shape = self._shape if scenario is getattr(self, "scenario", None) else RoadShape.of(scenario.lanelets)
-        axes, road = shape.axes, RecordedRoad(shape.network, np_random=self.np_random)
+        axes, road = shape.straight.axes, RecordedRoad(shape.network, np_random=self.np_random)
         x, y, orientation, speed = task.problem.start
-        position, heading = axes.positions([x, y]), float(axes.headings(orientation))
+        position, heading = axes.pose(x, y, orientation)
         lane = road.network.get_lane(road.network.get_closest_lane_index(position, heading))
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
             raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
         for item in scenario.obstacles:
-            stands = RoadObstacle(road, axes.positions(item.pose[:2]), float(axes.headings(item.pose[2])))
+            stands = RoadObstacle(road, *axes.pose(*item.pose))
             sized(stands, item.size)
             road.objects.append(stands)
         vehicle = self.action_type.vehicle_class(road, position, heading=heading, speed=speed)
@@ -139,24 +138,21 @@ class RecordedEnv(ConfiguredEnv):
         sized(vehicle, task.size)
         road.vehicles = [vehicle]
         begin = task.problem.time
-        road.traffic = TRAFFIC[self.settings.traffic](scenario, shape.straight, axes, road, task.track, begin)
+        road.traffic = TRAFFIC[self.settings.traffic](scenario, shape.straight, road, task.track, begin)
         self.scenario, self.task, self.road, self._shape = scenario, task, road, shape
         self.appointment = task.appointment(road.network, axes)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
-        self._along = self._place_along()
+        self._along = shape.straight.along(vehicle)
 
     @property
     def axes(self) -> Axes:
         """Of the road in the map."""
-        return self._shape.axes
+        return self._shape.straight.axes
 
     @property
     def goal_areas(self) -> list[Points]:
         """Corners of the areas of all goals that have a place."""
         return [self.axes.positions(goal.area) for goal in self.task.problem.goals if goal.area is not None]
-
-    def _place_along(self) -> float:
-        return self._shape.straight.along(self.axes.points(self.vehicle.position))
 
     @property
     def step_of_recording(self) -> int:
@@ -166,7 +162,7 @@ class RecordedEnv(ConfiguredEnv):
     def _simulate(self, action: Any = None) -> None:
         """Let everybody act and move for a step, and judge where that has led the ego."""
         super()._simulate(action)
-        along = self._place_along()
+        along = self._shape.straight.along(self.vehicle)
         self.progress, self._along = along - self._along, along
         ego = self.vehicle
         self.off_road |= not self._shape.surface.holds(ego)

@@ -51,24 +51,24 @@ class LaneCoordinates(NamedTuple):
         samples = np.linspace(0, self.length, max(int(self.length / SPACING), 2))
         x = samples[cKDTree(self.curve(samples)).query(points)[1]]
         for _ in range(ITERATIONS):
-            nearest_end = np.clip(x, 0, self.length)
-            tangent = self._tangent(nearest_end)
-            offset = points - self.curve(nearest_end) - (x - nearest_end)[:, None] * tangent
+            on_line, tangent = self._frame(x)
+            offset = points - on_line
             x = x + (offset * tangent).sum(axis=-1)
         right = offset[:, 0] * tangent[:, 1] - offset[:, 1] * tangent[:, 0]
         return LanePosition(x, right, np.arctan2(tangent[:, 1], tangent[:, 0]))
 
     def place(self, x: Values, y: Values) -> tuple[Points, Values]:
         """Return points of the map and the road's heading there, the inverse of `locate`."""
-        nearest_end = np.clip(x, 0, self.length)
-        tangent = self._tangent(nearest_end)
+        on_line, tangent = self._frame(x)
         right = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
-        points = self.curve(nearest_end) + (x - nearest_end)[:, None] * tangent + y[:, None] * right
-        return points, np.arctan2(tangent[:, 1], tangent[:, 0])
+        return on_line + y[:, None] * right, np.arctan2(tangent[:, 1], tangent[:, 0])
 
-    def _tangent(self, x: Values) -> Points:
-        tangent = self.curve(x, 1)
-        return tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
+    def _frame(self, x: Values) -> tuple[Points, Points]:
+        """Return the points of the line at distances along it, and the unit tangents there."""
+        inside = np.clip(x, 0, self.length)
+        tangent = self.curve(inside, 1)
+        tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+        return self.curve(inside) + (x - inside)[:, None] * tangent, tangent
 
 
 class MeasuredRoad(NamedTuple):
@@ -121,6 +121,33 @@ def measure_road(lanelets: Sequence[Lanelet]) -> MeasuredRoad:
     lanelet = chains[leftmost][0]
     widths = np.linalg.norm(lanelet.left - lanelet.right, axis=-1)
     return MeasuredRoad(road, lanes, float(np.median(np.diff(lanes) if len(lanes) > 1 else widths)))
+
+
+def side_by_side(lanelets: Sequence[Lanelet]) -> list[list[Lanelet]]:
+    """Return the roads, each with its lanelets from the left.
+
+    Raises:
+        ValueError: for lanes of two directions, or a lanelet that is beside itself.
+    """
+    known = {lanelet.number: lanelet for lanelet in lanelets}
+    roads, placed = [], set[int]()
+    for lanelet in lanelets:
+        if False in lanelet.same_way:
+            raise ValueError(
+                f"lanelet {lanelet.number} is beside one of the other direction; only roads of one direction can be "
+                "driven here"
+            )
+        if lanelet.number in placed:
+            continue
+        road = [lanelet]
+        for side in (0, 1):
+            while (beside := road[-side].beside[side]) in known:
+                if beside in (other.number for other in road):
+                    raise ValueError(f"lanelet {beside} is beside itself; mend the file or leave it out")
+                road.insert(side * len(road), known[beside])
+        roads.append(road)
+        placed |= {other.number for other in road}
+    return roads
 
 
 def _chains(lanelets: Sequence[Lanelet]) -> Iterator[list[Lanelet]]:

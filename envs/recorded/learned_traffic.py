@@ -1,13 +1,12 @@
 """Move the others in recorded traffic as learned drivers, who react to the ego and to each other."""
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from ms_highway.envs.recorded.scenario import SPEED_LIMIT, RecordedTrack
+from ms_highway.envs.recorded.scenario import SPEED_LIMIT
 from ms_highway.envs.recorded.straight_road import States
 from ms_highway.envs.recorded.traffic import CLEAR, Traffic
 from ms_highway.game.learned_reward import shipped
@@ -25,21 +24,6 @@ CALM, HARDEST = 1.5, 8.0  # m/s^2, of braking that is left to what was learned, 
 BEGUN = 0.3  # m towards a lane, from which a change to it is not given up
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """What a driver was recorded to do, by the way along the road.
-
-    Attributes:
-        x: along the straight road, ascending [m].
-        lane: number of the lane.
-        speed: [m/s].
-    """
-
-    x: np.ndarray
-    lane: np.ndarray
-    speed: np.ndarray
-
-
 class Learned(Traffic):
     """Learned drivers, who react to the ego and to each other, by the traits that each shows in its first second.
 
@@ -53,18 +37,13 @@ class Learned(Traffic):
         drivers = shipped("us101").drivers
         assert drivers is not None  # the package's own file
         self.drivers = drivers.bare
-        straight, count = self.straight, len(self.tracks) + 1
-        self.count = count + -count % ROOM
+        self.count = len(self.tracks) + 1
+        self.count += -self.count % ROOM
         sizes = np.ones((self.count, 2))
-        for place, track in enumerate(self._everyone):
-            sizes[place] = track.size
-        self.surroundings = _Lanes(sizes, straight.lane_width, SPEED_LIMIT)
-        self._paths = [straight.path(track) for track in self._everyone]
-        self.recorded = [self._recorded(path) for path in self._paths[: len(self.tracks)]]
-
-    @property
-    def _everyone(self) -> tuple[RecordedTrack, ...]:
-        return *self.tracks, *self._left_out
+        sizes[: len(self.everyone)] = [track.size for track in self.everyone]
+        self.surroundings = _Lanes(sizes, self.straight.lane_width, SPEED_LIMIT)
+        self.paths = [self.straight.path(track) for track in self.everyone]
+        self.ways = [np.maximum.accumulate(path[:, 0]) + 1e-6 * np.arange(len(path)) for path in self.paths]
 
     @cached_property
     def traits(self) -> np.ndarray:
@@ -72,22 +51,17 @@ class Learned(Traffic):
 
         Not before the first step: no environment computes before that.
         """
-        traits = np.zeros((self.count, 3), np.float32)
+        traits, last = np.zeros((self.count, 3), np.float32), max(track.last for track in self.everyone)
+        states = np.full((last + SECOND + 1, self.count, 4), np.nan, np.float32)
+        for place, (track, path) in enumerate(zip(self.everyone, self.paths, strict=True)):
+            states[track.samples[:, 0].astype(int), place] = path
         for first in {track.first for track in self.tracks}:
             past = np.full((PAST + 1, self.count, 4), np.nan, np.float32)
-            for place, (track, path) in enumerate(zip(self._everyone, self._paths, strict=True)):
-                steps = track.samples[:, 0].astype(int) - first
-                then = (steps >= 0) & (steps <= SECOND)
-                past[PAST - SECOND + steps[then], place] = path[then]
+            past[PAST - SECOND :] = states[first : first + SECOND + 1]
             shown = np.asarray(_shown(self.drivers, self.surroundings, past))
             begun = [place for place, track in enumerate(self.tracks) if track.first == first]
             traits[begun] = shown[begun]
         return traits
-
-    def _recorded(self, path: States) -> Recorded:
-        x = np.maximum.accumulate(path[:, 0]) + 1e-6 * np.arange(len(path))
-        lane = np.rint(path[:, 1] / self.straight.lane_width).clip(0, len(self.straight.centres) - 1)
-        return Recorded(x, lane.astype(int), path[:, 3])
 
     def move(self) -> None:
         """Move those on the road for a step, let those leave who have reached its end, and others enter."""
@@ -102,45 +76,39 @@ class Learned(Traffic):
             led |= slower
         most = np.full(self.count, np.inf)
         for place in [place for place in self.vehicles if not led[place]]:
-            own, (x, _, _, speed) = self.recorded[place], states[place]
-            most[place] = speed + (np.interp(x, own.x, own.speed) - speed) * TIME_STEP / SETTLING
+            x, _, _, speed = states[place]
+            usual = np.interp(x, self.ways[place], self.paths[place][:, 3])
+            most[place] = speed + (usual - speed) * TIME_STEP / SETTLING
         _slow_down(after, most)
-        places = list(self.vehicles)
-        points, orientations = self.straight.bend(after[places].astype(float))
-        for place, point, orientation in zip(
-            places, self.axes.positions(points), self.axes.headings(orientations), strict=True
-        ):
-            self.vehicles[place].put(point, orientation, after[place, 3])
+        poses = zip(*self.straight.bend(after[[*self.vehicles]].astype(float)), strict=True)
+        for (place, vehicle), pose in zip(self.vehicles.items(), poses, strict=True):
+            vehicle.put(*pose, after[place, 3])
         self._move_on(lambda place: after[place, 0] > self.end)
 
     def _states(self) -> States:
         """Return the states on the straight road of all cars, the ego's after them; NaN where there is none."""
         states = np.full((self.count, 4), np.nan, np.float32)
-        egos = self.egos
-        places = [*self.vehicles, *range(len(self.tracks), len(self.tracks) + len(egos))]
-        everyone = [*self.vehicles.values(), *egos]
-        states[places] = self.straight.straighten(
-            self.axes.points([vehicle.position for vehicle in everyone]),
-            self.axes.orientations([vehicle.heading for vehicle in everyone]),
-            np.array([vehicle.speed for vehicle in everyone]),
-        )
-        for place, ego in zip(places[len(self.vehicles) :], egos, strict=True):
-            self.surroundings.sizes[place] = ego.LENGTH, ego.WIDTH
+        cars = self.vehicles | dict(enumerate(self.egos, len(self.tracks)))
+        states[[*cars]] = self.straight.states(cars.values())
+        self.surroundings.sizes[[*cars]] = [(vehicle.LENGTH, vehicle.WIDTH) for vehicle in cars.values()]
         return states
 
     def _wishes(self, states: States) -> tuple[np.ndarray, np.ndarray]:
         """Return how many lanes to the right each changes now, and the middle of the lane that it wants."""
-        width, last = self.straight.lane_width, len(self.straight.centres) - 1
-        lanes = np.rint(np.nan_to_num(states[:, 1]) / width).clip(0, last).astype(int)
+        width, lanes = self.straight.lane_width, self._lanes(states[:, 1])
         side = np.zeros(self.count, dtype=np.int32)
         for place in self.vehicles:
-            own, (x, y, _, speed), lane = self.recorded[place], states[place], lanes[place]
-            later = min(int(np.searchsorted(own.x, x + LOOK_AHEAD * speed)), len(own.x) - 1)
-            wish = int(np.sign(own.lane[later] - lane))
+            path, (x, y, _, speed), lane = self.paths[place], states[place], lanes[place]
+            later = min(int(np.searchsorted(self.ways[place], x + LOOK_AHEAD * speed)), len(path) - 1)
+            wish = int(np.sign(self._lanes(path[later, 1]) - lane))
             begun = wish * (y - lane * width) > BEGUN
             if wish and (begun or self._has_room(states, place, lane, lane + wish)):
                 side[place] = wish
         return side, ((lanes + side) * width).astype(np.float32)
+
+    def _lanes(self, y: np.ndarray) -> np.ndarray:
+        """Return the number of the lane at lateral positions, any where nobody is."""
+        return np.rint(np.nan_to_num(y) / self.straight.lane_width).clip(0, len(self.straight.there) - 1).astype(int)
 
     def _has_room(self, states: States, place: int, lane: int, other: int) -> bool:
         """Return whether there is room for a driver in another lane."""
@@ -148,9 +116,8 @@ class Learned(Traffic):
         inside = np.abs(states[:, 1] - other * self.straight.lane_width) < self.straight.lane_width / 2 + BEGUN
         inside[place] = False
         ahead, lengths = states[:, 0] - x, (self.surroundings.sizes[:, 0] + self.surroundings.sizes[place, 0]) / 2
-        forced = self.straight.lane_ends(lane, x) < FORCED
         closing = np.where(ahead > 0, speed - states[:, 3], states[:, 3] - speed)
-        needed = CLEAR + CLOSING * np.maximum(closing, 0.0) * (0.0 if forced else 1.0)
+        needed = CLEAR + CLOSING * np.maximum(closing, 0.0) * (not self.straight.lane_ends(lane, x, FORCED))
         return not bool((inside & (np.abs(ahead) - lengths < needed)).any())
 
 

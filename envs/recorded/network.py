@@ -1,5 +1,6 @@
 """Turn lanelets into a road network of highway-env: smooth lanes of their own widths that merge, branch and end."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -7,13 +8,11 @@ import numpy as np
 from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import RoadNetwork
 from highway_env.utils import get_class_path
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from ms_highway.envs.recorded.lane_coordinates import Values, fit_lane_coordinates
+from ms_highway.envs.recorded.lane_coordinates import Values, fit_lane_coordinates, side_by_side
 from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Lanelet, Points
 from ms_highway.game.road import wrapped
-from ms_highway.vehicle.lane_paths import TIGHTEST, from_heading
+from ms_highway.vehicle.lane_paths import along_bend, from_heading
 
 STEP = 1.0  # m, between samples of a lane
 BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
@@ -53,6 +52,10 @@ class Axes(NamedTuple):
     def orientations(self, headings: Any) -> Any:
         """Return orientations in the map, of headings in highway-env's axes [rad]."""
         return self.headings(headings)  # a mirror is its own inverse
+
+    def pose(self, x: float, y: float, orientation: float) -> tuple[np.ndarray, float]:
+        """Return position and heading in highway-env's axes, of a point and an orientation in the map."""
+        return self.positions([x, y]), float(self.headings(orientation))
 
     @property
     def _mirror(self) -> np.ndarray:
@@ -103,13 +106,12 @@ class SampledLane(AbstractLane):
 
     def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
         """Return the place along the lane and the distance to the right of its middle [m]."""
-        dx, dy = (position - self.centres).T
-        nearest = int(np.argmin(dx * dx + dy * dy))
-        ahead, aside = from_heading(self.headings[nearest], dx[nearest], dy[nearest])
-        last = len(self.places) - 1
-        bend = 0.0 if (nearest == 0 and ahead < 0) or (nearest == last and ahead > 0) else self.bends[nearest]
-        step = ahead / max(1 - bend * aside, TIGHTEST)
-        return float(self.places[nearest] + step), float(aside - bend * ahead * step / 2)
+        delta = position - self.centres
+        nearest = int(np.argmin((delta**2).sum(axis=1)))
+        ahead, aside = from_heading(self.headings[nearest], *delta[nearest])
+        inside = 0 <= self.places[nearest] + ahead <= self.length
+        step, right = along_bend(self.bends[nearest] if inside else 0.0, ahead, aside)
+        return float(self.places[nearest] + step), float(right)
 
     @classmethod
     def from_config(cls, config: dict) -> "SampledLane":
@@ -134,63 +136,28 @@ def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
         ValueError: for lanes of two directions, a lanelet that is beside itself, or roads that part and meet again.
     """
     known = {lanelet.number: lanelet for lanelet in lanelets}
-    network, roads = RoadNetwork(), _side_by_side(known)
-    nodes = _nodes(roads, known)
-    for number, road in enumerate(roads):
-        start, end = nodes[number, False], nodes[number, True]
+    network, roads = RoadNetwork(), side_by_side(lanelets)
+    for road, (start, end) in zip(roads, _nodes(roads), strict=True):
         if end in network.graph.get(start, {}):
             raise ValueError(
                 f"lanelet {road[0].number} leads from where another road begins to where that ends, but is not beside "
                 "it; such roads cannot be driven here"
             )
         for place, lanelet in enumerate(road):
-            striped, solid, none = LineType.STRIPED, LineType.CONTINUOUS_LINE, LineType.NONE
-            lines = [striped if place else solid, none if place + 1 < len(road) else solid]
-            lane = _lane(lanelet, known, axes, lines)
-            network.add_lane(start, end, lane)
+            left = LineType.STRIPED if place else LineType.CONTINUOUS_LINE
+            right = LineType.NONE if lanelet is not road[-1] else LineType.CONTINUOUS_LINE
+            network.add_lane(start, end, _lane(lanelet, known, axes, [left, right]))
     return network
 
 
-def _side_by_side(known: dict[int, Lanelet]) -> list[list[Lanelet]]:
-    """Return the roads, each with its lanelets from the left.
-
-    Raises:
-        ValueError: for lanes of two directions, or a lanelet that is beside itself.
-    """
-    for lanelet in known.values():
-        if False in lanelet.same_way:
-            raise ValueError(
-                f"lanelet {lanelet.number} is beside one of the other direction; only roads of one direction can be "
-                "driven here"
-            )
-    roads, placed = [], set[int]()
-    for lanelet in known.values():
-        if lanelet.number in placed:
-            continue
-        road = [lanelet]
-        for side, place in ((0, 0), (1, None)):
-            while (beside := road[0 if side == 0 else -1].beside[side]) in known:
-                if beside in (other.number for other in road):
-                    raise ValueError(f"lanelet {beside} is beside itself; mend the file or leave it out")
-                road.insert(0 if place == 0 else len(road), known[beside])
-        roads.append(road)
-        placed |= {other.number for other in road}
-    return roads
-
-
-def _nodes(roads: list[list[Lanelet]], known: dict[int, Lanelet]) -> dict[tuple[int, bool], str]:
-    """Return the names of the nodes at which roads begin (False) and end (True): one where lanelets meet."""
-    of_lanelet = {lanelet.number: number for number, road in enumerate(roads) for lanelet in road}
-    meet = [
-        (2 * of_lanelet[number] + 1, 2 * of_lanelet[after])
-        for number, lanelet in known.items()
-        for after in lanelet.after
-        if after in known
-    ]
-    ends, starts = np.array(meet, dtype=int).reshape(-1, 2).T
-    joined = coo_array((np.ones(len(meet)), (ends, starts)), shape=(2 * len(roads), 2 * len(roads)))
-    _, names = connected_components(joined, directed=False)
-    return {(node // 2, node % 2 == 1): str(name) for node, name in enumerate(names)}
+def _nodes(roads: list[list[Lanelet]]) -> list[list[str]]:
+    """Return the names of the nodes at which each road begins and ends: one node where lanelets meet."""
+    number = {lanelet.number: road for road, lanelets in enumerate(roads) for lanelet in lanelets}
+    nodes = np.arange(2 * len(roads)).reshape(-1, 2)
+    for lanelet in itertools.chain(*roads):
+        for after in number.keys() & set(lanelet.after):
+            nodes[nodes == nodes[number[after], 0]] = nodes[number[lanelet.number], 1]
+    return nodes.astype(str).tolist()
 
 
 def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequence[int]) -> SampledLane:
@@ -200,12 +167,10 @@ def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequen
     after = [known[number].centre for number in lanelet.after[:1] if number in known]
     parts = [_last(line, BRIDGED) for line in before] + [centre] + [_last(line[::-1], BRIDGED)[::-1] for line in after]
     smooth = fit_lane_coordinates(np.concatenate(parts))
-    first, last = np.clip(smooth.locate(centre[[0, -1]]).x, 0.0, smooth.length)
-    places = np.linspace(first, last, max(round((last - first) / STEP), 2) + 1)
-    widths = np.linalg.norm(lanelet.left - lanelet.right, axis=-1)
-    known_places = smooth.locate(centre).x
-    order = np.argsort(known_places, kind="stable")
-    widths = np.interp(places, known_places[order], widths[order])
+    along = smooth.locate(centre).x
+    first, last = np.clip(along[[0, -1]], 0.0, smooth.length)
+    places, order = np.linspace(first, last, max(round((last - first) / STEP), 2) + 1), np.argsort(along, kind="stable")
+    widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
     return SampledLane(axes.positions(smooth.curve(places)), widths, lines, lanelet.limit or SPEED_LIMIT)
 
 

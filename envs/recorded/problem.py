@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from highway_env.road.road import RoadNetwork
+from highway_env.utils import rect_corners
 from highway_env.vehicle.kinematics import Vehicle
+from matplotlib.path import Path
 
 from ms_highway.envs.recorded.network import Axes
 from ms_highway.envs.recorded.scenario import GoalRegion, Lanelet, Points, Problem, RecordedTrack, TrafficRecording
@@ -50,13 +52,19 @@ class Task:
             ValueError: if there is no such planning problem, or no such vehicle, or it was seen once only.
         """
         if isinstance(ego, str):
-            return cls(_problem(scenario, ego.partition(":")[2]), CAR_SIZE)
+            number = ego.partition(":")[2]
+            problems = [problem for problem in scenario.problems if number in ("", str(problem.number))]
+            if not problems:
+                known = [f"'problem:{problem.number}'" for problem in scenario.problems]
+                choices = " or ".join([*known, f"a vehicle, such as {scenario.tracks[0].number}"])
+                raise ValueError(f"there is no planning {ego.replace(':', ' ')}, config['ego']; choose {choices}")
+            return cls(problems[0], CAR_SIZE)
         track = scenario.track(ego)
-        if track is None:
-            known = ", ".join(str(track.number) for track in scenario.tracks)
-            raise ValueError(f"config['ego'] is {ego}, which is not there; choose one of {known}")
-        if len(track.samples) < 2:
-            raise ValueError(f"config['ego'] is {ego}, which was seen only once; choose another")
+        if track is None or len(track.samples) < 2:
+            known = [str(track.number) for track in scenario.tracks if len(track.samples) > 1]
+            raise ValueError(
+                f"config['ego'] is {ego}, which is not there, or was seen only once; choose one of {', '.join(known)}"
+            )
         return cls(_as_recorded(track), track.size, ego)
 
     @property
@@ -83,27 +91,11 @@ class Task:
         return None
 
 
-def _problem(scenario: TrafficRecording, number: str) -> Problem:
-    """Return the planning problem of a number, without one the first."""
-    known = [str(problem.number) for problem in scenario.problems]
-    if not known:
-        instead = scenario.tracks[0].number
-        raise ValueError(
-            f"there is no planning problem; drive in the place of a vehicle, config['ego'], such as {instead}"
-        )
-    if number and number not in known:
-        raise ValueError(f"there is no planning problem {number}, config['ego']; choose one of {', '.join(known)}")
-    return scenario.problems[known.index(number) if number else 0]
-
-
 def _as_recorded(track: RecordedTrack) -> Problem:
     """Return the task to be where a vehicle was seen last."""
     x, y, orientation, speed = track.samples[0, 1:].tolist()
-    middle, last = track.samples[-1, 1:3], track.samples[-1, 3]
-    ahead = np.array([np.cos(last), np.sin(last)]) * LENGTH_OF_GOAL / 2
-    aside = np.array([-np.sin(last), np.cos(last)]) * SAME_LANE / 2
-    corners = [middle + ahead + aside, middle - ahead + aside, middle - ahead - aside, middle + ahead - aside]
-    goal = GoalRegion((track.first, track.last + LATE), np.array(corners))
+    area = rect_corners(track.samples[-1, 1:3], LENGTH_OF_GOAL, SAME_LANE, track.samples[-1, 3])
+    goal = GoalRegion((track.first, track.last + LATE), area)
     return Problem(track.number, (x, y, orientation, speed), track.first, (goal,))
 
 
@@ -112,18 +104,8 @@ def _is_in(goal: GoalRegion, step: int, point: Points, orientation: float, speed
     slowest, fastest = goal.speeds or (speed, speed)
     in_time, as_fast = goal.times[0] <= step <= goal.times[1], slowest <= speed <= fastest
     heads = not goal.headings or (orientation - low) % FULL_TURN <= (high - low) % FULL_TURN
-    there = goal.area is None or bool(inside(goal.area, np.asarray(point)[None])[0])
+    there = goal.area is None or bool(Path(goal.area).contains_points([point])[0])
     return in_time and as_fast and heads and there
-
-
-def inside(polygon: Points, points: Points) -> np.ndarray:
-    """Return which points are inside a polygon: to whose right its edges pass an odd number of times."""
-    x, y = points.T[..., None]
-    (x0, y0), (x1, y1) = polygon.T, np.roll(polygon, -1, axis=0).T
-    crosses = (y0 > y) != (y1 > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = x0 + (y - y0) / (y1 - y0) * (x1 - x0)
-    return (crosses & (x < at)).sum(axis=-1) % 2 == 1
 
 
 class Surface:
@@ -143,12 +125,12 @@ class Surface:
                 left, right = (_extended(line[::-1])[::-1] for line in (left, right))
             if not known & set(lanelet.after):
                 left, right = _extended(left), _extended(right)
-            self._polygons.append(_widened(left, right))
+            self._polygons.append(Path(_widened(left, right)))
 
     def holds(self, vehicle: Vehicle) -> bool:
         """Return whether all corners of a vehicle are on the surface."""
         corners = vehicle.polygon()[:-1]
-        return bool(np.any([inside(polygon, corners) for polygon in self._polygons], axis=0).all())
+        return bool(np.any([polygon.contains_points(corners) for polygon in self._polygons], axis=0).all())
 
 
 def _extended(line: Points) -> Points:

@@ -8,7 +8,6 @@ import gzip
 from functools import cache, lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -148,21 +147,14 @@ class TrafficRecording(msgspec.Struct, frozen=True):
         """Return the track with a number, None without one."""
         return next((track for track in self.tracks if track.number == number), None)
 
-    @property
-    def steps(self) -> int:
-        """Number of the last step at which a vehicle was seen."""
-        return max(track.last for track in self.tracks)
-
 
 @cache
 def shipped() -> TrafficRecording:
     """Return the recording that comes with the package, which needs no other package to be read."""
     file = resources.files("ms_highway") / "data" / f"{SHIPPED}_traffic.json.gz"
-    return msgspec.json.decode(gzip.decompress(file.read_bytes()), type=TrafficRecording, dec_hook=_array)
-
-
-def _array(kind: type, content: Any) -> np.ndarray:
-    return np.array(content, dtype=float)
+    return msgspec.json.decode(
+        gzip.decompress(file.read_bytes()), type=TrafficRecording, dec_hook=lambda _, numbers: np.array(numbers, float)
+    )
 
 
 def open_recording(recording: str) -> TrafficRecording:

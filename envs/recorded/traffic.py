@@ -5,19 +5,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 from highway_env.road.road import Road
-from highway_env.utils import are_polygons_intersecting
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.envs.recorded.network import Axes
 from ms_highway.envs.recorded.scenario import RecordedTrack, TrafficRecording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.vehicle.lane_paths import from_heading
 
 BEYOND = 30.0  # m behind the end of the road, where cars leave it
 CLEAR = 2.0  # m, to who is where a car enters, and at least between cars in the lane that one changes to
-NO_TIME = np.zeros(2)
 
 
 class RecordedVehicle(Vehicle):
@@ -51,7 +48,6 @@ class Traffic(ABC):
         self,
         scenario: TrafficRecording,
         straight: StraightRoad,
-        axes: Axes,
         road: Road,
         left_out: int | None,
         step: int,
@@ -61,29 +57,27 @@ class Traffic(ABC):
         Args:
             scenario: the recording.
             straight: its road, straightened.
-            axes: of the road in highway-env.
             road: of highway-env.
             left_out: number of the track whose place the ego takes; None for all.
             step: of the recording.
         """
         self.step = step
-        self.straight, self.axes, self.road = straight, axes, road
+        self.straight, self.axes, self.road = straight, straight.axes, road
         self.tracks = tuple(track for track in scenario.tracks if track.number != left_out)
-        self._left_out = tuple(track for track in scenario.tracks if track.number == left_out)
+        self.everyone = *self.tracks, *(track for track in scenario.tracks if track.number == left_out)
         self.vehicles: dict[int, Vehicle] = {}  # by the place of their track
         self.waiting: tuple[int, ...] = ()
         self._entered: set[int] = set()
         for place, track in enumerate(self.tracks):
-            if track.first <= step <= track.last:
-                self._enter(place, step)
-            elif track.last < step:
+            if track.last < step:
                 self._entered.add(place)
+            elif track.first <= step:
+                self._enter(place, step)
 
     @property
     def egos(self) -> list[Vehicle]:
         """Vehicles on the road that are none of its own."""
-        own = set(map(id, self.vehicles.values()))
-        return [vehicle for vehicle in self.road.vehicles if id(vehicle) not in own]
+        return [vehicle for vehicle in self.road.vehicles if vehicle not in self.vehicles.values()]
 
     @property
     def end(self) -> float:
@@ -99,31 +93,29 @@ class Traffic(ABC):
         self.step += 1
         for place in [place for place in self.vehicles if leaves(place)]:
             self.road.vehicles.remove(self.vehicles.pop(place))
-        waiting = []
+        self.waiting = ()
         for place, track in enumerate(self.tracks):
             if place not in self._entered and track.first <= self.step:
                 if self._is_free(track):
-                    self._enter(place)
+                    self._enter(place, track.first)
                 else:
-                    waiting.append(track.number)
-        self.waiting = tuple(waiting)
+                    self.waiting += (track.number,)
 
     def _is_free(self, track: RecordedTrack) -> bool:
         """Return whether nobody is in the place where a track begins, nor right before or behind it."""
-        _, x, y, orientation, _ = track.samples[0]
-        heading, (length, width) = float(self.axes.headings(orientation)), track.size
-        apart = np.array([other.position for other in self.road.vehicles]) - self.axes.positions([x, y])
-        ahead, aside = from_heading(heading, *apart.T)
-        lengths, widths = np.array([(other.LENGTH, other.WIDTH) for other in self.road.vehicles]).T
-        along, across = np.abs(ahead) - (lengths + length) / 2, np.abs(aside) - (widths + width) / 2
-        return not bool(((along < CLEAR) & (across < 0)).any())
+        position, heading = self.axes.pose(*track.samples[0, 1:4])
+        for other in self.road.vehicles:
+            ahead, aside = from_heading(heading, *(other.position - position))
+            length, width = (other.LENGTH + track.size[0]) / 2, (other.WIDTH + track.size[1]) / 2
+            if abs(ahead) - length < CLEAR and abs(aside) < width:
+                return False
+        return True
 
-    def _enter(self, place: int, step: float | None = None) -> None:
-        """Put the vehicle of a track on the road where it was at a step, by default the first of the track."""
+    def _enter(self, place: int, step: int) -> None:
+        """Put the vehicle of a track on the road where it was at a step."""
         track = self.tracks[place]
-        x, y, orientation, speed = sampled(track, track.first if step is None else step)
-        position, heading = self.axes.positions([x, y]), float(self.axes.headings(orientation))
-        vehicle = self.vehicle_type(self.road, position, heading, speed)
+        *pose, speed = sampled(track, step)
+        vehicle = self.vehicle_type(self.road, *self.axes.pose(*pose), speed)
         vehicle.number, vehicle.check_collisions = track.number, False
         sized(vehicle, track.size)
         self.road.vehicles.append(vehicle)
@@ -150,8 +142,8 @@ class Replay(Traffic):
         """Move those on the road for a step, and let others leave and enter as they were recorded to."""
         self._move_on(lambda place: self.tracks[place].last < self.step)
         for place, vehicle in self.vehicles.items():
-            x, y, orientation, speed = sampled(self.tracks[place], self.step)
-            vehicle.put(self.axes.positions([x, y]), self.axes.headings(orientation), speed)
+            *pose, speed = sampled(self.tracks[place], self.step)
+            vehicle.put(*self.axes.pose(*pose), speed)
 
     def _is_free(self, track: RecordedTrack) -> bool:
         return True
@@ -164,12 +156,11 @@ class Idm(Traffic):
 
     def move(self) -> None:
         """Let those leave who have reached the end of the road, and others enter; vehicles move by themselves."""
-        self._move_on(lambda place: self.straight.along(self.axes.points(self.vehicles[place].position)) > self.end)
+        self._move_on(lambda place: self.straight.along(self.vehicles[place]) > self.end)
 
-    def _enter(self, place: int, step: float | None = None) -> None:
+    def _enter(self, place: int, step: int) -> None:
         super()._enter(place, step)
-        vehicle, fastest = self.vehicles[place], float(self.tracks[place].samples[:, 4].max())
-        vehicle.target_speed = max(fastest, 1.0)
+        self.vehicles[place].target_speed = max(float(self.tracks[place].samples[:, 4].max()), 1.0)
 
 
 class RecordedRoad(Road):
@@ -191,6 +182,4 @@ class RecordedRoad(Road):
 
 def overlap(one: RoadObject, other: RoadObject) -> bool:
     """Return whether the bodies of two things on a road overlap."""
-    if np.linalg.norm(one.position - other.position) > (one.diagonal + other.diagonal) / 2:
-        return False
-    return bool(are_polygons_intersecting(one.polygon(), other.polygon(), NO_TIME, NO_TIME)[0])
+    return bool(RoadObject._is_colliding(one, other, 0.0)[0])

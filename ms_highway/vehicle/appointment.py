@@ -10,7 +10,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.control.road import RoadDriver
 from ms_highway.planning.road.prospects import SECONDS_AFTER
-from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
+from ms_highway.planning.road.settings import RoadWeights
 from ms_highway.vehicle.lane_paths import Point
 from ms_highway.vehicle.road_map import MOST_ROADS, Spot, road_map
 
@@ -80,21 +80,19 @@ class Appointment:
         wanted = speed + min(acceleration * min(LOOK_AHEAD, time), HASTE)
         return max(wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE * max(left - BEFORE, 0.0))), SLOWEST)
 
-    def wishes(
-        self, vehicle: Vehicle, now: float, planning: RoadPlanning, weights: RoadWeights
-    ) -> tuple[RoadPlanning, RoadWeights]:
-        """Return limits and weights of a plan that keeps the appointment; what follows it counts for nothing.
+    def guide(self, driver: RoadDriver, vehicle: Vehicle, now: float) -> None:
+        """Let the next plan of a vehicle's driver keep the appointment; what follows that counts for nothing.
 
         Args:
+            driver: of the vehicle.
             vehicle: which keeps it.
             now: the time [s].
-            planning: limits and wishes without an appointment.
-            weights: those without one.
         """
+        planning, weights = driver.planning, RoadWeights()
         rest = (self.times[1] - now - planning.steps * float(planning.time_step)) / SECONDS_AFTER
         prospect = float(weights.prospect) * min(max(rest, 0.0), 1.0)
-        planning = replace(planning, desired_speed=self.desired_speed(vehicle, now))
-        return planning, replace(weights, goal=GOAL, prospect=prospect)
+        driver.planning = replace(planning, desired_speed=self.desired_speed(vehicle, now))
+        driver.weights = replace(weights, goal=GOAL, prospect=prospect)
 
 
 RobotGoal: TypeAlias = str | Appointment | None
@@ -104,19 +102,6 @@ RobotGoal: TypeAlias = str | Appointment | None
 def destination_for(goal: RobotGoal) -> str | Spot | None:
     """Return where a goal lies, for `ms_highway.vehicle.road_scene.observe_road`."""
     return goal.spot if isinstance(goal, Appointment) else goal
-
-
-def keep(goal: RobotGoal, driver: RoadDriver, vehicle: Vehicle, now: float) -> None:
-    """Let a driver's next plan keep a goal, if that is an appointment.
-
-    Args:
-        goal: of the driver.
-        driver: of the vehicle.
-        vehicle: which keeps it.
-        now: the time [s].
-    """
-    if isinstance(goal, Appointment):
-        driver.planning, driver.weights = goal.wishes(vehicle, now, driver.planning, RoadWeights())
 
 
 def _follower_speed(vehicle: Vehicle) -> float:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import atan, cos, sin, tan
+from math import atan, tan
 from typing import Any
 
 import numpy as np
@@ -14,18 +14,6 @@ from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.runtime.arrays import Car, Control, State
 from ms_highway.vehicle.road_view import states_of
-
-
-def _separated(one: RoadObject, other: RoadObject) -> bool:
-    """Return whether an axis of the first body separates the two."""
-    x, y = (other.position - one.position).tolist()
-    forward, right = cos(one.heading), sin(one.heading)
-    turn = other.heading - one.heading
-    cosine, sine = abs(cos(turn)), abs(sin(turn))
-    return (
-        abs(x * forward + y * right) > (one.LENGTH + other.LENGTH * cosine + other.WIDTH * sine) / 2
-        or abs(y * forward - x * right) > (one.WIDTH + other.LENGTH * sine + other.WIDTH * cosine) / 2
-    )
 
 
 class BicycleVehicle(Vehicle):
@@ -94,12 +82,9 @@ class BicycleVehicle(Vehicle):
     def _is_colliding(self, other: RoadObject, dt: float) -> tuple[bool, bool, Control | None]:
         """Return whether the bodies overlap, whether they will within ``dt``, and the push apart; see `RoadObject`.
 
-        Where one of them is not solid, nothing is pushed, and only the present overlap counts: no axis of either
-        body separates them.
+        Where one of them is not solid, nothing is pushed, and only the present overlap counts.
         """
-        if self.solid and other.solid:
-            return super()._is_colliding(other, dt)
-        return not (_separated(self, other) or _separated(other, self)), False, None
+        return super()._is_colliding(other, dt if self.solid and other.solid else 0.0)
 
 
 class ScriptedVehicle(BicycleVehicle):

@@ -38,6 +38,18 @@ def from_heading(heading: Any, x: Any, y: Any) -> tuple[Any, Any]:
     return cosine * x + sine * y, cosine * y - sine * x
 
 
+def along_bend(bend: float, ahead: float, aside: float) -> tuple[float, float]:
+    """Return the way along a curve, from a point of a known curvature, and the distance to its right, of a place.
+
+    Args:
+        bend: the curvature there [1/m].
+        ahead: how far ahead the place is, along the tangent of the point [m].
+        aside: how far to the right of that [m].
+    """
+    step = ahead / max(1 - bend * aside, TIGHTEST)
+    return step, aside - bend * ahead * step / 2
+
+
 @dataclass(frozen=True)
 class Curve:
     """A smooth curve along lanes.
@@ -77,8 +89,7 @@ class Curve:
         nearest = int(np.argmin((delta**2).sum(axis=0)))
         _, _, along, bend, _ = self.samples[:, low + nearest]
         ahead, aside = from_heading(along, *delta[:, nearest])
-        step = ahead / max(1 - bend * aside, TIGHTEST)
-        d = aside - bend * ahead * step / 2
+        step, d = along_bend(bend, ahead, aside)
         return float((low + nearest) * FINE + step), float(d), float(wrapped(heading - along - bend * step))
 
     def way(self, s: float) -> float:

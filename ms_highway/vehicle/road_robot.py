@@ -13,7 +13,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.control.road import RoadDriver, RoadStep
 from ms_highway.game.road import RoadScene
 from ms_highway.planning.road.motion import SLIP
-from ms_highway.vehicle.appointment import RobotGoal, destination_for, keep
+from ms_highway.vehicle.appointment import Appointment, RobotGoal, destination_for
 from ms_highway.vehicle.lane_paths import Point
 from ms_highway.vehicle.road_scene import observe_road
 from ms_highway.vehicle.road_view import at_constant_speed
@@ -179,7 +179,8 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         """Plan if it is time for it; ignore actions."""
         due = self._elapsed + self.frame / 2 >= PERIOD
         if action is None and self.driver is not None and due and not self.crashed:
-            keep(self.goal, self.driver, self, self.time)
+            if isinstance(self.goal, Appointment):
+                self.goal.guide(self.driver, self, self.time)
             self.last_step = self.driver.step(self.look())
             self.steps.append(self.last_step)
             self._wanted, self._elapsed = np.asarray(self.last_step.control, dtype=float), 0.0

@@ -18,7 +18,7 @@ import ms_highway
 from ms_highway.benchmarks.road.recorded import starts_of
 from ms_highway.envs.recorded.commonroad import open_commonroad
 from ms_highway.envs.recorded.network import SampledLane
-from ms_highway.envs.recorded.problem import Task, inside
+from ms_highway.envs.recorded.problem import Task
 from ms_highway.envs.recorded.scenario import GoalRegion, Problem, open_recording
 from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import overlap
@@ -169,11 +169,17 @@ def test_learned_drivers_do_not_drive_through_each_other(stood):
     assert not stood["learned"][2] - stood["replay"][2]
 
 
+ASTRIDE = pytest.mark.xfail(
+    strict=True, raises=AssertionError, reason="a car that starts astride of a line minds one lane only"
+)
+
+
 @pytest.mark.slow
-def test_learned_drivers_do_not_drive_through_each_other_on_another_road(us):
+@pytest.mark.parametrize("name", ["10_4", pytest.param("11_4", marks=ASTRIDE)])
+def test_learned_drivers_do_not_drive_through_each_other_on_other_roads(name, us):
     pairs = {}
     for traffic in ("replay", "learned"):
-        env = make(us("10_4"), traffic)
+        env = make(us(name), traffic)
         env.reset(seed=0)
         pairs[traffic] = overlapping(env)
         for _ in range(env.unwrapped.task.last):
@@ -211,6 +217,15 @@ def test_a_car_whose_place_is_taken_waits_and_enters_there_later(traffic, tmp_pa
     np.testing.assert_allclose(env.unwrapped.axes.points(others(env)[102].position), place(20, 0), atol=0.1)
 
 
+def test_in_replay_cars_enter_though_the_ego_stands_in_their_place(tmp_path):
+    cars = CARS + car(102, 20, 0, first=5)
+    env = make(written(tmp_path, cars, problem(speed=0.0, goal=190, times=(0, 60))))
+    env.reset(seed=0)
+    *_, (_, _, terminated, _, info) = steps(env)
+    assert terminated
+    assert [info["recorded"][key] for key in ("step", "waiting", "collision")] == [5, (), True]
+
+
 SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 4.0], [0.0, 4.0]])
 
 
@@ -231,13 +246,6 @@ def test_one_of_several_goals_is_enough_and_the_last_step_is_that_of_all():
     asked = [(3, (5.0, 2.0)), (12, (5.0, 2.0)), (12, (105.0, 102.0)), (9, (50.0, 50.0))]
     assert [task.is_reached(step, point, 0.0, 1.0) for step, point in asked] == [True, False, True, True]
     assert task.last == 20
-
-
-def test_points_are_inside_a_polygon_with_a_notch_whichever_way_its_corners_go_round():
-    notched = np.array([[0, 0], [4, 0], [4, 4], [2, 1], [0, 4]], dtype=float)
-    points = np.array([[0.5, 1], [3.5, 1], [2, 0.5], [2, 2], [2, 3.9], [5, 1], [-1, 1], [2, -1]])
-    for polygon in (notched, notched[::-1], np.roll(notched, 2, axis=0)):
-        assert inside(polygon, points).tolist() == [True] * 3 + [False] * 5
 
 
 def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
@@ -289,6 +297,15 @@ def test_each_of_several_planning_problems_can_be_driven(tmp_path):
         starts[ego] = env.unwrapped.vehicle.position[0]
     assert starts["problem"] == starts["problem:7"] == pytest.approx(starts["problem:8"] - 10)
     assert [start.ego for start in starts_of(tmp_path, "problem")] == ["problem:7", "problem:8"]
+
+
+def test_an_episode_that_starts_later_ends_with_the_last_goals_step_of_the_recording(tmp_path):
+    env = make(written(tmp_path, problems=problem(time=12, times=(15, 30), goal=190)))
+    _, info = env.reset(seed=0)
+    assert info["recorded"]["step"] == 12
+    np.testing.assert_allclose(poses(env, others(env)[100])[:2], place(60 + 12 * SPEED * 0.1, 0), atol=1e-6)
+    outcomes = list(steps(env))
+    assert (len(outcomes), *outcomes[-1][2:4]) == (18, False, True)
 
 
 @pytest.mark.parametrize("traffic", ["replay", "learned"])
@@ -353,8 +370,16 @@ def test_who_drives_as_the_recorded_vehicle_did_has_success(tmp_path):
         ({"problems": problem(right=40.0)}, {}, r"small.xml: there is no lanelet under the start, \(39.1, -21.7\)"),
         ({"lanelets": linked_lanes("opposite")}, {}, r"small.xml: lanelet 1 .* only roads of one direction can be dr"),
         ({"lanelets": linked_lanes().replace('ref="4" driv', 'ref="2" driv')}, {}, "lanelet 2 is beside itself"),
-        ({"cars": CARS + car(103, 5, 0, 1)}, {"ego": 103}, r"config\['ego'\] is 103, which was seen only once"),
-        ({}, {"ego": "problem:8"}, r"small.xml: there is no planning problem 8, config\['ego'\]; choose one of 7"),
+        (
+            {"cars": CARS + car(103, 5, 0, 1)},
+            {"ego": 103},
+            r"config\['ego'\] is 103, which is not there, or was seen only once; choose one of 100, 101",
+        ),
+        (
+            {},
+            {"ego": "problem:8"},
+            r"small.xml: there is no planning problem 8, config\['ego'\]; choose 'problem:7' or a vehicle",
+        ),
         ({}, {"recording": "us102"}, r"config\['recording'\] is 'us102', which is no file; give .* or 'us101'"),
         ({}, {"observation": {"type": "CarStates"}}, r"config\['observation'\] is .*; its 'type' must be one of"),
     ],
@@ -453,14 +478,6 @@ def test_lanes_are_as_wide_and_go_where_the_file_says(merge):
         np.testing.assert_allclose(found, np.linalg.norm(piece.left - piece.right, axis=-1), rtol=0, atol=0.05)
 
 
-def test_the_recording_of_the_package_is_driven_without_any_file():
-    env = gym.make("ms-highway/recorded-v0")
-    env.reset(seed=0)
-    *_, (_, _, terminated, truncated, info) = steps(env, act=lambda *_: 1)  # idle
-    assert terminated or truncated
-    assert info["recorded"]["step"] > 40
-
-
 def test_lanes_and_networks_are_the_same_after_json(exits):
     network, _ = exits
     again = RoadNetwork.from_config(json.loads(json.dumps(network.to_config())))
@@ -476,7 +493,8 @@ def test_on_the_straight_road_cars_move_where_they_head_and_bending_leads_back(u
     road = StraightRoad.of(recording.lanelets)
     for track in recording.tracks:
         states = road.path(track)
-        points, orientations = road.bend(states)
+        positions, headings = road.bend(states)
+        points, orientations = road.axes.points(positions), road.axes.orientations(headings)
         np.testing.assert_allclose(points, track.samples[:, 1:3], rtol=0, atol=1e-6)
         assert np.abs(np.exp(1j * orientations) - np.exp(1j * track.samples[:, 3])).max() < 1e-6
         np.testing.assert_array_equal(states[:, 3], track.samples[:, 4])

@@ -5,7 +5,6 @@ episode. The solution is the drive of the ego: a state every 0.1 s of the kinema
 CommonRoad's vehicle 2, with steering angles that are computed from how the ego turned.
 """
 
-import gzip
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ms_highway.envs.recorded.commonroad import COMPRESSED, open_commonroad
+from ms_highway.envs.recorded.commonroad import open_commonroad, read_xml
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import replacing
@@ -95,9 +94,7 @@ class Drive:
 
     def _driven(self, recording: Path) -> ElementTree.Element:
         """Return the XML of a recording in which the others go as they drove, in place of what was recorded."""
-        opened = gzip.open if recording.name.endswith(COMPRESSED) else open
-        with opened(recording) as file:
-            root = ElementTree.fromstring(file.read())
+        root = ElementTree.fromstring(read_xml(recording))
         for obstacle in root.findall("dynamicObstacle"):
             rows = self._others.get(int(obstacle.get("id", -1)))
             if rows is None:

@@ -118,6 +118,6 @@ class Human(Peer):
         step = env.step_of_recording + 1
         x, y, orientation, speed = sampled(self._track, step)
         beyond = TIME_STEP * max(step - last, 0) * speed
-        point = [x + beyond * np.cos(orientation), y + beyond * np.sin(orientation)]
-        self._ego.coming = env.axes.positions(point), float(env.axes.headings(orientation)), float(speed)
+        x, y = x + beyond * np.cos(orientation), y + beyond * np.sin(orientation)
+        self._ego.coming = *env.axes.pose(x, y, orientation), float(speed)
         return super().choose()

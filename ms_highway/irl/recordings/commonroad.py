@@ -7,6 +7,7 @@ import numpy as np
 from ms_highway.envs.recorded.commonroad import read_scenario, scenario_files
 from ms_highway.envs.recorded.lane_coordinates import measure_road
 from ms_highway.envs.recorded.scenario import SPEED_LIMIT, TrafficRecording
+from ms_highway.game.road import wrapped
 from ms_highway.irl.recordings.recording import Recording
 
 
@@ -39,17 +40,12 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
 def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
     """Convert a scenario to a recording; add its drivers to those already counted."""
     road, tracks = measure_road(scenario.lanelets), scenario.tracks
-    states, drivers = np.full((1 + scenario.steps, len(tracks), 4), np.nan), []
+    states, drivers = np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan), []
     for car, track in enumerate(tracks):
-        time, position, orientation, speed = (
-            track.samples[:, 0].astype(int),
-            track.samples[:, 1:3],
-            *track.samples[:, 3:].T,
-        )
-        located = road.coordinates.locate(position)
-        # Headings turn right here, orientations left; only their difference is wrapped.
-        heading = (located.heading - orientation + np.pi) % (2 * np.pi) - np.pi
-        states[time, car] = np.stack([located.x, located.y, heading, speed], axis=-1)
+        time, position, (orientation, speed) = track.samples[:, 0], track.samples[:, 1:3], track.samples[:, 3:].T
+        x, y, along = road.coordinates.locate(position)
+        heading = wrapped(along - orientation)  # headings turn right here, orientations left
+        states[time.astype(int), car] = np.stack([x, y, heading, speed], axis=-1)
         identity = (scenario.group, track.number, *position[0].round(2))
         along_the_road = np.abs(np.median(heading)) < np.pi / 2
         if len(time) > 1 and along_the_road and identity not in counted:

@@ -1,6 +1,7 @@
 """Record demonstrations of driving as Minari data sets."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from importlib.metadata import version
 from itertools import count
 from typing import Any
@@ -57,15 +58,12 @@ def record(
     yield done
     if done >= episodes:
         return
-    env = gym.make(DEMONSTRATION_ID, **person)
-    try:
+    with closing(gym.make(DEMONSTRATION_ID, **person)) as env:
         for number in range(done, episodes):
             density = densities[number % len(densities)]
             episode = _drive(env, driver, seed + number, {"config": {"density": density}}, temperature)
             add_episode(episode, dataset, env, provenance)
             yield number + 1
-    finally:
-        env.close()
 
 
 def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
@@ -104,17 +102,19 @@ def _provenance(driver: Driver, densities: Sequence[str], seed: int, temperature
         raise ValueError(f"the seed is {seed}; it must not be negative")
     if not 0 < temperature < np.inf:
         raise ValueError(f"the temperature is {temperature}; it must be positive")
-    drawn = driver == "maxent"
+    drawn = {
+        "temperature": float(temperature),
+        "weights": {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()},
+        "horizon": demonstration_game().planner.horizon,
+    }
     return {
         "format": FORMAT,
         "version": version("ms-highway"),
         "driver": driver,
-        "temperature": float(temperature) if drawn else None,
-        "weights": {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()} if drawn else None,
-        "horizon": demonstration_game().planner.horizon if drawn else None,
         "time_step": TIME_STEP,
         "densities": list(densities),
         "first_seed": seed,
+        **(drawn if driver == "maxent" else {}),
     }
 
 
