@@ -21,9 +21,10 @@ from ms_highway.envs.demonstration import ABSENT, DENSITIES, KEYBOARD_ACTION, de
 from ms_highway.game.dynamics import step
 from ms_highway.game.game import rollout_reward
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.recordings.datasets import load_demonstrations
+from ms_highway.irl.recordings.datasets import load_demonstrations, lock_of
 from ms_highway.irl.recordings.demonstrations import actions, record
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
+from ms_highway.runtime.files import held
 
 SLOPE = jax.jit(jax.grad(rollout_reward, argnums=2))
 EARNED = jax.jit(jax.vmap(rollout_reward, in_axes=(None, None, 0, None)))
@@ -203,13 +204,14 @@ def test_a_recording_goes_on_after_its_last_episode_and_a_complete_one_is_left_a
     assert list(record("maxent", 2, NAME)) == [3]
     assert (files / "main_data.hdf5").read_bytes() == before
     (files.parent / ".part").mkdir()  # where a killed recording worked
-    counts = record("maxent", 4, NAME)
-    assert next(counts) == 3
-    with pytest.raises(ValueError, match="another command is writing to"):
-        next(record("maxent", 5, NAME))
-    assert list(counts) == [4]
+    assert list(record("maxent", 4, NAME)) == [3, 4]
     assert minari.load_dataset(NAME).total_steps == 200
     assert [path.name for path in files.parent.iterdir()] == ["data"]
+
+
+def test_two_commands_do_not_record_into_one_data_set(datasets, refused):
+    with held(lock_of(NAME)):
+        assert "another command is writing to" in refused(f"irl record --driver maxent --episodes 5 --dataset {NAME}")
 
 
 @pytest.mark.parametrize(

@@ -257,7 +257,7 @@ def test_drivers_on_one_lane_have_nowhere_to_change_to_and_brake_behind_a_slow_l
         ({"states": [0.0, 0.0, 0.0, 20.0]}, r"states are of shape \(4,\)"),
         ({"speed_limit": 0}, "speed_limit is 0; give a positive number"),
         ({"seconds": 8}, "seconds are 8; give a number from 0.1 to 5"),
-        ({"predictor": "oracle"}, "predictor is 'oracle'; choose one of model, constant_velocity"),
+        ({"predictor": "lane_modes"}, "lane_modes is gone since 2.0.0: use fitted_idm or model"),
     ],
 )
 def test_what_cannot_be_predicted_is_refused(changes, message):

@@ -99,7 +99,7 @@ def _data_directory(dataset: str) -> Path:
 
 
 def lock_of(dataset: str) -> Path:
-    """Return the directory that a recording holds; its name is hidden, so that Minari looks for no data there.
+    """Return the directory to hold while recording; its name is hidden, so that Minari looks for no data there.
 
     Raises:
         ValueError: if the name is no name of a data set.

@@ -14,9 +14,8 @@ from ms_highway.envs.demonstration import DENSITIES, KEYBOARD_ACTION, demonstrat
 from ms_highway.envs.graphics import check_display
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.recordings import DRIVERS, TEMPERATURE, Driver
-from ms_highway.irl.recordings.datasets import FORMAT, add_episode, count_episodes, lock_of
+from ms_highway.irl.recordings.datasets import FORMAT, add_episode, count_episodes
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, window
-from ms_highway.runtime.files import held
 
 
 def record(
@@ -41,8 +40,7 @@ def record(
         temperature: of the driver ``maxent``, in reward; a person has none.
 
     Raises:
-        ValueError: for arguments out of range, if the data set was recorded with other settings, or if another process
-            is recording it.
+        ValueError: for arguments out of range, or if the data set was recorded with other settings.
         ImportError: without the packages of the extra ``demonstrations``.
         OSError: if the driver is ``keyboard`` and there is no display.
         KeyboardInterrupt: if the person closes the window; the current episode is discarded.
@@ -50,25 +48,24 @@ def record(
     provenance = _provenance(driver, densities, seed, temperature)
     if episodes < 1:
         raise ValueError(f"{episodes} episodes are to be recorded; there must be at least one")
+    done = count_episodes(dataset, provenance)
     person: dict[str, Any] = {}
     if driver == "keyboard":
         check_display()
         config = {"action": KEYBOARD_ACTION, "manual_control": True, "real_time_rendering": True}
         person = {"render_mode": "human", "config": config}
-    with held(lock_of(dataset)):
-        done = count_episodes(dataset, provenance)
-        yield done
-        if done >= episodes:
-            return
-        env = gym.make(DEMONSTRATION_ID, **person)
-        try:
-            for number in range(done, episodes):
-                density = densities[number % len(densities)]
-                episode = _drive(env, driver, seed + number, {"config": {"density": density}}, temperature)
-                add_episode(episode, dataset, env, provenance)
-                yield number + 1
-        finally:
-            env.close()
+    yield done
+    if done >= episodes:
+        return
+    env = gym.make(DEMONSTRATION_ID, **person)
+    try:
+        for number in range(done, episodes):
+            density = densities[number % len(densities)]
+            episode = _drive(env, driver, seed + number, {"config": {"density": density}}, temperature)
+            add_episode(episode, dataset, env, provenance)
+            yield number + 1
+    finally:
+        env.close()
 
 
 def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
