@@ -1,5 +1,6 @@
 """Files that are either whole or not there."""
 
+import errno
 import json
 import os
 import shutil
@@ -19,6 +20,9 @@ PART = ".part."
 """How the names of files begin that are being written, or were when a process was killed."""
 
 LOCK = f"{PART}lock"
+
+NO_LOCKS = errno.ENOLCK, errno.ENOTSUP
+"""Errors of shared disks without locks."""
 
 LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # names of `part_of`, and of nobody else
 
@@ -74,7 +78,8 @@ def tidy(directory: Path) -> None:
 def held(directory: Path) -> Iterator[None]:
     """Let no other command write to a directory while the block runs; make it, and remove it if it stays empty.
 
-    A lock that a killed command has left does not hold: the system has released it.
+    A lock that a killed command has left does not hold: the system has released it. Some shared disks have no locks:
+    there, the user has to take care.
 
     Raises:
         ValueError: if it is a file, or another command is writing to it.
@@ -86,12 +91,20 @@ def held(directory: Path) -> Iterator[None]:
     made = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
     file = directory / LOCK
+    lock = FileLock(file, timeout=0)
     try:
-        with FileLock(file, timeout=0), temporary(file):  # removed while it is held
+        try:
+            lock.acquire()
+        except Timeout as error:
+            remedy = "wait for its end, or choose another"
+            raise ValueError(f"another command is writing to {directory}; {remedy}") from error
+        except (NotImplementedError, OSError) as error:
+            if isinstance(error, OSError) and error.errno not in NO_LOCKS:
+                raise
+        with temporary(file):  # removed while it is held
             yield
-    except Timeout as error:
-        raise ValueError(f"another command is writing to {directory}; wait for its end, or choose another") from error
     finally:
+        lock.release()
         if made:
             with suppress(OSError):
                 directory.rmdir()

@@ -30,6 +30,7 @@ def test_a_step_tells_what_was_planned_and_predicted():
     np.testing.assert_array_equal(step.owners, SCENE.owners)
     assert step.source in PLANS
     assert np.isfinite([*step.control, *step.path.ravel()]).all()
+    assert np.hypot(18.0**2 * step.control[0], step.control[1]) <= PLANNING.grip + 1e-3
     assert np.abs(step.path[0, :2] - [2.5 + 18 * 0.2, 0.0]).max() < 0.2  # the centre, one step on
     assert min(step.planning_seconds, step.decision_seconds) > 0
 
@@ -56,6 +57,12 @@ def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there(
     assert measured.costs.each.shape == (len(MODELS),)
     assert measured.costs.each.min() >= 0
     assert second.compile_seconds < first.compile_seconds
+
+
+def test_costs_that_are_shipped_make_the_same_choices_every_time():
+    steps = [RoadDriver(PLANNING, PricedRungs(300.0)).step(SCENE) for _ in range(3)]
+    assert len({step.models for step in steps}) == 1
+    np.testing.assert_array_equal(steps[0].control, steps[2].control)
 
 
 def test_a_plan_beyond_its_budget_is_followed_a_step_later():

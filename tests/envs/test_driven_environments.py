@@ -37,12 +37,20 @@ def pixels(picture, color):
 
 
 @pytest.mark.parametrize("name", STOCK)
-def test_the_robot_drives_every_stock_environment_and_leaves_the_rest_as_it_is(name):
+def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the_rest_as_it_is(name):
     stock, env = gym.make(name), ms_highway.drive(gym.make(name))
     assert (env.action_space, env.observation_space) == (stock.action_space, stock.observation_space)
     observation, info = env.reset(seed=1)
     np.testing.assert_equal(observation, stock.reset(seed=1)[0])
     assert info["road"]["decisions"] == []
+    vehicle, move, accelerations = env.unwrapped.vehicle, env.unwrapped.road.step, []
+
+    def watched(dt):
+        before = vehicle.velocity
+        move(dt)
+        accelerations.append(np.linalg.norm(vehicle.velocity - before) / dt)
+
+    env.unwrapped.road.step = watched
     observation, reward, terminated, _, info = env.step(env.action_space.sample())
     road, rates = info["road"], env.unwrapped.config
     assert env.observation_space.contains(observation)
@@ -50,8 +58,9 @@ def test_the_robot_drives_every_stock_environment_and_leaves_the_rest_as_it_is(n
     assert np.isfinite([road["planning_seconds"], road["decision_seconds"], road["jerk"], *np.atleast_1d(reward)]).all()
     assert not np.any(terminated)
     assert road["source"] in ("proposal", "last plan", "braking")
-    assert len(env.robots[0].actions) == int(rates["simulation_frequency"] // rates["policy_frequency"])
-    assert road["acceleration"] <= 5.0
+    frames = int(rates["simulation_frequency"] // rates["policy_frequency"])
+    assert len(env.robots[0].actions) == len(accelerations) == frames
+    assert max(accelerations) <= min(road["acceleration"] + 1e-9, 5.0)
 
 
 @pytest.mark.slow
@@ -99,6 +108,24 @@ def test_a_budget_that_no_plan_keeps_makes_all_plans_late_and_says_so():
     assert roads[1]["source"] == "last plan"
 
 
+@pytest.mark.parametrize("frequency", [1, 5])
+def test_it_plans_five_times_a_second_whatever_the_policy_frequency_is(frequency):
+    env = driven("merge-v0", config={"policy_frequency": frequency})
+    assert [len(env.step(0)[4]["road"]["decisions"]) for _ in range(2)] == [5 // frequency] * 2
+
+
+def test_other_cars_that_show_their_routes_have_one_way_each():
+    ways = []
+    for intentions in (False, True):
+        env = ms_highway.drive(gym.make("intersection-v1"), {"driver": "fixed:naive", "intentions": intentions})
+        env.reset(seed=3)
+        env.step(env.action_space.sample())
+        owners = env.unwrapped.vehicle.steps[0].owners
+        ways.append(owners[owners >= 0].tolist())
+    unknown, shown = ways
+    assert len(unknown) > len(set(unknown)) == len(shown) == len(set(shown))
+
+
 def test_actions_change_nothing_and_a_time_limit_in_steps_is_kept():
     one, other = driven("two-way-v0"), driven("two-way-v0")
     for step in range(15):
@@ -120,7 +147,10 @@ def test_imitating_the_continuous_actions_told_of_the_robot_drives_as_it_did():
 
 
 def test_a_reset_below_the_wrapper_leaves_no_robot_in_the_car_and_the_error_says_so():
-    env = driven("highway-fast-v0")
+    env = ms_highway.drive(gym.make("highway-fast-v0"))
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(None)
+    env.reset(seed=0)
     env.env.reset(seed=1)
     with pytest.raises(gym.error.ResetNeeded, match="call reset of the driven environment"):
         env.step(None)

@@ -121,6 +121,16 @@ def test_highway_envs_drivers_change_lanes_among_humans(kind):
     assert any(car.target_lane_index != car.lane_index for _ in drive(environment, 4) for car in others)
 
 
+def test_drivers_of_all_kinds_can_take_each_others_places_and_keep_their_routes():
+    environment = humans_in("roundabout-v0")
+    routes = [car.route for car in environment.road.vehicles[1:]]
+    assert all(len(route) > 1 for route in routes)
+    for kind in ("highway_env.vehicle.behavior.IDMVehicle", "ms_highway.vehicle.HumanVehicle"):
+        environment = environment.change_vehicles(kind)
+        assert [car.route for car in environment.road.vehicles[1:]] == routes
+    environment.step(IDLE)
+
+
 def test_humans_keep_to_what_tyres_hold_and_never_reverse_in_a_roundabout():
     for humans in drive(humans_in("roundabout-v0", policy_frequency=5), 25):
         for human in humans:

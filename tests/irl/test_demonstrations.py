@@ -7,6 +7,7 @@ import sys
 import threading
 
 import gymnasium as gym
+import h5py
 import jax
 import minari
 import numpy as np
@@ -20,9 +21,10 @@ from ms_highway.envs.demonstration import ABSENT, DENSITIES, KEYBOARD_ACTION, de
 from ms_highway.game.dynamics import step
 from ms_highway.game.game import rollout_reward
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.recordings.datasets import load_demonstrations
+from ms_highway.irl.recordings.datasets import load_demonstrations, lock_of
 from ms_highway.irl.recordings.demonstrations import actions, record
 from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
+from ms_highway.runtime.files import held
 
 SLOPE = jax.jit(jax.grad(rollout_reward, argnums=2))
 EARNED = jax.jit(jax.vmap(rollout_reward, in_axes=(None, None, 0, None)))
@@ -77,13 +79,15 @@ def test_gymnasiums_checker_passes_without_a_warning():
 
 @pytest.mark.parametrize("density", DENSITIES)
 def test_routes_are_many_as_the_density_says_near_the_driver_and_never_collide(density):
-    env, number = make(density).unwrapped, DENSITIES[density]
-    for seed in range(15):
+    env, number, changes = make(density).unwrapped, DENSITIES[density], 0
+    for seed in range(30):
         observation, _ = env.reset(seed=seed)
         assert observation[:, 0].sum() == 1 + number
         routes = env.routes[:number]
         assert (env.routes[number:] == ABSENT).all()
         assert (abs(routes[:, 0, 0] - 15) <= 45).all()
+        assert (abs(routes[..., 3] - 19) < 1.2).all()
+        changes += (np.ptp(routes[..., 1], axis=1) > 1).sum()
         for place, route in enumerate(routes):
             apart = abs(routes[:place, :, :2] - route[:, :2])
             assert ((apart[..., 0] > 5.1) | (apart[..., 1] > 2.6)).all()
@@ -91,6 +95,7 @@ def test_routes_are_many_as_the_density_says_near_the_driver_and_never_collide(d
         for position, direction in ((x, np.cos), (y, np.sin)):
             velocity = speed * direction(heading)
             np.testing.assert_allclose(np.diff(position), 0.05 * (velocity[:, 1:] + velocity[:, :-1]), atol=2e-3)
+    assert 0.2 < changes / 30 / number < 0.6
 
 
 def test_collisions_are_noted_and_without_effect():
@@ -190,6 +195,8 @@ def test_a_data_set_is_minaris_and_says_how_it_was_made():
     assert [(mark["seed"], mark["options"]["config"]["density"]) for mark in marks] == list(enumerate(DENSITIES))
     made = dataset.storage.metadata["ms_highway"]
     assert (made["driver"], made["format"], made["time_step"], made["horizon"]) == ("maxent", 1, 0.1, 5)
+    observation, _ = dataset.recover_environment().reset(seed=0, options={"config": {"density": "sparse"}})
+    np.testing.assert_array_equal(observation, dataset[0].observations[0])
 
 
 def test_a_recording_goes_on_after_its_last_episode_and_a_complete_one_is_left_alone(files):
@@ -200,6 +207,11 @@ def test_a_recording_goes_on_after_its_last_episode_and_a_complete_one_is_left_a
     assert list(record("maxent", 4, NAME)) == [3, 4]
     assert minari.load_dataset(NAME).total_steps == 200
     assert [path.name for path in files.parent.iterdir()] == ["data"]
+
+
+def test_two_commands_do_not_record_into_one_data_set(datasets, refused):
+    with held(lock_of(NAME)):
+        assert "another command is writing to" in refused(f"irl record --driver maxent --episodes 5 --dataset {NAME}")
 
 
 @pytest.mark.parametrize(
@@ -224,6 +236,10 @@ def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_
         with pytest.raises(ValueError, match=f"^data set {NAME} cannot be read .*record it again"):
             load_demonstrations(NAME)
     (files / "metadata.json").write_text(json.dumps(metadata))
+    with h5py.File(files / "main_data.hdf5", "a") as file:
+        file["episode_1/observations"][7, 2, 3] = np.nan
+    with pytest.raises(ValueError, match=r"cannot be read \(episode 1 is not finite at step 7, car 2\)"):
+        load_demonstrations(NAME)
     (files / "main_data.hdf5").write_bytes(b"no HDF5")
     with pytest.raises(ValueError, match=f"^data set {NAME} cannot be read .*record it again"):
         load_demonstrations(NAME)

@@ -37,6 +37,8 @@ def test_peers_know_nothing_of_the_future_and_keep_the_velocity_of_a_car_alone(p
     moments = moment(driving(0, 3.4, 15), driving(20, 3.4, 14), driving(5, 6, 15, heading=-0.03))
     blind = replace(moments, future=np.full_like(moments.future, np.nan))
     jax.tree.map(np.testing.assert_array_equal, peer(moments), peer(blind))
+    first = peer(moment(driving(0, 3.4, 15), driving(20, 3.4, 14), driving(5, 6, 15, heading=-0.03), number=0))
+    assert np.isfinite(first.path).all()  # though only one instant was seen
     path = expected_path(peer(moment(driving(0, 3.4, 29), driving(-500, 3.4, 29), driving(-900, 3.4, 29))))[0]
     np.testing.assert_allclose(path[:, 1], 3.4, atol=0.01)  # 29 m/s is the speed limit, which IDM does not exceed
     if peer is steady_motion:

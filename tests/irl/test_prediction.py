@@ -66,6 +66,7 @@ def test_errors_are_what_a_known_path_is_off():
     assert wrong["fde"] == pytest.approx({"1": 3.0, "2": 6.0, "3": 9.0, "5": 15.0}, abs=1e-3)
     assert wrong["rmse"] == pytest.approx(wrong["fde"])
     assert wrong["ade"]["1"] == pytest.approx(1.65, abs=1e-3)
+    assert set(wrong["miss"].values()) == {1.0}
     assert wrong["log_p"]["5"] < right["log_p"]["5"]
 
 
@@ -199,6 +200,9 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
         assert tuple(row) == KINDS
         assert "".join(row["fde"]) == "1235"
     assert found["windows"] > found["tracks"] > 20
+    model, kept, *_ = found["predictors"].values()
+    assert model["fde"]["5"] < kept["fde"]["5"]
+    assert model["log_p"]["5"] > kept["log_p"]["5"]
     assert {path.stem for path in tmp_path.glob("*.png")} == {"errors", "likelihood", "calibration"}
 
 

@@ -62,10 +62,12 @@ def test_a_car_that_comes_to_rest_keeps_its_heading_there():
     assert error(track, states) < 0.2
 
 
-def test_a_standing_car_has_controls():
+def test_a_standing_car_and_the_shortest_track_have_controls():
     standing = tracked(np.zeros((30, 4)))
     np.testing.assert_allclose(standing.states, 0, atol=1e-9)
     np.testing.assert_allclose(standing.controls, 0, atol=1e-9)
+    two = np.array([[0.0, 0, 0, 10], [1.0, 0, 0, 10]])
+    np.testing.assert_allclose(tracked(two).states, two, atol=1e-6)
 
 
 def test_us101_tracks_are_close_to_what_was_recorded_and_plausible(us101):

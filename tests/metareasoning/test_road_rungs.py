@@ -22,6 +22,10 @@ def gains_of(scene):
     return np.asarray(proposed_for(scene, PLANNING, WEIGHTS, nobody, no_plan(PLANNING)).worth)
 
 
+def test_answers_of_cars_far_away_and_of_absent_ones_are_worth_nothing():
+    np.testing.assert_array_equal(gains_of(scene_of(cars=[(-250.0, 0, 10.0), (95.0, 1, 38.0)])), 0.0)
+
+
 def test_a_leader_does_not_answer():
     gains = gains_of(scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(25.0, 0, 5.0)]))
     np.testing.assert_array_equal(gains, 0.0)

@@ -22,7 +22,7 @@ from ms_highway.control.road import plan_of
 from ms_highway.game.road import TRAFFIC
 from ms_highway.planning.road.obstruction import obstruction_of
 from ms_highway.planning.road.plan import no_plan
-from ms_highway.planning.road.proposals import LAST_PLAN
+from ms_highway.planning.road.proposals import ALL, LAST_PLAN
 from ms_highway.runtime.compilation import jit_quickly
 
 ACROSS = np.pi / 2
@@ -52,6 +52,7 @@ def rest_of(scene, last):
     ("lanes", "heading", "sides", "ends"),
     [
         ([0], 0.0, (-3.0, 3.0), (22.5, 27.5)),
+        ([0, 1], 0.0, (-3.0, 7.0), (22.5, 27.5)),
         ([0, -1], ACROSS, (-8.5, 4.5), (24.0, 26.0)),
         ([-1, 0, 1], 0.0, (-7.0, 7.0), (22.5, 27.5)),
     ],
@@ -149,6 +150,13 @@ def test_lanes_of_oncoming_traffic_are_left_out_but_by_plans_round_something_and
     controls = np.zeros((2, PLANNING.steps, 2), np.float32)
     _, scores = judged(scene, controls, np.array([1, 1]), NOBODY, PLANNING, np.array([0, -1]))
     assert np.asarray(scores.leaves).tolist() == leaves
+
+
+def test_only_in_its_own_lane_a_plan_leaves_room_to_turn_round_what_cannot_move():
+    scene = wrecked(wrecked(scene_of(robot=(0.0, 0.0, 0.0, 8.0), cars=[(40.0, 0, 0.0), (40.0, 1, 0.0)]), 0), 1)
+    states = np.asarray(proposed(scene, no_plan(SLOW)).driven.states)
+    own, beside = (states[ALL.index((lane, 1.0, 0.0, True, False, 0.0, 0)), -1, 0] for lane in (1, 2))
+    assert own < beside - 1.0
 
 
 def test_a_plan_waits_behind_a_wreck_while_somebody_comes_and_leaves_room_to_go_round_it():

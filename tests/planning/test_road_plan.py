@@ -55,6 +55,9 @@ def test_under_every_model_a_plan_is_finite_and_within_limits(name):
         states, held = execute(scene, PLANNING, plan.controls)
         np.testing.assert_allclose(plan.controls, held, atol=1e-3)
         np.testing.assert_allclose(plan.path, jnp.stack(bodies(scene, states), axis=-1), atol=0.05)
+        before = np.concatenate([scene.robot[None, 3], states[:-1, 3]])
+        assert np.hypot(before**2 * plan.controls[:, 0], plan.controls[:, 1]).max() <= PLANNING.grip + 1e-3
+        assert np.abs(plan.controls[:, 0]).max() <= PLANNING.curvature
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -92,6 +95,12 @@ def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_i
     assert braking < kept - 1.0
     beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
     assert final_place(beside, "tom") > braking + 1.0
+
+
+def test_obstacles_stay_where_they_are_under_every_model():
+    scene = replace(SCENES["standing car ahead"], moving=np.zeros(TRAFFIC, bool))
+    for name in MODELS:
+        assert final_place(scene, name) == pytest.approx(45.0, abs=1e-3)
 
 
 def accelerating(scene, *accelerations):

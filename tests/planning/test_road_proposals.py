@@ -78,7 +78,7 @@ def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(name):
     np.testing.assert_allclose(states, driven, atol=0.02)
 
 
-@pytest.mark.parametrize(("speed", "ahead"), [(18.0, 50.0), (9.0, 0.0)])
+@pytest.mark.parametrize(("speed", "ahead"), [(14.0, 25.0), (18.0, 50.0), (9.0, 0.0)])
 def test_who_follows_is_slow_enough_for_a_bend_when_it_gets_there(speed, ahead):
     scene = before_a_bend(speed, ahead)
     plans, rollouts = proposed(scene)
@@ -95,6 +95,27 @@ def test_who_follows_at_a_distance_does_not_hit_a_car_ahead_that_brakes_to_a_sto
     plans, rollouts = proposed(scene, NOBODY, STRAIGHT_ON, first, np.where(first[:, None], braking, NOTHING))
     own = np.asarray(plans.follows & ~plans.closes & (plans.lane == 1))
     assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
+
+
+@pytest.mark.parametrize(("gap", "ahead"), [(50.0, 0.0), (20.0, 12.0), (8.0, 18.0)])
+def test_a_robot_that_follows_does_not_hit_a_slower_car_ahead(gap, ahead):
+    plans, rollouts = proposed(scene_of(cars=[(gap + LENGTHS, 0, ahead)]))
+    own = np.asarray(plans.follows & (plans.lane == 1))
+    assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
+
+
+def test_predictions_stay_on_their_paths_and_come_to_the_middle_of_the_lane():
+    scene = scene_of(bend=1 / 30, cars=[(0.0, 1, 8.0)])
+    scene.states[0, 1] = 1.0
+    found = given(scene, STRAIGHT_ON, 1, NOBODY)
+    x, y, heading, _ = found.world[0]
+    distance, along = np.hypot(x, y - 30), 8 * DT * np.arange(1, STEPS + 1)
+    assert (np.diff(distance) > 0).all()
+    assert abs(distance[-1] - 26.0) < 0.15
+    np.testing.assert_allclose(heading, along / 26 - np.arcsin(2.5 / 26), atol=2e-3)
+    np.testing.assert_allclose(found.along[0], along, rtol=1e-4)
+    np.testing.assert_allclose(found.cosine[0], 1.0, atol=1e-3)
+    np.testing.assert_allclose(found.d[0], 30 - distance, atol=0.05)
 
 
 def test_a_follower_brakes_for_a_robot_that_cuts_in_and_one_that_keeps_its_speed_does_not():

@@ -36,6 +36,12 @@ def missing(scene, goals=(-4.0, 0.0, 4.0)):
     return np.asarray(room_missing(now_in(scene), found.driven, np.asarray(goals, np.float32)[PLANS.lane]))
 
 
+def test_behind_a_wall_of_slow_cars_more_speed_is_lost_than_behind_a_single_one():
+    wall = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(80.0, lane, 18.0) for lane in (-1, 0, 1)])
+    single = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(80.0, 0, 18.0)])
+    assert lost(wall)[CLOSING_UP] > lost(single)[CLOSING_UP] + 3.0
+
+
 def test_a_gap_beside_that_opens_later_is_foreseen():
     """The car in the next lane has to be passed first; both cars beside each other could not be."""
     beside = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(75.0, 0, 18.0), (40.0, 1, 18.0), (75.0, -1, 18.0)])

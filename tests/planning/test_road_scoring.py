@@ -68,6 +68,20 @@ def test_cars_that_are_not_there_cost_nothing():
     assert not np.asarray(scores.broken).any()
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_plan_that_leaves_the_road_breaks_a_constraint(side):
+    _, scores = scores_of(scene_of(), (side * 0.01, 0.0), KEEPING)
+    np.testing.assert_array_equal(scores.leaves, [True, False])
+    assert scores.total[0] < scores.total[1]
+
+
+def test_a_plan_that_collides_earns_less_than_one_that_does_not():
+    _, scores = scores_of(scene_of(cars=[(60.0, 0, 0.0)]), KEEPING, (0.0, -4.5))
+    np.testing.assert_array_equal(scores.broken, [True, False])
+    assert scores.total[0] < scores.total[1]
+    assert scores.others[0, 0] > scores.others[1, 0]
+
+
 def test_who_changes_to_a_closed_lane_breaks_a_constraint():
     scene = scene_of()
     scene.open[RIGHT] = False
@@ -109,6 +123,11 @@ def test_to_come_close_to_somebody_or_to_hit_it_softly_is_better_than_to_leave_t
         np.testing.assert_array_equal(scores.leaves, [False, True])
         assert scores.broken.all()
         assert scores.preference[0] > scores.preference[1] + 100
+
+
+def test_no_room_is_missing_behind_a_faster_car_nor_beside_one():
+    scene = scene_of(cars=[(10.0, 0, 25.0), (90.0, 1, 0.0)])
+    assert np.asarray(scores_of(scene, KEEPING, (0.0, -1.0))[1].missing).max() == 0
 
 
 @pytest.mark.parametrize("lane", [OWN, RIGHT])
@@ -158,10 +177,15 @@ def test_who_joins_the_route_behind_the_robot_and_turns_off_ahead_of_it_does_not
     assert now_in(on_path(scene, *path)).crossings.exist[0] == crosses
 
 
-@pytest.mark.parametrize("come_from", [55.25, 56.0])
-def test_in_another_lane_too_a_robot_is_in_the_way_of_crossing_cars(come_from):
-    scene = replace(crossing(0.0, come_from), robot=np.array([36.0, 4.2, 0.0, 0.0], np.float32))
-    assert bool(in_the_way(now_in(scene), scores_of(scene, KEEPING, KEEPING)[0])[0, 0])
+def test_in_another_lane_too_a_robot_is_in_the_way_of_crossing_cars():
+    for come_from in np.arange(55.0, 57.0, 0.25):
+        scene = replace(crossing(0.0, come_from), robot=np.array([36.0, 4.2, 0.0, 0.0], np.float32))
+        assert bool(in_the_way(now_in(scene), scores_of(scene, KEEPING, KEEPING)[0])[0, 0]), come_from
+
+
+@pytest.mark.parametrize(("robot_s", "crosses"), [(20.0, True), (50.0, False)])
+def test_nothing_crosses_the_way_of_a_robot_that_has_passed(robot_s, crosses):
+    assert now_in(crossing(robot_s, 30.0)).crossings.exist[0] == crosses
 
 
 def test_a_plan_that_has_not_reached_a_better_lane_earns_nothing_for_it():
@@ -192,3 +216,4 @@ def test_changes_of_lane_that_are_left_get_urgent_as_their_room_shrinks():
     assert (np.diff(found, axis=0) >= 0).all()
     assert (found[:, 0] >= found[:, OWN]).all()
     np.testing.assert_allclose(found[:, RIGHT], 0.0)
+    assert not np.asarray(urgency(scene_of(), jnp.arange(LANES))).any()

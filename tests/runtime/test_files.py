@@ -1,6 +1,9 @@
 """Files that are either whole or not there, whatever happens, and whoever else writes."""
 
+import errno
+import fcntl
 import resource
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import pytest
@@ -41,6 +44,22 @@ def test_rows_are_appended_all_or_none(tmp_path):
     assert file.read_text() == "header\n1,2\n5,6\n"
 
 
+def test_several_may_write_the_same_file_and_readers_find_it_whole(tmp_path):
+    file = tmp_path / "report.html"
+
+    def write(letter):
+        for _ in range(50):
+            with replacing(file) as path:
+                path.write_text(letter * SIZE)
+
+    with ThreadPoolExecutor(2) as threads:
+        writers = [threads.submit(write, letter) for letter in "ab"]
+        while not all(writer.done() for writer in writers):
+            assert not file.exists() or file.read_text() in ("a" * SIZE, "b" * SIZE)
+    assert [writer.exception() for writer in writers] == [None, None]
+    assert list(tmp_path.iterdir()) == [file]
+
+
 def test_a_link_that_somebody_has_planted_is_not_followed(tmp_path):
     victim, file = tmp_path / "victim", tmp_path / "settings.json"
     victim.write_text("precious")
@@ -70,6 +89,17 @@ def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands
         pass
     assert {path.name for path in directory.iterdir()} == {"steps", ".part.notes.txt", "download.part"}
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("kind", [errno.ENOLCK, errno.ENOTSUP])
+def test_on_a_disk_without_locks_commands_write_all_the_same(kind, tmp_path, monkeypatch):
+    def no_lock(*_):
+        raise OSError(kind, "no locks here")
+
+    monkeypatch.setattr(fcntl, "flock", no_lock)
+    with held(tmp_path / "out"):
+        (tmp_path / "out" / "results").touch()
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["results"]
 
 
 def test_what_is_temporary_can_be_removed_at_once():

@@ -99,6 +99,11 @@ def test_a_route_does_not_wobble_while_it_is_driven(scene):
             assert np.abs(aside).max() < 0.05
 
 
+def test_circles_stay_round():
+    bend = seen_from("u-turn-v0", ("b", "c", 0), 28.0, "d").route.curvature[7:20]
+    assert bend == pytest.approx(-1 / 20, rel=0.01)
+
+
 def test_the_way_into_a_roundabout_and_out_of_it_is_one_smooth_curve():
     ego = with_ego("roundabout-v0")
     route = observe_road(ego, "nxs").route
@@ -112,6 +117,7 @@ def test_the_way_into_a_roundabout_and_out_of_it_is_one_smooth_curve():
     ("lane", "at", "changes", "room"),
     [
         (("0", "1", 0), 100.0, [7, 6, 5], 400.0),
+        (("0", "1", 5), 380.0, [2, 1, 0], 120.0),
         (("1", "2", 6), 50.0, [1, 0, -1], 50.0),
     ],
 )
@@ -142,6 +148,12 @@ def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_cl
     beside = seen_from("merge-v0", ("b", "c", 1), 10.0)
     assert not beside.open[2].any()
     assert beside.edges[1] == pytest.approx(2.0, abs=0.01)
+
+
+def test_the_left_lane_of_a_two_way_road_is_open():
+    seen = seen_from("two-way-v0", ("a", "b", 1), 100.0)
+    assert seen.open.all(axis=1).tolist() == [True, True, False]
+    assert [*seen.lanes[0], *(seen.edges[0] + 2.0)] == pytest.approx([-4.0] * 2 * KNOTS, abs=0.01)
 
 
 def test_lanes_of_those_who_come_are_paved_and_no_part_of_the_robots_road():
@@ -228,3 +240,10 @@ def test_leaders_are_the_nearest_cars_ahead_on_the_same_path():
     assert seen.leaders[[near, middle, far]].tolist() == [far, -1, -1]
     assert seen.gaps[near] == pytest.approx(30.0, abs=0.01)
     assert seen.moving[[near, middle, far]].all()
+
+
+def test_obstacles_stand_still():
+    seen = seen_from("merge-v0", ("b", "c", 2), 10.0)
+    (standing,) = np.flatnonzero(seen.present & ~seen.moving)
+    assert seen.sizes[standing].tolist() == [2.0, 2.0]
+    assert seen.states[standing, 3] == 0

@@ -68,6 +68,26 @@ def test_a_car_that_is_not_solid_is_hit_where_highway_env_sees_the_bodies_overla
     assert 0.2 < np.mean(hits) < 0.8
 
 
+def test_a_scripted_car_keeps_its_velocity_against_friction():
+    _, car = road_with((ScriptedVehicle, (0.0, 0.0), 20.0))
+    for _ in range(30):
+        car.act({"steering": 0.3, "acceleration": -5.0})
+        car.step(0.1)
+    assert car.speed == pytest.approx(20.0)
+    np.testing.assert_allclose(car.position, [60.0, 0.0])
+
+
+def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
+    road, human, _ = road_with((HumanVehicle, (0.0, 1.0), 16.0), (ScriptedVehicle, (-60.0, 4.0), 20.0))
+    road.objects.append(Cone(road, [40.0, 4.0]))
+    drive(road, 40)
+    assert human.position[0] > 60.0
+    assert abs(human.position[1]) < 0.5
+    assert human.speed == pytest.approx(20.0, abs=1.5)
+    assert not human.crashed
+    assert human.last_step.status == "planned"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("leader_speed", "gaps"),  # between bumpers; at speed, the quartiles of drivers on US-101

@@ -48,7 +48,14 @@ def load_demonstrations(dataset: str) -> list[Recording]:
 
 
 def _recording(name: str, tracks: np.ndarray) -> Recording:
-    """Return an episode's observations [times, cars, presence and state] as a recording."""
+    """Return an episode's observations [times, cars, presence and state] as a recording.
+
+    Raises:
+        ValueError: if they are not finite: cars would seem to be out of sight.
+    """
+    if not np.isfinite(tracks).all():
+        step, car, _ = np.argwhere(~np.isfinite(tracks))[0]
+        raise ValueError(f"{name} is not finite at step {step}, car {car}")
     game = demonstration_game()
     return Recording(
         name=name,
@@ -89,6 +96,19 @@ def _data_directory(dataset: str) -> Path:
     except ValueError as error:
         raise ValueError(f"{dataset!r} names no data set ({error}); name it like ms-highway/maxent-v0") from error
     return get_dataset_path(dataset) / "data"
+
+
+def lock_of(dataset: str) -> Path:
+    """Return the directory to hold while recording; its name is hidden, so that Minari looks for no data there.
+
+    Raises:
+        ValueError: if the name is no name of a data set.
+        ImportError: without the packages of the extra ``demonstrations``.
+    """
+    _data_directory(dataset)  # which checks the name
+    from minari.storage import get_dataset_path
+
+    return get_dataset_path() / f".recording-{dataset.replace('/', '-')}"
 
 
 def count_episodes(dataset: str, provenance: dict[str, Any]) -> int:

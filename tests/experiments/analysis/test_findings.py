@@ -69,6 +69,12 @@ def test_tables_show_the_steps_whose_plans_failed_where_there_are_any():
     assert cells(summary(table), "merger")["fallback steps"].tolist() == ["2", "0"]
 
 
+def test_tables_of_sweeps_show_the_steps_whose_plans_failed_as_well():
+    table = pd.DataFrame({"controller": ["naive", "naive", "turn"], "seed": [0, 1, 2], "fallbacks": [0, 3, 0]})
+    table = table.assign(scenario="merger", reward=1.0, counted_seconds=0.1, share_naive=1.0, collisions=0)
+    assert cells(summary(table), "merger")["fallback steps"].tolist() == ["3", "0"]
+
+
 def test_counted_milliseconds_have_two_digits_and_a_table_names_the_controllers_without_them():
     table = records(naive=[1], tom=[2], idm=[3]).replace({"counted_seconds": {0.09: 0.000432}})
     assert cells(summary(table), "merger")["counted ms"].tolist() == ["0.43", "370", ""]
