@@ -217,3 +217,14 @@ def test_an_escape_is_followed_where_the_next_plan_fails_and_plans_go_on_from_th
     goes_on = driver.step(now).plan
     np.testing.assert_array_equal(goes_on, bold.step(now).plan)
     assert np.abs(goes_on - fixed(game).step(now).plan).max() > 1e-3
+
+
+def test_a_warm_start_goes_on_from_the_last_plan(played):
+    game, state = played("merger")
+    cold, warm = fixed(game), fixed(persistent(game))
+    state = np.asarray(state)
+    first = [controller.step(state) for controller in (cold, warm)]
+    np.testing.assert_array_equal(first[0].plan, first[1].plan)
+    again = [controller.step(state) for controller in (cold, warm)]
+    np.testing.assert_array_equal(again[0].plan, first[0].plan)
+    assert abs(again[1].plan - first[1].plan).max() > 1e-3

@@ -14,10 +14,11 @@ from episodes import drive, make
 from gymnasium.utils.env_checker import check_env
 
 import ms_highway
-from ms_highway.envs import SCENARIOS, environment_id
+from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
 from ms_highway.envs.stage import Timing
+from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import COMFORT
-from ms_highway.game.scenario import PAPER_UNIT
+from ms_highway.game.scenario import COMMON_WEIGHTS, PAPER_UNIT
 
 ACTIONS = {
     "autopilot": {"type": "Autopilot"},
@@ -340,3 +341,29 @@ def test_a_copy_through_pickle_goes_on_like_the_original(controller):
         (observation, reward, *_), (other, others, *_) = env.step(0), twin.step(0)
         np.testing.assert_array_equal(observation, other)
         assert reward == others
+
+
+def test_a_continuous_action_drives_the_robot():
+    env = make("merger", action=ACTIONS["continuous"])
+    _, states, *_ = drive(env, steps=1, action=np.array([1.0, 0.0]))
+    before, after = states[:, 0, 3]
+    assert after == pytest.approx(before + 0.1 * (5.0 - 0.2 * before))  # 5 m/s^2 against 0.2 1/s of friction
+
+
+def test_a_longer_time_step_makes_fewer_steps_of_the_same_episode():
+    inner, states, rewards, _ = drive(make("merger", time_step=0.2, horizon=3))
+    assert len(rewards) == 20
+    assert inner.metadata["render_fps"] == 5
+    assert states[-1, 2, 0] - states[0, 2, 0] == pytest.approx(4.0 * states[0, 2, 3], rel=1e-3)
+
+
+@pytest.mark.parametrize("scenario", PAPER_SCENARIOS)
+@pytest.mark.parametrize(("semantics", "choice"), [("paper", "learned"), ("released", "published")])
+def test_humans_drive_for_what_belongs_to_the_semantics(scenario, semantics, choice):
+    driving = {"learned": shipped("demonstrations").weights, "published": COMMON_WEIGHTS}[choice]
+    aims = {name: weight for name, weight in SCENARIOS[scenario].human_weights.items() if name not in COMMON_WEIGHTS}
+    for config in ({"semantics": semantics}, {"semantics": semantics, "human_reward": choice}):
+        game = make(scenario, **config).unwrapped.game
+        assert weights_of(game) == pytest.approx(driving | aims)
+        robot = dict(zip(game.robot.names, game.robot.weights.tolist(), strict=True))
+        assert {name: weight for name, weight in robot.items() if weight} == SCENARIOS[scenario].robot_weights

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from episodes import drive, make
 
+from ms_highway.envs.graphics import model_color
 from ms_highway.envs.short_names import named_controller
 
 AGENT = {"type": "ContinuousAction"}
@@ -111,3 +112,12 @@ def test_a_robot_that_is_too_late_for_its_budget_drives_on_with_what_it_has_and_
         assert [info["status"] for info in infos] == ["late"] * 3
         assert states[1, 0, 3] < states[0, 0, 3] - 0.5
         assert env.render().shape == shape
+
+
+def test_humans_have_the_colours_of_the_models_that_predict_them():
+    env = make("dense_merge", "tom", "rgb_array", duration=0.3)
+    drive(env)
+    picture, surface = env.render(), env.unwrapped.viewer.sim_surface
+    for human in env.unwrapped.humans:
+        x, y = surface.vec2pix(human.position + np.array([-1.2, 0.6]))
+        np.testing.assert_array_equal(picture[int(y), int(x)], model_color("tom"))

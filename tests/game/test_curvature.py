@@ -1,11 +1,14 @@
 """How rewards bend along a motion, beside derivatives by JAX."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
 
 from ms_highway.game import curvature as bending
+from ms_highway.game.collision_risk import CAR_SHARPNESS, CONTACT, NEAR, body_points
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import linear_reward
@@ -62,3 +65,40 @@ def test_no_reward_bends_upwards_whatever_its_weights():
         reward = linear_reward({name: random.normal(0, 100) for name in names}, 20.0, gap=0.3 * PAPER_UNIT)
         bent = np.asarray(curvature(GAME.scene, reward, own, observe(near))[0])
         assert np.linalg.eigvalsh(bent)[0] > -1e-4 * np.abs(bent).max()
+
+
+@pytest.mark.parametrize(("y", "heading"), [(-5.6, 0.1), (-5.6, -0.1), (2.3, 0.1), (2.3, -0.1)])
+def test_on_both_sides_the_edge_of_the_road_bends_position_and_heading_as_the_reward_does(y, heading):
+    reward = linear_reward({"off_road": -2500.0}, 20.0)
+    bent = np.asarray(curvature(GAME.scene, reward, motion(y, heading), FAR)[0])
+    exact = np.asarray(hessian(GAME.scene, reward, motion(y, heading), FAR))
+    assert bent[1, 1] > 0
+    assert bent[1, 1] == pytest.approx(exact[1, 1], rel=0.35)
+    assert np.sign(bent[1, 3]) == np.sign(exact[1, 3])
+    assert np.sign(bent[1, 2]) == np.sign(exact[1, 2])
+
+
+def test_closeness_bends_by_the_squares_of_the_slopes_of_distances_and_their_own_bend():
+    """The distance of each point of the body, written down once more, and differentiated by JAX."""
+    own, other = motion(-1.5, 0.1), motion(-3.3, -0.05, x=3.0)
+    weights = {"collision_risk": -1.0, "collision": -100.0}
+    px, py = body_points(GAME.scene)
+
+    def excess(fields):
+        x, y, cosine, sine = fields
+        at = jnp.stack([x + cosine * px - sine * py - other.x, y + sine * px + cosine * py - other.y])
+        turned = jnp.array([[other.cosine[0], other.sine[0]], [-other.sine[0], other.cosine[0]]])
+        return jnp.sum((2 * (turned @ at) / jnp.asarray(GAME.scene.car_size)[:, None]) ** 2, axis=0) - 1
+
+    fields = jnp.concatenate([jnp.asarray(field) for field in own[:4]])
+    value, slopes, bends = jax.jit(lambda at: (excess(at), jax.jacfwd(excess)(at), jax.hessian(excess)(at)))(fields)
+    bend = CAR_SHARPNESS**2 * jnp.exp(-CAR_SHARPNESS * value) + 600 * CONTACT * jnp.maximum(NEAR - value, 0)
+    assert (value < NEAR).any()
+    fall = CAR_SHARPNESS * jnp.exp(-CAR_SHARPNESS * value) + 300 * CONTACT * jnp.maximum(NEAR - value, 0) ** 2
+    expected = jnp.einsum("p,pf,pg->fg", bend, slopes, slopes)
+    expected += jnp.einsum("p,pfg->fg", fall, bends)
+    others = Motion(*(jnp.stack([close, far]) for close, far in zip(other, (field[0] for field in FAR), strict=True)))
+    scene = replace(GAME.scene, obstacles=np.zeros((0, 2)))
+    np.testing.assert_allclose(
+        curvature(scene, linear_reward(weights, 20.0), own, others)[0, :4, :4], expected, rtol=1e-3, atol=1e-3
+    )

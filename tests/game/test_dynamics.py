@@ -117,3 +117,8 @@ def test_controls_within_the_grip_are_kept_and_others_scaled_onto_the_friction_c
 def test_a_car_that_rolls_backwards_is_stopped():
     held = within_grip(PAPER, 8.0, np.array(-0.3), np.array([0.0, -5.0]))
     assert step(PAPER, np.array([0.0, 0.0, 0.0, -0.3]), held)[3] == pytest.approx(0.0)
+
+
+def test_a_rollout_refuses_quadratic_friction():
+    with pytest.raises(ValueError, match="linear friction"):
+        rollout(RELEASED_WORLD, jnp.zeros(4), jnp.zeros((5, 2)))

@@ -6,6 +6,7 @@ from operator import getitem
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from ms_highway.game.learned_reward import SHIPPED, load, save, shipped
 from ms_highway.game.scenario import COMMON_WEIGHTS
@@ -61,3 +62,11 @@ def test_what_is_no_file_or_no_json_is_refused(tmp_path):
         load(tmp_path / "half.json")
     with pytest.raises(ValueError, match="no learned reward 'us102' comes with ms_highway"):
         shipped("us102")
+
+
+def test_an_interval_is_as_wide_as_its_covariance_says():
+    learned = shipped("demonstrations")
+    wide = structs.replace(learned, covariance=(4 * np.array(learned.covariance)).tolist())
+    narrow_low, narrow_high = learned.interval("speed")
+    wide_low, wide_high = wide.interval("speed")
+    assert np.log(wide_high / wide_low) == pytest.approx(2 * np.log(narrow_high / narrow_low))

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game.dynamics import observe
-from ms_highway.game.game import move, swap_roles
+from ms_highway.game.dynamics import Motion, observe
+from ms_highway.game.game import move, swap_roles, trajectory_curvature, trajectory_reward
 from ms_highway.game.scenario import GRIP, build_game
 from ms_highway.game.scenarios import DENSE_MERGE, STAY_BACK
-from ms_highway.game.stopping import ASIDE, ROOM, stopping_cost
+from ms_highway.game.stopping import ASIDE, ROOM, stopping_cost, stopping_curvature
 from ms_highway.planning.human_models import Naive
 from ms_highway.planning.several import plan_for
 
@@ -65,3 +65,50 @@ def test_a_robot_without_a_gap_beside_it_plans_to_stop_in_time_and_no_earlier_th
     plan = jax.jit(lambda state: plan_for((Naive(),), GAME, state, jnp.zeros(3, int)).robot)(state)
     x, *_, speed = np.asarray(move(GAME, state[0], plan))[:, HALF]
     assert -3.0 < x + speed**2 / (2 * GRIP) - STOP < 2.0
+
+
+BRAKING = SPEED**2 / (2 * GRIP)
+
+
+def test_a_car_pays_from_where_it_can_no_longer_stop_with_room_to_steer_out():
+    assert cost(STOP - BRAKING - 0.1) == 0.0
+    assert cost(STOP - BRAKING + CAR) == pytest.approx(1 / 1.2**4, rel=1e-3)
+    assert cost(STOP - BRAKING + CAR, CONE[1], SPEED - 1.0) < cost(STOP - BRAKING + CAR)
+
+
+@pytest.mark.parametrize("late", [0.01, 0.5, 6.0, 30.0])
+def test_the_curvature_is_that_of_squares_and_has_no_jump(late):
+    """At 30 m, the car is passing the obstacle."""
+    own = motion(STOP - BRAKING + late, CONE[1] - 0.4 * WIDTH)
+    moment = np.array([field[HALF] for field in own], float)
+
+    def lateness(fields):
+        path = jnp.asarray(np.stack(own)).at[:, HALF].set(fields)
+        return np.sqrt(float(stopping_cost(SCENE, GRIP, Motion(*path)).sum()))
+
+    bumps = np.diag([0.02, 0.02, 0.02, 0.02, 0.02])
+    slopes = np.array([(lateness(moment + bump) - lateness(moment - bump)) / 0.04 for bump in bumps])
+    bent = np.asarray(stopping_curvature(SCENE, GRIP, own))
+    assert not bent[np.arange(STEPS) != HALF].any()
+    np.testing.assert_allclose(bent[HALF], 2 * np.outer(slopes, slopes), rtol=0.05, atol=2e-3)
+
+
+def test_without_a_limit_of_braking_only_the_gap_counts():
+    slopes = jax.grad(lambda own: stopping_cost(SCENE, np.inf, Motion(*own)).sum())(jnp.stack(motion(STOP + 1.0)))
+    assert np.isfinite(slopes).all()
+    assert slopes[0].any()
+    assert not slopes[4].any()
+
+
+def test_reward_and_curvature_of_a_plan_hold_the_cost_at_the_price_of_a_collision():
+    state = jnp.asarray([[STOP - 38.0, 0.0, 0.0, SPEED], *[[300.0 + place, -3.3, 0.0, SPEED] for place in (0, 9, 18)]])
+    own, nobody = motion(STOP - 20.0), jnp.zeros((0, 5, STEPS))
+    price = 100 * float(stopping_cost(GAME.scene, GRIP, own).sum())
+    assert price > 10.0
+    weights = GAME.robot.weights * (np.array(GAME.robot.names) != "collision")
+    free = replace(GAME, robot=replace(GAME.robot, weights=weights))
+    paid, free_of_it = (trajectory_reward(game, state, jnp.stack(own), nobody) for game in (GAME, free))
+    assert paid - free_of_it == pytest.approx(-price, rel=1e-3)
+    bent, straight = (trajectory_curvature(game, state, jnp.stack(own), nobody) for game in (GAME, free))
+    expected = 100 * stopping_curvature(GAME.scene, GRIP, own)
+    np.testing.assert_allclose((bent - straight)[HALF], expected[HALF], rtol=1e-3, atol=0.1)

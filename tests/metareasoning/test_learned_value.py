@@ -233,3 +233,8 @@ def test_over_the_cheapest_rung_doubts_and_failed_estimates_choose_it(two):
     failed = chosen(rule, game, np.full_like(state, np.nan))
     assert failed.failed
     assert failed.memory.rungs.tolist() == [0, 0]
+
+
+def test_lambda_0_plans_with_the_top_rung_and_a_very_large_one_with_the_cheapest():
+    assert set(models_of(learned(0.0))) == {"tom"}
+    assert set(models_of(learned(1e5))) == {"naive"}

@@ -114,3 +114,8 @@ def test_what_is_not_finite_is_never_the_best():
     candidates = jnp.arange(3.0)[:, None]
     assert best_of(candidates, jnp.array([jnp.nan, -1.0, jnp.inf])) == 1.0
     assert np.isnan(best_of(candidates, jnp.full(3, jnp.nan))).all()  # so that a plan fails, and says so
+
+
+def test_a_reward_that_is_not_concave_is_climbed_too():
+    waves, start = objective(lambda path: jnp.sum(jnp.cos(3 * path)) * 5), jnp.full((6, 2), 0.9)
+    assert waves.earned(convex_newton_steps(waves, start)) > waves.earned(start) + 1.0

@@ -90,3 +90,13 @@ def test_a_car_that_stands_before_an_obstacle_leaves_its_lane_once_the_other_is_
     path = np.asarray(move(game, state[0], left))
     assert path[1, -1] < float(game.scene.target_lane) / 2
     assert path[4, -1] > 5.0
+
+
+def test_a_car_stays_in_its_lane_until_its_place_in_a_narrow_gap_is_beside_it(game, ways):
+    _, states = ways(traffic(game, [-17.0, -6.0]))
+    into = np.asarray(states[0])
+    middle = SPEED * 0.1 * np.arange(1, 61) - 60.0 - 11.5
+    beside = int(np.argmax(np.abs(into[:, 0] - middle) < 2.5))
+    assert beside > 5
+    assert np.abs(into[:beside, 1]).max() < 0.1
+    assert into[-1, 1] == pytest.approx(float(game.scene.target_lane), abs=0.1)

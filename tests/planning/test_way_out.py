@@ -104,3 +104,13 @@ def test_a_robot_that_cannot_stop_before_the_cones_brakes_as_hard_as_it_can(game
     found = escape(state, jnp.asarray((steady + np.array([0.0, 4.0])) / scale, jnp.float32))
     assert bool(found.replaces)
     assert (np.asarray(found.controls[0]) * scale - steady)[1] == pytest.approx(-8.0, abs=0.1)
+
+
+def test_the_controls_of_an_escape_are_those_that_avoid_the_collision(game, moved, escape):
+    state, cruise = beside(game, [-8.0, 0.0, 8.0]), jnp.array([0.0, 0.12])
+    while not (found := escape(state, cruise)).replaces:
+        state = step(game.dynamics, state, keep_velocity(game.dynamics, state))
+    assert found.controls.shape == (game.planner.horizon, 2)
+    for control in found.controls:
+        state, collides = moved(state, control)
+        assert not collides
