@@ -209,7 +209,7 @@ class InteractionEnv(StageEnv):
             own, human = swap_roles(game, number), cars[1 + number]
             driver = fixed(own) if yields is None else Unmoved(own, yields)
             human.drive_with(driver, [car for car in cars if car is not human])
-        if isinstance(self.action_type, (Autopilot, HumanModelAction)):
+        if isinstance(self.action_type, Autopilot):
             if self.settings.beliefs == "learned":
                 game = self.game
             cars[0].drive_with(self._driver(game), cars[1:])
@@ -272,7 +272,7 @@ class InteractionEnv(StageEnv):
 
     def _simulate(self, action: Any = None) -> None:
         """Let all cars plan and move, evaluate the robot's new state, and let the agent pay for the model it chose."""
-        if self._costs is None and isinstance(self.action_type, (Autopilot, HumanModelAction)):
+        if self._costs is None and isinstance(self.action_type, Autopilot):
             self.costs(self.car_states)  # measured in the first step, as JAX must not begin before it
             if self.robot.controller is not None and self.settings.controller.chooses:
                 self.robot.drive_with(self._driver(self.robot.controller.game), self.road.vehicles[1:])
@@ -288,9 +288,10 @@ class InteractionEnv(StageEnv):
         info, step, streams = super()._info(obs, action), self.robot.last_step, bool(self.scenario.streams)
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
+            if self.steps:
+                info["success"] = self.success
         if self.steps:
             info["human_status"] = tuple(human.last_step and human.last_step.status for human in self.humans)
-            info |= {"success": self.success} if streams else {}
         if step is None:
             return info
         info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
@@ -298,9 +299,10 @@ class InteractionEnv(StageEnv):
         asked, controller = isinstance(self.action_type, HumanModelAction), self.settings.controller
         clocked = self.settings.measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and controller.budget is not None)
-        info["gains"], counted = step.highest_gains(), self.counted_seconds(step.thought)
-        known = {"belief": step.belief, "counted_seconds": counted}
-        info |= {name: value for name, value in known.items() if value is not None}
+        info["gains"] = step.highest_gains()
+        for name, value in (("belief", step.belief), ("counted_seconds", self.counted_seconds(step.thought))):
+            if value is not None:
+                info[name] = value
         if streams:
             info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}
         return info

@@ -89,15 +89,13 @@ class ConfiguredEnv(AbstractEnv):
         """
         self.options = options or {}
         refuse_unknown("the reset options", self.options, self.reset_options)
-        before, self._running = (self.config, self._coming, self._running, self.time, self.steps), False
+        before, self._running = dict(vars(self)), False
         try:
             if self._coming or "config" in self.options:
                 self.configure(self.options.get("config"))
             start = super().reset(seed=seed)
         except Exception:
-            self.config, self._coming, self._running, self.time, self.steps = before
-            self._read()
-            self.define_spaces()
+            vars(self).update(before)
             raise
         self._running = True
         if self.config["manual_control"]:

@@ -4,9 +4,8 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import partial
 from itertools import accumulate
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -15,8 +14,7 @@ import numpy as np
 import pygame
 import pygame.freetype
 from highway_env.envs.common.graphics import EnvViewer
-from highway_env.road.graphics import LaneGraphics
-from highway_env.vehicle.graphics import VehicleGraphics
+from highway_env.road.graphics import LaneGraphics, RoadGraphics
 
 from ms_highway.control.controller import ControlStep
 from ms_highway.game.dynamics import step as move
@@ -50,6 +48,7 @@ MARGIN = 16  # px
 TEXT_WIDTH = 440  # px, left part of the panel
 LARGE, MEDIUM, SMALL = 24, 15, 13  # px, sizes of texts
 NAMED = 60  # px, width from which on a part of a bar is named
+FONT = f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf"
 WORST = -10.0  # reward below which the curve is cut: a collision would dwarf everything
 
 
@@ -60,15 +59,9 @@ def words(text: str, size: int, color: Color, ground: Color | None = None) -> py
     any of highway-env's viewers ends the font module.
     """
     pygame.freetype.init()
-    font = pygame.freetype.Font(_font_file(), size)
+    font = pygame.freetype.Font(FONT, size)
     font.kerning = font.pad = True
-    surface, _ = font.render(text, color, ground)
-    return surface
-
-
-@cache
-def _font_file() -> str:
-    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
+    return font.render(text, color, ground)[0]
 
 
 def model_color(name: str | None) -> Color:
@@ -149,8 +142,7 @@ class InteractionViewer(Viewer):
             pygame.draw.circle(surface, PAPER, surface.vec2pix(cone.position), surface.pix(cone.WIDTH / 4))
         for place, human in enumerate(env.humans if len(env.humans) > 1 else ()):
             human.color = model_color(step.models[place] if step else env.settings.models[0].name)
-        for car in env.road.vehicles:
-            VehicleGraphics.display(car, surface, offscreen=self.offscreen)
+        RoadGraphics.display_traffic(env.road, surface, offscreen=self.offscreen)
         if step:
             self._draw_plan(step)
         self._draw_names(above - 14, below + 14)
@@ -175,13 +167,15 @@ class InteractionViewer(Viewer):
 
     def _draw_names(self, above: int, below: int) -> None:
         """Draw the names of robot and human at the roadside; of several humans, a number on each roof."""
-        humans, (robot, *first) = self.env.humans, self.env.scenario.cars
-        if first and robot[1] < first[0][1]:
+        humans, (robot, *others) = self.env.humans, self.env.scenario.cars
+        if others and robot[1] < others[0][1]:
             above, below = below, above
-        labels = [(str(1 + place), human, 0) for place, human in enumerate(humans)]
+        labels = {"robot": (self.env.robot, below)}
         if len(humans) == 1:
-            labels = [("human", humans[0], above)]
-        for name, car, roadside in (("robot", self.env.robot, below), *labels):
+            labels["human"] = humans[0], above
+        else:
+            labels |= {str(place): (human, 0) for place, human in enumerate(humans, 1)}
+        for name, (car, roadside) in labels.items():
             x, y = self.sim_surface.vec2pix(car.position)
             self._write(name, MEDIUM, center=(x, roadside or y))
 
