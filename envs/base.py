@@ -183,7 +183,7 @@ class InteractionEnv(StageEnv):
         for car in cars[: 1 + humans]:
             car.dynamics = jax.tree.map(float, self.game.world)
         self.road.objects = [Cone(self.road, place) for place in np.asarray(self.game.scene.obstacles, dtype=float)]
-        self._drive(cars, states)
+        self._drive()
         self.history, self._collided = [], False
 
     @property
@@ -202,17 +202,16 @@ class InteractionEnv(StageEnv):
             return [bool(each) for each in random.uniform(size=humans) < 0.5]
         return [{"never": False, "always": True}.get(kind)] * humans
 
-    def _drive(self, cars: list[Any], states: State) -> None:
-        """Say who drives the cars, which are in these states."""
-        game = replace(self.game, humans=replace(self.game.humans, weights=self.weights))
+    def _drive(self) -> None:
+        """Give the cars their drivers."""
+        cars, game = self.road.vehicles, replace(self.game, humans=replace(self.game.humans, weights=self.weights))
         for number, yields in enumerate(self.draw_yielding(self.np_random)):
-            own, human = swap_roles(game, number), cars[1 + number]
+            own, human = swap_roles(game, number), self.humans[number]
             driver = fixed(own) if yields is None else Unmoved(own, yields)
             human.drive_with(driver, [car for car in cars if car is not human])
         if isinstance(self.action_type, Autopilot):
-            if self.settings.beliefs == "learned":
-                game = self.game
-            cars[0].drive_with(self._driver(game), cars[1:])
+            believed = game if self.settings.beliefs == "true" else self.game
+            self.robot.drive_with(self._driver(believed), cars[1:])
 
     def _driver(self, game: Game) -> Driver:
         """Return the robot's driver, with unknown costs if they are yet to be measured."""

@@ -45,7 +45,7 @@ MODEL_MEANINGS = {
 INK, FAINT, PAPER, CONE = (32, 36, 44), (125, 130, 140), (250, 250, 247), (255, 120, 20)
 GRID, GROUND, ASPHALT = (215, 218, 224), (205, 218, 195), (96, 100, 106)
 MARGIN = 16  # px
-TEXT_WIDTH = 440  # px, left part of the panel
+TEXT_WIDTH, CHART = 440, 42  # px, width of the panel's left part, height of a chart
 LARGE, MEDIUM, SMALL = 24, 15, 13  # px, sizes of texts
 NAMED = 60  # px, width from which on a part of a bar is named
 FONT = f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf"
@@ -91,8 +91,8 @@ class Viewer(EnvViewer):
     """highway-env's viewer, which here draws also without a display, beside others of its kind."""
 
     def __init__(self, env: Any) -> None:
-        displays = {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()
-        if env.render_mode == "rgb_array" and sys.platform == "linux" and not displays:
+        screen = {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()
+        if env.render_mode == "rgb_array" and sys.platform == "linux" and not screen:
             os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # or else SDL complains that there is no screen
         super().__init__(env)
         self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
@@ -186,15 +186,16 @@ class InteractionViewer(Viewer):
         if not history:
             self._write(f"{title(env.scenario.name)}: the episode starts", MEDIUM, topleft=(MARGIN, top + MARGIN))
             return
+        steps, rewards = zip(*history, strict=True)
         arrived = env.scenario.streams and env.success
         happened = "COLLISION" if env.collision else "in the target lane" if arrived else ""
-        lines = [f"step {len(history)}    reward {history[-1].reward:+.2f}    {happened}"]
-        chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, (self.panel_height - 66) // 2)
-        self._draw_curve(chart.move(0, chart.height + 28), [shown.reward for shown in history])
+        lines = [f"step {len(history)}    reward {rewards[-1]:+.2f}    {happened}"]
+        chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, CHART)
+        self._draw_curve(chart.move(0, CHART + 28), rewards)
         if step:
             lines += [self._times(step), self._remarks(step)]
             self._draw_models(step, MARGIN, top + 10)
-            self._draw_bars(chart, [shown.step for shown in history])
+            self._draw_bars(chart, steps)
             if step.belief is not None:
                 self._draw_beliefs(step.belief, top + 122)
         else:
@@ -228,8 +229,8 @@ class InteractionViewer(Viewer):
 
     def _draw_beliefs(self, belief: Belief, top: int) -> None:
         """Draw the probabilities of the models of every human, side by side, behind its number."""
+        width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
         for place, shares in enumerate(belief):
-            width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
             left = start = MARGIN + place * width
             if len(belief) > 1:
                 start = self._write(str(place + 1), SMALL, topleft=(left, top)).right + 3
@@ -247,10 +248,12 @@ class InteractionViewer(Viewer):
         self._write(f"{high:.3g}", SMALL, FAINT, midright=(box.left - 8, box.top))
         self._write(f"{low:.3g}", SMALL, FAINT, midright=(box.left - 8, box.bottom))
         pygame.draw.line(self.sim_surface, FAINT, box.bottomleft, box.bottomright)
-        width, bars = box.width / max(self.env.episode_steps, len(values)), []
-        for place, height in enumerate(np.interp(values, [low, high], [3, box.height])):
-            bars.append(pygame.Rect(box.left + place * width, box.bottom - height, max(1, width - 2), height))
-        return bars
+        width = box.width / max(self.env.episode_steps, len(values))
+        heights = np.interp(values, [low, high], [3, box.height])
+        return [
+            pygame.Rect(box.left + place * width, box.bottom - height, max(1, width - 2), height)
+            for place, height in enumerate(heights)
+        ]
 
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
         """Draw a bar per step in the colours of the humans' models: its height is the time of planning for one."""

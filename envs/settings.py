@@ -81,9 +81,8 @@ class Settings(Struct, frozen=True):
         seconds = self.seconds
         for model in self.models:
             if seconds is not None and model.name not in seconds:
-                raise ValueError(
-                    f"config['costs'] is {self.costs!r}, without seconds for {model.name!r}; say 'measured' or give them"
-                )
+                why = f"without seconds for {model.name!r}; say 'measured' or give them"
+                raise ValueError(f"config['costs'] is {self.costs!r}, {why}")
 
     def check(self, scenario: Scenario) -> None:
         """Check what depends on the scenario; warn of gradient steps that overshoot.
