@@ -17,7 +17,7 @@ from highway_env.envs.common.observation import (
     LidarObservation,
     OccupancyGridObservation,
 )
-from msgspec import NODEFAULT, Meta, Struct, ValidationError, convert, field, to_builtins
+from msgspec import Meta, Struct, ValidationError, convert, field, to_builtins
 from msgspec.structs import fields
 
 from ms_highway.game.scenario import TIME_STEP
@@ -100,7 +100,7 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
     for key, each in known.items():
         if key in values:
             _check(f"{place}[{key!r}]", values[key], each.type)
-        elif each.default is each.default_factory is NODEFAULT:
+        elif each.required:
             raise ValueError(f"{place} needs {key!r}: {_remedy(each.type, 'give it')}")
     try:
         return convert(values, kind)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import matplotlib
@@ -25,7 +25,7 @@ from ms_highway.planning.effort import Effort, base_of
 from ms_highway.planning.human_models import MODELS, PACKAGE_MODELS, cheapest_first, human_model, is_model
 from ms_highway.runtime.arrays import Belief, Car, Controls
 
-Color = tuple[int, int, int]
+Color = tuple[int, ...]
 
 MODEL_COLORS: dict[str, Color] = {
     "naive": (112, 178, 214),
@@ -78,8 +78,7 @@ def model_color(name: str | None) -> Color:
     if not isinstance(model, Effort):
         return color
     paler = PALEST * max(0.0, 1 - (model.steps or FULL) / FULL)
-    red, green, blue = (round((part + paler * (255 - part)) * (DARKER if model.warm else 1)) for part in color)
-    return red, green, blue
+    return tuple(round((part + paler * (255 - part)) * (DARKER if model.warm else 1)) for part in color)
 
 
 def model_meaning(name: str) -> str:
@@ -109,13 +108,6 @@ class Viewer(EnvViewer):
         """Close the window, if there is one; other environments of the process may still be drawing."""
         if not self.offscreen:
             pygame.display.quit()
-
-
-class Shown(NamedTuple):
-    """What is shown of a step: the robot's own record, if it plans, and its reward."""
-
-    step: ControlStep | None
-    reward: float
 
 
 class InteractionViewer(Viewer):
@@ -220,12 +212,14 @@ class InteractionViewer(Viewer):
     def _remarks(self, step: ControlStep) -> str:
         """Say why the only human's model plans, where the cones are, and what became of the plan."""
         rule, cones = self.env.robot.controller.rule, self.env.distance_to_cones
-        remarks = {
-            _reason(step, isinstance(rule, LearnedValue)): len(step.models) == 1 and not isinstance(rule, Order),
-            f"cones in {cones:.0f} m": self.env.scenario.streams and cones < np.inf,
-            step.status: step.status != "planned",
-        }
-        return "    ".join(remark for remark, holds in remarks.items() if holds)
+        remarks = []
+        if len(step.models) == 1 and not isinstance(rule, Order):
+            remarks.append(_reason(step, isinstance(rule, LearnedValue)))
+        if self.env.scenario.streams and cones < np.inf:
+            remarks.append(f"cones in {cones:.0f} m")
+        if step.status != "planned":
+            remarks.append(step.status)
+        return "    ".join(remarks)
 
     def _draw_beliefs(self, belief: Belief, top: int) -> None:
         """Draw the probabilities of the models of every human, side by side, behind its number."""
