@@ -281,7 +281,7 @@ class InteractionEnv(StageEnv):
         step = self.robot.last_step
         if isinstance(self.action_type, HumanModelAction) and step:
             self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * self.counted_seconds(step.thought))
-        self.history.append((step, self._reward(action)))
+        self.history.append((step, sum(self._terms.values())))
 
     def _info(self, obs: Any, action: Any = None) -> Config:
         """Describe the last step, see `InteractionEnv`."""

@@ -185,7 +185,7 @@ class InteractionViewer(Viewer):
         chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, CHART)
         self._draw_curve(chart.move(0, CHART + 28), rewards)
         if step:
-            lines += [self._times(step), self._remarks(step)]
+            lines += self._thoughts(step)
             self._draw_models(step, MARGIN, top + 10)
             self._draw_bars(chart, steps)
             if step.belief is not None:
@@ -204,22 +204,18 @@ class InteractionViewer(Viewer):
         if alone:
             self._write(model_meaning(step.model), SMALL, topleft=(left, top + 8))
 
-    def _times(self, step: ControlStep) -> str:
-        budget = self.env.robot.controller.budget
-        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": budget}
-        return ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in times.items() if seconds)
-
-    def _remarks(self, step: ControlStep) -> str:
-        """Say why the only human's model plans, where the cones are, and what became of the plan."""
-        rule, cones = self.env.robot.controller.rule, self.env.distance_to_cones
-        remarks = []
-        if len(step.models) == 1 and not isinstance(rule, Order):
-            remarks.append(_reason(step, isinstance(rule, LearnedValue)))
+    def _thoughts(self, step: ControlStep) -> tuple[str, str]:
+        """Return two lines: the times; why the only human's model plans, the way to the cones, the plan's status."""
+        controller, cones, remarks = self.env.robot.controller, self.env.distance_to_cones, []
+        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": controller.budget}
+        if len(step.models) == 1 and not isinstance(controller.rule, Order):
+            remarks.append(_reason(step, isinstance(controller.rule, LearnedValue)))
         if self.env.scenario.streams and cones < np.inf:
             remarks.append(f"cones in {cones:.0f} m")
         if step.status != "planned":
             remarks.append(step.status)
-        return "    ".join(remarks)
+        taken = [f"{name} {1e3 * seconds:.1f} ms" for name, seconds in times.items() if seconds]
+        return ", ".join(taken), "    ".join(remarks)
 
     def _draw_beliefs(self, belief: Belief, top: int) -> None:
         """Draw the probabilities of the models of every human, side by side, behind its number."""

@@ -1,6 +1,5 @@
 """The settings of an `ms_highway.envs.base.InteractionEnv`: what its configuration says."""
 
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 from warnings import warn
 
@@ -149,26 +148,21 @@ class Settings(Struct, frozen=True):
         """Whether choices depend on planning times that are measured: the same seed may then be another episode."""
         return self.costs == "measured" or (self.costs == "shipped" and self.controller.budget is not None)
 
-    @property
-    def human_weights(self) -> Mapping[str, float]:
-        """Weights of the reward that the humans' rewards are drawn around, by name."""
-        reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
-        if isinstance(reward, str):
-            return shipped("demonstrations").weights if reward == "learned" else COMMON_WEIGHTS
-        return reward
-
     def game(self, scenario: Scenario) -> Game:
         """Build the game of a scenario, in which all humans have the reward that theirs are drawn around."""
         limit = self.control_limit
         if limit is None and self.semantics == "paper":
             limit = scenario.control_limit
+        reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
+        if isinstance(reward, str):
+            reward = dict(shipped("demonstrations").weights if reward == "learned" else COMMON_WEIGHTS)
         return build_game(
             scenario,
             self.semantics,
             None if limit == "unlimited" else limit,
             self.grip,
             solver=self.solver,
-            human_driving=self.human_weights,
+            human_driving=reward,
             planning=self.planning,
             humans=self.humans,
         )
