@@ -8,11 +8,12 @@ import jax
 import numpy as np
 from highway_env.road.road import Road
 
+from ms_highway.control.controller import ControlStep
 from ms_highway.control.driver import Driver, drivable, fixed
 from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.configuration import Changes, Config, read_own
 from ms_highway.envs.controllers import controller_settings
-from ms_highway.envs.graphics import InteractionViewer, Shown
+from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction
 from ms_highway.envs.stage import Cone, StageEnv, Timing, straight_road
@@ -107,14 +108,14 @@ class InteractionEnv(StageEnv):
         settings: of the configuration.
         game: that the robot believes in; another one is played, by the humans too, from the next reset on.
         weights: of every human's own reward.
-        history: what is shown of every step.
+        history: the record of every step, None where the robot does not plan, and its reward.
     """
 
     scenario: ClassVar[Scenario]
     settings_type, viewer_type = Settings, InteractionViewer
     reset_options = ("initial_states", "config")
     settings: Settings
-    history: list[Shown]
+    history: list[tuple[ControlStep | None, float]]
 
     @classmethod
     def default_config(cls) -> Config:
@@ -183,7 +184,7 @@ class InteractionEnv(StageEnv):
         for car in cars[: 1 + humans]:
             car.dynamics = jax.tree.map(float, self.game.world)
         self.road.objects = [Cone(self.road, place) for place in np.asarray(self.game.scene.obstacles, dtype=float)]
-        self._drive(cars, states)
+        self._drive()
         self.history, self._collided = [], False
 
     @property
@@ -202,25 +203,24 @@ class InteractionEnv(StageEnv):
             return [bool(each) for each in random.uniform(size=humans) < 0.5]
         return [{"never": False, "always": True}.get(kind)] * humans
 
-    def _drive(self, cars: list[Any], states: State) -> None:
-        """Say who drives the cars, which are in these states."""
-        game = replace(self.game, humans=replace(self.game.humans, weights=self.weights))
+    def _drive(self) -> None:
+        """Give the cars their drivers."""
+        cars, game = self.road.vehicles, replace(self.game, humans=replace(self.game.humans, weights=self.weights))
         for number, yields in enumerate(self.draw_yielding(self.np_random)):
-            own, human = swap_roles(game, number), cars[1 + number]
+            own, human = swap_roles(game, number), self.humans[number]
             driver = fixed(own) if yields is None else Unmoved(own, yields)
             human.drive_with(driver, [car for car in cars if car is not human])
-        if isinstance(self.action_type, (Autopilot, HumanModelAction)):
-            if self.settings.beliefs == "learned":
-                game = self.game
-            cars[0].drive_with(self._driver(game), cars[1:])
+        if isinstance(self.action_type, Autopilot):
+            self._drive_robot(game if self.settings.beliefs == "true" else self.game)
 
-    def _driver(self, game: Game) -> Driver:
-        """Return the robot's driver, with unknown costs if they are yet to be measured."""
+    def _drive_robot(self, game: Game) -> None:
+        """Give the robot its driver, with unknown costs if they are yet to be measured."""
         settings, controller = self.settings, controller_settings(self.config["controller"])
         start = settings.start(self._costs or settings.known_costs, self.episode_steps, self.np_random)
         asked = isinstance(self.action_type, HumanModelAction)
         rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)
-        return Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
+        driver = Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
+        self.robot.drive_with(driver, self.road.vehicles[1:])
 
     def costs(self, states: State) -> Costs:
         """Planning times on the ladder; where they are to be measured, once after each change of the configuration."""
@@ -230,7 +230,7 @@ class InteractionEnv(StageEnv):
             self._costs = measure_costs(self.game, models, states, quantile=quantile, way_out=way_out)
         if self._seconds is None:
             seconds = (self._costs.base + np.asarray(self._costs.each)).tolist()
-            self._seconds = {model.name: own for model, own in zip(models, seconds, strict=True)}
+            self._seconds = dict(zip((model.name for model in models), seconds, strict=True))
         return self._costs
 
     def counted_seconds(self, names: Sequence[str]) -> float | None:
@@ -266,31 +266,32 @@ class InteractionEnv(StageEnv):
     def distance_to_cones(self) -> float:
         """From the robot's front to the first cone ahead in its lane, infinite without one [m]."""
         x, y = self.robot.position
-        within, lengths = float(self.game.scene.lane_width) / 2, Cone.LENGTH + self.robot.LENGTH
-        ahead = [cone.position[0] - x for cone in self.road.objects if abs(cone.position[1] - y) < within]
-        return min((gap - lengths / 2 for gap in ahead if gap > 0), default=np.inf)
+        half_lane, lengths = float(self.game.scene.lane_width) / 2, Cone.LENGTH + self.robot.LENGTH
+        gaps = [cone.position[0] - x for cone in self.road.objects if abs(cone.position[1] - y) < half_lane]
+        return min((gap for gap in gaps if gap > 0), default=np.inf) - lengths / 2
 
     def _simulate(self, action: Any = None) -> None:
         """Let all cars plan and move, evaluate the robot's new state, and let the agent pay for the model it chose."""
-        if self._costs is None and isinstance(self.action_type, (Autopilot, HumanModelAction)):
+        if self._costs is None and isinstance(self.action_type, Autopilot):
             self.costs(self.car_states)  # measured in the first step, as JAX must not begin before it
             if self.robot.controller is not None and self.settings.controller.chooses:
-                self.robot.drive_with(self._driver(self.robot.controller.game), self.road.vehicles[1:])
+                self._drive_robot(self.robot.controller.game)
         super()._simulate(action)
         self._collided |= self.collision
         step = self.robot.last_step
         if isinstance(self.action_type, HumanModelAction) and step:
             self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * self.counted_seconds(step.thought))
-        self.history.append(Shown(step, sum(self._terms.values())))
+        self.history.append((step, sum(self._terms.values())))
 
     def _info(self, obs: Any, action: Any = None) -> Config:
         """Describe the last step, see `InteractionEnv`."""
         info, step, streams = super()._info(obs, action), self.robot.last_step, bool(self.scenario.streams)
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
+            if self.steps:
+                info["success"] = self.success
         if self.steps:
             info["human_status"] = tuple(human.last_step and human.last_step.status for human in self.humans)
-            info |= {"success": self.success} if streams else {}
         if step is None:
             return info
         info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
@@ -298,9 +299,10 @@ class InteractionEnv(StageEnv):
         asked, controller = isinstance(self.action_type, HumanModelAction), self.settings.controller
         clocked = self.settings.measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and controller.budget is not None)
-        info["gains"], counted = step.highest_gains(), self.counted_seconds(step.thought)
-        known = {"belief": step.belief, "counted_seconds": counted}
-        info |= {name: value for name, value in known.items() if value is not None}
+        info["gains"] = step.highest_gains()
+        for name, value in (("belief", step.belief), ("counted_seconds", self.counted_seconds(step.thought))):
+            if value is not None:
+                info[name] = value
         if streams:
             info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}
         return info

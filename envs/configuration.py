@@ -17,7 +17,7 @@ from highway_env.envs.common.observation import (
     LidarObservation,
     OccupancyGridObservation,
 )
-from msgspec import NODEFAULT, Meta, Struct, ValidationError, convert, field, to_builtins
+from msgspec import Meta, Struct, ValidationError, convert, field, to_builtins
 from msgspec.structs import fields
 
 from ms_highway.game.scenario import TIME_STEP
@@ -60,8 +60,6 @@ TYPES: Types = {
 }
 """Types of actions and observations, and the keys that they have."""
 
-REPLACED = ("human_reward",)  # mappings that are not merged: weights of two rewards do not belong together
-
 
 class ModelAction(Struct, frozen=True, tag_field="type", tag="HumanModelAction"):
     """What an action says by which the agent chooses models: the price of a second of planning."""
@@ -102,7 +100,7 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
     for key, each in known.items():
         if key in values:
             _check(f"{place}[{key!r}]", values[key], each.type)
-        elif each.default is each.default_factory is NODEFAULT:
+        elif each.required:
             raise ValueError(f"{place} needs {key!r}: {_remedy(each.type, 'give it')}")
     try:
         return convert(values, kind)
@@ -167,7 +165,14 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
     if not isinstance(changes, Mapping):
         raise ValueError(f"the configuration is {changes!r}; it must be a dictionary")
     refuse_unknown("config", changes, defaults)
-    config = {key: _merged_value(key, default, changes.get(key, default)) for key, default in defaults.items()}
+    config: Config = {}
+    for key, default in defaults.items():
+        value = changes.get(key, default)
+        if isinstance(value, Mapping):
+            before = default if isinstance(default, Mapping) and key != "human_reward" else {}
+            same_type = value.get("type", before.get("type")) == before.get("type")
+            value = {**before, **value} if same_type else dict(value)
+        config[key] = value
     read_own(kind, config)
     for key in defaults.keys() - {each.encode_name for each in fields(kind)}:
         scalar = {bool: bool, int: Positive, float: Positive}.get(type(defaults[key]))
@@ -191,10 +196,3 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
     if "steering_range" in keys:
         config["action"] = {"steering_range": STEERING_RANGE, **config["action"]}
     return config
-
-
-def _merged_value(key: str, default: Any, value: Any) -> Any:
-    if key in REPLACED or not isinstance(default, Mapping) or not isinstance(value, Mapping):
-        return value
-    same_type = value.get("type", default.get("type")) == default.get("type")
-    return {**default, **value} if same_type else dict(value)

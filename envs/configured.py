@@ -26,8 +26,6 @@ class ConfiguredEnv(AbstractEnv):
     reset_options: ClassVar[tuple[str, ...]] = ("config",)
     config: Config
     metadata: Config
-    time: float
-    steps: int
     action_space: spaces.Space | None
     _running, _coming = False, None  # whether there is an episode; the configuration of the next one
 
@@ -89,15 +87,13 @@ class ConfiguredEnv(AbstractEnv):
         """
         self.options = options or {}
         refuse_unknown("the reset options", self.options, self.reset_options)
-        before, self._running = (self.config, self._coming, self._running, self.time, self.steps), False
+        before, self._running = self.__dict__.copy(), False
         try:
             if self._coming or "config" in self.options:
                 self.configure(self.options.get("config"))
             start = super().reset(seed=seed)
         except Exception:
-            self.config, self._coming, self._running, self.time, self.steps = before
-            self._read()
-            self.define_spaces()
+            self.__dict__.update(before)
             raise
         self._running = True
         if self.config["manual_control"]:

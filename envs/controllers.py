@@ -27,7 +27,7 @@ ROUNDING = 1e-6  # how far a sum of shares may be from 1
 
 Models = Annotated[tuple[str, ...], Meta(min_length=1, description="give a list of human models")]
 Shares = Annotated[
-    dict[str, Annotated[float, Meta(ge=0, le=2)]],
+    dict[str, NotNegative],
     Meta(min_length=1, description="give the share of each model, such as {'naive': 0.7, 'tom': 0.3}"),
 ]
 File = Annotated[str | None, Meta(description="say 'shipped' or name a file of learned values")]
@@ -76,6 +76,10 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
         """Time of a cycle [s], None without one."""
         return None
 
+    def names(self) -> tuple[str, ...]:
+        """The names of the human models that are known when the episode starts."""
+        return ()
+
     def rule(self, start: Start) -> Any:
         """Return the `ms_highway.metareasoning.rule.Rule` of an episode, or its `Order`."""
         raise NotImplementedError
@@ -85,10 +89,6 @@ class OrderSettings(ControllerSettings, frozen=True):
     """Plans each step with models that are known when the episode starts."""
 
     chooses: ClassVar[bool] = False
-
-    def names(self) -> tuple[str, ...]:
-        """The names of its human models."""
-        raise NotImplementedError
 
     def __post_init__(self) -> None:
         for name in self.names():
@@ -230,10 +230,11 @@ class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
 
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
-        if self.values != ONE_STEP:
-            return Budget(replace(_learned(self.values, start, 0.0), cautious=False), start.costs, self.budget)
-        switching = Switching(start.costs, 0.0, start.ladder)
-        return Budget(OneStepGains(switching), start.costs, self.budget)
+        if self.values == ONE_STEP:
+            gains: Any = OneStepGains(Switching(start.costs, 0.0, start.ladder))
+        else:
+            gains = replace(_learned(self.values, start, 0.0), cautious=False)
+        return Budget(gains, start.costs, self.budget)
 
 
 class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
@@ -246,18 +247,20 @@ class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
         return Nearest(self.count, start.ladder)
 
 
-CLASSES = (
-    SwitchingSettings,
-    HorizonSettings,
-    LearnedSettings,
-    BudgetSettings,
-    NearestSettings,
-    FixedSettings,
-    ScheduleSettings,
-    PeriodSettings,
-    RandomSettings,
-)
-CONTROLLERS: dict[Any, type[ControllerSettings]] = {kind.__struct_config__.tag: kind for kind in CLASSES}
+CONTROLLERS: dict[Any, type[ControllerSettings]] = {
+    kind.__struct_config__.tag: kind
+    for kind in (
+        SwitchingSettings,
+        HorizonSettings,
+        LearnedSettings,
+        BudgetSettings,
+        NearestSettings,
+        FixedSettings,
+        ScheduleSettings,
+        PeriodSettings,
+        RandomSettings,
+    )
+}
 """The controllers by type."""
 
 CHOOSING = ["switching", "horizon", "learned"]

@@ -136,12 +136,12 @@ class DemonstrationEnv(StageEnv):
     @property
     def present(self) -> np.ndarray:
         """Which of the cars are there, the driver first."""
-        return np.arange(1 + OTHERS) < len(self.road.vehicles)
+        return np.arange(self.cars) < len(self.road.vehicles)
 
     @property
     def car_states(self) -> State:
         """``(x, y, heading, speed)`` of the driver and of the others in SI units; absent ones stand far behind."""
-        states = np.tile(ABSENT, (1 + OTHERS, 1))
+        states = np.tile(ABSENT, (self.cars, 1))
         states[: len(self.road.vehicles)] = states_of(self.road.vehicles)
         return states
 
@@ -181,16 +181,14 @@ def draw_routes(
         lanes: lateral position of each lane's centre, two or more.
         driver: state of the driver in the beginning; the routes start near it.
     """
-    routes: list[np.ndarray] = []
-    while len(routes) < cars:
-        routes = []
+    while True:
+        routes: list[np.ndarray] = []
         for _ in range(TRIES * cars):
             route = _draw_route(random, times, lanes, driver[0])
             if _clear(route[0], driver) and all(_clear(route, other).all() for other in routes):
                 routes.append(route)
             if len(routes) == cars:
-                break
-    return np.array(routes)
+                return np.array(routes)
 
 
 def _draw_route(random: np.random.Generator, times: Times, lanes: Vector, x: float) -> np.ndarray:

@@ -4,10 +4,9 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import partial
 from itertools import accumulate
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import matplotlib
@@ -15,8 +14,7 @@ import numpy as np
 import pygame
 import pygame.freetype
 from highway_env.envs.common.graphics import EnvViewer
-from highway_env.road.graphics import LaneGraphics
-from highway_env.vehicle.graphics import VehicleGraphics
+from highway_env.road.graphics import LaneGraphics, RoadGraphics
 
 from ms_highway.control.controller import ControlStep
 from ms_highway.game.dynamics import step as move
@@ -27,7 +25,7 @@ from ms_highway.planning.effort import Effort, base_of
 from ms_highway.planning.human_models import MODELS, PACKAGE_MODELS, cheapest_first, human_model, is_model
 from ms_highway.runtime.arrays import Belief, Car, Controls
 
-Color = tuple[int, int, int]
+Color = tuple[int, ...]
 
 MODEL_COLORS: dict[str, Color] = {
     "naive": (112, 178, 214),
@@ -47,9 +45,10 @@ MODEL_MEANINGS = {
 INK, FAINT, PAPER, CONE = (32, 36, 44), (125, 130, 140), (250, 250, 247), (255, 120, 20)
 GRID, GROUND, ASPHALT = (215, 218, 224), (205, 218, 195), (96, 100, 106)
 MARGIN = 16  # px
-TEXT_WIDTH = 440  # px, left part of the panel
+TEXT_WIDTH, CHART = 440, 42  # px, width of the panel's left part, height of a chart
 LARGE, MEDIUM, SMALL = 24, 15, 13  # px, sizes of texts
 NAMED = 60  # px, width from which on a part of a bar is named
+FONT = f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf"
 WORST = -10.0  # reward below which the curve is cut: a collision would dwarf everything
 
 
@@ -60,15 +59,9 @@ def words(text: str, size: int, color: Color, ground: Color | None = None) -> py
     any of highway-env's viewers ends the font module.
     """
     pygame.freetype.init()
-    font = pygame.freetype.Font(_font_file(), size)
+    font = pygame.freetype.Font(FONT, size)
     font.kerning = font.pad = True
-    surface, _ = font.render(text, color, ground)
-    return surface
-
-
-@cache
-def _font_file() -> str:
-    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
+    return font.render(text, color, ground)[0]
 
 
 def model_color(name: str | None) -> Color:
@@ -85,8 +78,7 @@ def model_color(name: str | None) -> Color:
     if not isinstance(model, Effort):
         return color
     paler = PALEST * max(0.0, 1 - (model.steps or FULL) / FULL)
-    red, green, blue = (round((part + paler * (255 - part)) * (DARKER if model.warm else 1)) for part in color)
-    return red, green, blue
+    return tuple(round((part + paler * (255 - part)) * (DARKER if model.warm else 1)) for part in color)
 
 
 def model_meaning(name: str) -> str:
@@ -98,8 +90,8 @@ class Viewer(EnvViewer):
     """highway-env's viewer, which here draws also without a display, beside others of its kind."""
 
     def __init__(self, env: Any) -> None:
-        displays = {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()
-        if env.render_mode == "rgb_array" and sys.platform == "linux" and not displays:
+        screen = {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()
+        if env.render_mode == "rgb_array" and sys.platform == "linux" and not screen:
             os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # or else SDL complains that there is no screen
         super().__init__(env)
         self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
@@ -116,13 +108,6 @@ class Viewer(EnvViewer):
         """Close the window, if there is one; other environments of the process may still be drawing."""
         if not self.offscreen:
             pygame.display.quit()
-
-
-class Shown(NamedTuple):
-    """What is shown of a step: the robot's own record, if it plans, and its reward."""
-
-    step: ControlStep | None
-    reward: float
 
 
 class InteractionViewer(Viewer):
@@ -149,8 +134,7 @@ class InteractionViewer(Viewer):
             pygame.draw.circle(surface, PAPER, surface.vec2pix(cone.position), surface.pix(cone.WIDTH / 4))
         for place, human in enumerate(env.humans if len(env.humans) > 1 else ()):
             human.color = model_color(step.models[place] if step else env.settings.models[0].name)
-        for car in env.road.vehicles:
-            VehicleGraphics.display(car, surface, offscreen=self.offscreen)
+        RoadGraphics.display_traffic(env.road, surface, offscreen=self.offscreen)
         if step:
             self._draw_plan(step)
         self._draw_names(above - 14, below + 14)
@@ -175,13 +159,15 @@ class InteractionViewer(Viewer):
 
     def _draw_names(self, above: int, below: int) -> None:
         """Draw the names of robot and human at the roadside; of several humans, a number on each roof."""
-        humans, (robot, *first) = self.env.humans, self.env.scenario.cars
-        if first and robot[1] < first[0][1]:
+        humans, (robot, *others) = self.env.humans, self.env.scenario.cars
+        if others and robot[1] < others[0][1]:
             above, below = below, above
-        labels = [(str(1 + place), human, 0) for place, human in enumerate(humans)]
+        labels = {"robot": (self.env.robot, below)}
         if len(humans) == 1:
-            labels = [("human", humans[0], above)]
-        for name, car, roadside in (("robot", self.env.robot, below), *labels):
+            labels["human"] = humans[0], above
+        else:
+            labels |= {str(place): (human, 0) for place, human in enumerate(humans, 1)}
+        for name, (car, roadside) in labels.items():
             x, y = self.sim_surface.vec2pix(car.position)
             self._write(name, MEDIUM, center=(x, roadside or y))
 
@@ -192,15 +178,16 @@ class InteractionViewer(Viewer):
         if not history:
             self._write(f"{title(env.scenario.name)}: the episode starts", MEDIUM, topleft=(MARGIN, top + MARGIN))
             return
+        steps, rewards = zip(*history, strict=True)
         arrived = env.scenario.streams and env.success
         happened = "COLLISION" if env.collision else "in the target lane" if arrived else ""
-        lines = [f"step {len(history)}    reward {history[-1].reward:+.2f}    {happened}"]
-        chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, (self.panel_height - 66) // 2)
-        self._draw_curve(chart.move(0, chart.height + 28), [shown.reward for shown in history])
+        lines = [f"step {len(history)}    reward {rewards[-1]:+.2f}    {happened}"]
+        chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, CHART)
+        self._draw_curve(chart.move(0, CHART + 28), rewards)
         if step:
-            lines += [self._times(step), self._remarks(step)]
+            lines += self._thoughts(step)
             self._draw_models(step, MARGIN, top + 10)
-            self._draw_bars(chart, [shown.step for shown in history])
+            self._draw_bars(chart, steps)
             if step.belief is not None:
                 self._draw_beliefs(step.belief, top + 122)
         else:
@@ -217,25 +204,23 @@ class InteractionViewer(Viewer):
         if alone:
             self._write(model_meaning(step.model), SMALL, topleft=(left, top + 8))
 
-    def _times(self, step: ControlStep) -> str:
-        budget = self.env.robot.controller.budget
-        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": budget}
-        return ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in times.items() if seconds)
-
-    def _remarks(self, step: ControlStep) -> str:
-        """Say why the only human's model plans, where the cones are, and what became of the plan."""
-        rule, cones = self.env.robot.controller.rule, self.env.distance_to_cones
-        remarks = {
-            _reason(step, isinstance(rule, LearnedValue)): len(step.models) == 1 and not isinstance(rule, Order),
-            f"cones in {cones:.0f} m": self.env.scenario.streams and cones < np.inf,
-            step.status: step.status != "planned",
-        }
-        return "    ".join(remark for remark, holds in remarks.items() if holds)
+    def _thoughts(self, step: ControlStep) -> tuple[str, str]:
+        """Return two lines: the times; why the only human's model plans, the way to the cones, the plan's status."""
+        controller, cones, remarks = self.env.robot.controller, self.env.distance_to_cones, []
+        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": controller.budget}
+        if len(step.models) == 1 and not isinstance(controller.rule, Order):
+            remarks.append(_reason(step, isinstance(controller.rule, LearnedValue)))
+        if self.env.scenario.streams and cones < np.inf:
+            remarks.append(f"cones in {cones:.0f} m")
+        if step.status != "planned":
+            remarks.append(step.status)
+        taken = [f"{name} {1e3 * seconds:.1f} ms" for name, seconds in times.items() if seconds]
+        return ", ".join(taken), "    ".join(remarks)
 
     def _draw_beliefs(self, belief: Belief, top: int) -> None:
         """Draw the probabilities of the models of every human, side by side, behind its number."""
+        width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
         for place, shares in enumerate(belief):
-            width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
             left = start = MARGIN + place * width
             if len(belief) > 1:
                 start = self._write(str(place + 1), SMALL, topleft=(left, top)).right + 3
@@ -253,10 +238,12 @@ class InteractionViewer(Viewer):
         self._write(f"{high:.3g}", SMALL, FAINT, midright=(box.left - 8, box.top))
         self._write(f"{low:.3g}", SMALL, FAINT, midright=(box.left - 8, box.bottom))
         pygame.draw.line(self.sim_surface, FAINT, box.bottomleft, box.bottomright)
-        width, bars = box.width / max(self.env.episode_steps, len(values)), []
-        for place, height in enumerate(np.interp(values, [low, high], [3, box.height])):
-            bars.append(pygame.Rect(box.left + place * width, box.bottom - height, max(1, width - 2), height))
-        return bars
+        width = box.width / max(self.env.episode_steps, len(values))
+        heights = np.interp(values, [low, high], [3, box.height])
+        return [
+            pygame.Rect(box.left + place * width, box.bottom - height, max(1, width - 2), height)
+            for place, height in enumerate(heights)
+        ]
 
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
         """Draw a bar per step in the colours of the humans' models: its height is the time of planning for one."""

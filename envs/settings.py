@@ -1,6 +1,5 @@
 """The settings of an `ms_highway.envs.base.InteractionEnv`: what its configuration says."""
 
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 from warnings import warn
 
@@ -9,7 +8,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import force_setattr
 
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
-from ms_highway.envs.controllers import ControllerSettings, OrderSettings, Start, controller_settings
+from ms_highway.envs.controllers import ControllerSettings, Start, controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
@@ -78,12 +77,11 @@ class Settings(Struct, frozen=True):
             refuse_unknown("config['human_reward']", self.human_reward, weight_names())
         if isinstance(self.costs, dict):
             refuse_unknown("config['costs']", self.costs, {*MODELS, *filter(is_model, self.costs)})
-        models, seconds = self.models, self.seconds
-        missing = seconds is not None and [model.name for model in models if model.name not in seconds]
-        if missing:
-            raise ValueError(
-                f"config['costs'] is {self.costs!r}, without seconds for {missing[0]!r}; say 'measured' or give them"
-            )
+        seconds = self.seconds
+        for model in self.models:
+            if seconds is not None and model.name not in seconds:
+                why = f"without seconds for {model.name!r}; say 'measured' or give them"
+                raise ValueError(f"config['costs'] is {self.costs!r}, {why}")
 
     def check(self, scenario: Scenario) -> None:
         """Check what depends on the scenario; warn of gradient steps that overshoot.
@@ -125,15 +123,15 @@ class Settings(Struct, frozen=True):
             return None
         named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS}
         given = named[self.costs] if isinstance(self.costs, str) else self.costs
-        others = map(human_model, self.controller.names()) if isinstance(self.controller, OrderSettings) else ()
-        known = {model.name: seconds_of(model, given, self._steps(model)) for model in (*others, *self.models)}
-        return {**given, **{name: seconds for name, seconds in known.items() if seconds is not None}}
-
-    def _steps(self, model: HumanModel) -> int:
-        """Return how many steps a model's plans take where it says nothing of its own."""
-        if self.solver != "convex_newton":
-            return gradient_steps(self.planning)[0]
-        return ANSWERED_STEPS if model.responds else STEPS
+        known = dict(given)
+        for model in (*map(human_model, self.controller.names()), *self.models):
+            steps = ANSWERED_STEPS if model.responds else STEPS
+            if self.solver != "convex_newton":
+                steps = gradient_steps(self.planning)[0]
+            seconds = seconds_of(model, given, steps)
+            if seconds is not None:
+                known[model.name] = seconds
+        return known
 
     def start(self, costs: Costs, steps: int, random: np.random.Generator) -> Start:
         """Return what a rule is built from: the costs of plans on the ladder, an episode's steps, and what draws."""
@@ -150,26 +148,21 @@ class Settings(Struct, frozen=True):
         """Whether choices depend on planning times that are measured: the same seed may then be another episode."""
         return self.costs == "measured" or (self.costs == "shipped" and self.controller.budget is not None)
 
-    @property
-    def human_weights(self) -> Mapping[str, float]:
-        """Weights of the reward that the humans' rewards are drawn around, by name."""
-        reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
-        if isinstance(reward, str):
-            return shipped("demonstrations").weights if reward == "learned" else COMMON_WEIGHTS
-        return reward
-
     def game(self, scenario: Scenario) -> Game:
         """Build the game of a scenario, in which all humans have the reward that theirs are drawn around."""
         limit = self.control_limit
         if limit is None and self.semantics == "paper":
             limit = scenario.control_limit
+        reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
+        if isinstance(reward, str):
+            reward = dict(shipped("demonstrations").weights if reward == "learned" else COMMON_WEIGHTS)
         return build_game(
             scenario,
             self.semantics,
             None if limit == "unlimited" else limit,
             self.grip,
             solver=self.solver,
-            human_driving=self.human_weights,
+            human_driving=reward,
             planning=self.planning,
             humans=self.humans,
         )

@@ -15,16 +15,16 @@ BELIEF = "+belief"
 MOST_DIGITS = 5  # of a number of steps
 
 SHORT_NAMES = {
-    "switching": ("lambda", "switching:0.1"),
-    "horizon": ("lambda", "horizon:0.1"),
-    "learned": ("lambda", "learned:0.1"),
-    "budget": ("milliseconds", "budget:20"),
-    "nearest": ("count", "nearest:2"),
-    "schedule": ("models", "schedule:tom=6,naive"),
-    "period": ("models", "period:tom=1,naive=3"),
-    "random": ("shares", "random:naive=0.7,tom=0.3"),
+    "switching": "switching:0.1",
+    "horizon": "horizon:0.1",
+    "learned": "learned:0.1",
+    "budget": "budget:20",
+    "nearest": "nearest:2",
+    "schedule": "schedule:tom=6,naive",
+    "period": "period:tom=1,naive=3",
+    "random": "random:naive=0.7,tom=0.3",
 }
-"""By type of the controller: the key that the second part of its short name fills, and an example."""
+"""An example of the short name of each type of controller; its second part, if any, fills the first key."""
 
 PACKAGE_CONTROLLERS = tuple(CONTROLLERS)
 
@@ -45,23 +45,23 @@ def add_rule(settings: type[ControllerSettings]) -> None:
     """
     if not issubclass(settings, ControllerSettings) or settings.rule is ControllerSettings.rule:
         raise ValueError(f"{settings.__name__} makes no rule; give a ControllerSettings with a method `rule`")
-    name = settings.__struct_config__.tag
-    if name in PACKAGE_CONTROLLERS or is_model(name) or not (str(name).isidentifier() and str(name).islower()):
+    name = str(settings.__struct_config__.tag)
+    if name in PACKAGE_CONTROLLERS or is_model(name) or not (name.isidentifier() and name.islower()):
         remedy = f"choose a tag of one word in lower case other than {', '.join(PACKAGE_CONTROLLERS)} and human models"
         raise ValueError(f"a rule cannot be called {name!r}; {remedy}")
-    own = [each for each in fields(settings) if each.name != "belief"]
     CONTROLLERS[name] = settings
-    SHORT_NAMES.pop(str(name), None)
+    SHORT_NAMES.pop(name, None)
+    if name in CHOOSING:
+        CHOOSING.remove(name)
+    own = _own_fields(name)
     if not any(each.required for each in own):
-        SHORT_NAMES[str(name)] = "", str(name)
+        SHORT_NAMES[name] = name
     if own and not any(each.required for each in own[1:]):
         with suppress(ValidationError):
             _parsed("1", own[0])
-            SHORT_NAMES[str(name)] = own[0].encode_name, f"{name}:1"
-    if name in CHOOSING:
-        CHOOSING.remove(name)
-    if SHORT_NAMES.get(str(name), ("",))[0] == "lambda":
-        CHOOSING.append(str(name))
+            SHORT_NAMES[name] = f"{name}:1"
+            if own[0].encode_name == "lambda":
+                CHOOSING.append(name)
 
 
 def named_controller(text: str) -> Any:
@@ -92,16 +92,14 @@ def controller_config(text: str) -> Config:
     config: Config = {"type": "fixed", "model": name}
     if not is_model(name):
         if kind not in SHORT_NAMES:
-            examples = ", ".join(example for _, example in SHORT_NAMES.values())
-            gone = replacement(kind)
+            examples, gone = ", ".join(SHORT_NAMES.values()), replacement(kind)
             raise ValueError(
                 gone or f"unknown controller {text!r}; name a model ({model_names()}), or one like {examples}"
             )
-        key, example = SHORT_NAMES[kind]
         try:
-            config = {"type": kind} | _parts(kind, key, rest)
+            config = {"type": kind} | _parts(kind, rest)
         except ValueError:
-            raise ValueError(f"controller {text!r} cannot be read; write it like {example}") from None
+            raise ValueError(f"controller {text!r} cannot be read; write it like {SHORT_NAMES[kind]}") from None
     if name != text:
         config["belief"] = True
     try:
@@ -111,24 +109,29 @@ def controller_config(text: str) -> Config:
     return config
 
 
-def _parts(kind: str, key: str, rest: str) -> Config:
+def _own_fields(kind: str) -> list[FieldInfo]:
+    """Return the fields of a controller that not all of them have."""
+    return [each for each in fields(CONTROLLERS[kind]) if each.name != "belief"]
+
+
+def _parts(kind: str, rest: str) -> Config:
     """Return what the second part of a short name says of a controller."""
+    own = _own_fields(kind)
+    if not rest and not any(each.required for each in own):
+        return {}
     if kind not in ("schedule", "period", "random"):
-        first = next((each for each in fields(CONTROLLERS[kind]) if each.encode_name == key), None)
-        if not rest and not (first and first.required):
-            return {}
         value, _, values = rest.partition(":")
-        if first is None or not value or value != value.strip():
+        if ":" not in SHORT_NAMES[kind] or not value or value != value.strip():
             raise ValueError  # the name would have spaces or line breaks, in files too
-        return {key: _parsed(value, first)} | ({"values": values} if values else {})
+        return {own[0].encode_name: _parsed(value, own[0])} | ({"values": values} if values else {})
     pairs = [part.split("=") for part in rest.split(",")]
     if kind == "random":
-        return {key: {name: float(share) for name, share in pairs}}
+        return {"shares": {name: float(share) for name, share in pairs}}
     if kind == "schedule":
         pairs[-1].append("1")  # the last model has no number of steps
     if any(len(steps) > MOST_DIGITS for _, steps in pairs):
         raise ValueError
-    return {key: [name for name, steps in pairs for _ in range(int(steps))]}
+    return {"models": [name for name, steps in pairs for _ in range(int(steps))]}
 
 
 def _parsed(text: str, of: FieldInfo) -> Any:

@@ -34,11 +34,10 @@ def evaluate(scene: Scene, driver: Reward, states: State) -> Float[jax.Array, "2
 
 def straight_road(game: Game) -> RoadNetwork:
     """Build highway-env's road network of a game's lanes, with the robot's speed limit."""
-    network, lanes, width = RoadNetwork(), np.asarray(game.scene.lanes, dtype=float), float(game.scene.lane_width)
-    solid, striped, none = LineType.CONTINUOUS_LINE, LineType.STRIPED, LineType.NONE
-    left = [solid, *np.where(np.diff(lanes) > 1.01 * width, striped, none)]
-    for y, *lines in zip(lanes, left, [*[striped] * (len(lanes) - 1), solid], strict=True):
-        limit = float(game.robot.speed_limit)
+    network, lanes = RoadNetwork(), np.asarray(game.scene.lanes, dtype=float)
+    width, limit = float(game.scene.lane_width), float(game.robot.speed_limit)
+    for y in lanes:
+        lines = [LineType.CONTINUOUS_LINE if y == edge else LineType.STRIPED for edge in (lanes[0], lanes[-1])]
         lane = StraightLane([ROAD_BEHIND, y], [ROAD_AHEAD, y], width=width, line_types=lines, speed_limit=limit)
         network.add_lane("start", "end", lane)
     return network
@@ -123,7 +122,7 @@ class StageEnv(ConfiguredEnv):
         if self.steps == 0:
             return info
         happened = {"collision": self.collision, "crashed": self.vehicle.hit, "control": dict(self.vehicle.action)}
-        return info | {"action": action, "rewards": self._rewards(action)} | happened
+        return info | happened | {"action": action, "rewards": self._rewards(action)}
 
     def render(self) -> np.ndarray | None:
         """Draw the road from above."""
