@@ -20,15 +20,15 @@ to 100.
 Among several humans (dense_merge, crossing_crowd), every human has a value of its own: what the robot earns more with
 this one human predicted by a more expensive model. The file is for learned:LAMBDA:FILE there.
 
-Starts are drawn anew, not by the numbered seeds of environments: all of those are held out, and `ms-highway frontier`
-shows on them how far learned:LAMBDA:FILE stays behind the best orders of models. The same --seed gives the same values.
-Rollouts are kept beside the file until it is written: a run that was stopped or killed goes on when it is started
-again."""
+After every round, the regret per step is shown: how far the rule stays behind the best of simple orders of models from
+starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts are drawn anew, not by the numbered seeds
+of environments: all of those are held out. The same --seed gives the same values. Rollouts are kept beside the file
+until it is written: a run that was stopped or killed goes on when it is started again."""
 
 EXAMPLES = """\
 examples:
   ms-highway values learn merger give_way --out values.npz
-  ms-highway frontier merger --controllers learned:1:values.npz
+  ms-highway compare merger --controllers tom learned:1:values.npz
   ms-highway values learn dense_merge crossing_crowd --out several.npz
   ms-highway --import zipper values learn zipper --out zipper.npz"""
 
@@ -48,7 +48,6 @@ def add_values(commands: Any) -> None:
     parser = add_command(commands, "values learn", "learn values of computation: when it pays to think", HELP, EXAMPLES)
     add_scenarios(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the values, such as values.npz")
-    add_number(parser, "--generated", 0, "random scenes to be learned on as well", 0, 1000)
     states = "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; "
     add_number(parser, "--states", None, states + "among several humans 100 in every round)")
     add_number(parser, "--rounds", None, "of rollouts and fits (default: 5; among several humans 2)", most=100)
@@ -81,10 +80,13 @@ def _learn(options: argparse.Namespace) -> None:
     values, kept = None, rollouts_directory(options.out)
     with telling() as tell:
         tell(f"{courses[0].name}: compiling")
-        for message, fitted in learn(learning, courses, kept, use_devices(options.devices)):
-            tell(message)
-            values = fitted or values
-    if values:
+        for done in learn(learning, courses, kept, use_devices(options.devices)):
+            tell(f"round {done.round} of {learning.rounds}: {done.course or 'fitted'}")
+            values = done.values or values
+            if done.regrets:
+                behind = ", ".join(f"{name} {regret:.3f}" for name, regret in done.regrets.items())
+                print(f"round {done.round}: held-out regret per step: {behind}", flush=True)
+    if values is not None:
         save_values(values, options.out)
     rmtree(kept, ignore_errors=True)
     print(f"values are in {options.out}")
@@ -96,13 +98,10 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     Raises:
         ValueError: naming what cannot be learned.
     """
-    from dataclasses import replace
-
     from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, environment_id
     from ms_highway.experiments.batch import make_batch
     from ms_highway.experiments.comparison import Comparison
     from ms_highway.experiments.directory import this_run
-    from ms_highway.experiments.values.generator import generated_courses
     from ms_highway.experiments.values.learning import Learning
     from ms_highway.experiments.values.rollouts import Course
     from ms_highway.metareasoning.rule import SHIPPED_COSTS
@@ -116,8 +115,6 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     if 0 < len(alone) < len(names):
         raise ValueError(f"{alone[0]} has one human, other scenarios several; learn them in a file each")
     if not alone:
-        if options.generated:
-            raise ValueError("--generated is for scenarios with one human")
         given = config.get("costs", {})
         config["costs"] = given if isinstance(given, str) else {**SHIPPED_COSTS, **given}
     solvers = [{"solver": solver} for solver in dict.fromkeys(options.solvers or [])]
@@ -148,7 +145,6 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         "versions": this_run()["versions"],
         **({"solver": [each["solver"] for each in solvers]} if solvers else {}),
         "scenarios": names,
-        "generated": options.generated,
         "seed": options.seed,
     }
     own = {} if alone else dict(SEVERAL)
@@ -156,9 +152,4 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     if options.states:
         own["states"] = options.states, -(-options.states * 5 // 8) if alone else options.states
     learning = Learning({name: costs[name] for name in models}, seed=options.seed, settings=settings, **own)
-    if options.generated:
-        loop, game = batches[0].loop, batches[0].environment.settings.game
-        every = tuple(range(len(models)))
-        random = learning.stream(0)
-        courses += generated_courses(lambda each: replace(loop, game=game(each)), every, options.generated, random)
     return learning, courses

@@ -4,7 +4,6 @@ ON_PAGE = "its figures are on the results page"
 RANKING = "use nearest:K, which no other ranking beat"
 PROCESSES = "run a cluster of dask.distributed and give its --scheduler"
 MEASURES = f"leave it out: it earned nothing measurable, and {ON_PAGE}"
-
 MAXENT = f"use the driver maxent; {ON_PAGE}"
 PREDICTOR = f"use fitted_idm or model; {ON_PAGE}"
 
@@ -29,6 +28,7 @@ RETIRED = {
     "report --markdown": "compare prints the table and writes summary.csv",
     "report --values": "compare draws what learned values estimate, in SCENARIO_decisions.png",
     "report --drivers": "irl evaluate prints the tables of predictions, and its --figures DIR draws them",
+    "values learn --generated": "name the scenarios to learn in, your own too with --import",
     "values learn --without": "what inputs of learned values are worth is on the results page",
     "irl record optimal": MAXENT,
     "irl record mpc": MAXENT,

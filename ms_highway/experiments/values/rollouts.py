@@ -64,7 +64,6 @@ class Course:
         draw: draws the start of every car and the weights of the humans' rewards.
         steps: of an episode, from which states are drawn.
         rungs: places of the course's own ladder in the ladder that is learned.
-        share: of the states that a whole course is given.
     """
 
     name: str
@@ -72,7 +71,6 @@ class Course:
     draw: Callable[[Random], tuple[State, HumansWeights]]
     steps: int
     rungs: tuple[int, ...]
-    share: float = 1.0
 
     @property
     def game(self) -> Game:
