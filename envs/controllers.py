@@ -19,7 +19,7 @@ from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switchi
 from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, human_model, is_model, model_names
-from ms_highway.runtime.retired import replacement
+from ms_highway.runtime import retired
 
 PLACE = "config['controller']"
 ONE_STEP = "one_step"  # name of the gains of budgets that Algorithm 1 estimates
@@ -112,7 +112,7 @@ class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
     model: str
 
     def names(self) -> tuple[str, ...]:
-        """See `OrderSettings.names`."""
+        """See `ControllerSettings.names`."""
         return (self.model,)
 
 
@@ -122,7 +122,7 @@ class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
     models: Models
 
     def names(self) -> tuple[str, ...]:
-        """See `OrderSettings.names`."""
+        """See `ControllerSettings.names`."""
         return tuple(name for step in self.models for name in step.split("/"))
 
     def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
@@ -158,7 +158,7 @@ class RandomSettings(OrderSettings, frozen=True, tag="random"):
             raise ValueError(f"{PLACE}['shares'] sum to {total:g}; change one, so that they sum to 1")
 
     def names(self) -> tuple[str, ...]:
-        """See `OrderSettings.names`."""
+        """See `ControllerSettings.names`."""
         return tuple(name for name, share in self.shares.items() if share > 0)
 
     def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
@@ -278,6 +278,6 @@ def controller_settings(config: Any) -> Any:
     """
     kind = config.get("type") if isinstance(config, Mapping) else None
     if kind not in list(CONTROLLERS):
-        gone = replacement(str(kind))
+        gone = retired.replacement(retired.CONTROLLERS, str(kind))
         raise ValueError(gone or f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
     return read(CONTROLLERS[kind], PLACE, config)

@@ -9,7 +9,7 @@ from msgspec.structs import FieldInfo, fields
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.controllers import CHOOSING, CONTROLLERS, ControllerSettings, controller_settings
 from ms_highway.planning.human_models import is_model, model_names
-from ms_highway.runtime.retired import replacement
+from ms_highway.runtime import retired
 
 BELIEF = "+belief"
 MOST_DIGITS = 5  # of a number of steps
@@ -92,7 +92,7 @@ def controller_config(text: str) -> Config:
     config: Config = {"type": "fixed", "model": name}
     if not is_model(name):
         if kind not in SHORT_NAMES:
-            examples, gone = ", ".join(SHORT_NAMES.values()), replacement(kind)
+            examples, gone = ", ".join(SHORT_NAMES.values()), retired.replacement(retired.CONTROLLERS, kind)
             raise ValueError(
                 gone or f"unknown controller {text!r}; name a model ({model_names()}), or one like {examples}"
             )

@@ -34,7 +34,7 @@ import lazy_loader  # noqa: E402
 from gymnasium.envs.registration import register as _register_environment  # noqa: E402
 from gymnasium.envs.registration import registry as _registry  # noqa: E402
 
-from ms_highway.runtime.retired import replacement  # noqa: E402
+from ms_highway.runtime.retired import NAMES, replacement  # noqa: E402
 
 if not interrupt.is_command():  # which loads it when it needs it
     import highway_env  # noqa: F401  # whose own environments are expected beside ours
@@ -49,7 +49,7 @@ def __getattr__(name: str) -> object:
     Raises:
         AttributeError: for an unknown name, and for a retired one, which says what to use instead.
     """
-    if gone := replacement(name):
+    if gone := replacement(NAMES, name):
         raise AttributeError(gone)
     return _load(name)
 

@@ -160,7 +160,7 @@ def _exact(state: Any, name: str) -> list[float]:
             f"{name} lacks an exact time, position, orientation or velocity; only exact ones can be read"
         ) from error
     if not (np.abs(sample) <= MOST_SAMPLED).all():
-        raise ValueError(f"{name} is at no time or place on Earth, or faster than any car: {sample}; {MEND}")
+        raise ValueError(f"{name} has a time, place or speed that is out of range: {sample}; {MEND}")
     return sample
 
 

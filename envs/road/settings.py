@@ -1,5 +1,6 @@
 """Read the configuration of a driver for stock environments."""
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
@@ -11,7 +12,7 @@ from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_un
 from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RungChoice
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.road.settings import MODELS, RoadPlanning
-from ms_highway.runtime.retired import replacement
+from ms_highway.runtime import retired
 from ms_highway.vehicle.road_robot import MARGIN
 
 DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
@@ -66,7 +67,7 @@ class RoadSettings(Struct, frozen=True):
             ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
         """
         config = {} if config is None else config
-        if gone := replacement(*config, str(config.get("driver"))):
+        if gone := retired.replacement(retired.DRIVERS, *re.findall(r"[\w:-]+", repr(config))):
             raise ValueError(gone)
         return read(cls, "config", config)
 

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
@@ -25,7 +26,6 @@ from ms_highway.planning.compiled_plans import CompiledPlans, Costs, checked_sta
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.several import plan_for
 from ms_highway.runtime.arrays import State
-from ms_highway.runtime.files import temporary_directory
 from ms_highway.runtime.jax_settings import low_latency, own_process
 from ms_highway.runtime.timing import forget, timed
 
@@ -108,10 +108,10 @@ def one_core() -> Iterator[None]:
 def _compile_seconds(plans: CompiledPlans, state: State) -> list[dict[str, float]]:
     """Return the seconds to trace and compile the plan of each rung, in order; leaves the user's cache alone."""
     kept = {name: jax.config.values[name] for name in (CACHE, CACHED_FROM)}
-    with temporary_directory() as directory:
+    with TemporaryDirectory() as directory:
         try:
             jax.config.update(CACHED_FROM, 0.0)
-            cold, _, cached = (_compile_each(plans, state, cache) for cache in (None, str(directory), str(directory)))
+            cold, _, cached = (_compile_each(plans, state, cache) for cache in (None, directory, directory))
         finally:
             for name, value in kept.items():
                 jax.config.update(name, value)

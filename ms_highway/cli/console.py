@@ -10,7 +10,7 @@ from itertools import pairwise
 from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from ms_highway.runtime.retired import replacement
+from ms_highway.runtime.retired import OPTIONS, replacement
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -46,7 +46,9 @@ class Command(argparse.ArgumentParser):
             ValueError: always.
         """
         command = next((word for word in self.words if word in self.names), self.prog.removeprefix("ms-highway "))
-        if gone := replacement(*(f"{command} {word.partition('=')[0]}" for word in self.words)):
+        words = " ".join(self.words).replace("=", " ").split()
+        given = [*words, *map(" ".join, pairwise(words))]
+        if gone := replacement(OPTIONS, *(f"{command} {each}" for each in given)):
             raise ValueError(gone)
         misplaced = message.startswith("unrecognized") and "--import" in message
         remedy = "--import MODULE goes before the command" if misplaced else f"see {self.prog} --help"

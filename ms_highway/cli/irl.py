@@ -228,13 +228,10 @@ def add_record(commands: Any) -> None:
 
 
 def _record(options: argparse.Namespace) -> None:
-    from ms_highway.irl.recordings.datasets import lock_of
     from ms_highway.irl.recordings.demonstrations import record
-    from ms_highway.runtime.files import held
 
     asked = options.driver, options.episodes, options.dataset, options.density, options.seed, options.temperature
-    with held(lock_of(options.dataset)):
-        counts = record(*asked)
-        already = next(counts)
-        done = count_episodes(counts, already, options.episodes)
+    counts = record(*asked)
+    already = next(counts)
+    done = count_episodes(counts, already, options.episodes)
     print(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")

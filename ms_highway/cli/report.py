@@ -40,7 +40,7 @@ def _report(options: argparse.Namespace) -> None:
 
     if len(options.directories) != 1:
         count = len(options.directories)
-        raise ValueError(f"a page shows one comparison, not {count}; name one directory of `ms-highway compare`")
+        raise ValueError(f"a page shows one comparison, not {count}; name one directory, such as results/compare")
     directory = options.directories[0]
     out = options.out or directory / "report.html"
     if out.suffix != ".html" or out.is_dir():

@@ -27,8 +27,9 @@ same.
 Episodes are shared by all devices (on CPUs, by default one per core), or, with --scheduler, by the workers of a cluster
 of dask.distributed, which return their rows: they need the same versions, and the modules of --import and the files
 that controllers name, but no disk in common. A part of a worker that is lost goes to another one. Episodes are the same
-byte for byte, however often the sweep is stopped and whatever computes it; only other kinds of CPUs may round
-otherwise. A scheduler of Dask runs what anyone sends who reaches it: keep it inside your own network.
+byte for byte, however often the sweep is stopped and whatever computes it; only other kinds of processors may round
+otherwise, so do not mix them. Whoever reaches a scheduler of Dask can run any program there: keep it inside your own
+network.
 
 Memory is bounded: about half a GB for every device, each of which compiles its own program, and 6 kB (with --steps 25)
 for every episode of --part, of which each device has one at a time. The summary at the end reads all rows per episode,
@@ -41,18 +42,18 @@ examples:
     --set costs=naive=0.001,turn=0.002,tom=0.01 --out results/crowd
   ms-highway sweep give_way --seeds 1000 --controllers tom schedule:tom={4,6,8},naive --out results/schedules
 
-on a cluster of Dask, of one machine or more (one line on each for workers):
+on a cluster of Dask; HOST runs the scheduler, and every machine the line with `dask worker`:
   dask scheduler &
-  dask worker tcp://localhost:8786 --nworkers 4 --nthreads 1 &
-  ms-highway sweep merger --lambdas 0.001:10:25 --scheduler tcp://localhost:8786 --out results/sweep
+  dask worker tcp://HOST:8786 --nworkers 4 --nthreads 1 &
+  ms-highway sweep merger --lambdas 0.001:10:25 --scheduler tcp://HOST:8786 --out results/sweep
 
-on a cluster of Slurm, a program for Python (pip install dask-jobqueue):
-  import subprocess
-  from dask_jobqueue import SLURMCluster
-  cluster = SLURMCluster(cores=4, processes=4, memory="8GB", walltime="04:00:00")  # of a job, with 4 workers
-  cluster.scale(jobs=10)
-  command = "ms-highway sweep merger --lambdas 0.001:10:25 --out results/sweep --scheduler"
-  subprocess.run([*command.split(), cluster.scheduler_address], check=True)"""
+on a cluster of Slurm (pip install dask-jobqueue), the Python program:
+import subprocess
+from dask_jobqueue import SLURMCluster
+cluster = SLURMCluster(cores=4, processes=4, memory="8GB", walltime="04:00:00")  # of a job, with 4 workers
+cluster.scale(jobs=10)
+command = "ms-highway sweep merger --lambdas 0.001:10:25 --out results/sweep --scheduler"
+subprocess.run([*command.split(), cluster.scheduler_address], check=True)"""
 
 
 def add_sweep(commands: Any) -> None:

@@ -30,7 +30,7 @@ def add_video(commands: Any) -> None:
     parser.add_argument("--against", metavar="CONTROLLER", help="a second controller, filmed from the same start")
     add_number(parser, "--seed", 0, "of the episode", 0, MOST_SEEDS)
     add_number(parser, "--speed", 1.0, "1 is true speed, 0.5 slow motion", 0.01, 100)
-    add_number(parser, "--width", None, "scale the video down to this width", 160, 1280, metavar="PIXELS")
+    add_number(parser, "--width", None, "scale the video to this width", 160, 1280, metavar="PIXELS")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4 or .gif file")
     add_keys(parser)
     parser.set_defaults(run=_video)

@@ -266,9 +266,8 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
             raise ValueError(f"costs are {one.costs!r}, and a simulation cannot measure plans; {remedy}")
         costs |= one.seconds
     controllers = {name: one.controller for name, one in zip(names, settings, strict=True)}
-    orders = [each for each in controllers.values() if isinstance(each, OrderSettings)]
-    used = {name for order in orders for name in order.names()}
-    used |= {Naive.name for order in orders if order.belief}
+    used = {name for each in controllers.values() for name in each.names()}
+    used |= {Naive.name for each in controllers.values() if each.belief and not each.chooses}
     used -= {model.name for model in settings[0].models}
     others = tuple(map(human_model, cheapest_first(used)))
     order = Order(np.zeros((1, 1), np.int32), settings[0].models)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import distributed
 import jax
+from distributed.comm import get_address_host_port
 
 from ms_highway.experiments.directory import PACKAGES
 from ms_highway.experiments.sweep import Compute, Sweep, Tables, compute_here
@@ -52,6 +53,7 @@ def connected(address: str, modules: Sequence[str] = ()) -> Iterator[Compute]:
     keeps = jax.config.values["jax_compilation_cache_dir"] is not None
     setup = Setup(tuple(modules), _versions(), os.environ.get("XLA_FLAGS", ""), keeps)
     try:
+        get_address_host_port(address, strict=True)
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         remedy = "start it with `dask scheduler` and give its address, such as tcp://host:8786"
@@ -71,15 +73,10 @@ def _check_workers(client: distributed.Client, address: str, setup: Setup) -> No
     Raises:
         ValueError: naming a worker that is not like this process.
     """
-    own = version(PACKAGES[0])
-    for worker, found in client.run(version, PACKAGES[0], on_error="return").items():  # what old versions answer, too
-        if found != own:
-            there = found if isinstance(found, str) else "missing"
-            reason = f"{PACKAGES[0]} is {there} there and {own} here"
-            raise ValueError(f"worker {worker} of {address}: {reason}; install {own} there and start it again")
     for worker, error in client.run(set_up, setup, on_error="return").items():
         if error is not None:
-            raise ValueError(f"worker {worker} of {address}: {error}")
+            remedy = "" if isinstance(error, ValueError) else f"; install {setup.versions[0]} there and start it again"
+            raise ValueError(f"worker {worker} of {address}: {error}{remedy}")
 
 
 def _versions() -> tuple[str, ...]:
@@ -108,7 +105,10 @@ def set_up(setup: Setup) -> None:
 
 def compute_there(sweep: Sweep, part: int, setup: Setup) -> tuple[int, Tables]:
     """Compute a part on this worker; return it with its rows."""
-    set_up(setup)
+    try:
+        set_up(setup)
+    except ValueError as error:
+        raise ValueError(f"worker {distributed.get_worker().address}: {error}") from error
     (done,) = compute_here(sweep, [part])
     return done
 

@@ -56,7 +56,7 @@ PUBLISHED = {
 """By scenario and short name of the controller; the paper compared no others."""
 
 
-REMEDY = "name a directory that `ms-highway compare` wrote"
+REMEDY = "name a directory that `ms-highway compare` wrote; frontier, bench road and irl evaluate have no pages"
 
 
 @dataclass(frozen=True)

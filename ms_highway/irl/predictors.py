@@ -10,7 +10,7 @@ from ms_highway.irl.driving import predict
 from ms_highway.irl.moments import Moments
 from ms_highway.irl.outlook import Modes, fit_spread
 from ms_highway.irl.peers import HIGHWAY_ENV_IDM, IdmParameters, fit_idm, idm, steady_motion
-from ms_highway.runtime.retired import replacement
+from ms_highway.runtime import retired
 from ms_highway.runtime.structures import read
 
 PEERS = {
@@ -66,7 +66,8 @@ def prediction(name: str, moments: Moments, learned: LearnedDrivers, others: Oth
         ValueError: for an unknown name, or motion of the others.
     """
     if name not in PREDICTORS:
-        raise ValueError(replacement(name) or f"predictor is {name!r}; choose one of {', '.join(PREDICTORS)}")
+        gone = retired.replacement(retired.PREDICTORS, name)
+        raise ValueError(gone or f"predictor is {name!r}; choose one of {', '.join(PREDICTORS)}")
     if name == "model":
         return Prediction(predict(moments, learned, others), learned.spread)
     peer = learned.peers[name]

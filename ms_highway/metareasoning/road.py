@@ -20,7 +20,6 @@ class RungChoice(Protocol):
 
     Attributes:
         looks: whether gains have to be known.
-        milliseconds: of a decision and a plan, at most.
     """
 
     looks: bool

@@ -4,7 +4,6 @@ import errno
 import json
 import os
 import shutil
-import tempfile
 import tokenize
 import zipfile
 import zlib
@@ -136,13 +135,6 @@ def temporary(path: Path) -> Iterator[Path]:
     finally:
         _remove(path)
         _temporary.discard(path)
-
-
-@contextmanager
-def temporary_directory() -> Iterator[Path]:
-    """Yield a new directory, `temporary` as well, in the system's place for such."""
-    with temporary(Path(tempfile.mkdtemp())) as path:
-        yield path
 
 
 def remove_temporary() -> None:

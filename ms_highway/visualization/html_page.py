@@ -36,7 +36,7 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
     """
     sections, summaries = [], results.summaries
     for scenario in results.scenarios:
-        progress(f"drawing {scenario}" + " and filming it" * videos)
+        progress(f"drawing {scenario}{' and filming it' if videos else ''}")
         table, drawn = results_table(results, scenario), figures(results.records, summaries, scenario)
         sections.append(
             {

@@ -109,7 +109,8 @@ def _imageio() -> Any:
 
 def _gif(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
     """Write a GIF with one palette and no dithering: what stands still costs nothing."""
-    palette = Image.fromarray(pictures[-1]).quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)  # which shows most colours
+    some = np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]])
+    palette = Image.fromarray(some).quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)
     images = [Image.fromarray(each).quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures]
     content, duration = io.BytesIO(), 1000 / frames_per_second  # ms
     images[0].save(content, "GIF", save_all=True, append_images=images[1:], duration=duration, loop=0, optimize=True)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from ms_highway.runtime.files import LOCK, append, held, reading, remove_temporary, replacing, temporary_directory, tidy
+from ms_highway.runtime.files import LOCK, append, held, reading, remove_temporary, replacing, temporary, tidy
 
 SIZE = 20_000  # bytes
 
@@ -102,8 +102,9 @@ def test_on_a_disk_without_locks_commands_write_all_the_same(kind, tmp_path, mon
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["results"]
 
 
-def test_what_is_temporary_can_be_removed_at_once():
-    with temporary_directory() as directory:
+def test_what_is_temporary_can_be_removed_at_once(tmp_path):
+    with temporary(tmp_path / "work") as directory:
+        directory.mkdir()
         (directory / "file").touch()
         remove_temporary()
         assert not directory.exists()

@@ -38,10 +38,10 @@ def run_blocks(
         ValueError: if a driver cannot be made.
     """
     reports: Queue[tuple[Block, Episode] | Future[None]] = Queue()  # episodes, and workers that are done
-    left, stopped = iter(blocks), Event()
+    remaining, stopped = iter(blocks), Event()
 
     def drive_blocks(core: int) -> None:
-        for block in left:
+        for block in remaining:
             with own_process(partial(_on_one_core, core), modules) as process:
                 firsts: dict[bool, int] = {}  # seeds of the first success and failure
                 for seed in seeds:

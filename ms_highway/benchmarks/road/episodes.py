@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ from ms_highway.envs.road import drive
 from ms_highway.envs.road.graphics import show
 from ms_highway.envs.road.settings import DRIVERS, RoadSettings
 from ms_highway.envs.road.stock import success
-from ms_highway.runtime.retired import replacement
+from ms_highway.runtime import retired
 
 UNPHYSICAL = 10.0
 """Acceleration [m/s^2] that no tyres hold."""
@@ -110,7 +111,7 @@ def check_driver(name: str) -> None:
         ModuleNotFoundError: if an agent needs what is not installed.
         ValueError: naming those that are.
     """
-    if gone := replacement(*name.split("+")):
+    if gone := retired.replacement(retired.DRIVERS, *name.split("+")):
         raise ValueError(gone)
     if is_agent(name):
         policy_of(name)
@@ -217,13 +218,18 @@ def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
     from ms_highway.visualization.video import scaled
 
     env: Any = make_driver(block, render_mode="rgb_array")
-    show(env)
-    pictures: list[np.ndarray] = []
-    run_episode(block._replace(exports=None), seed, env, lambda: pictures.append(env.render()))
-    env.close()
-    frequency, (height, width) = env.unwrapped.config["simulation_frequency"], pictures[0].shape[:2]
+    frequency, pictures, frames = env.unwrapped.config["simulation_frequency"], [], count()
     every = max(1, round(frequency / FRAMES_PER_SECOND))
-    return scaled(pictures[::every], width * min(HIGHEST, height) // height), frequency / every
+
+    def picture() -> None:
+        if next(frames) % every == 0:
+            pictures.append(env.render())
+
+    show(env)
+    run_episode(block._replace(exports=None), seed, env, picture)
+    env.close()
+    height, width = pictures[0].shape[:2]
+    return scaled(pictures, width * min(HIGHEST, height) // height), frequency / every
 
 
 def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:

@@ -37,14 +37,15 @@ def load_demonstrations(dataset: str) -> list[Recording]:
     try:
         stored = _minari().MinariDataset(data)
         provenance = stored.storage.metadata.get(PROVENANCE) or {}
-        if (provenance.get("format"), provenance.get("time_step")) != (FORMAT, TIME_STEP):
-            raise ValueError("it was not recorded by this version of the package")
-        episodes = [np.asarray(episode.observations, dtype=float) for episode in stored.iterate_episodes()]
-        if not episodes:
-            raise ValueError("it is empty")
-        return [_recording(f"episode {number}", tracks) for number, tracks in enumerate(episodes)]
+        known = (provenance.get("format"), provenance.get("time_step")) == (FORMAT, TIME_STEP)
+        episodes = [np.asarray(each.observations, dtype=float) for each in (stored.iterate_episodes() if known else ())]
+        recordings = [_recording(f"episode {number}", tracks) for number, tracks in enumerate(episodes)]
     except BROKEN as error:
         raise ValueError(f"data set {dataset} cannot be read ({error}); {REMEDY}") from error
+    if not recordings:
+        reason = "is empty" if known else "was not recorded by this version of the package"
+        raise ValueError(f"data set {dataset} {reason}; choose another, or record one with `ms-highway irl record`")
+    return recordings
 
 
 def _recording(name: str, tracks: np.ndarray) -> Recording:
@@ -98,19 +99,6 @@ def _data_directory(dataset: str) -> Path:
     return get_dataset_path(dataset) / "data"
 
 
-def lock_of(dataset: str) -> Path:
-    """Return the directory to hold while recording; its name is hidden, so that Minari looks for no data there.
-
-    Raises:
-        ValueError: if the name is no name of a data set.
-        ImportError: without the packages of the extra ``demonstrations``.
-    """
-    _data_directory(dataset)  # which checks the name
-    from minari.storage import get_dataset_path
-
-    return get_dataset_path() / f".recording-{dataset.replace('/', '-')}"
-
-
 def count_episodes(dataset: str, provenance: dict[str, Any]) -> int:
     """Return the number of episodes that a data set already has.
 
@@ -154,7 +142,7 @@ def add_episode(episode: Any, dataset: str, env: gym.Env, provenance: dict[str, 
             shutil.rmtree(copy, ignore_errors=True)
             shutil.copytree(data, copy)
             minari.MinariDataset(copy).update_dataset_from_buffer([episode])
-            for file in copy.iterdir():
+            for file in sorted(copy.iterdir()):  # main_data.hdf5 before metadata.json, which counts its episodes
                 file.replace(data / file.name)
             copy.rmdir()
             return

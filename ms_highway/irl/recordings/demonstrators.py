@@ -1,4 +1,4 @@
-"""The simulated demonstrator, which knows the other cars' future motion and prefers a known reward.
+"""The simulated demonstrator, which knows the other cars' future motion and draws its controls by a known reward.
 
 It plans a window of the planner's horizon, executes all of it, and plans the next. A window earns R_H, the sum of the
 reward over its steps less the discomfort of its controls, see `rollout_reward`.
