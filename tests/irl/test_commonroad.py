@@ -91,7 +91,10 @@ def test_cars_seen_once_are_neighbours_but_no_drivers(tmp_path):
         (scenario(cars=ALONE.replace(f"<exact>{TURN}", "<exact>inf")), "an orientation of inf rad"),
         (scenario(cars=ALONE + car(101, 1e9, 0)), "has a time, place or speed that is out of range"),
         (scenario(cars=ALONE.replace("<exact>3<", "<exact>9<")), "times of obstacle 100 do not follow each other"),
-        (scenario(cars=ALONE.replace("<exact>19<", "<exact>1000000000<")), "has a time, place or speed that is out of range"),
+        (
+            scenario(cars=ALONE.replace("<exact>19<", "<exact>1000000000<")),
+            "has a time, place or speed that is out of range",
+        ),
     ],
 )
 def test_bad_files_are_refused_by_name(tmp_path, text, problem):
