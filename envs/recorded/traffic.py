@@ -52,7 +52,7 @@ class Traffic(ABC):
         left_out: int | None,
         step: int,
     ) -> None:
-        """Put those on the road who are there at a step.
+        """Put the vehicles on the road that were recorded there at a step.
 
         Args:
             scenario: the recording.

@@ -1,4 +1,4 @@
-"""Drive the stock environments of highway-env: a wrapper, and what it needs to know of each scene.
+"""Drive the stock environments of highway-env: a wrapper, and the properties of each scene that it uses.
 
 Imports what `ms_highway.envs` does.
 """

@@ -75,7 +75,7 @@ def _check_workers(client: distributed.Client, address: str, setup: Setup) -> No
     """
     for worker, error in client.run(set_up, setup, on_error="return").items():
         if error is not None:
-            remedy = "" if isinstance(error, ValueError) else f"; install {setup.versions[0]} there and start it again"
+            remedy = "" if isinstance(error, ValueError | ImportError) else f"; install {setup.versions[0]} there"
             raise ValueError(f"worker {worker} of {address}: {error}{remedy}")
 
 

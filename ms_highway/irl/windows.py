@@ -66,7 +66,7 @@ def padded_lanes(recordings: Sequence[Recording]) -> list[Values]:
 
 
 def regular_windows(recordings: Sequence[Recording], steps: int) -> Windows:
-    """Cut the drivers' tracks into consecutive windows without overlap, of which the `regular` ones are returned.
+    """Cut the drivers' tracks into consecutive windows without overlap; return the `regular` ones.
 
     Args:
         recordings: the recordings to cut.

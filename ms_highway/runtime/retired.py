@@ -27,7 +27,7 @@ OPTIONS = {
     "irl record --driver optimal": MAXENT,
     "irl record --driver mpc": MAXENT,
 }
-"""Of commands, which come first, and their values, which come last."""
+"""Options by command, some with a value."""
 
 CONTROLLERS = dict.fromkeys(("ttc", "influence", "barrier", "risk"), NEAREST)
 DRIVERS = {
@@ -39,7 +39,7 @@ DRIVERS = {
     "traits": NULL,
     "belief": NULL,
 }
-"""Drivers of roads, what they knew of others, and a model."""
+"""Drivers of `bench road` and `drive`, their keys and suffixes, and a model."""
 
 PREDICTORS = dict.fromkeys(("turn_and_accelerate", "lane_modes"), FITTED)
 NAMES = {"RoadPolicy": "use ms_highway.drive(env, config), and step it with any action"}

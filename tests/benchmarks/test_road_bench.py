@@ -1,4 +1,4 @@
-"""Drivers in stock scenes and recordings: what is measured, whose fault collisions are, exports and the command."""
+"""Drivers in stock scenes and recordings: measures, faults in collisions, exports and the command."""
 
 import json
 from dataclasses import replace

@@ -94,7 +94,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(swept, tmp_path, mon
                     break
             time.sleep(0.01)
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
         command = f"--import mine {SWEEP} out --scheduler {cluster.scheduler_address}"
         with monkeypatch.context() as other:
             other.setattr("ms_highway.experiments.cluster._versions", lambda: ("jax 0.1",) * len(PACKAGES))

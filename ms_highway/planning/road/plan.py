@@ -109,7 +109,7 @@ def no_plan(planning: RoadPlanning) -> LastPlan:
 
 
 def proposals(now: Situation, rungs: Places, last: LastPlan) -> tuple[Profiles, Manners]:
-    """Return all proposals, and the manners of others who keep their speed, or follow from the model `IDM` on.
+    """Return all proposals, and the manners of other cars: those below the model `IDM` keep their speed, others follow.
 
     Args:
         now: the situation.
