@@ -39,7 +39,7 @@ DRIVERS = {
     "traits": NULL,
     "belief": NULL,
 }
-"""Drivers of `bench road` and `drive`, their keys and suffixes, and a model."""
+"""Drivers of roads, keys of their configuration, and a model."""
 
 PREDICTORS = dict.fromkeys(("turn_and_accelerate", "lane_modes"), FITTED)
 NAMES = {"RoadPolicy": "use ms_highway.drive(env, config), and step it with any action"}
