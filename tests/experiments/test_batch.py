@@ -12,12 +12,12 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, MEASURED, columns, state_columns
 from ms_highway.experiments.runner import episode, make_environment
 
-CONTROLLERS = ["nearest:2", "nearest:1", "random:naive=0.7,tom=0.3"]  # theory of mind about both, one, some
+CONTROLLERS = ["turn", "schedule:turn=5,naive"]
 STEPS = 10
-SHORT = {"humans": 2, "horizon": 5, "costs": {"naive": 0.001, "turn": 0.002, "tom": 0.005}}
+SHORT = {"humans": 2, "horizon": 5, "ladder": ["naive", "turn"], "costs": {"naive": 0.001, "turn": 0.005}}
 COMPARISON = Comparison({"dense_merge": CONTROLLERS}, seeds=1, config=SHORT)
 STATES = [name for car in CARS for name in state_columns(car)]
-MEANS = ["reward", "counted_seconds", "humans_turn", "humans_tom"]
+MEANS = ["reward", "counted_seconds", "humans_turn"]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_an_episode_agrees_with_the_environment_step_by_step(batch, records):
         np.testing.assert_allclose(records.states[place, :STEPS], states, atol=1e-3)
         np.testing.assert_allclose(found[STATES], expected[STATES], atol=1e-3)
         np.testing.assert_allclose(found["reward"], expected["reward"], atol=1e-2)
-        for name in ("step", "model", "status", "collision", "counted_seconds", "humans_tom", "success"):
+        for name in ("step", "model", "status", "collision", "counted_seconds", "humans_turn", "success"):
             assert found[name].tolist() == pytest.approx(expected[name].tolist()), name
 
 
@@ -55,15 +55,15 @@ def test_rows_of_episodes_and_steps_say_what_the_records_hold(batch, records):
     status[0, :3], status[1, :2] = STATUSES.index("way out"), STATUSES.index("previous plan")
     records = records._replace(status=status)
     steps, episodes = batch.steps_table(keys, records), batch.episodes_table(keys, records)
-    assert set(steps) == set(columns((), ["turn", "tom"])) - set(MEASURED)
+    assert set(steps) == set(columns((), ["turn"])) - set(MEASURED)
     groups = steps.groupby("controller", sort=False)
     np.testing.assert_allclose(episodes[MEANS], groups[MEANS].mean(), rtol=1e-5)
-    assert episodes["share_tom"].tolist() == (records.rungs == 2).any(axis=2).mean(axis=1).tolist()
-    assert episodes["humans_tom"].tolist()[:2] == [2, 1]
+    assert episodes["share_turn"].tolist() == (records.rungs == 1).any(axis=2).mean(axis=1).tolist()
+    assert episodes["humans_turn"].tolist() == [2, 10 / batch.steps]
     assert episodes["success"].tolist() == groups["success"].last().astype(int).tolist()
     assert episodes["counted_seconds"].iloc[0] == pytest.approx(0.001 + 2 * 0.004)
-    assert episodes["fallbacks"].tolist() == [0, 2, 0]  # plans that failed, and not ways out
-    kept = ["success", "humans_turn", "humans_tom", "way_out"]
+    assert episodes["fallbacks"].tolist() == [0, 2]  # plans that failed, and not ways out
+    kept = ["success", "humans_turn", "way_out"]
     assert summary(episodes)[kept].to_numpy().tolist() == episodes[kept].to_numpy().tolist()
 
 
