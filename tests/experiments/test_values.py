@@ -88,6 +88,7 @@ def test_the_command_learns_values_that_drive(scenario, tmp_path, capsys):
         ("dense_merge merger --out values.npz", "merger has one human"),
         ("merger --set ladder=best --out values.npz", "leave +warm out"),
         ("merger --set yielding=never --out values.npz", "config['yielding']"),
+        ("merger --set costs=naive=0,turn=0.1,tom=0.2 --out values.npz", "they must be positive"),
     ],
 )
 def test_what_cannot_be_learned_is_refused_before_anything_is_written(arguments, message, refused):

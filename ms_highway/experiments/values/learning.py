@@ -59,6 +59,14 @@ class Learning:
     seed: int = 0
     settings: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Refuse what a file of values could not hold.
+
+        Raises:
+            ValueError: naming it.
+        """
+        self.values([], 0)
+
     def driving(self, course: Course, values: Values | None, mesh: Mesh) -> Driving:
         """Return how a course is driven, before any values are learned, with a rule that is not used."""
         names = [list(self.costs)[rung] for rung in course.rungs]
