@@ -79,9 +79,16 @@ class Sweep:
         return [self.directory / kind / f"part-{part:06d}.parquet" for kind in kinds]
 
     def missing(self) -> list[int]:
-        """Return the parts that are not there yet."""
-        there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("part-*")}
-        return [part for part in self.parts if not there.issuperset(self.files(part))]
+        """Return the parts that are not there yet.
+
+        Raises:
+            ValueError: for a file beside the parts that pandas would read with them.
+        """
+        there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("[!._]*")}
+        parts = {part: self.files(part) for part in self.parts}
+        for file in there.difference(*parts.values()):
+            raise ValueError(f"{file} is no part of this sweep, but would be read as one; move it away")
+        return [part for part, files in parts.items() if not there.issuperset(files)]
 
     def read(self) -> pd.DataFrame:
         """Return a row per episode, seed by seed, once no part is missing."""
