@@ -118,6 +118,7 @@ def test_compare_says_that_it_goes_on_with_other_versions(compared, begun, capsy
     [
         ("(?m),[^,]*$", "", "its columns are not"),
         ("stay_back,naive,0,0,", "stay_back,naive,nought,0,", "numbers belong, in column seed"),
+        ("stay_back,naive,0,0,", "stay_back,na\xefve,0,0,", "steps.csv cannot be read ('utf-8' codec can't decode"),
     ],
 )
 def test_compare_refuses_records_that_are_damaged_or_of_another_version_and_leaves_them(
@@ -125,9 +126,9 @@ def test_compare_refuses_records_that_are_damaged_or_of_another_version_and_leav
 ):
     steps = begun / "steps.csv"
     spoilt = re.sub(pattern, replacement, steps.read_text())
-    steps.write_text(spoilt)
+    steps.write_text(spoilt, encoding="latin-1")
     assert message in refused(f"{COMPARE} .")
-    assert steps.read_text() == spoilt
+    assert steps.read_text(encoding="latin-1") == spoilt
 
 
 def test_compare_keeps_results_of_other_solvers_and_humans_apart(compared, refused):
