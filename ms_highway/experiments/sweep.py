@@ -14,6 +14,7 @@ from jax.sharding import Mesh
 
 from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.records import check_numbers
 from ms_highway.runtime.files import reading, replacing
 from ms_highway.simulation.records import Records
 
@@ -128,9 +129,10 @@ def _check(sweep: Sweep, batch: Batch, part: int) -> None:
         steps = batch.steps if file.parent.name == STEPS else 1
         expected = [key for key in batch.keys(*sweep.places(part)) for _ in range(steps)]
         with reading(file, "remove it, to have it computed again"):
-            rows = pd.read_parquet(file, columns=["controller", "seed"])
-            if [*rows.itertuples(index=False, name=None)] != expected:
+            rows = pd.read_parquet(file)
+            if [*rows[["controller", "seed"]].itertuples(index=False, name=None)] != expected:
                 raise ValueError("it holds other episodes than its number says")
+            check_numbers(rows)
 
 
 def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -> Iterator[tuple[int, Tables]]:
