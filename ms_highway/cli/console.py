@@ -1,6 +1,7 @@
 """What the commands share: how they are declared, what they print, and how they show that they are at work."""
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -81,15 +82,24 @@ def draw_unseen() -> None:
 def printing() -> Iterator[None]:
     """Write what the block prints to standard output at once; the block should do nothing else.
 
+    Where nobody reads it any more, as behind ``| head``, this and all that follows is dropped.
+
     Raises:
-        OSError: if standard output is on a full disk, or nobody reads it any more.
+        OSError: if standard output is on a full disk.
     """
     try:
         yield
         sys.stdout.flush()
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or else Python would try again at its end
-        raise OSError(f"standard output cannot be written: {error.strerror}") from error
+        if not isinstance(error, BrokenPipeError):
+            raise OSError(f"standard output cannot be written: {error.strerror}") from error
+
+
+def say(text: str) -> None:
+    """Print a text to standard output."""
+    with printing():
+        print(text)
 
 
 def print_tables(*tables: "Table") -> None:
@@ -99,13 +109,12 @@ def print_tables(*tables: "Table") -> None:
     from ms_highway.visualization.tables import fitting
 
     known = sys.stdout.isatty() or "COLUMNS" in os.environ
-    console = Console(width=None if known else TABLE_WIDTH)
-    with console.capture() as printed:  # or else rich would end the process where nobody reads
-        for table in tables:
-            for part in fitting(table, console):
-                console.print(part)
-    with printing():
-        sys.stdout.write(printed.get())
+    printed = io.StringIO()  # or else rich would end the process where nobody reads
+    console = Console(file=printed, force_terminal=sys.stdout.isatty() or None, width=None if known else TABLE_WIDTH)
+    for table in tables:
+        for part in fitting(table, console):
+            console.print(part)
+    say(printed.getvalue().removesuffix("\n"))
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from ms_highway.cli.console import add_command, count_episodes, print_tables, telling
+from ms_highway.cli.console import add_command, count_episodes, print_tables, say, telling
 from ms_highway.cli.options import add_number
 from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS, Others
 from ms_highway.irl.recordings import DRIVERS, TEMPERATURE
@@ -140,7 +140,7 @@ def _evaluate(options: argparse.Namespace) -> None:
                 figures["paths"] = paths_figure(recordings, drivers)
             save_figures(figures, options.figures)
     if options.json:
-        print(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
+        say(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
     else:
         print_tables(*evaluation_tables(found))
 
@@ -184,8 +184,8 @@ def _fit_reward(options: argparse.Namespace) -> None:
     print_tables(*learned_tables(learned))
     train, held_out = (learned.log_likelihood[part] for part in ("train", "held_out"))
     rest = "" if held_out is None else f", {held_out:.3f} on those held out"
-    print(f"log-likelihood per window: {train:.3f}{rest}")
-    print(f"the learned reward is in {options.out}")
+    say(f"log-likelihood per window: {train:.3f}{rest}")
+    say(f"the learned reward is in {options.out}")
 
 
 RECORD_HELP = """\
@@ -234,4 +234,4 @@ def _record(options: argparse.Namespace) -> None:
     counts = record(*asked)
     already = next(counts)
     done = count_episodes(counts, already, options.episodes)
-    print(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")
+    say(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")

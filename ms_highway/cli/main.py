@@ -33,15 +33,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for text in given:
             if any("\ud800" <= letter <= "\udfff" for letter in text):  # how Python keeps other bytes
                 raise ValueError(f"{text!r} is not UTF-8, the encoding of all results; rename it")
-        options = build_parser().parse_args(given)
-        options.command_line = shlex.join(["ms-highway", *given])
-        with warnings.catch_warnings():
-            warnings.showwarning = _show_in_one_line
-            _set_jax_up(options)
-            import_modules(options.modules)
-            options.run(options)
-        with printing():
-            sys.stdout.flush()
+        try:
+            options = build_parser().parse_args(given)
+            options.command_line = shlex.join(["ms-highway", *given])
+            with warnings.catch_warnings():
+                warnings.showwarning = _show_in_one_line
+                _set_jax_up(options)
+                import_modules(options.modules)
+                options.run(options)
+        finally:  # help, which ends the process, is printed, too
+            with printing():
+                pass
     except (ValueError, OSError, ImportError) as error:
         print(f"ms-highway: {error}", file=sys.stderr)
         return 2

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, draw_unseen, telling
+from ms_highway.cli.console import add_command, draw_unseen, say, telling
 
 HELP = """\
 Make one HTML page of a directory of `ms-highway compare`. It is a single file and needs no network. At its top stand
@@ -59,4 +59,4 @@ def _report(options: argparse.Namespace) -> None:
         text = page(results, options.videos, tell)
     with replacing(out) as path:
         path.write_text(text, encoding="utf-8")
-    print(f"the page is {out}, {len(text) / 1e6:.1f} MB")
+    say(f"the page is {out}, {len(text) / 1e6:.1f} MB")

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.console import add_command, telling
+from ms_highway.cli.console import add_command, say, telling
 from ms_highway.cli.options import add_devices, add_keys, add_number, add_scenarios, configuration
 
 if TYPE_CHECKING:
@@ -85,11 +85,11 @@ def _learn(options: argparse.Namespace) -> None:
             values = done.values or values
             if done.regrets:
                 behind = ", ".join(f"{name} {regret:.3f}" for name, regret in done.regrets.items())
-                print(f"round {done.round}: held-out regret per step: {behind}", flush=True)
+                say(f"round {done.round}: held-out regret per step: {behind}")
     if values is not None:
         save_values(values, options.out)
     rmtree(kept, ignore_errors=True)
-    print(f"values are in {options.out}")
+    say(f"values are in {options.out}")
 
 
 def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, draw_unseen
+from ms_highway.cli.console import add_command, draw_unseen, say
 from ms_highway.cli.options import CONTROLLERS, LEARNED, MOST_SEEDS, SCENARIO_NAMES, add_keys, add_number, configuration
 
 HELP = """\
@@ -51,4 +51,4 @@ def _video(options: argparse.Namespace) -> None:
         pictures = video.scaled(pictures, options.width)
     rate = films[0].frames_per_second * options.speed
     video.write(pictures, options.out, rate)
-    print(f"{options.out}: {len(pictures)} frames, {len(pictures) / rate:.1f} s")
+    say(f"{options.out}: {len(pictures)} frames, {len(pictures) / rate:.1f} s")

@@ -1,7 +1,11 @@
 """`ms-highway compare` as a user types it."""
 
+import contextlib
 import json
+import os
 import re
+import sys
+from pathlib import Path
 
 import imageio.v3 as imageio
 import msgspec
@@ -65,6 +69,20 @@ def test_compare_goes_on_where_it_was_stopped(compared, begun):
     before = steps.read_text()
     run(f"{COMPARE} {begun}")
     assert steps.read_text() == before
+
+
+@pytest.mark.parametrize("command", [f"{COMPARE} .", "compare --help", "--version"])
+def test_a_command_whose_output_nobody_reads_any_more_ends_well_and_writes_its_results(
+    command, begun, monkeypatch, capsys
+):
+    monkeypatch.chdir(begun)
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as closed, contextlib.suppress(SystemExit):
+        monkeypatch.setattr(sys, "stdout", closed)
+        run(command)
+    assert "pipe" not in capsys.readouterr().err
+    assert Path("summary.csv").exists() == command.endswith(".")
 
 
 @pytest.mark.slow
