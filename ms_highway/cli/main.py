@@ -12,7 +12,7 @@ from typing import Any
 from ms_highway.cli.bench import add_bench
 from ms_highway.cli.bench_road import add_bench_road
 from ms_highway.cli.compare import add_compare
-from ms_highway.cli.console import Command, help_width, printing
+from ms_highway.cli.console import Command, add_first_words, help_width, printing
 from ms_highway.cli.frontier import add_frontier
 from ms_highway.cli.irl import add_evaluate, add_fit, add_record
 from ms_highway.cli.report import add_report
@@ -100,4 +100,5 @@ def build_parser() -> argparse.ArgumentParser:
     driving = add_compare, add_sweep, add_frontier, add_video, add_report, add_bench, add_bench_road, add_validate
     for add in (*driving, add_values, add_record, add_fit, add_evaluate):
         add(commands)
+    add_first_words(commands)
     return parser

@@ -11,6 +11,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ms_highway.cli.console import wrapped
+
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
 
@@ -137,7 +139,7 @@ def add_comparison(parser: argparse.ArgumentParser, seeds: int, out: str | None,
 
 def add_keys(parser: argparse.ArgumentParser) -> None:
     """Add ``--set``, see `configuration`, to a command."""
-    group = parser.add_argument_group("environments", KEYS)
+    group = parser.add_argument_group("environments", wrapped(KEYS))
     group.add_argument("--set", dest="keys", action="append", default=[], metavar="KEY=VALUE", help="see above")
 
 
