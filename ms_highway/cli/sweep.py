@@ -84,13 +84,13 @@ def _sweep(options: argparse.Namespace) -> None:
         parts = f"{job.episodes} episodes are {len(job.parts)} parts"
         raise ValueError(f"{parts}; there may be {MOST}, of --part episodes each")
     with ExitStack() as stack:
+        record = stack.enter_context(own_results(options, job.settings()))
         if options.scheduler:
             with needing("sweep"):
                 from ms_highway.experiments.cluster import connected
             compute = stack.enter_context(connected(options.scheduler, options.modules))
         else:
             compute = partial(module.compute_here, mesh=use_devices(options.devices))
-        record = stack.enter_context(own_results(options, job.settings()))
         counts = module.run_sweep(job, compute)
         already = next(counts)
         if already < job.episodes:

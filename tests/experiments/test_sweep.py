@@ -121,7 +121,8 @@ def test_a_cluster_that_is_not_there_is_refused(monkeypatch, refused):
 
 def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, refused):
     before = contents(swept)
-    assert "first_seed 0 instead of 5" in refused(f"{SWEEP} {swept} --first-seed 5")
+    nowhere = "--scheduler tcp://127.0.0.1:1"  # is not asked for
+    assert "first_seed 0 instead of 5" in refused(f"{SWEEP} {swept} --first-seed 5 {nowhere}")
     assert contents(swept) == before
     (tmp_path / "steps.csv").touch()
     assert "choose another directory" in refused(f"{SWEEP} .")
