@@ -45,9 +45,7 @@ def test_help_texts_wrap_to_the_terminal_and_lose_no_word(monkeypatch):
     for width in (80, 100):
         monkeypatch.setenv("COLUMNS", str(width))
         for name, parser in build_parser().names.items():
-            text = re.search(r"\n\n(.*?)(\nexamples?:\n|$)", parser.format_help(), re.DOTALL)[
-                1
-            ]
+            text = re.search(r"\n\n(.*?)(\nexamples?:\n|$)", parser.format_help(), re.DOTALL)[1]
             assert max(map(len, text.splitlines())) <= width, name
             texts.setdefault(name, set()).add("".join(text.split()))
     assert not [name for name, different in texts.items() if len(different) > 1]

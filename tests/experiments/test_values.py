@@ -84,7 +84,7 @@ def test_the_command_learns_values_that_drive(scenario, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("merger --out missing/values.npz", "in a directory that exists"),
+        ("merger --out values.json", "give the file a name that ends in .npz"),
         ("dense_merge merger --out values.npz", "merger has one human"),
         ("merger --set ladder=best --out values.npz", "leave +warm out"),
         ("merger --set yielding=never --out values.npz", "config['yielding']"),
