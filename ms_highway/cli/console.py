@@ -67,7 +67,7 @@ def add_command(commands: Any, name: str, summary: str, description: str, exampl
         name,
         formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=help_width()),
         allow_abbrev=False,  # --seed is not short for --seeds
-        description=wrapped(description),
+        description=filled(description),
         epilog=examples,
         **({"help": summary} if summary else {}),
     )
@@ -90,7 +90,7 @@ def _refuse(parser: Command, message: str, _: argparse.Namespace) -> NoReturn:
     parser.error(message)
 
 
-def wrapped(text: str) -> str:
+def filled(text: str) -> str:
     """Return a text of help with its paragraphs, and its rows of two columns, wrapped to `help_width`."""
     rows = re.split(r"\n(?=\n|  \S)", text)
     return "\n".join(

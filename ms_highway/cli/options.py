@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.console import wrapped
+from ms_highway.cli.console import filled
 from ms_highway.runtime.files import check_writable
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def add_comparison(parser: argparse.ArgumentParser, seeds: int, out: str | None,
 
 def add_keys(parser: argparse.ArgumentParser) -> None:
     """Add ``--set``, see `configuration`, to a command."""
-    group = parser.add_argument_group("environments", wrapped(KEYS))
+    group = parser.add_argument_group("environments", filled(KEYS))
     group.add_argument("--set", dest="keys", action="append", default=[], metavar="KEY=VALUE", help="see above")
 
 
