@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import add_command, print_tables, telling
@@ -14,6 +13,7 @@ from ms_highway.cli.options import (
     add_number,
     add_scenarios,
     configuration,
+    file_to_write,
     number,
 )
 
@@ -98,7 +98,7 @@ def add_bench(commands: Any) -> None:
     add_controllers(parser, "Those of --noise (default: all models of the ladder)")
     add_devices(parser)
     add_keys(parser)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a JSON file")
+    parser.add_argument("--json", type=file_to_write, metavar="FILE", help="write all figures to a JSON file")
     parser.set_defaults(run=_bench)
 
 

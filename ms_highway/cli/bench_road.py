@@ -17,7 +17,7 @@ from ms_highway.benchmarks.road import (
     known_scenes,
 )
 from ms_highway.cli.console import add_command, count_episodes, draw_unseen, print_tables
-from ms_highway.cli.options import MOST_SEEDS, add_number
+from ms_highway.cli.options import MOST_SEEDS, add_number, directory_to_write, file_to_write
 
 HELP = """\
 Drive stock scenes of highway-env with this package's drivers and with others, from the same starts, and compare how
@@ -86,7 +86,8 @@ def add_bench_road(commands: Any) -> None:
         ("--json", "FILE", "write all figures to a JSON file"),
         ("--log", "FILE", "write a row per episode to a CSV file"),
     ):
-        parser.add_argument(name, type=Path, metavar=metavar, help=text)
+        kind = directory_to_write if metavar == "DIR" else file_to_write
+        parser.add_argument(name, type=kind, metavar=metavar, help=text)
     parser.set_defaults(run=_bench_road)
 
 

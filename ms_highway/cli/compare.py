@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.console import add_command, count_episodes, print_tables
+from ms_highway.cli.console import add_command, count_episodes, print_tables, say
 from ms_highway.cli.options import LEARNED, SCENARIO_NAMES, add_comparison, comparison
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def _compare(options: argparse.Namespace) -> None:
             for name in CAPTIONS.keys() - drawn.keys():  # what fewer controllers had
                 (options.out / f"{scenario}_{name}.png").unlink(missing_ok=True)
             save_figures({f"{scenario}_{name}": figure for name, figure in drawn.items()}, options.out)
-    print(f"results are in {options.out}")
+    say(f"results are in {options.out}")
 
 
 def _with_learned(asked: "Comparison") -> "Comparison":

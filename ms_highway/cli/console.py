@@ -1,8 +1,11 @@
 """What the commands share: how they are declared, what they print, and how they show that they are at work."""
 
 import argparse
+import io
 import os
+import re
 import sys
+import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 TABLE_WIDTH = 120  # characters
+COLUMN = 26  # characters before the second column of rows in help texts
 
 
 class Command(argparse.ArgumentParser):
@@ -25,10 +29,12 @@ class Command(argparse.ArgumentParser):
     Attributes:
         names: of all commands, where this parser is that of several.
         words: of the arguments.
+        summary: of the command, in a list of commands.
     """
 
     names: Collection[str] = ()
     words: Sequence[str] = ()
+    summary: str = ""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse arguments; two words that name a command become one."""
@@ -55,15 +61,47 @@ class Command(argparse.ArgumentParser):
         raise ValueError(f"{message}; {remedy}")
 
 
-def add_command(commands: Any, name: str, summary: str, description: str, epilog: str = "") -> Command:
-    """Add a command to a parser's subparsers; its description and epilog are printed as they are."""
-    return commands.add_parser(
+def add_command(commands: Any, name: str, summary: str, description: str, examples: str = "") -> Command:
+    """Add a command to subparsers, which list it if it has a summary; its examples are printed as they are."""
+    parser = commands.add_parser(
         name,
         formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=help_width()),
         allow_abbrev=False,  # --seed is not short for --seeds
-        help=summary,
-        description=description,
-        epilog=epilog,
+        description=filled(description),
+        epilog=examples,
+        **({"help": summary} if summary else {}),
+    )
+    parser.summary = summary
+    return parser
+
+
+def add_first_words(commands: Any) -> None:
+    """Add the words that several commands begin with and that are none themselves; their help lists the commands."""
+    for word in dict.fromkeys(name.split()[0] for name in commands.choices if name.split()[0] not in commands.choices):
+        names = {name: parser.summary for name, parser in commands.choices.items() if name.startswith(f"{word} ")}
+        rows = "\n".join(f"  {name:{COLUMN - 2}}{summary}" for name, summary in names.items())
+        parser = add_command(commands, word, "", f"commands:\n{rows}")
+        parser.usage = f"ms-highway {word} COMMAND ..."
+        parser.add_argument("words", nargs="*", help=argparse.SUPPRESS)
+        parser.set_defaults(run=partial(_refuse, parser, f"{word} is no command; name one of {', '.join(names)}"))
+
+
+def _refuse(parser: Command, message: str, _: argparse.Namespace) -> NoReturn:
+    parser.error(message)
+
+
+def filled(text: str) -> str:
+    """Return a text of help with its paragraphs, and its rows of two columns, wrapped to `help_width`."""
+    rows = re.split(r"\n(?=\n|  \S)", text)
+    return "\n".join(
+        textwrap.fill(
+            re.sub(r"\n\s*", " ", row.strip("\n")),
+            help_width(),
+            initial_indent="\n" * row.startswith("\n"),
+            subsequent_indent=" " * COLUMN * row.startswith("  "),
+            break_on_hyphens=False,
+        )
+        for row in rows
     )
 
 
@@ -81,15 +119,24 @@ def draw_unseen() -> None:
 def printing() -> Iterator[None]:
     """Write what the block prints to standard output at once; the block should do nothing else.
 
+    Where nobody reads it any more, as behind ``| head``, this and all that follows is dropped.
+
     Raises:
-        OSError: if standard output is on a full disk, or nobody reads it any more.
+        OSError: if standard output is on a full disk.
     """
     try:
         yield
         sys.stdout.flush()
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or else Python would try again at its end
-        raise OSError(f"standard output cannot be written: {error.strerror}") from error
+        if not isinstance(error, BrokenPipeError):
+            raise OSError(f"standard output cannot be written: {error.strerror}") from error
+
+
+def say(text: str) -> None:
+    """Print a text to standard output."""
+    with printing():
+        print(text)
 
 
 def print_tables(*tables: "Table") -> None:
@@ -99,13 +146,12 @@ def print_tables(*tables: "Table") -> None:
     from ms_highway.visualization.tables import fitting
 
     known = sys.stdout.isatty() or "COLUMNS" in os.environ
-    console = Console(width=None if known else TABLE_WIDTH)
-    with console.capture() as printed:  # or else rich would end the process where nobody reads
-        for table in tables:
-            for part in fitting(table, console):
-                console.print(part)
-    with printing():
-        sys.stdout.write(printed.get())
+    printed = io.StringIO()  # or else rich would end the process where nobody reads
+    console = Console(file=printed, force_terminal=sys.stdout.isatty() or None, width=None if known else TABLE_WIDTH)
+    for table in tables:
+        for part in fitting(table, console):
+            console.print(part)
+    say(printed.getvalue().removesuffix("\n"))
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:

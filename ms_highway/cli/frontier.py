@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from ms_highway.cli.console import add_command, print_tables, telling
+from ms_highway.cli.console import add_command, print_tables, say, telling
 from ms_highway.cli.options import add_comparison, add_devices, add_number, comparison, number
 
 HELP = """\
@@ -92,4 +92,4 @@ def _frontier(options: argparse.Namespace) -> None:
             save_figures({f"{scenario}_frontier": frontier(behind, scenario, options.seeds)}, out)
     for scenario in asked.controllers:
         print_tables(*regret_tables(behind, scenario))
-    print(f"results are in {out}")
+    say(f"results are in {out}")

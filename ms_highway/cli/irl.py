@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from ms_highway.cli.console import add_command, count_episodes, print_tables, telling
-from ms_highway.cli.options import add_number
+from ms_highway.cli.console import add_command, count_episodes, print_tables, say, telling
+from ms_highway.cli.options import add_number, directory_to_write, file_to_write
 from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS, Others
 from ms_highway.irl.recordings import DRIVERS, TEMPERATURE
 
@@ -108,7 +108,7 @@ def add_evaluate(commands: Any) -> None:
         "future is known (default); the others where they were recorded to be, a leak of the future; or the others at "
         "constant velocity",
     )
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="a directory for figures, *.png")
+    parser.add_argument("--figures", type=directory_to_write, metavar="DIR", help="a directory for figures, *.png")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.set_defaults(run=_evaluate)
 
@@ -140,7 +140,7 @@ def _evaluate(options: argparse.Namespace) -> None:
                 figures["paths"] = paths_figure(recordings, drivers)
             save_figures(figures, options.figures)
     if options.json:
-        print(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
+        say(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
     else:
         print_tables(*evaluation_tables(found))
 
@@ -165,7 +165,9 @@ def add_fit(commands: Any) -> None:
     """Add the command ``fit`` to a parser's subparsers."""
     parser = add_command(commands, "irl fit", "learn a reward", FIT_HELP, FIT_EXAMPLES)
     add_data(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="a .json file for the learned reward")
+    parser.add_argument(
+        "--out", type=file_to_write, required=True, metavar="FILE", help="a .json file for the learned reward"
+    )
     parser.set_defaults(run=_fit_reward)
 
 
@@ -174,8 +176,6 @@ def _fit_reward(options: argparse.Namespace) -> None:
     from ms_highway.irl.learning import learn_reward
     from ms_highway.visualization.irl.tables import learned_tables
 
-    if options.out.is_dir():
-        raise ValueError(f"--out is {options.out}, a directory; name a .json file")
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
     with telling() as tell:
         recordings = read(options.data)
@@ -184,8 +184,8 @@ def _fit_reward(options: argparse.Namespace) -> None:
     print_tables(*learned_tables(learned))
     train, held_out = (learned.log_likelihood[part] for part in ("train", "held_out"))
     rest = "" if held_out is None else f", {held_out:.3f} on those held out"
-    print(f"log-likelihood per window: {train:.3f}{rest}")
-    print(f"the learned reward is in {options.out}")
+    say(f"log-likelihood per window: {train:.3f}{rest}")
+    say(f"the learned reward is in {options.out}")
 
 
 RECORD_HELP = """\
@@ -234,4 +234,4 @@ def _record(options: argparse.Namespace) -> None:
     counts = record(*asked)
     already = next(counts)
     done = count_episodes(counts, already, options.episodes)
-    print(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")
+    say(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")

@@ -12,7 +12,7 @@ from typing import Any
 from ms_highway.cli.bench import add_bench
 from ms_highway.cli.bench_road import add_bench_road
 from ms_highway.cli.compare import add_compare
-from ms_highway.cli.console import Command, help_width, printing
+from ms_highway.cli.console import Command, add_first_words, help_width, printing
 from ms_highway.cli.frontier import add_frontier
 from ms_highway.cli.irl import add_evaluate, add_fit, add_record
 from ms_highway.cli.report import add_report
@@ -33,15 +33,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for text in given:
             if any("\ud800" <= letter <= "\udfff" for letter in text):  # how Python keeps other bytes
                 raise ValueError(f"{text!r} is not UTF-8, the encoding of all results; rename it")
-        options = build_parser().parse_args(given)
-        options.command_line = shlex.join(["ms-highway", *given])
-        with warnings.catch_warnings():
-            warnings.showwarning = _show_in_one_line
-            _set_jax_up(options)
-            import_modules(options.modules)
-            options.run(options)
-        with printing():
-            sys.stdout.flush()
+        try:
+            options = build_parser().parse_args(given)
+            options.command_line = shlex.join(["ms-highway", *given])
+            with warnings.catch_warnings():
+                warnings.showwarning = _show_in_one_line
+                _set_jax_up(options)
+                import_modules(options.modules)
+                options.run(options)
+        finally:  # help, which ends the process, is printed, too
+            with printing():
+                pass
     except (ValueError, OSError, ImportError) as error:
         print(f"ms-highway: {error}", file=sys.stderr)
         return 2
@@ -98,4 +100,5 @@ def build_parser() -> argparse.ArgumentParser:
     driving = add_compare, add_sweep, add_frontier, add_video, add_report, add_bench, add_bench_road, add_validate
     for add in (*driving, add_values, add_record, add_fit, add_evaluate):
         add(commands)
+    add_first_words(commands)
     return parser

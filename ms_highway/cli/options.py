@@ -11,6 +11,9 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ms_highway.cli.console import filled
+from ms_highway.runtime.files import check_writable
+
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
 
@@ -97,6 +100,22 @@ def add_number(
     parser.add_argument(name, type=kind, default=default, help=text + usual, **more)
 
 
+def file_to_write(text: str) -> Path:
+    """Return the path of a file, for the type of an option, once it is known that the file can be written.
+
+    Raises:
+        OSError: if it cannot.
+    """
+    check_writable(Path(text))
+    return Path(text)
+
+
+def directory_to_write(text: str) -> Path:
+    """Return the path of a directory, likewise."""
+    check_writable(Path(text), directory=True)
+    return Path(text)
+
+
 def add_scenarios(parser: argparse.ArgumentParser) -> None:
     """Add names of scenarios to a command."""
     names = ", ".join(SCENARIO_NAMES)
@@ -131,13 +150,15 @@ def add_comparison(parser: argparse.ArgumentParser, seeds: int, out: str | None,
     add_number(parser, "--seeds", seeds, "episodes per controller")
     add_number(parser, "--first-seed", 0, "of the first episode, from which the others count on", 0, MOST_SEEDS)
     usual = "" if out is None else f" (default: {out})"
-    parser.add_argument("--out", type=Path, metavar="DIR", required=not out, default=out, help=f"of results{usual}")
+    parser.add_argument(
+        "--out", type=directory_to_write, metavar="DIR", required=not out, default=out, help=f"of results{usual}"
+    )
     add_keys(parser)
 
 
 def add_keys(parser: argparse.ArgumentParser) -> None:
     """Add ``--set``, see `configuration`, to a command."""
-    group = parser.add_argument_group("environments", KEYS)
+    group = parser.add_argument_group("environments", filled(KEYS))
     group.add_argument("--set", dest="keys", action="append", default=[], metavar="KEY=VALUE", help="see above")
 
 

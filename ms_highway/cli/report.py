@@ -5,7 +5,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, draw_unseen, telling
+from ms_highway.cli.console import add_command, draw_unseen, say, telling
+from ms_highway.cli.options import file_to_write
 
 HELP = """\
 Make one HTML page of a directory of `ms-highway compare`. It is a single file and needs no network. At its top stand
@@ -22,7 +23,7 @@ def add_report(commands: Any) -> None:
     """Add the command ``report`` to a parser's subparsers."""
     parser = add_command(commands, "report", "make a page of a comparison", HELP, EXAMPLES)
     parser.add_argument("directories", nargs="*", type=Path, metavar="DIR", help="of `ms-highway compare`")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="an .html file (default: report.html in DIR)")
+    parser.add_argument("--out", type=file_to_write, metavar="FILE", help="an .html file (default: report.html in DIR)")
     parser.add_argument(
         "--videos",
         action=argparse.BooleanOptionalAction,
@@ -34,7 +35,7 @@ def add_report(commands: Any) -> None:
 
 def _report(options: argparse.Namespace) -> None:
     from ms_highway.experiments.results import read_results
-    from ms_highway.runtime.files import replacing
+    from ms_highway.runtime.files import check_writable, replacing
     from ms_highway.visualization.html_page import page
     from ms_highway.visualization.video import check_format
 
@@ -43,8 +44,9 @@ def _report(options: argparse.Namespace) -> None:
         raise ValueError(f"a page shows one comparison, not {count}; name one directory, such as results/compare")
     directory = options.directories[0]
     out = options.out or directory / "report.html"
-    if out.suffix != ".html" or out.is_dir():
+    if out.suffix != ".html":
         raise ValueError(f"--out is {out}; name an .html file")
+    check_writable(out)
     results = read_results(directory)
     if results.missing:
         remedy = "start the same `ms-highway compare` again, which resumes"
@@ -59,4 +61,4 @@ def _report(options: argparse.Namespace) -> None:
         text = page(results, options.videos, tell)
     with replacing(out) as path:
         path.write_text(text, encoding="utf-8")
-    print(f"the page is {out}, {len(text) / 1e6:.1f} MB")
+    say(f"the page is {out}, {len(text) / 1e6:.1f} MB")

@@ -5,7 +5,7 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
-from ms_highway.cli.console import add_command, count_episodes, print_tables
+from ms_highway.cli.console import add_command, count_episodes, print_tables, say
 from ms_highway.cli.options import MOST, add_comparison, add_devices, add_number, comparison
 from ms_highway.runtime.extras import needing
 
@@ -84,13 +84,13 @@ def _sweep(options: argparse.Namespace) -> None:
         parts = f"{job.episodes} episodes are {len(job.parts)} parts"
         raise ValueError(f"{parts}; there may be {MOST}, of --part episodes each")
     with ExitStack() as stack:
+        record = stack.enter_context(own_results(options, job.settings()))
         if options.scheduler:
             with needing("sweep"):
                 from ms_highway.experiments.cluster import connected
             compute = stack.enter_context(connected(options.scheduler, options.modules))
         else:
             compute = partial(module.compute_here, mesh=use_devices(options.devices))
-        record = stack.enter_context(own_results(options, job.settings()))
         counts = module.run_sweep(job, compute)
         already = next(counts)
         if already < job.episodes:
@@ -100,4 +100,4 @@ def _sweep(options: argparse.Namespace) -> None:
         write_table(summaries, options.out / "summary.csv")
         save_figures({f"{job.scenario}_curve": curve(summaries, job.scenario)}, options.out)
         print_tables(table(summaries, job.scenario))
-        print(f"results are in {options.out}")
+        say(f"results are in {options.out}")

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, print_tables
+from ms_highway.cli.console import add_command, print_tables, say
 
 HELP = """\
 Replay logged episodes of the paper's released code: plan from every logged state and compare controls, rewards, human
@@ -32,7 +32,7 @@ def _validate(options: argparse.Namespace) -> None:
 
     result = validate(options.directory)
     if options.json:
-        print(json.dumps(result, indent=2))
+        say(json.dumps(result, indent=2))
         return
     rows = []
     for name, errors in result["files"].items():

@@ -1,11 +1,10 @@
 """The command ``ms-highway values learn``."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.console import add_command, telling
-from ms_highway.cli.options import add_devices, add_keys, add_number, add_scenarios, configuration
+from ms_highway.cli.console import add_command, say, telling
+from ms_highway.cli.options import add_devices, add_keys, add_number, add_scenarios, configuration, file_to_write
 
 if TYPE_CHECKING:
     from ms_highway.experiments.values.learning import Learning
@@ -47,7 +46,9 @@ def add_values(commands: Any) -> None:
     """Add the command ``values learn`` to a parser's subparsers."""
     parser = add_command(commands, "values learn", "learn values of computation: when it pays to think", HELP, EXAMPLES)
     add_scenarios(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the values, such as values.npz")
+    parser.add_argument(
+        "--out", type=file_to_write, required=True, metavar="FILE", help="of the values, such as values.npz"
+    )
     states = "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; "
     add_number(parser, "--states", None, states + "among several humans 100 in every round)")
     add_number(parser, "--rounds", None, "of rollouts and fits (default: 5; among several humans 2)", most=100)
@@ -72,8 +73,6 @@ def _learn(options: argparse.Namespace) -> None:
     from ms_highway.metareasoning.values import save_values
     from ms_highway.simulation.devices import use_devices
 
-    if options.out.is_dir() or not options.out.parent.is_dir():
-        raise ValueError(f"--out is {options.out}; name a file in a directory that exists, such as values.npz")
     if options.out.suffix != ".npz":
         raise ValueError(f"--out is {options.out}; give the file a name that ends in .npz")
     learning, courses = _courses(options)
@@ -85,11 +84,11 @@ def _learn(options: argparse.Namespace) -> None:
             values = done.values or values
             if done.regrets:
                 behind = ", ".join(f"{name} {regret:.3f}" for name, regret in done.regrets.items())
-                print(f"round {done.round}: held-out regret per step: {behind}", flush=True)
+                say(f"round {done.round}: held-out regret per step: {behind}")
     if values is not None:
         save_values(values, options.out)
     rmtree(kept, ignore_errors=True)
-    print(f"values are in {options.out}")
+    say(f"values are in {options.out}")
 
 
 def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:

@@ -1,11 +1,19 @@
 """The command ``ms-highway video``."""
 
 import argparse
-from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, draw_unseen
-from ms_highway.cli.options import CONTROLLERS, LEARNED, MOST_SEEDS, SCENARIO_NAMES, add_keys, add_number, configuration
+from ms_highway.cli.console import add_command, draw_unseen, say
+from ms_highway.cli.options import (
+    CONTROLLERS,
+    LEARNED,
+    MOST_SEEDS,
+    SCENARIO_NAMES,
+    add_keys,
+    add_number,
+    configuration,
+    file_to_write,
+)
 
 HELP = """\
 Film one episode from above: the road, the robot's plan, the human path that it counts on, and a panel with the model
@@ -31,7 +39,7 @@ def add_video(commands: Any) -> None:
     add_number(parser, "--seed", 0, "of the episode", 0, MOST_SEEDS)
     add_number(parser, "--speed", 1.0, "1 is true speed, 0.5 slow motion", 0.01, 100)
     add_number(parser, "--width", None, "scale the video to this width", 160, 1280, metavar="PIXELS")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .mp4 or .gif file")
+    parser.add_argument("--out", type=file_to_write, required=True, metavar="FILE", help="an .mp4 or .gif file")
     add_keys(parser)
     parser.set_defaults(run=_video)
 
@@ -51,4 +59,4 @@ def _video(options: argparse.Namespace) -> None:
         pictures = video.scaled(pictures, options.width)
     rate = films[0].frames_per_second * options.speed
     video.write(pictures, options.out, rate)
-    print(f"{options.out}: {len(pictures)} frames, {len(pictures) / rate:.1f} s")
+    say(f"{options.out}: {len(pictures)} frames, {len(pictures) / rate:.1f} s")

@@ -28,6 +28,7 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import (
     CARS,
     MEASURED,
+    check_numbers,
     count_column,
     gain_column,
     share_column,
@@ -221,6 +222,9 @@ class Batch:
         ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed. Where there are
         several humans, MODEL is the most expensive one in use, and there are ``success``, 0 or 1, and means over the
         steps: ``humans_MODEL``, and ``way_out``, of the steps driven to keep one.
+
+        Raises:
+            ValueError: for a reward that is not finite.
         """
         cells, (names, seeds) = self._cells(records), zip(*keys, strict=True)
         used, counted = cells.pop("model"), cells.pop("counted_seconds")
@@ -239,7 +243,9 @@ class Batch:
             table["success"] = cells.pop("success")[:, -1].astype(int)
             table |= {name: part.mean(axis=1) for name, part in cells.items()}
             table["way_out"] = np.equal(records.status, WAY_OUT).mean(axis=1)
-        return pd.DataFrame(table)
+        episodes = pd.DataFrame(table)
+        check_numbers(episodes)
+        return episodes
 
 
 def make_batch(comparison: Comparison, scenario: str) -> Batch:

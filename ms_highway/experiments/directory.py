@@ -3,6 +3,8 @@
 import json
 import os
 import platform
+import re
+import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -19,10 +21,20 @@ SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
 EXTENDED = ("measured", "asked")
 """Keys of the settings that further comparisons in the same directory add to: T(M), and numbers of episodes."""
 
+CHECKOUT = Path(__file__).parents[2]
+"""Where the package lies in a checkout, beside ``.git``."""
+
 PACKAGES = ("ms-highway", "jax", "jaxlib", "highway-env", "gymnasium", "numpy")
 
 
-class Run(TypedDict):
+class Checkout(TypedDict, total=False):
+    """The commit of the package's own checkout, and whether its files had changed since; empty where there is none."""
+
+    commit: str
+    dirty: bool
+
+
+class Run(Checkout):
     """What computed results: the command, when, with which versions and flags, and where."""
 
     command: str
@@ -94,14 +106,17 @@ class ResultsDirectory:
         """Record this process as one more run, which a line of a shell began.
 
         Returns:
-            In which versions and flags it differs from the run before; empty if in none.
+            In which versions, flags and commit it differs from the run before; empty if in none.
 
         Raises:
             ValueError: if the runs before cannot be read.
         """
         runs = [*self.runs(), this_run(command)]
         write_json(self.path / PROVENANCE_FILE, runs)
-        before, now = ({**run["versions"], "XLA_FLAGS": run.get("xla_flags", "")} for run in (runs[-2:][0], runs[-1]))
+        before, now = (
+            {**run["versions"], "XLA_FLAGS": run.get("xla_flags", ""), "commit": run.get("commit", "")}
+            for run in (runs[-2:][0], runs[-1])
+        )
         differing = [name for name in {**before, **now} if before.get(name) != now.get(name)]
         return ", ".join(
             f"{name} {now.get(name) or 'none'} instead of {before.get(name) or 'none'}" for name in differing
@@ -116,7 +131,20 @@ def this_run(command: str = "") -> Run:
         "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
         "machine": {"processor": _processor(), "cores": cores(), "platform": platform.platform()},
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        **_checkout(CHECKOUT),
     }
+
+
+def _checkout(directory: Path) -> Checkout:
+    if not (directory / ".git").exists():
+        return {}
+    command = ["git", "-C", str(directory), "status", "--porcelain=v2", "--branch", "--untracked-files=no"]
+    try:
+        told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):  # without git, or where it does not trust the directory's owner
+        return {}
+    (commit,) = re.findall(r"^# branch\.oid (.*)", told, re.MULTILINE)
+    return {"commit": commit, "dirty": bool(re.search("^[^#]", told, re.MULTILINE))}
 
 
 def _processor() -> str:

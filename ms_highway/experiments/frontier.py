@@ -14,6 +14,7 @@ import pandas as pd
 from jax.sharding import Mesh
 
 from ms_highway.experiments.batch import Batch, Key
+from ms_highway.experiments.records import check_numbers
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.files import reading, replacing
 
@@ -54,7 +55,9 @@ class Outcomes:
         if file is not None and file.exists():
             with reading(file, "remove it or choose another directory"):
                 # Python's float gives back the very numbers that were written.
-                self.table = pd.read_csv(file, converters=KEPT_COLUMNS).set_index(INDEX)[list(KEPT_COLUMNS)]
+                known = pd.read_csv(file, converters=KEPT_COLUMNS)
+                check_numbers(known)
+                self.table = known.set_index(INDEX)[list(KEPT_COLUMNS)]
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
         """Return the rows of some episodes, in their order; simulate and keep those that are not known."""

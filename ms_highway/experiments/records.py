@@ -16,7 +16,8 @@ MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
 CARS, STATE = ("robot", "human"), ("x", "y", "heading", "speed")
 NEVER_EMPTY = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
 COUNTED = "counted_seconds"
-NUMBERS = ("seed", "step", "reward", COUNTED, *MEASURED[:2])
+TEXTS = ("scenario", "controller", "model", "status")
+LARGEST = 1e38  # number, in single precision
 
 
 def columns(rungs: Iterable[str] = (), above: Iterable[str] = ()) -> list[str]:
@@ -75,13 +76,7 @@ def check_records(records: pd.DataFrame) -> None:
     absent = sorted({*NEVER_EMPTY, COUNTED} - set(records))
     if absent:
         raise ValueError(f"it has no column {', '.join(absent)}")
-    more = tuple(column("") for column in (gain_column, count_column))
-    for name in (*NUMBERS, *(name for name in records if name.startswith(more))):
-        if len(records) and not pd.api.types.is_numeric_dtype(records[name]):
-            raise ValueError(f"it has texts where numbers belong, in column {name}")
-    for name in records.columns.intersection(["collision", "success"]):
-        if not records[name].dropna().isin([True, False]).all():
-            raise ValueError(f"it has something else than True and False in column {name}")
+    check_numbers(records, holes=True)
     for column, known, names in (
         ("scenario", ENVIRONMENTS.__contains__, ", ".join(ENVIRONMENTS)),
         ("model", is_model, model_names()),
@@ -90,6 +85,32 @@ def check_records(records: pd.DataFrame) -> None:
             if not known(name):
                 remedy = "if it is your own, --import the module that adds it"
                 raise ValueError(f"it holds {column} {name!r}, not one of {names}; {remedy}")
+
+
+def check_numbers(table: pd.DataFrame, holes: bool = False) -> None:
+    """Check that a table of steps or episodes has numbers where they belong, of a size that can be.
+
+    Args:
+        table: all of whose columns but `TEXTS` hold numbers.
+        holes: whether any cell may be empty, not only prices, T(M) and gains, which may be unknown.
+
+    Raises:
+        ValueError: naming what is wrong, and where.
+    """
+    for name in table.columns.difference(TEXTS):
+        if pd.api.types.infer_dtype(table[name]) not in ("integer", "floating", "boolean", "empty"):
+            raise ValueError(f"it has texts where numbers belong, in column {name}")
+        signed = name == "reward" or name.startswith(("gain_", "robot_", "human_"))
+        share = name.startswith("share_") or name in ("collision", "success", "late", "way_out")
+        least, most = -LARGEST if signed else 0, 1 if share else 2**63 - 1 if name in ("seed", "step") else LARGEST
+        numbers = table[name].astype(float)
+        right = numbers.between(least, most)
+        if holes or name in ("price", COUNTED) or name.startswith("gain_"):
+            right |= numbers.isna()
+        if not right.all():
+            wrong = table[~right].iloc[0]
+            where = f"{wrong['controller']} with seed {wrong['seed']}"
+            raise ValueError(f"{name} of {where} is {wrong[name]}; it must be from {least:g} to {most:g}")
 
 
 def whole_steps(records: pd.DataFrame) -> pd.Series:

@@ -118,9 +118,9 @@ def _whole_episodes(steps: Path, comparison: Comparison) -> set[tuple[str, str, 
     Raises:
         ValueError: if the file does not hold records of this version.
     """
-    text = steps.read_text()
-    whole_lines = text[: text.rfind("\n") + 1]
     with reading(steps, "choose another directory"):
+        text = steps.read_text()
+        whole_lines = text[: text.rfind("\n") + 1]
         records = pd.read_csv(io.StringIO(whole_lines))
         if list(records) != comparison.columns():
             raise ValueError(f"its columns are not {', '.join(comparison.columns())}")

@@ -14,6 +14,7 @@ from jax.sharding import Mesh
 
 from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.records import check_numbers
 from ms_highway.runtime.files import reading, replacing
 from ms_highway.simulation.records import Records
 
@@ -79,9 +80,16 @@ class Sweep:
         return [self.directory / kind / f"part-{part:06d}.parquet" for kind in kinds]
 
     def missing(self) -> list[int]:
-        """Return the parts that are not there yet."""
-        there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("part-*")}
-        return [part for part in self.parts if not there.issuperset(self.files(part))]
+        """Return the parts that are not there yet.
+
+        Raises:
+            ValueError: for a file beside the parts that pandas would read with them.
+        """
+        there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("[!._]*")}
+        parts = {part: self.files(part) for part in self.parts}
+        for file in there.difference(*parts.values()):
+            raise ValueError(f"{file} is no part of this sweep, but would be read as one; move it away")
+        return [part for part, files in parts.items() if not there.issuperset(files)]
 
     def read(self) -> pd.DataFrame:
         """Return a row per episode, seed by seed, once no part is missing."""
@@ -121,9 +129,10 @@ def _check(sweep: Sweep, batch: Batch, part: int) -> None:
         steps = batch.steps if file.parent.name == STEPS else 1
         expected = [key for key in batch.keys(*sweep.places(part)) for _ in range(steps)]
         with reading(file, "remove it, to have it computed again"):
-            rows = pd.read_parquet(file, columns=["controller", "seed"])
-            if [*rows.itertuples(index=False, name=None)] != expected:
+            rows = pd.read_parquet(file)
+            if [*rows[["controller", "seed"]].itertuples(index=False, name=None)] != expected:
                 raise ValueError("it holds other episodes than its number says")
+            check_numbers(rows)
 
 
 def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -> Iterator[tuple[int, Tables]]:

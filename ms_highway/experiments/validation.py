@@ -108,11 +108,16 @@ def read_episodes(file: Path) -> tuple[str, dict[str, Array]]:
         "ladder": (episodes["ladder"].size,),
     }
     for name, array in episodes.items():
-        numbers = array.dtype.kind in ("iu" if name in INTEGERS else "fiu") and (np.abs(array) < LARGEST).all()
-        if array.shape != wanted[name] or not numbers:
-            kind = "integers" if name in INTEGERS else "finite numbers"
-            holds = f"{name} holds {array.dtype} of shape {array.shape}, or numbers that are not finite"
-            raise ValueError(f"{file}: {holds}; it must hold {kind} of shape {wanted[name]}")
+        kind, kinds = ("integers", "iu") if name in INTEGERS else ("finite numbers", "fiu")
+        if array.dtype.kind not in kinds:
+            problem = f"holds {array.dtype}"
+        elif array.shape != wanted[name]:
+            problem = f"is of shape {array.shape}"
+        elif not (np.abs(array) < LARGEST).all():
+            problem = f"holds numbers that are not finite, or beyond {LARGEST:g}"
+        else:
+            continue
+        raise ValueError(f"{file}: {name} {problem}; it must hold {kind} of shape {wanted[name]}")
     rungs = episodes["ladder"].tolist()
     known = set(rungs) <= set(range(len(PAPER_MODELS))) and np.isin(episodes["models"], rungs).all()
     if not known or len(set(rungs)) < len(rungs):

@@ -30,6 +30,7 @@ REMEDY = "learn values with `ms-highway values learn`"
 ANOTHER = f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
 MOST_BYTES = 2**24  # of a file, unpacked; those of the package have a hundredth
 SIZES = 1e-9, 1e9  # of spreads and prices; other numbers are no larger, either, so that nothing overflows
+MOST_WEIGHT = 1e3  # of networks; those of the package are below 1
 CLOSE = 1e-6  # relative difference of costs that are the same
 
 
@@ -68,8 +69,8 @@ class Values:
         """
         if self.baseline not in ("top", "cheapest"):
             raise ValueError(f"the baseline is {self.baseline!r}; it must be 'top' or 'cheapest'")
-        if len(self.ladder) < 2:
-            raise ValueError(f"the ladder has the models {list(self.ladder)}; there must be two at least")
+        if len(self.ladder) < 2 or len({*self.ladder}) < len(self.ladder):
+            raise ValueError(f"the ladder has the models {list(self.ladder)}; there must be two at least, each once")
         if self.inputs != input_names(self.baseline):
             raise ValueError("the inputs of the network are those of another version")
         layers = [part for layer in self.network for part in layer]
@@ -80,17 +81,18 @@ class Values:
         if shapes != wanted or 0 in networks or sizes[-1] != 2 * len(self.estimated):
             raise ValueError(f"the layers of the networks are of shapes {shapes}, for {len(self.ladder)} models")
         least, most = SIZES
-        numbers = [self.centre, self.spread, self.costs, self.prices, *layers]
         standard = np.shape(self.centre), np.shape(self.spread)
+        numbers: list[Any] = [self.centre, self.spread, self.costs, self.prices]
         if set(standard) != {(sizes[0],)} or not all((np.abs(part) <= most).all() for part in numbers):
             raise ValueError(f"the numbers of the networks are beyond {most:g}, or not as many as their inputs")
+        if not all((np.abs(part) <= MOST_WEIGHT).all() for part in layers):
+            raise ValueError(f"the weights of the networks are beyond {MOST_WEIGHT:g}, or not finite")
         counts = (len(self.ladder), 2) if self.baseline == "top" else (0, 0)
-        if (
-            min((*self.spread, *self.prices)) < least
-            or (len(self.costs), len(self.prices)) != counts
-            or list(self.prices) != sorted(self.prices)
-        ):
-            raise ValueError(f"spreads or prices are below {least:g}; costs are {self.costs}, prices {self.prices}")
+        orders = [list(part) == sorted(part) for part in (self.costs, self.prices)]
+        if (len(self.costs), len(self.prices)) != counts or not all(orders) or 0 in self.costs:
+            raise ValueError(f"costs are {self.costs} and prices {self.prices}; they must be positive and not decrease")
+        if min((*self.spread, *self.prices)) < least:
+            raise ValueError(f"spreads or prices are below {least:g}")
 
     @property
     def estimated(self) -> tuple[str, ...]:

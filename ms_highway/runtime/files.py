@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -52,14 +53,27 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: naming the file, if it cannot be written.
     """
-    if path.exists() and not path.is_file():
-        raise OSError(f"{path} is a directory or a device; name a file")
+    check_writable(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path), temporary(part_of(path)) as part:
         yield part
         with part.open("rb+") as file:
             os.fsync(file.fileno())  # or else it may be empty after a power failure, under its own name
         part.replace(path)
+
+
+def check_writable(path: Path, directory: bool = False) -> None:
+    """Check that a file can be written, or that files can in a directory, and leave everything as it is.
+
+    Raises:
+        OSError: naming it.
+    """
+    with naming(path):
+        if path.exists() and not (path.is_dir() if directory else path.is_file()):
+            raise OSError("it is no directory" if directory else "it is a directory or a device")
+        places = (path, *path.parents) if directory else path.parents
+        with TemporaryFile(dir=next(place for place in places if place.exists())):
+            pass
 
 
 def part_of(path: Path) -> Path:
@@ -81,12 +95,10 @@ def held(directory: Path) -> Iterator[None]:
     there, the user has to take care.
 
     Raises:
-        ValueError: if it is a file, or another command is writing to it.
+        ValueError: if another command is writing to it.
     """
     from filelock import FileLock, Timeout
 
-    if directory.exists() and not directory.is_dir():
-        raise ValueError(f"results cannot go to {directory}, which is a file; name a new or existing directory")
     made = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
     file = directory / LOCK

@@ -90,6 +90,7 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
         points(random, "x", RANDOM_COLOR, "random")
     for name, own in rows.query("kind == 'fixed'").groupby("controller", sort=False):
         points(own, "s", color_of(str(name)), str(name))
+    axes.margins(0.1)  # so that labels of points at the edges are inside
     axes.set_xlim(left=0)
     light_grid(axes)
     axes.autoscale_view()

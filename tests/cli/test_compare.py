@@ -1,7 +1,11 @@
 """`ms-highway compare` as a user types it."""
 
+import contextlib
 import json
+import os
 import re
+import sys
+from pathlib import Path
 
 import imageio.v3 as imageio
 import msgspec
@@ -67,6 +71,20 @@ def test_compare_goes_on_where_it_was_stopped(compared, begun):
     assert steps.read_text() == before
 
 
+@pytest.mark.parametrize("command", [f"{COMPARE} .", "compare --help", "--version"])
+def test_a_command_whose_output_nobody_reads_any_more_ends_well_and_writes_its_results(
+    command, begun, monkeypatch, capsys
+):
+    monkeypatch.chdir(begun)
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as closed, contextlib.suppress(SystemExit):
+        monkeypatch.setattr(sys, "stdout", closed)
+        run(command)
+    assert "pipe" not in capsys.readouterr().err
+    assert Path("summary.csv").exists() == command.endswith(".")
+
+
 @pytest.mark.slow
 def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun, capsys):
     run(f"compare stay_back --controllers random:naive=0.5,turn=0.5 --seeds 1 --out {begun}")
@@ -118,6 +136,8 @@ def test_compare_says_that_it_goes_on_with_other_versions(compared, begun, capsy
     [
         ("(?m),[^,]*$", "", "its columns are not"),
         ("stay_back,naive,0,0,", "stay_back,naive,nought,0,", "numbers belong, in column seed"),
+        ("(stay_back,naive,0,0,naive),[^,]*", r"\1,1e400", "reward of naive with seed 0 is inf; it must be"),
+        ("stay_back,naive,0,0,", "stay_back,na\xefve,0,0,", "steps.csv cannot be read ('utf-8' codec can't decode"),
     ],
 )
 def test_compare_refuses_records_that_are_damaged_or_of_another_version_and_leaves_them(
@@ -125,9 +145,9 @@ def test_compare_refuses_records_that_are_damaged_or_of_another_version_and_leav
 ):
     steps = begun / "steps.csv"
     spoilt = re.sub(pattern, replacement, steps.read_text())
-    steps.write_text(spoilt)
+    steps.write_text(spoilt, encoding="latin-1")
     assert message in refused(f"{COMPARE} .")
-    assert steps.read_text() == spoilt
+    assert steps.read_text(encoding="latin-1") == spoilt
 
 
 def test_compare_keeps_results_of_other_solvers_and_humans_apart(compared, refused):

@@ -5,7 +5,10 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 from ms_highway.cli import irl, options
+from ms_highway.cli.main import build_parser, main
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.demonstration import DENSITIES
 from ms_highway.planning.human_models import PAPER_MODELS
@@ -35,6 +38,27 @@ def test_help_teaches_every_command_and_loads_neither_jax_nor_highway_env_nor_wh
     assert min(map(len, texts)) > 250
     assert max(map(len, run.stdout.splitlines())) <= 120
     assert run.stdout.endswith("loaded: []\n")
+
+
+def test_help_texts_wrap_to_the_terminal_and_lose_no_word(monkeypatch):
+    texts = {}
+    for width in (80, 100):
+        monkeypatch.setenv("COLUMNS", str(width))
+        for name, parser in build_parser().names.items():
+            text = re.search(r"\n\n(.*?)(\nexamples?:\n|$)", parser.format_help(), re.DOTALL)[1]
+            assert max(map(len, text.splitlines())) <= width, name
+            texts.setdefault(name, set()).add("".join(text.split()))
+    assert not [name for name, different in texts.items() if len(different) > 1]
+
+
+@pytest.mark.parametrize(("word", "commands"), [("irl", COMMANDS[-3:]), ("values", ["values learn"])])
+def test_a_word_that_commands_begin_with_lists_them(word, commands, capsys, refused):
+    with pytest.raises(SystemExit, match="0"):
+        main([word, "--help"])
+    rows = capsys.readouterr().out.splitlines()
+    assert sorted(row[2:26].strip() for row in rows if row.startswith(f"  {word}")) == sorted(commands)
+    for command in (word, f"{word} others"):
+        assert f"{word} is no command; name one of {commands[0]}" in refused(command)
 
 
 def test_the_names_in_help_texts_are_those_that_are_known():

@@ -1,7 +1,11 @@
 """What an interrupted run finds when it is resumed."""
 
+import shutil
+import subprocess
+
 import pytest
 
+from ms_highway.experiments import directory
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.experiments.results import read_results
@@ -38,3 +42,26 @@ def test_a_directory_that_was_left_while_settings_were_written_can_be_taken_up_a
     (tmp_path / "other").touch()
     with pytest.raises(ValueError, match="is not empty"):
         ResultsDirectory(tmp_path).take_up({})
+
+
+def test_a_run_from_a_checkout_names_its_commit_and_whether_its_files_have_changed(tmp_path, monkeypatch):
+    monkeypatch.setattr(directory, "CHECKOUT", tmp_path / "checkout")
+    assert "commit" not in directory.this_run()  # where the package was installed
+    file = tmp_path / "checkout" / "file"
+    file.parent.mkdir()
+    shutil.copy(__file__, file)
+    author = ["-c", "user.name=A", "-c", "user.email=a@example.org"]
+    for words in (["init"], ["add", "file"], [*author, "commit", "-m", "first"]):
+        subprocess.run(["git", *words], cwd=file.parent, check=True)
+    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=file.parent, check=True, capture_output=True, text=True)
+    (file.parent / "results").touch()  # which is no part of the commit
+    for text, dirty in (("", False), ("more", True)):
+        with file.open("a") as opened:
+            opened.write(text)
+        run = directory.this_run()
+        assert (run["commit"], run["dirty"]) == (head.stdout.strip(), dirty)
+    results = ResultsDirectory(tmp_path / "out")
+    assert results.record("first") == ""
+    assert results.runs()[0]["commit"] == run["commit"]
+    monkeypatch.setattr(directory, "CHECKOUT", tmp_path)
+    assert results.record("second") == f"commit none instead of {run['commit']}"

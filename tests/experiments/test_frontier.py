@@ -141,7 +141,11 @@ def test_the_name_of_an_order_stands_for_its_models_step_by_step():
     assert controller_name(LADDER, np.array([[0, 1], [0, 1], [1, 1]])) == "schedule:naive/turn=2,turn"
 
 
-def test_outcomes_that_were_damaged_are_named(tmp_path):
-    (tmp_path / "merger_episodes.csv").write_text("controller,seed\n")
-    with pytest.raises(ValueError, match=r"merger_episodes\.csv cannot be read.*remove it"):
+@pytest.mark.parametrize(
+    ("row", "problem"),
+    [("", ""), (",scenario,reward,counted_seconds\ntom,3,merger,nan,0.3\n", "reward of tom with seed 3")],
+)
+def test_outcomes_that_were_damaged_are_named(row, problem, tmp_path):
+    (tmp_path / "merger_episodes.csv").write_text(f"controller,seed{row}")
+    with pytest.raises(ValueError, match=rf"merger_episodes\.csv cannot be read.*{problem}.*remove it"):
         Outcomes(None, tmp_path / "merger_episodes.csv")

@@ -121,7 +121,8 @@ def test_a_cluster_that_is_not_there_is_refused(monkeypatch, refused):
 
 def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, refused):
     before = contents(swept)
-    assert "first_seed 0 instead of 5" in refused(f"{SWEEP} {swept} --first-seed 5")
+    nowhere = "--scheduler tcp://127.0.0.1:1"  # is not asked for
+    assert "first_seed 0 instead of 5" in refused(f"{SWEEP} {swept} --first-seed 5 {nowhere}")
     assert contents(swept) == before
     (tmp_path / "steps.csv").touch()
     assert "choose another directory" in refused(f"{SWEEP} .")
@@ -136,6 +137,26 @@ def test_a_part_that_was_damaged_or_is_a_copy_of_another_is_named(kind, copied, 
     assert "part-000002.parquet cannot be read" in line
     assert not copied or "holds other episodes" in line
     assert "remove it" in line
+
+
+@pytest.mark.parametrize(
+    ("kind", "column", "value"),
+    [("episodes", "reward", float("nan")), ("episodes", "share_naive", 1.5), ("steps", "robot_x", float("inf"))],
+)
+def test_a_number_that_cannot_be_in_a_part_is_named(kind, column, value, swept, tmp_path, refused):
+    shutil.copytree(swept, tmp_path / "out")
+    part = tmp_path / "out" / kind / "part-000002.parquet"
+    rows = pd.read_parquet(part)
+    rows.loc[5, column] = value
+    rows.to_parquet(part, index=False)
+    where = f"{rows['controller'][5]} with seed {rows['seed'][5]}"
+    assert f"part-000002.parquet cannot be read ({column} of {where} is {value}; " in refused(f"{SWEEP} out")
+
+
+def test_a_file_that_pandas_would_read_with_the_parts_is_refused(swept, tmp_path, refused):
+    shutil.copytree(swept, tmp_path / "out")
+    pd.DataFrame({"other": [1]}).to_parquet(tmp_path / "out" / "episodes" / "mine.parquet")
+    assert "out/episodes/mine.parquet is no part of this sweep" in refused(f"{SWEEP} out")
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from commands import run
 
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.values.learning import Learning, learn
+from ms_highway.experiments.values.learning import Learning, learn, read_rollouts
 from ms_highway.experiments.values.rollouts import Course, Rollouts, noisy_starts
 from ms_highway.metareasoning.values import load_values
 from ms_highway.simulation.devices import device_mesh, use_devices
@@ -84,11 +84,25 @@ def test_the_command_learns_values_that_drive(scenario, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("merger --out missing/values.npz", "in a directory that exists"),
+        ("merger --out values.json", "give the file a name that ends in .npz"),
         ("dense_merge merger --out values.npz", "merger has one human"),
         ("merger --set ladder=best --out values.npz", "leave +warm out"),
         ("merger --set yielding=never --out values.npz", "config['yielding']"),
+        ("merger --set costs=naive=0,turn=0.1,tom=0.2 --out values.npz", "they must be positive"),
     ],
 )
 def test_what_cannot_be_learned_is_refused_before_anything_is_written(arguments, message, refused):
     assert message in refused(f"values learn {arguments}")
+
+
+@pytest.mark.parametrize("name", ["descriptions", "rewards", "seconds"])
+def test_rollouts_that_are_not_finite_are_refused_by_name(name, tmp_path):
+    arrays = {"descriptions": np.zeros((1, 2)), "rewards": np.full((1, 3, 3), -np.inf), "seconds": np.zeros((1, 3, 3))}
+    np.savez(tmp_path / "1-0.npz", **arrays)
+    assert (read_rollouts(tmp_path / "1-0.npz").seconds == 0).all()
+    arrays[name][0, 0] = np.nan
+    np.savez(tmp_path / "1-0.npz", **arrays)
+    with pytest.raises(
+        ValueError, match=r"1-0\.npz cannot be read \(it holds numbers that are not finite\); remove it"
+    ):
+        read_rollouts(tmp_path / "1-0.npz")

@@ -244,6 +244,12 @@ def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_
         load_demonstrations(NAME)
 
 
+def test_a_data_set_that_cannot_be_written_is_refused_before_anybody_drives(monkeypatch, refused):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "/proc/self")
+    refusal = refused("irl record --driver maxent --episodes 1 --dataset me-v0")
+    assert "/proc/self/me-v0 cannot be written: No such file or directory" in refusal
+
+
 def test_a_person_needs_a_display_and_keeps_what_is_finished_when_the_window_closes(datasets, monkeypatch, refused):
     for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)

@@ -149,3 +149,10 @@ def test_what_the_paper_published_stands_beside_what_may_be_compared_with_it_onl
 )
 def test_a_page_that_cannot_be_is_refused_in_one_line(words, message, compared, refused):
     assert message in refused(f"report {words.format(compared, compared)}".strip())
+
+
+def test_a_page_that_cannot_be_written_is_refused_before_anything_is_drawn(compared, tmp_path, refused):
+    for name in ("steps.csv", "settings.json"):
+        shutil.copy(compared / name, tmp_path)
+    (tmp_path / "report.html").mkdir()
+    assert "report.html cannot be written: it is a directory" in refused("report .")

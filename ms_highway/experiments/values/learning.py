@@ -59,6 +59,14 @@ class Learning:
     seed: int = 0
     settings: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Refuse what a file of values could not hold.
+
+        Raises:
+            ValueError: naming it.
+        """
+        self.values([], 0)
+
     def driving(self, course: Course, values: Values | None, mesh: Mesh) -> Driving:
         """Return how a course is driven, before any values are learned, with a rule that is not used."""
         names = [list(self.costs)[rung] for rung in course.rungs]
@@ -140,11 +148,24 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
                 driving, random = learning.driving(course, values, mesh), learning.stream(number, COURSE, place)
                 with replacing(file) as path:
                     np.savez(path, **driving.roll_out(random, count, len(learning.costs))._asdict())
-            with reading(file, REMEDY):  # it is not compressed
-                done.append(Rollouts(**read_arrays(file, file.stat().st_size)))
+            done.append(read_rollouts(file))
             yield Progress(number, course.name)
         values = learning.values(done, number)
         yield Progress(number, "", values, {one.course.name: one.regret(values) for one in held_out})
+
+
+def read_rollouts(file: Path) -> Rollouts:
+    """Read rollouts that an interrupted run has kept.
+
+    Raises:
+        ValueError: if the file is damaged, or holds numbers that are not finite.
+    """
+    with reading(file, REMEDY):
+        kept = Rollouts(**read_arrays(file, file.stat().st_size))  # it is not compressed
+        finite = np.isfinite(kept.descriptions).all() and np.isfinite(kept.seconds).all()
+        if not finite or not (kept.rewards < np.inf).all():
+            raise ValueError("it holds numbers that are not finite")
+    return kept
 
 
 def rollouts_directory(out: Path) -> Path:

@@ -13,7 +13,7 @@ from ms_highway.envs.demonstration import demonstration_game
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.recordings.recording import Recording
 from ms_highway.runtime.extras import needing
-from ms_highway.runtime.files import naming
+from ms_highway.runtime.files import check_writable, naming
 
 FORMAT = 1
 """Version of recorded data sets; `load_demonstrations` reads no other."""
@@ -104,8 +104,10 @@ def count_episodes(dataset: str, provenance: dict[str, Any]) -> int:
 
     Raises:
         ValueError: if the data set cannot be read or has another provenance.
+        OSError: if no episode can be added to it.
     """
     data = _data_directory(dataset)
+    check_writable(data.parent, directory=True)
     if not data.exists():
         return 0
     try:
