@@ -230,7 +230,7 @@ import numpy as np
 
 if __name__ == "__main__":
     envs = gym.make_vec(
-        "ms_highway:ms-highway/{scenario}-v0",
+        "ms_highway:ms-highway/merger-v0",
         num_envs=2,
         vectorization_mode="async",
         vector_kwargs={{"context": {context!r}}},
@@ -246,16 +246,10 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scenario", "context", "costs"),
-    [
-        ("merger", None, "measured"),
-        ("dense-merge", "forkserver", "shipped"),
-    ],
-)
-def test_workers_of_a_vector_environment_find_and_step_the_environments(scenario, context, costs, tmp_path):
+@pytest.mark.parametrize(("context", "costs"), [(None, "measured"), ("forkserver", "shipped")])
+def test_workers_of_a_vector_environment_find_and_step_the_environments(context, costs, tmp_path):
     script = tmp_path / "vector.py"
-    script.write_text(VECTOR.format(scenario=scenario, context=context, costs=costs))
+    script.write_text(VECTOR.format(context=context, costs=costs))
     done = subprocess.run([sys.executable, script], timeout=600, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
