@@ -177,7 +177,8 @@ def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequen
         places = np.linspace(first, last, max(round((last - first) / STEP), 2) + 1)
         order = np.argsort(along, kind="stable")
         widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
-        lane = SampledLane(axes.positions(smooth.curve(places)), widths, lines, lanelet.limit or SPEED_LIMIT)
+        limit = SPEED_LIMIT if lanelet.limit is None else lanelet.limit
+        lane = SampledLane(axes.positions(smooth.curve(places)), widths, lines, limit)
         found = np.array([lane.local_coordinates(position) for position in axes.positions(centre)])
         off = max(np.abs(found[:, 1]).max(), -found[:, 0].min(), found[:, 0].max() - lane.length)
         if off <= WITHIN:
