@@ -21,6 +21,7 @@ from recordings import (
     lanelet,
     linked_lanes,
     moving,
+    pedestrian,
     place,
     problem,
     scenario,
@@ -210,6 +211,29 @@ def test_learned_drivers_do_not_hit_an_ego_that_brakes_gently(name, us):
     assert not info["recorded"]["collision"]
 
 
+@pytest.mark.parametrize("kind", ["pedestrian", "bicycle", "train", "pillar", "balloon"])
+@pytest.mark.parametrize("traffic", ["learned", "idm"])
+def test_who_does_not_drive_goes_as_it_was_recorded(traffic, kind, tmp_path):
+    env = make(written(tmp_path, CARS + pedestrian(102, 150, kind=kind)), traffic)
+    env.reset(seed=0)
+    (track,) = [track for track in env.unwrapped.scenario.tracks if track.number == 102]
+    for (*_, info), sample in zip(steps(env), track.samples[1:], strict=False):
+        assert info["recorded"]["step"] == sample[0]
+        x, y, orientation, speed = poses(env, others(env)[102])
+        np.testing.assert_allclose([x, y, orientation, speed], sample[1:], atol=1e-6)
+
+
+@pytest.mark.parametrize("traffic", ["learned", "idm"])
+def test_drivers_brake_for_who_stands_in_their_lane_and_does_not_drive(traffic, tmp_path):
+    stands = moving(102, [(step, *place(95, 0), TURN, 0.0) for step in range(61)], "pillar")
+    env = make(written(tmp_path, CARS + stands, problem(goal=190, times=(0, 60), speed=0.0)), traffic)
+    env.reset(seed=0)
+    *_, (*_, info) = steps(env)
+    assert info["recorded"]["step"] == 60
+    assert not overlapping(env)
+    assert others(env)[100].speed < 6.0
+
+
 @pytest.mark.parametrize("traffic", ["learned", "idm"])
 def test_a_car_whose_place_is_taken_waits_and_enters_there_later(traffic, tmp_path):
     late = car(102, 20, 0, samples=60, first=5)
@@ -387,7 +411,7 @@ def test_who_drives_as_the_recorded_vehicle_did_has_success(tmp_path):
         (
             {"cars": CARS + car(103, 5, 0, 1)},
             {"ego": 103},
-            r"config\['ego'\] is 103, which is not there, or was seen only once; choose one of 100, 101",
+            r"config\['ego'\] is 103, which is no vehicle that was seen twice; choose one of 100, 101",
         ),
         (
             {},

@@ -15,6 +15,7 @@ from recordings import (
     headings,
     lanelet,
     moving,
+    pedestrian,
     scenario,
     sign,
     straight,
@@ -93,6 +94,13 @@ def test_cars_seen_once_are_neighbours_but_no_drivers(tmp_path):
     (recording,) = read(tmp_path, scenario(cars=car(100, 20, 0, samples=1) + car(101, 40, 3.0)))
     assert recording.drivers.tolist() == [1]
     assert recording.seen.sum(axis=0).tolist() == [1, STEPS]
+
+
+@pytest.mark.parametrize("kind", ["pedestrian", "bicycle", "train", "pillar", "balloon"])
+def test_who_does_not_drive_is_a_neighbour_but_no_driver(kind, tmp_path):
+    (recording,) = read(tmp_path, scenario(cars=ALONE + pedestrian(101, 60, kind=kind)))
+    assert recording.drivers.tolist() == [0]
+    assert recording.seen.all()
 
 
 @pytest.mark.parametrize("radius", [5, 15, 30, 100])
