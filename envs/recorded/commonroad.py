@@ -317,6 +317,8 @@ def _problem(number: int, element: Element, areas: dict[int, Points]) -> Problem
 
 def _goals(state: Element, areas: dict[int, Points]) -> Iterator[GoalRegion]:
     """Yield a goal for each of the shapes and lanelets that a goal's position is made of."""
+    if unknown := {part.tag for part in state} - {"position", "time", "velocity", "orientation"}:
+        raise ValueError(f"a goal has <{min(unknown)}>, which cannot be judged here")
     times = _between(state, "time", 0, MOST_STEPS)
     if times is None:
         raise ValueError("a goal has no <time>")

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import gymnasium as gym
 import numpy as np
 import pytest
+from commonroad.common.reader.file_reader_xml import XMLFileReader
 from recordings import TURN, car, lanelet, linked_lanes, pedestrian, place, problem, scenario, sign, standing, straight
 
 from ms_highway.envs.recorded.commonroad import read_scenario
@@ -187,6 +188,7 @@ OCCUPANCY = (
         ({"cars": CARS + car(100, 90, 0)}, "dynamicObstacle 100: it has the id of another one"),
         ({"cars": CARS.replace("<length>4.5", "<length>0")}, "dynamicObstacle 100: <rectangle> has no area"),
         ({"problems": problem().replace("rectangle>", "point>")}, "planningProblem 7: <point> is no shape"),
+        ({"problems": problem().replace("</goalS", "<yawRate/></goalS")}, "planningProblem 7: a goal has <yawRate>"),
         ({"problems": problem(times=(40, 10))}, "planningProblem 7: <time> of a goal ends before it begins"),
         ({"lanelets": signed(["9"]).replace('Sign id="50"', 'Sign id="51"')}, "lanelet 1: there is no trafficSign 50"),
     ],
@@ -232,7 +234,8 @@ def damaged(root, chance):
 
 def varied():
     """A scenario with an element of each kind."""
-    goals = '<goalState><position><lanelet ref="2"/></position><time><exact>30</exact></time></goalState></planningP'
+    times = "<time><intervalStart>20</intervalStart><intervalEnd>30</intervalEnd></time>"
+    goals = f'<goalState><position><lanelet ref="2"/></position>{times}</goalState></planningP'
     walk = lanelet(9, -7.0, straight(0, 200, 6)).replace("highway", "sidewalk")
     return scenario(
         lanelets=signed(["13.9"], 6) + walk,
@@ -242,6 +245,26 @@ def varied():
         + standing(104, polygon((0, 50), (9, 50), (9, 70)), kind="building"),
         problems=problem(speeds=(5.0, 20.0), headings=(0.0, 1.0)).replace("</planningP", goals),
     )
+
+
+def test_lanelets_states_and_problems_are_those_that_commonroads_own_reader_finds(tmp_path):
+    path = tmp_path / "varied.xml"
+    path.write_text(varied())
+    scene, problems = XMLFileReader(str(path)).open()
+    found = read_scenario(path)
+    theirs = {lanelet.lanelet_id: lanelet for lanelet in scene.lanelet_network.lanelets}
+    for lane in found.lanelets:
+        same = theirs[lane.number]
+        np.testing.assert_array_equal([lane.left, lane.right], [same.left_vertices, same.right_vertices])
+        assert [list(lane.before), list(lane.after)] == [same.predecessor, same.successor]
+        assert lane.beside == (same.adj_left, same.adj_right)
+    for track in found.tracks:
+        obstacle = scene.obstacle_by_id(track.number)
+        states = [obstacle.initial_state, *obstacle.prediction.trajectory.state_list]
+        rows = [[state.time_step, *state.position, state.orientation, state.velocity] for state in states]
+        np.testing.assert_allclose(track.samples, rows, atol=1e-9)
+    (start,) = problems.planning_problem_dict.values()
+    assert found.problems[0].start == (*start.initial_state.position, start.initial_state.orientation, 12.0)
 
 
 def test_200_damaged_files_are_read_or_refused_by_file_and_element(tmp_path):
