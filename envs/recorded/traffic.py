@@ -128,7 +128,7 @@ class Traffic(ABC):
         *pose, speed = sampled(track, step)
         kind = RecordedVehicle if self._is_replayed(track) else self.vehicle_type
         vehicle = kind(self.road, *self.axes.pose(*pose), speed)
-        vehicle.number, vehicle.check_collisions = track.number, False
+        vehicle.number, vehicle.check_collisions, vehicle.follows_lanes = track.number, False, track.drives
         sized(vehicle, track.size)
         self.road.vehicles.append(vehicle)
         self.vehicles[place] = vehicle

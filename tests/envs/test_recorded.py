@@ -38,6 +38,7 @@ from ms_highway.envs.recorded.straight_road import StraightRoad
 from ms_highway.envs.recorded.traffic import overlap
 from ms_highway.vehicle.appointment import Appointment
 from ms_highway.vehicle.road_map import Spot, road_map
+from ms_highway.vehicle.traffic_paths import traffic_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
@@ -221,6 +222,21 @@ def test_who_does_not_drive_goes_as_it_was_recorded(traffic, kind, tmp_path):
         assert info["recorded"]["step"] == sample[0]
         x, y, orientation, speed = poses(env, others(env)[102])
         np.testing.assert_allclose([x, y, orientation, speed], sample[1:], atol=1e-6)
+
+
+def test_a_robot_expects_who_does_not_drive_to_go_straight_on_at_its_speed(tmp_path):
+    env = make(written(tmp_path, CARS + pedestrian(102, 60)))
+    env.reset(seed=0)
+    base = env.unwrapped
+    walker, ego = others(env)[102], base.vehicle
+    base.road.vehicles = [ego, walker]
+    expected = traffic_of(ego, road_map(base.road.network), None)
+    assert expected["present"].tolist().count(True) == 1
+    paths, ahead = expected["paths"], [np.cos(walker.heading), np.sin(walker.heading)]
+    way = np.stack([paths.x[0], paths.y[0]], axis=-1) - walker.position
+    np.testing.assert_allclose(way - (way @ ahead)[:, None] * ahead, 0, atol=1e-3)
+    assert expected["states"][0].tolist() == [0, 0, 0, 1.5]
+    assert expected["limits"][0] == 1.5
 
 
 @pytest.mark.parametrize("traffic", ["learned", "idm"])
